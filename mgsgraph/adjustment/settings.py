@@ -1,0 +1,59 @@
+"""How an adjustment is carried out; every choice has a name that case files and the command line use too."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from mgsgraph.errors import InputError
+
+Form = Literal["bundle", "explicit"]
+Line = Literal["predicted", "measured"]
+Angles = Literal["camera", "opk-paper", "opk-peer"]
+Loss = Literal["none", "huber", "cauchy", "tukey"]
+
+LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
+"""Width in sigmas of each loss at which it is 95% efficient under normal errors (Holland & Welsch 1977)."""
+
+
+@dataclass(frozen=True, slots=True)
+class SolverSettings:
+    """Choices of one adjustment."""
+
+    form: Form = "bundle"
+    """bundle: points eliminated inside their factors; explicit: one factor per row set, points are variables."""
+    line: Line = "predicted"
+    """predicted: pose at the predicted line (strict); measured: pose at the measured line (the papers' form)."""
+    angles: Angles = "camera"
+    """Rotation corrections about the camera axes, or added to omega, phi, kappa (the papers' or the peer's product)."""
+    loss: Loss = "none"
+    """Robust loss on the norm of each image row pair and on each range."""
+    loss_width: float | None = None
+    """Width of the loss in sigmas; None takes the loss's customary one."""
+    reject: float = 0.0
+    """Blunder limit in robust standard deviations of each class of rows; 0 switches the blunder pass off."""
+    max_iterations: int = 50
+    """Most Levenberg-Marquardt iterations."""
+    cost_tolerance: float = 1e-12
+    """Stop when an accepted step lowers the cost by less than this share of it."""
+    step_tolerance: float = 1e-6
+    """Stop when the step is shorter than this many posterior sigmas."""
+
+    def __post_init__(self) -> None:
+        for name, kind in (("form", Form), ("line", Line), ("angles", Angles), ("loss", Loss)):
+            if getattr(self, name) not in get_args(kind):
+                choices = ", ".join(repr(choice) for choice in get_args(kind))
+                raise InputError(f"solver, {name}", repr(getattr(self, name)), f"one of {choices}")
+        if self.loss_width is not None and not (math.isfinite(self.loss_width) and self.loss_width > 0.0):
+            raise InputError("solver, loss_width", f"{self.loss_width}", "a positive number of sigmas")
+        if not (math.isfinite(self.reject) and (self.reject == 0.0 or self.reject >= 2.0)):
+            raise InputError("solver, reject", f"{self.reject}", "0 (off) or at least 2 standard deviations")
+        if self.max_iterations < 1:
+            raise InputError("solver, max_iterations", f"{self.max_iterations}", "at least 1")
+        for name in ("cost_tolerance", "step_tolerance"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise InputError(f"solver, {name}", f"{getattr(self, name)}", "a number between 0 and 1")
+
+    @property
+    def width(self) -> float:
+        """Loss width in sigmas."""
+        return LOSS_WIDTHS[self.loss] if self.loss_width is None else self.loss_width

@@ -1,0 +1,61 @@
+"""What can go wrong, in few kinds, each also a standard error. A message is one line: place, finding, expectation, remedy."""
+
+from collections.abc import Sequence
+
+
+class MgsgraphError(Exception):
+    """Anything the program says about its input or its result; the command line prints it as one line."""
+
+
+class InputError(MgsgraphError, ValueError):
+    """Input that can't be used: what was found where, what was expected, what to do.
+
+    Parameters
+    ----------
+    where : str
+        File (and key, line or record in it) or the record's name.
+    found : str
+        What was found there.
+    expected : str
+        What would have been right; left out when the finding says it.
+    remedy : str
+        What the user can do.
+    """
+
+    def __init__(self, where: str, found: str, expected: str = "", remedy: str = "") -> None:
+        parts = [f"{where}: {found}", f"expected {expected}" if expected else "", remedy]
+        super().__init__("; ".join(part for part in parts if part).replace("\n", " "))
+        self.where, self.found, self.expected, self.remedy = where, found, expected, remedy
+
+
+class EphemerisGap(InputError):
+    """A time at which no position or attitude is known; carries the covered interval in seconds TDB past J2000."""
+
+    def __init__(self, where: str, time: float, start: float, stop: float) -> None:
+        super().__init__(
+            where,
+            f"time {time:.6f} s (TDB past J2000) lies outside the tables",
+            f"a time in {start:.6f} .. {stop:.6f} s",
+            "leave the observation out or give tables that cover it",
+        )
+        self.time, self.start, self.stop = time, start, stop
+
+
+class PointBehindCamera(InputError):
+    """A ground point that lies behind the camera which is said to have seen it."""
+
+
+class WeakNetwork(MgsgraphError, ArithmeticError):
+    """A network whose datum is not determined; names the weak directions and the images that share them."""
+
+    def __init__(self, directions: Sequence[str]) -> None:
+        super().__init__(
+            "the network is too weak to solve: nothing determines "
+            + "; ".join(directions)
+            + "; give these a prior sigma, ground control or laser rows"
+        )
+        self.directions = tuple(directions)
+
+
+class SolverError(MgsgraphError, ArithmeticError):
+    """The adjustment could not be carried out; says at which step and why."""

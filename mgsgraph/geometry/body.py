@@ -1,0 +1,118 @@
+"""The target body: an ellipsoid of revolution in its own frame, planetocentric places, and rays that meet it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipsoid:
+    """Reference ellipsoid of revolution, centred on the body-fixed frame, polar axis along +Z."""
+
+    equatorial: float
+    """m, equatorial radius."""
+    polar: float
+    """m, polar radius."""
+
+    def __post_init__(self) -> None:
+        for name in ("equatorial", "polar"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise InputError(f"ellipsoid, {name} radius", f"{getattr(self, name)} m", "a positive number")
+
+
+def planetocentric(points: Array) -> Array:
+    """Longitude, latitude (rad, planetocentric, east positive, -pi .. pi) and radius (m) of points (..., 3); (..., 3)."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    planar = np.hypot(x, y)
+    return np.stack([np.arctan2(y, x), np.arctan2(z, planar), np.hypot(planar, z)], axis=-1)
+
+
+def from_planetocentric(places: Array) -> Array:
+    """Body-fixed points (..., 3) in m of longitude, latitude (rad) and radius (m) (..., 3)."""
+    longitude, latitude, radius = np.moveaxis(places, -1, 0)
+    planar = radius * np.cos(latitude)
+    return np.stack([planar * np.cos(longitude), planar * np.sin(longitude), radius * np.sin(latitude)], axis=-1)
+
+
+def planetocentric_jacobian(places: Array) -> Array:
+    """d(x, y, z) / d(longitude, latitude, radius) at places (..., 3); (..., 3, 3), m/rad, m/rad, m/m."""
+    longitude, latitude, radius = np.moveaxis(places, -1, 0)
+    (sl, cl), (sb, cb) = (np.sin(longitude), np.cos(longitude)), (np.sin(latitude), np.cos(latitude))
+    zero = np.zeros_like(radius)
+    rows = [
+        [-radius * cb * sl, -radius * sb * cl, cb * cl],
+        [radius * cb * cl, -radius * sb * sl, cb * sl],
+        [zero, radius * cb, sb],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def geodetic(points: Array, ellipsoid: Ellipsoid) -> Array:
+    """Longitude, geodetic latitude (rad) and height above the ellipsoid (m) of points (..., 3); (..., 3).
+
+    Bowring's iteration on the parametric latitude; below 1e-9 m for heights up to the body's radius.
+    """
+    a, b = ellipsoid.equatorial, ellipsoid.polar
+    x, y, z = np.moveaxis(points, -1, 0)
+    planar = np.hypot(x, y)
+    excess, second = (a * a - b * b) / (a * a), (a * a - b * b) / (b * b)
+    parametric = np.arctan2(z * a, planar * b)
+    latitude = parametric
+    for _ in range(4):
+        latitude = np.arctan2(
+            z + second * b * np.sin(parametric) ** 3, planar - excess * a * np.cos(parametric) ** 3
+        )
+        parametric = np.arctan2(b * np.sin(latitude), a * np.cos(latitude))
+    sine, cosine = np.sin(latitude), np.cos(latitude)
+    height = planar * cosine + z * sine - a * np.sqrt(1.0 - excess * sine**2)
+    return np.stack([np.arctan2(y, x), latitude, height], axis=-1)
+
+
+def from_geodetic(places: Array, ellipsoid: Ellipsoid) -> Array:
+    """Body-fixed points (..., 3) in m of longitude, geodetic latitude (rad) and height (m) (..., 3)."""
+    longitude, latitude, height = np.moveaxis(places, -1, 0)
+    a, b = ellipsoid.equatorial, ellipsoid.polar
+    normal = a * a / np.hypot(a * np.cos(latitude), b * np.sin(latitude))
+    planar = (normal + height) * np.cos(latitude)
+    vertical = (normal * (b / a) ** 2 + height) * np.sin(latitude)
+    return np.stack([planar * np.cos(longitude), planar * np.sin(longitude), vertical], axis=-1)
+
+
+def intersect_ellipsoid(
+    origins: Array, directions: Array, ellipsoid: Ellipsoid, height: Array | float = 0.0
+) -> tuple[Array, Array, Array]:
+    """First intersection of rays with the ellipsoid whose radii are larger by `height`.
+
+    Parameters
+    ----------
+    origins, directions : (n, 3)
+        m, body-fixed; directions need not be of unit length.
+    ellipsoid : Ellipsoid
+    height : float or (n,)
+        m, added to both radii (exactly the height on a sphere).
+
+    Returns
+    -------
+    points : (n, 3)
+        m, body-fixed; NaN where a ray misses the body or points away from it.
+    d_origin, d_direction : (n, 3, 3)
+        Derivatives of the points with respect to origins and directions.
+    """
+    radii = np.stack(np.broadcast_arrays(ellipsoid.equatorial + height, ellipsoid.equatorial + height,
+                                         ellipsoid.polar + height), axis=-1)
+    start, along = origins / radii, directions / radii
+    a = np.einsum("ni,ni->n", along, along)
+    b = np.einsum("ni,ni->n", start, along)
+    c = np.einsum("ni,ni->n", start, start) - 1.0
+    root = b * b - a * c
+    with np.errstate(invalid="ignore"):
+        distance = c / (-b + np.sqrt(root))  # the nearer root, free of cancellation
+        distance = np.where((root >= 0.0) & (distance >= 0.0), distance, np.nan)
+    points = origins + distance[:, None] * directions
+    normal = points / radii**2
+    fall = np.einsum("ni,ni->n", normal, directions)
+    d_origin = np.eye(3) - directions[:, :, None] * (normal / fall[:, None])[:, None, :]
+    return points, d_origin, distance[:, None, None] * d_origin

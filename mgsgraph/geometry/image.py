@@ -1,0 +1,212 @@
+"""One pushbroom image: when each line was taken, from where, and how image and ground places belong together.
+
+Ground to image is Newton's method on the line (the papers' five steps find the same place: Shan et al. 2005).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.geometry.rotation import skew
+from mgsgraph.geometry.trajectory import Pose, Trajectory
+
+_NEWTON_STEPS = 30
+_PIXEL_TOLERANCE = 1e-9
+_EDGE = 0.5
+"""Newton may leave the image by this share of its length; beyond, a place counts as not seen."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LineTiming:
+    """Time of each line, with one constant line period per segment."""
+
+    first_lines: Array
+    """(s,) line coordinate at which each segment begins (0.0 is the top edge of the image), increasing."""
+    start_times: Array
+    """(s,) s past the trajectory's epoch, time of that edge."""
+    periods: Array
+    """(s,) s per image line, positive."""
+
+    def __post_init__(self) -> None:
+        lines = frozen(self.first_lines, "line timing, first lines", (None,))
+        if lines.size == 0 or np.any(np.diff(lines) <= 0.0):
+            raise InputError("line timing, first lines", f"{lines.tolist()}", "at least one, increasing")
+        periods = frozen(self.periods, "line timing, periods", (lines.size,))
+        if np.any(periods <= 0.0):
+            raise InputError("line timing, periods", f"{periods.min()} s per line", "positive periods")
+        starts = frozen(self.start_times, "line timing, start times", (lines.size,))
+        if np.any(np.diff(starts) <= 0.0):
+            raise InputError("line timing, start times", "times that go back", "increasing start times")
+        assign(self, first_lines=lines, start_times=starts, periods=periods)
+
+    def at(self, lines: Array) -> tuple[Array, Array]:
+        """Times (n,) in s past the epoch of lines (n,), and seconds per line there."""
+        k = np.clip(np.searchsorted(self.first_lines, lines, side="right") - 1, 0, None)
+        return self.start_times[k] + (lines - self.first_lines[k]) * self.periods[k], self.periods[k]
+
+    def lines(self, times: Array) -> Array:
+        """Lines (n,) that are read at times (n,); inverse of `at`."""
+        k = np.clip(np.searchsorted(self.start_times, times, side="right") - 1, 0, None)
+        return np.asarray(self.first_lines[k] + (times - self.start_times[k]) / self.periods[k])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PushbroomImage:
+    """A line-scanner image with everything that its geometry needs."""
+
+    name: str
+    """By which networks and shots refer to it (ISIS serial number, product id)."""
+    lines: int
+    """Number of lines."""
+    samples: int
+    """Number of samples."""
+    interior: InteriorOrientation
+    """Camera constants."""
+    timing: LineTiming
+    """Line to time."""
+    trajectory: Trajectory
+    """Nominal exterior orientation."""
+    body: Ellipsoid
+    """Reference ellipsoid of the body it shows."""
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise InputError("image", "an empty name", "the name by which networks refer to it")
+        if self.lines < 1 or self.samples < 1:
+            raise InputError(f"image {self.name}", f"{self.lines} x {self.samples} lines x samples", "at least 1 x 1")
+        edges, period = self.timing.at(np.array([0.0, float(self.lines)]))
+        self.trajectory.require(edges, f"image {self.name}, first or last line", slack=2.0 * float(period.max()))
+
+    def normalised(self, lines: Array) -> Array:
+        """Normalised line u in [-1, 1]: 2 line / lines - 1; the variable of the orientation polynomials."""
+        return 2.0 * lines / self.lines - 1.0
+
+    @property
+    def normalised_rate(self) -> float:
+        """du/dline."""
+        return 2.0 / self.lines
+
+    def pose(self, lines: Array, correction: OrientationCorrection | None = None) -> Pose:
+        """Exterior orientation at lines (n,), rates per line; corrected when a correction is given."""
+        times, period = self.timing.at(lines)
+        nominal = self.trajectory.pose(times).scaled(period)
+        if correction is None:
+            return nominal
+        return correction.apply(nominal, self.normalised(lines), self.normalised_rate)
+
+    def rays(
+        self, lines: Array, samples: Array, correction: OrientationCorrection | None = None
+    ) -> tuple[Array, Array, Array, Array]:
+        """Rays of image places, with derivatives.
+
+        Parameters
+        ----------
+        lines, samples : (n,)
+            image place, first pixel's centre at (0.5, 0.5).
+        correction : OrientationCorrection, optional
+
+        Returns
+        -------
+        origins, directions : (n, 3)
+            m, body-fixed; directions have the focal length along the optical axis.
+        d_origins, d_directions : (n, 3, 2)
+            per line and per sample.
+        """
+        pose = self.pose(lines, correction)
+        place, slope = self.interior.focal_plane(samples)
+        look = np.column_stack([place, np.full(samples.size, self.interior.focal_length)])
+        to_body = np.swapaxes(pose.matrix, 1, 2)
+        d_origins = np.stack([pose.velocity, np.zeros_like(pose.velocity)], axis=2)
+        along_detector = np.column_stack([slope, np.zeros(samples.size)])
+        turned = np.stack([np.cross(pose.turning, look), along_detector], axis=2)
+        return pose.position, np.einsum("nij,nj->ni", to_body, look), d_origins, to_body @ turned
+
+    def image_to_ground(
+        self,
+        lines: Array,
+        samples: Array,
+        height: Array | float = 0.0,
+        correction: OrientationCorrection | None = None,
+    ) -> tuple[Array, Array]:
+        """Ground points (n, 3) in m, body-fixed, of image places at a height (m) above the ellipsoid, and (n, 3, 2)
+        derivatives per line and sample; NaN where the ray misses the body.
+        """
+        origins, directions, d_origins, d_directions = self.rays(lines, samples, correction)
+        points, by_origin, by_direction = intersect_ellipsoid(origins, directions, self.body, height)
+        return points, by_origin @ d_origins + by_direction @ d_directions
+
+    def ground_to_image(
+        self, points: Array, correction: OrientationCorrection | None = None, start: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Image places of ground points, by Newton's method on the line (and the sample, for a bent detector).
+
+        Parameters
+        ----------
+        points : (n, 3)
+            m, body-fixed.
+        correction : OrientationCorrection, optional
+        start : (n,), optional
+            first guess of the line; the image's middle when absent.
+
+        Returns
+        -------
+        places : (n, 2)
+            line and sample, which may lie outside the image; NaN where the point is behind the camera or more than
+            half an image length away from the image.
+        jacobian : (n, 2, 3)
+            d(line, sample) / d(point), per m.
+        """
+        place = np.empty((points.shape[0], 2))
+        place[:, 0] = 0.5 * self.lines if start is None else start
+        place[:, 1] = 0.5 * self.samples
+        low, high = -_EDGE * self.lines, (1.0 + _EDGE) * self.lines
+        for _ in range(_NEWTON_STEPS):
+            error, jacobian, _ = self._misplacement(points, place, correction)
+            with np.errstate(invalid="ignore"):
+                step = -np.linalg.solve(jacobian, error[:, :, None])[:, :, 0]
+            place = place + step
+            lost = ~((place[:, 0] >= low) & (place[:, 0] <= high))
+            place[lost, 0] = np.clip(place[lost, 0], low, high)
+            if np.all(lost | (np.abs(step).max(axis=1) < _PIXEL_TOLERANCE)):
+                break
+        error, jacobian, by_point = self._misplacement(points, place, correction)
+        derivative = -np.linalg.solve(jacobian, by_point)
+        off = np.abs(np.linalg.solve(jacobian, error[:, :, None])[:, :, 0]).max(axis=1)
+        unseen = ~(off < 1e3 * _PIXEL_TOLERANCE)
+        place[unseen], derivative[unseen] = np.nan, np.nan
+        return place, derivative
+
+    def _misplacement(
+        self, points: Array, place: Array, correction: OrientationCorrection | None
+    ) -> tuple[Array, Array, Array]:
+        """Focal-plane distance (n, 2) in m of the points' images from the detector pixel at `place`, the pose being
+        that of its line; derivatives by (line, sample) (n, 2, 2) and by the point (n, 2, 3). Eq. 1 of Yoon & Shan.
+        """
+        pose = self.pose(place[:, 0], correction)
+        detector, slope = self.interior.focal_plane(place[:, 1])
+        ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
+        depth = np.where(ray[:, 2] > 0.0, ray[:, 2], np.nan)
+        image = self.interior.focal_length * ray[:, :2] / depth[:, None]
+        by_ray = np.zeros((points.shape[0], 2, 3))
+        by_ray[:, 0, 0] = by_ray[:, 1, 1] = self.interior.focal_length / depth
+        by_ray[:, :, 2] = -image / depth[:, None]
+        ray_rate = -np.cross(pose.turning, ray) - np.einsum("nij,nj->ni", pose.matrix, pose.velocity)
+        by_line = np.einsum("nij,nj->ni", by_ray, ray_rate)
+        return image - detector, np.stack([by_line, -slope], axis=2), by_ray @ pose.matrix
+
+
+def derivative_by_correction(image: PushbroomImage, points: Array, pose: Pose) -> Array:
+    """d(focal-plane place) / d(position correction, rotation correction) (n, 2, 6) of points (n, 3) seen at poses.
+
+    m per m and m per rad; the rotation is the one of `orientation`: small, about the camera axes.
+    """
+    ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
+    by_ray = np.zeros((points.shape[0], 2, 3))
+    by_ray[:, 0, 0] = by_ray[:, 1, 1] = image.interior.focal_length / ray[:, 2]
+    by_ray[:, :, 2] = -image.interior.focal_length * ray[:, :2] / ray[:, 2:] ** 2
+    return np.concatenate([-by_ray @ pose.matrix, by_ray @ skew(ray)], axis=2)

@@ -1,0 +1,61 @@
+"""What every record does on construction: its arrays are copied to read-only float64 and checked once."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mgsgraph.errors import InputError
+
+Array = NDArray[np.float64]
+"""An array of float64."""
+Index = NDArray[np.int64]
+"""An array of int64."""
+Mask = NDArray[np.bool_]
+"""An array of truth values."""
+
+
+def frozen(value: ArrayLike, where: str, shape: tuple[int | None, ...]) -> Array:
+    """Copy to a read-only float64 array after checking its shape and that all of it is finite.
+
+    Parameters
+    ----------
+    value : array_like
+        What the caller gave.
+    where : str
+        Name of the field, for the error message.
+    shape : tuple of int or None
+        Expected shape; None stands for any length.
+
+    Raises
+    ------
+    InputError
+        If the shape differs or a value is NaN or infinite.
+    """
+    array = np.array(value, dtype=np.float64)
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+        want = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ")"
+        raise InputError(where, f"an array of shape {array.shape}", f"shape {want}")
+    bad = np.argwhere(~np.isfinite(array))
+    if bad.size:
+        place = ", ".join(str(k) for k in bad[0])
+        raise InputError(where, f"{array[tuple(bad[0])]} at [{place}]", "finite numbers")
+    array.flags.writeable = False
+    return array
+
+
+def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
+    """Copy to a read-only int64 array of `size` indices in 0 .. upper - 1; raises InputError otherwise."""
+    array = np.array(value, dtype=np.int64).reshape(-1)
+    if array.shape != (size,):
+        raise InputError(where, f"{array.size} indices", f"{size}")
+    if array.size and (array.min() < 0 or array.max() >= upper):
+        raise InputError(where, f"index {array.min()} .. {array.max()}", f"0 .. {upper - 1}")
+    array.flags.writeable = False
+    return array
+
+
+def assign(record: Any, **fields: Any) -> None:
+    """Set fields of a frozen record while it is being made (`__post_init__` only)."""
+    for name, value in fields.items():
+        object.__setattr__(record, name, value)

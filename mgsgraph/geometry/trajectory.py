@@ -1,0 +1,160 @@
+"""Where the camera was and how it stood: sampled position and attitude, interpolated as ISIS and SPICE do.
+
+Position tables are inertial and interpolated by cubic Hermite polynomials; attitude tables turn uniformly between two
+samples (the great arc, as SPICE CK type 3 and ISIS). The two are brought to the body-fixed frame at the asked time.
+
+Times are counted from an epoch of the trajectory's own, near its middle: ephemeris time in one float64 resolves 6e-8 s,
+which is 2e-4 lines of LROC-NAC.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.records import Array, Index, assign, frozen
+
+
+def _check_times(times: Array, where: str) -> None:
+    if times.size < 2:
+        raise InputError(where, f"{times.size} samples", "at least 2")
+    step = np.diff(times)
+    if np.any(step <= 0.0):
+        k = int(np.argmax(step <= 0.0))
+        raise InputError(where, f"times {times[k]:.6f} s and {times[k + 1]:.6f} s in this order", "increasing times")
+
+
+def _interval(times: Array, at: Array) -> Index:
+    """Index k of the interval times[k] .. times[k + 1] that serves each asked time; the outer ones extrapolate."""
+    return np.clip(np.searchsorted(times, at, side="right") - 1, 0, times.size - 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionTable:
+    """Sampled geometric position of the camera relative to the body's centre."""
+
+    times: Array
+    """(n,) s past the trajectory's epoch, increasing."""
+    positions: Array
+    """(n, 3) m, inertial frame."""
+    velocities: Array
+    """(n, 3) m/s, inertial frame."""
+
+    def __post_init__(self) -> None:
+        times = frozen(self.times, "position table, times", (None,))
+        _check_times(times, "position table")
+        assign(
+            self,
+            times=times,
+            positions=frozen(self.positions, "position table, positions", (times.size, 3)),
+            velocities=frozen(self.velocities, "position table, velocities", (times.size, 3)),
+        )
+
+    def at(self, times: Array) -> tuple[Array, Array]:
+        """Position (n, 3) in m and velocity (n, 3) in m/s at times (n,), by cubic Hermite interpolation."""
+        k = _interval(self.times, times)
+        step = self.times[k + 1] - self.times[k]
+        s = ((times - self.times[k]) / step)[:, None]
+        step = step[:, None]
+        p0, p1 = self.positions[k], self.positions[k + 1]
+        v0, v1 = self.velocities[k] * step, self.velocities[k + 1] * step
+        c2, c3 = 3.0 * (p1 - p0) - 2.0 * v0 - v1, 2.0 * (p0 - p1) + v0 + v1
+        position = p0 + s * (v0 + s * (c2 + s * c3))
+        velocity = (v0 + s * (2.0 * c2 + 3.0 * s * c3)) / step
+        return position, velocity
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AttitudeTable:
+    """Sampled orientation of a frame against the inertial frame."""
+
+    times: Array
+    """(n,) s past the trajectory's epoch, increasing."""
+    quaternions: Array
+    """(n, 4) unit, scalar first: inertial frame to the sampled frame."""
+    constant: Array
+    """(3, 3) sampled frame to the frame that is wanted (mount, or principal axes to mean Earth)."""
+
+    def __post_init__(self) -> None:
+        times = frozen(self.times, "attitude table, times", (None,))
+        _check_times(times, "attitude table")
+        quaternions = frozen(self.quaternions, "attitude table, quaternions", (times.size, 4))
+        norm = np.linalg.norm(quaternions, axis=1)
+        if np.any(np.abs(norm - 1.0) > 1e-6):
+            k = int(np.argmax(np.abs(norm - 1.0)))
+            raise InputError("attitude table, quaternions", f"norm {norm[k]:.9f} at [{k}]", "unit quaternions")
+        constant = frozen(self.constant, "attitude table, constant rotation", (3, 3))
+        if np.abs(constant @ constant.T - np.eye(3)).max() > 1e-6 or np.linalg.det(constant) < 0.0:
+            raise InputError("attitude table, constant rotation", "a matrix that is no rotation", "orthonormal rows")
+        unit = quaternions / norm[:, None]
+        unit.flags.writeable = False
+        assign(self, times=times, quaternions=unit, constant=constant)
+
+    def at(self, times: Array) -> tuple[Array, Array]:
+        """Matrix (n, 3, 3) inertial to wanted frame, and its angular velocity (n, 3) in rad/s in the wanted frame."""
+        k = _interval(self.times, times)
+        step = self.times[k + 1] - self.times[k]
+        first, last = rotation.to_matrix(self.quaternions[k]), rotation.to_matrix(self.quaternions[k + 1])
+        # C(t) = Exp(-turn s) C0: the frame turns by +turn, components turn back
+        turn = -rotation.logarithm(last @ np.swapaxes(first, 1, 2))
+        s = (times - self.times[k]) / step
+        matrix = self.constant @ rotation.exponential(-turn * s[:, None]) @ first
+        return matrix, turn / step[:, None] @ self.constant.T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Position and attitude of a camera at n moments, with their rates (per second, or per line where so said)."""
+
+    position: Array
+    """(n, 3) m, body-fixed, perspective centre."""
+    velocity: Array
+    """(n, 3) m per unit of rate, body-fixed (the frame's own turning included)."""
+    matrix: Array
+    """(n, 3, 3) body-fixed to camera frame, camera +Z out of the lens."""
+    turning: Array
+    """(n, 3) rad per unit of rate: angular velocity of the camera against the body-fixed frame, in camera axes;
+    dM = -[turning]x M."""
+
+    def scaled(self, rate: Array) -> "Pose":
+        """The same pose with rates multiplied by `rate` (n,): seconds per line turn them into rates per line."""
+        return Pose(self.position, self.velocity * rate[:, None], self.matrix, self.turning * rate[:, None])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Position and attitude of one camera over its image, and the body's rotation meanwhile."""
+
+    epoch: float
+    """s TDB past J2000 from which all times of the tables count."""
+    position: PositionTable
+    """Geometric position, inertial."""
+    camera: AttitudeTable
+    """Inertial to camera frame."""
+    body: AttitudeTable
+    """Inertial to body-fixed frame."""
+
+    @property
+    def coverage(self) -> tuple[float, float]:
+        """First and last time, s past the epoch, at which all three tables hold."""
+        tables = (self.position, self.camera, self.body)
+        return max(float(t.times[0]) for t in tables), min(float(t.times[-1]) for t in tables)
+
+    def require(self, times: Array, where: str, slack: float = 0.0) -> None:
+        """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
+        start, stop = self.coverage
+        outside = (times < start - slack) | (times > stop + slack)
+        if np.any(outside):
+            raise EphemerisGap(where, self.epoch + float(times[outside][0]), self.epoch + start, self.epoch + stop)
+
+    def pose(self, times: Array) -> Pose:
+        """Pose at times (n,) in s past the epoch, rates per second; outside the coverage the outermost interval is continued."""
+        place, motion = self.position.at(times)
+        to_camera, camera_turning = self.camera.at(times)
+        to_body, body_turning = self.body.at(times)
+        position = np.einsum("nij,nj->ni", to_body, place)
+        velocity = np.einsum("nij,nj->ni", to_body, motion) - np.cross(body_turning, position)
+        matrix = to_camera @ np.swapaxes(to_body, 1, 2)
+        turning = camera_turning - np.einsum("nij,nj->ni", matrix, body_turning)
+        return Pose(position, velocity, matrix, turning)

@@ -1,0 +1,78 @@
+"""Apparent position tables made geometric.
+
+Support data of MGS, HRSC and CTX hold positions corrected for light time and stellar aberration (SPICE "LT+S"): 55 to
+220 m away from where the camera was. A range, and a camera, need the geometric place. What is undone here (Park's and
+NAIF's definition, ``spkezr`` required reading): the light time, iterated on the table itself, and the aberration by the
+observer's velocity about the Sun, which the support data give with the Sun's position. The Sun's own motion about the
+barycentre (about 13 m/s) is left out: at most 0.2 m.
+"""
+
+import numpy as np
+
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import PositionTable
+from mgsgraph.units import SPEED_OF_LIGHT
+
+_VELOCITY_STEP = 0.05
+"""s, step of the central difference that gives the velocities of the geometric table."""
+
+
+def geometric(apparent: PositionTable, body_velocity: Array, body_observes: bool) -> PositionTable:
+    """Geometric table, at the same times, of an apparent one.
+
+    Parameters
+    ----------
+    apparent : PositionTable
+        Camera relative to the body's centre, "LT+S", inertial.
+    body_velocity : (3,)
+        m/s, of the body's centre relative to the Sun, inertial.
+    body_observes : bool
+        True when the table was asked with the body as observer and the spacecraft as target (swapped), False the other
+        way round.
+    """
+    undo = _seen_from_body if body_observes else _seen_from_spacecraft
+
+    def positions(times: Array) -> Array:
+        return undo(apparent, times, body_velocity)
+
+    before, after = positions(apparent.times - _VELOCITY_STEP), positions(apparent.times + _VELOCITY_STEP)
+    return PositionTable(apparent.times, positions(apparent.times), (after - before) / (2.0 * _VELOCITY_STEP))
+
+
+def _seen_from_body(apparent: PositionTable, times: Array, body_velocity: Array) -> Array:
+    """The body sees the craft where it was one light time before: ask the table that much later."""
+    asked = times
+    for _ in range(4):
+        place, _ = apparent.at(asked)
+        asked = times + np.linalg.norm(place, axis=1) / SPEED_OF_LIGHT
+    place, _ = apparent.at(asked)
+    light_time = np.linalg.norm(place, axis=1) / SPEED_OF_LIGHT
+    return _without_aberration(place, np.broadcast_to(body_velocity, place.shape)) + light_time[:, None] * body_velocity
+
+
+def _seen_from_spacecraft(apparent: PositionTable, times: Array, body_velocity: Array) -> Array:
+    """The craft sees the body where that was one light time before; the table holds the opposite vector."""
+    place, velocity = apparent.at(times)
+    light_time = np.linalg.norm(place, axis=1) / SPEED_OF_LIGHT
+    to_body = _without_aberration(-place, body_velocity + velocity)
+    return -(to_body + light_time[:, None] * body_velocity)
+
+
+def _without_aberration(seen: Array, observer_velocity: Array) -> Array:
+    """Directions before stellar aberration (inverse of NAIF ``stelab``), lengths kept; seen (n, 3), velocity (n, 3)."""
+    length = np.linalg.norm(seen, axis=1, keepdims=True)
+    target = seen / length
+    beta = observer_velocity / SPEED_OF_LIGHT
+    true = target
+    for _ in range(4):
+        true = target + (true - _aberrated(true, beta))
+        true = true / np.linalg.norm(true, axis=1, keepdims=True)
+    return np.asarray(true * length)
+
+
+def _aberrated(direction: Array, beta: Array) -> Array:
+    """Unit directions turned towards the velocity by asin |u x beta| (NAIF ``stelab``)."""
+    axis = np.cross(direction, beta)
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    across = np.cross(axis, direction) / np.where(sine == 0.0, 1.0, sine)
+    return np.asarray(np.sqrt(1.0 - sine**2) * direction + sine * across)

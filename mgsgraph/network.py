@@ -1,0 +1,199 @@
+"""The network: who sees what, with what sigma. Struct of arrays, SI units, body-fixed metres, validated once."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
+from mgsgraph.ties import PointKind, require_covariances, require_unique
+
+
+class PointClass(IntEnum):
+    """What a ground point came from."""
+
+    TIE = 0
+    """Tie point."""
+    LASER = 1
+    """Laser footprint."""
+    CONTROL = 2
+    """Ground control point."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundPoints:
+    """All ground points of a network."""
+
+    ids: tuple[str, ...]
+    """(n) names, each once."""
+    classes: Index
+    """(n,) PointClass."""
+    kinds: Index
+    """(n,) PointKind."""
+    places: Array
+    """(n, 3) m, body-fixed, a-priori; NaN where unknown."""
+    covariances: Array
+    """(n, 3, 3) m^2, of the a-priori places of constrained points; zero elsewhere."""
+
+    def __post_init__(self) -> None:
+        n = len(self.ids)
+        require_unique(self.ids, "ground points")
+        kinds = frozen_index(self.kinds, "ground points, kinds", n, len(PointKind))
+        places = np.array(self.places, dtype=np.float64)
+        known = np.all(np.isfinite(places), axis=1)
+        for i in np.flatnonzero((kinds != PointKind.FREE) & ~known)[:1]:
+            raise InputError(f"ground point {self.ids[i]}", "no a-priori place", "one for a constrained or fixed point")
+        covariances = frozen(self.covariances, "ground points, covariances", (n, 3, 3))
+        require_covariances(covariances, kinds == PointKind.CONSTRAINED, self.ids, "ground points")
+        places.flags.writeable = False
+        classes = frozen_index(self.classes, "ground points, classes", n, len(PointClass))
+        assign(self, classes=classes, kinds=kinds, places=places, covariances=covariances)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageRays:
+    """Image coordinates of points: one ray each."""
+
+    point: Index
+    """(k,) ground point."""
+    image: Index
+    """(k,) image."""
+    places: Array
+    """(k, 2) line, sample."""
+    sigmas: Array
+    """(k, 2) pixels, positive."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ranges:
+    """Laser ranges, each from the place of one image's camera at the shot's time."""
+
+    point: Index
+    """(r,) ground point."""
+    image: Index
+    """(r,) image whose orientation carries the range."""
+    times: Array
+    """(r,) s TDB past J2000."""
+    values: Array
+    """(r,) m, one-way."""
+    sigmas: Array
+    """(r,) m, positive."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """Images, ground points, rays and ranges with their sigmas; the whole input of an adjustment."""
+
+    images: tuple[PushbroomImage, ...]
+    """All images, of one body."""
+    priors: tuple[OrientationPrior, ...]
+    """A-priori sigmas of each image's orientation corrections."""
+    held: Mask
+    """(images,) True for an image whose orientation is not adjusted."""
+    points: GroundPoints
+    """Tie points, laser footprints, control points."""
+    rays: ImageRays
+    """Image coordinates."""
+    ranges: Ranges
+    """Laser ranges."""
+
+    def __post_init__(self) -> None:
+        n, m = len(self.points), len(self.images)
+        if m == 0:
+            raise InputError("network", "no images", "at least one")
+        require_unique(tuple(image.name for image in self.images), "images")
+        if len(self.priors) != m or np.asarray(self.held).shape != (m,):
+            raise InputError("network", f"{len(self.priors)} orientation priors", f"one for each of {m} images")
+        if len({image.body for image in self.images}) > 1:
+            raise InputError("network", "images of different bodies", "one body", "check the radii of the support data")
+        k, r = np.size(self.rays.point), np.size(self.ranges.point)
+        sigmas = frozen(self.rays.sigmas, "image sigmas", (k, 2))
+        range_sigmas = frozen(self.ranges.sigmas, "range sigmas", (r,))
+        for what, values in (("image", sigmas), ("range", range_sigmas)):
+            if values.size and values.min() <= 0.0:
+                raise InputError(f"{what} sigmas", f"{values.min()}", "positive sigmas")
+        rays = ImageRays(
+            frozen_index(self.rays.point, "rays, points", k, n),
+            frozen_index(self.rays.image, "rays, images", k, m),
+            frozen(self.rays.places, "rays, places", (k, 2)),
+            sigmas,
+        )
+        ranges = Ranges(
+            frozen_index(self.ranges.point, "ranges, points", r, n),
+            frozen_index(self.ranges.image, "ranges, images", r, m),
+            frozen(self.ranges.times, "ranges, times", (r,)),
+            frozen(self.ranges.values, "ranges, values", (r,)),
+            range_sigmas,
+        )
+        assign(self, held=np.array(self.held, dtype=np.bool_), rays=rays, ranges=ranges)
+        self._require_shots_covered()
+        self._require_seeing_images()
+
+    def _require_shots_covered(self) -> None:
+        for j in np.unique(self.ranges.image):
+            mine = np.flatnonzero(self.ranges.image == j)
+            trajectory = self.images[j].trajectory
+            since = self.ranges.times[mine] - trajectory.epoch
+            start, stop = trajectory.coverage
+            worst = mine[np.argmax(np.maximum(start - since, since - stop))]
+            where = f"laser shot {self.points.ids[self.ranges.point[worst]]}, image {self.images[j].name}"
+            trajectory.require(self.ranges.times[[worst]] - trajectory.epoch, where)
+
+    def _require_seeing_images(self) -> None:
+        seen = np.zeros(len(self.images), dtype=np.bool_)
+        seen[self.rays.image] = True
+        for j in np.flatnonzero(~seen)[:1]:
+            raise InputError(
+                f"image {self.images[j].name}", "no point is measured in it", "at least one tie, laser or control point",
+                "take it out of the case or give it measures",
+            )
+
+    @property
+    def ray_counts(self) -> Index:
+        """(n,) number of rays of each point."""
+        return np.bincount(self.rays.point, minlength=len(self.points))
+
+    @property
+    def undetermined(self) -> Mask:
+        """(n,) True for points that have no a-priori place and fewer than two rays: nothing can determine them."""
+        return np.asarray((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
+
+    def common_points(self) -> Index:
+        """(images, images) number of points seen by both; on the diagonal, seen by the image."""
+        seen = np.zeros((len(self.points), len(self.images)), dtype=np.int64)
+        seen[self.rays.point, self.rays.image] = 1
+        return seen.T @ seen
+
+    def islands(self) -> list[list[int]]:
+        """Groups of images that hang together by common points, largest first; more than one means a broken block."""
+        joined = self.common_points() > 0
+        left, groups = set(range(len(self.images))), []
+        while left:
+            group, front = set[int](), {min(left)}
+            while front:
+                group |= front
+                front = {int(j) for i in front for j in np.flatnonzero(joined[i])} - group
+            left -= group
+            groups.append(sorted(group))
+        return sorted(groups, key=len, reverse=True)
+
+    def of_class(self) -> Iterator[tuple[PointClass, Index]]:
+        """Each class that occurs, with the indices of its points."""
+        for point_class in PointClass:
+            members = np.flatnonzero(self.points.classes == point_class)
+            if members.size:
+                yield point_class, members
+
+    def __repr__(self) -> str:
+        classes = ", ".join(f"{members.size} {name.name.lower()}" for name, members in self.of_class())
+        return (
+            f"Network({len(self.images)} images, {len(self.points)} points ({classes}), "
+            f"{self.rays.point.size} rays, {self.ranges.point.size} ranges)"
+        )

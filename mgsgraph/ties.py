@@ -1,0 +1,109 @@
+"""Tie points and ground control points as a control network holds them, image places already in our pixels."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+
+
+class PointKind(IntEnum):
+    """How a ground point enters the adjustment; the names are those of ISIS control networks."""
+
+    FREE = 0
+    """Unknown; an a-priori place is only a first guess."""
+    CONSTRAINED = 1
+    """Unknown, with an a-priori place and covariance that enter as an observation."""
+    FIXED = 2
+    """Known; it has no unknowns of its own."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiePoints:
+    """Ground points and their measures in images, struct of arrays."""
+
+    source: str
+    """File they come from, for messages."""
+    ids: tuple[str, ...]
+    """(n) names, each once."""
+    kinds: Index
+    """(n,) PointKind."""
+    places: Array
+    """(n, 3) m, body-fixed, a-priori place; NaN where there is none."""
+    covariances: Array
+    """(n, 3, 3) m^2, body-fixed, of the a-priori places of constrained points; zero elsewhere."""
+    measure_point: Index
+    """(k,) index of the point measured."""
+    measure_image: tuple[str, ...]
+    """(k) name of the image it was measured in."""
+    measures: Array
+    """(k, 2) line, sample, first pixel's centre at (0.5, 0.5)."""
+    measure_sigmas: Array
+    """(k, 2) pixels, line and sample; NaN where the file does not say."""
+
+    def __post_init__(self) -> None:
+        n, k = len(self.ids), len(self.measure_image)
+        require_unique(self.ids, self.source)
+        kinds = frozen_index(self.kinds, f"{self.source}, kinds", n, len(PointKind))
+        places, sigmas = np.array(self.places, dtype=np.float64), np.array(self.measure_sigmas, dtype=np.float64)
+        if places.shape != (n, 3) or sigmas.shape != (k, 2):
+            raise InputError(self.source, f"places {places.shape}, sigmas {sigmas.shape}", f"({n}, 3) and ({k}, 2)")
+        for i in np.flatnonzero((kinds != PointKind.FREE) & ~np.all(np.isfinite(places), axis=1))[:1]:
+            raise InputError(
+                f"{self.source}, point {self.ids[i]}", f"{PointKind(kinds[i]).name.lower()} without an a-priori place",
+                "X, Y, Z or latitude, longitude, radius",
+            )
+        covariances = frozen(self.covariances, f"{self.source}, covariances", (n, 3, 3))
+        require_covariances(covariances, kinds == PointKind.CONSTRAINED, self.ids, self.source)
+        for j in np.flatnonzero(np.any(sigmas <= 0.0, axis=1))[:1]:
+            where = f"{self.source}, point {self.ids[int(self.measure_point[j])]}, image {self.measure_image[j]}"
+            raise InputError(where, f"measure sigma {sigmas[j].min()} px", "a positive sigma")
+        places.flags.writeable = sigmas.flags.writeable = False
+        assign(
+            self,
+            kinds=kinds,
+            places=places,
+            covariances=covariances,
+            measure_point=frozen_index(self.measure_point, f"{self.source}, measures", k, n),
+            measures=frozen(self.measures, f"{self.source}, measures", (k, 2)),
+            measure_sigmas=sigmas,
+        )
+        self._require_one_measure_per_image()
+
+    def _require_one_measure_per_image(self) -> None:
+        seen: set[tuple[int, str]] = set()
+        for point, image in zip(self.measure_point.tolist(), self.measure_image, strict=True):
+            if (point, image) in seen:
+                raise InputError(
+                    f"{self.source}, point {self.ids[point]}", f"two measures in image {image}", "one per image",
+                    "remove the worse one",
+                )
+            seen.add((point, image))
+
+    def __repr__(self) -> str:
+        kinds = np.bincount(self.kinds, minlength=len(PointKind))
+        names = ", ".join(f"{kinds[kind]} {kind.name.lower()}" for kind in PointKind if kinds[kind])
+        return f"TiePoints({len(self.ids)} points ({names}), {len(self.measure_image)} measures, from {self.source})"
+
+
+def require_unique(ids: tuple[str, ...], source: str) -> None:
+    """Raise InputError when a name occurs twice."""
+    seen: set[str] = set()
+    for name in ids:
+        if name in seen:
+            raise InputError(source, f"the id {name!r} twice", "each id once", "rename or remove one of the two")
+        seen.add(name)
+
+
+def require_covariances(covariances: Array, needed: np.ndarray, ids: tuple[str, ...], source: str) -> None:
+    """Raise InputError unless covariances (n, 3, 3) are symmetric and positive definite where `needed` (n,)."""
+    for i in np.flatnonzero(needed):
+        matrix = covariances[i]
+        scale = np.abs(matrix).max()
+        if np.abs(matrix - matrix.T).max() > 1e-9 * scale or np.linalg.eigvalsh(matrix)[0] <= 1e-14 * scale:
+            raise InputError(
+                f"{source}, point {ids[i]}", "an a-priori covariance that is not positive definite",
+                "positive sigmas in all three directions",
+            )
