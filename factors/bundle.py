@@ -18,8 +18,8 @@ from mgsgraph.factors.rows import Groups, Model, Rows
 
 Array = NDArray[np.float64]
 
-_NEGLIGIBLE = 1e-15
-"""Eigenvalues below this share of the largest, times the dimension, are rounding and carry no information."""
+_ROUNDING = 1e-16
+"""Eigenvalues below this share of the largest, times the dimension, are rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,11 +82,16 @@ def square_root(block: Array, right: Array, cost: float, sigmas: Array) -> tuple
     """
     d = right.size
     values, vectors = np.linalg.eigh(block * sigmas[:, None] * sigmas)
-    kept = values > _NEGLIGIBLE * d * max(values[-1], 0.0) if d else values > 0.0
-    root = np.sqrt(np.where(kept, values, 1.0))
+    gradient = vectors.T @ (right * sigmas)
+    largest = max(float(values[-1]), 0.0) if d else 0.0
+    floor = _ROUNDING * d * largest
+    # a direction whose curvature drowns in rounding may still have a gradient that the prior has to balance: it is kept,
+    # at the curvature of the rounding, which no prior feels
+    kept = (values > floor) | (np.abs(gradient) > _ROUNDING * d * np.sqrt(largest * 2.0 * cost))
+    root = np.sqrt(np.where(values > floor, values, floor if floor > 0.0 else 1.0))
     jacobian, error = np.zeros((d + 1, d)), np.zeros(d + 1)
     jacobian[:d] = np.where(kept, root, 0.0)[:, None] * vectors.T / sigmas
-    error[:d] = np.where(kept, vectors.T @ (right * sigmas) / root, 0.0)
+    error[:d] = np.where(kept, gradient / root, 0.0)
     error[d] = np.sqrt(max(2.0 * cost - error[:d] @ error[:d], 0.0))
     return jacobian, error
 

@@ -1,7 +1,7 @@
 """The numeric kernel: residuals and Jacobians of every row, the inner solve of a point, and its elimination.
 
 Equations (design.md section 3): image rows are Eq. 1 of Yoon & Shan 2005 with the camera's +Z out of the lens; the
-predicted-line form carries pose and basis by their rates to the line one Newton step away; range rows are their Eq. 3;
+predicted-line form carries pose and basis by their rates to the line that Newton's method finds; range rows are Eq. 3;
 ground priors Eq. 4. Compiled by numba on first use and cached on disk.
 
 Residuals are whitened, measured minus predicted; Jacobians are theirs. Everything is scalar code on preallocated scratch.
@@ -12,14 +12,19 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from mgsgraph.factors.rows import CAMERA, CAUCHY, FIXED, HUBER, NO_LOSS, OPK_PAPER, OUT, PREDICTED, PRIOR
+from mgsgraph.factors.rows import CAMERA, CAUCHY, FIXED, HUBER, MEASURED, NO_LOSS, OPK_PAPER, OUT, PRIOR
 
 GOOD, BEHIND, WEAK = 0, 1, 2
 """State of a point after its inner solve: solved, behind a camera, not determined by its rows."""
 
-_INNER_STEPS = 60
+_INNER_STEPS = 500
+"""Quadratic rows need three or four; far from its optimum a Cauchy or Tukey loss converges slowly."""
 _INNER_TOLERANCE = 1e-7
 """Whitened length of the last inner step: the cost is then right to 1e-14, and a function of orientation alone."""
+_NEWTON_STEPS = 5
+_NEWTON_TOLERANCE = 1e-4
+"""Lines; the last step is taken linearly, in the residual itself. One step does it unless the misfit is of tens of
+lines. The Jacobian is that of the implicit function, wrong by this over the image's length in lines."""
 _SINGULAR = 1e-13
 """Pivot relative to its diagonal below which a point counts as not determined."""
 
@@ -170,23 +175,22 @@ def image_row(rows, k, model, x, point, scratch, residual, by_pose, by_point):
     first, last = rows.pair_first[k], rows.pair_first[k + 1]
     slope_x, slope_y = rows.detector[k, 1, 0], rows.detector[k, 1, 1]
     carry = 0.0
-    correction(x, rows.pair_column, rows.pair_value, first, last, carry, delta, rate)
-    camera_ray(rows, k, model.angles, point, carry, delta, rate, matrix, chain, out)
-    if not out[2] > 0.0:
-        return carry, False
-    ex, ey, mx, my = misplacement(rows, k, out)
-    if model.line == PREDICTED:
-        carry = -(ex * slope_y - ey * slope_x) / (mx * slope_y - my * slope_x)
+    for _ in range(_NEWTON_STEPS):
         correction(x, rows.pair_column, rows.pair_value, first, last, carry, delta, rate)
         camera_ray(rows, k, model.angles, point, carry, delta, rate, matrix, chain, out)
         if not out[2] > 0.0:
             return carry, False
         ex, ey, mx, my = misplacement(rows, k, out)
         determinant = mx * slope_y - my * slope_x
-        p00, p01, p10, p11 = slope_y / determinant, -slope_x / determinant, -my / determinant, mx / determinant
-    else:
+        step = (ex * slope_y - ey * slope_x) / determinant
+        if model.line == MEASURED or abs(step) < _NEWTON_TOLERANCE:
+            break
+        carry -= step
+    if model.line == MEASURED:
         p00, p01 = rows.to_pixels[k, 0, 0], rows.to_pixels[k, 0, 1]
         p10, p11 = rows.to_pixels[k, 1, 0], rows.to_pixels[k, 1, 1]
+    else:
+        p00, p01, p10, p11 = slope_y / determinant, -slope_x / determinant, -my / determinant, mx / determinant
     weight_line, weight_sample = rows.weight[k, 0], rows.weight[k, 1]
     residual[0] = weight_line * (p00 * ex + p01 * ey - carry)
     residual[1] = -weight_sample * (p10 * ex + p11 * ey)
@@ -335,7 +339,8 @@ def point_normal(rows, i, model, x, point, scratch, residual, by_pose, by_point,
 def solve_point(rows, i, model, x, point, scratch, residual, by_pose, by_point, normal, gradient):
     """Best place of point i with the orientation held (Gauss-Newton to a fixed tolerance); its cost and state.
 
-    Afterwards `normal` holds the lower Cholesky factor of the normal matrix at the solution.
+    Afterwards `normal` holds the lower Cholesky factor L of the normal matrix at the solution, and `gradient` what is
+    left of the gradient, as L^-1 g.
     """
     for j in range(3):
         point[j] = rows.point_start[i, j]
@@ -360,11 +365,14 @@ def solve_point(rows, i, model, x, point, scratch, residual, by_pose, by_point, 
 
 
 @njit(cache=True)
-def eliminate(rows, i, model, x, point, lower, free, scratch, residual, by_pose, by_point, coupling, block, right):
+def eliminate(
+    rows, i, model, x, point, lower, rest, free, scratch, residual, by_pose, by_point, coupling, block, right
+):
     """Add point i's reduced system to block (d, d; upper triangle) and right (d): J'J - W V^-1 W' and J'r - W V^-1 g.
 
-    `coupling` (d, 3) is left as W L^-T (L L' = V), from which the point's covariance follows. A known point
-    (`free` False) has no V: its rows go to the orientation as they are.
+    `rest` (3) is L^-1 g, what the inner solve left of the point's gradient: tiny, but the orientation's weak directions
+    would feel it. `coupling` (d, 3) is left as W L^-T (L L' = V), from which the point's covariance follows. A known
+    point (`free` False) has no V: its rows go to the orientation as they are.
     """
     d = right.size
     coupling[:d, :] = 0.0
@@ -406,6 +414,7 @@ def eliminate(rows, i, model, x, point, lower, free, scratch, residual, by_pose,
         return
     for a in range(d):
         forward3(lower, coupling[a])
+        right[a] -= coupling[a, 0] * rest[0] + coupling[a, 1] * rest[1] + coupling[a, 2] * rest[2]
     for a in range(d):
         for b in range(a, d):
             block[a, b] -= (
@@ -443,7 +452,7 @@ def reduce_points(rows, groups, model, x, want_system, points, states, costs, bl
             if want_system and state == GOOD and d > 0:
                 free = rows.point_kind[i] != FIXED
                 eliminate(
-                    rows, i, model, x, points[i], normal, free, scratch, residual, by_pose, by_point,
+                    rows, i, model, x, points[i], normal, gradient, free, scratch, residual, by_pose, by_point,
                     coupling, block, right,
                 )
         costs[c] = total
@@ -473,7 +482,7 @@ def point_covariances(rows, groups, model, x, joint, points, covariances):
                 covariances[i, :, :] = np.nan
                 continue
             eliminate(
-                rows, i, model, x, points[i], normal, True, scratch, residual, by_pose, by_point,
+                rows, i, model, x, points[i], normal, gradient, True, scratch, residual, by_pose, by_point,
                 coupling, block, right,
             )
             for a in range(d):

@@ -5,6 +5,7 @@ Units stand in the keys' names. Unknown keys are refused with their path; paths 
 
 import math
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,7 +13,10 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, SolverSettings
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
@@ -322,3 +326,8 @@ class _Parts:
                 f"line {places[k, 0] + 0.5:g}, sample {places[k, 1] + 0.5:g} (counted from 1)",
                 f"a place inside {size[k, 0]:g} lines x {size[k, 1]:g} samples",
             )
+
+
+def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -> Solution:
+    """Adjust a case; see `mgsgraph.adjustment.adjust.adjust_network`."""
+    return adjust_network(case.network, case.settings, case.name, progress)

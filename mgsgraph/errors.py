@@ -27,6 +27,12 @@ class InputError(MgsgraphError, ValueError):
         super().__init__("; ".join(part for part in parts if part).replace("\n", " "))
         self.where, self.found, self.expected, self.remedy = where, found, expected, remedy
 
+    def within(self, place: str) -> "InputError":
+        """The same error with the file (or record) that its finding comes from put before it."""
+        self.args = (f"{place}: {self}",)
+        self.where = f"{place}: {self.where}"
+        return self
+
 
 class EphemerisGap(InputError):
     """A time at which no position or attitude is known; carries the covered interval in seconds TDB past J2000."""

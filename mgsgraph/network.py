@@ -9,8 +9,8 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
-from mgsgraph.ties import PointKind, require_covariances, require_unique
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, require_covariances, require_unique
+from mgsgraph.ties import PointKind
 
 
 class PointClass(IntEnum):

@@ -6,7 +6,7 @@ from enum import IntEnum
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index, require_covariances, require_unique
 
 
 class PointKind(IntEnum):
@@ -86,24 +86,3 @@ class TiePoints:
         kinds = np.bincount(self.kinds, minlength=len(PointKind))
         names = ", ".join(f"{kinds[kind]} {kind.name.lower()}" for kind in PointKind if kinds[kind])
         return f"TiePoints({len(self.ids)} points ({names}), {len(self.measure_image)} measures, from {self.source})"
-
-
-def require_unique(ids: tuple[str, ...], source: str) -> None:
-    """Raise InputError when a name occurs twice."""
-    seen: set[str] = set()
-    for name in ids:
-        if name in seen:
-            raise InputError(source, f"the id {name!r} twice", "each id once", "rename or remove one of the two")
-        seen.add(name)
-
-
-def require_covariances(covariances: Array, needed: np.ndarray, ids: tuple[str, ...], source: str) -> None:
-    """Raise InputError unless covariances (n, 3, 3) are symmetric and positive definite where `needed` (n,)."""
-    for i in np.flatnonzero(needed):
-        matrix = covariances[i]
-        scale = np.abs(matrix).max()
-        if np.abs(matrix - matrix.T).max() > 1e-9 * scale or np.linalg.eigvalsh(matrix)[0] <= 1e-14 * scale:
-            raise InputError(
-                f"{source}, point {ids[i]}", "an a-priori covariance that is not positive definite",
-                "positive sigmas in all three directions",
-            )

@@ -20,6 +20,10 @@ _FIRST_DAMPING = 1e-8
 _LEAST_DAMPING = 1e-12
 _MOST_DAMPING = 1e8
 _EASE, _TIGHTEN = 0.1, 10.0
+_ROUNDING = 1e-11
+"""Share of the cost by which it may seem to rise: body-fixed metres leave that much rounding in the residuals."""
+_REMEDY = "look for blunders, or use a robust loss"
+_STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,40 +110,33 @@ def levenberg_marquardt(
             continue
         trial = values.retract(step)
         new = graph.error(trial) + constant
-        at_rest, after = linear.error(gtsam.VectorValues.Zero(step)), linear.error(step)
+        predicted = linear.error(gtsam.VectorValues.Zero(step)) - linear.error(step)
         length = math.sqrt(max(-linear.gradientAtZero().dot(step), 0.0))
-        accepted = math.isfinite(new) and new <= cost + 1e-14 * cost
-        now = Iteration(len(history) + 1, new, cost - new, at_rest - after, length, damping, accepted)
+        accepted = math.isfinite(new) and new <= cost * (1.0 + _ROUNDING)
+        now = Iteration(len(history) + 1, new, cost - new, predicted, length, damping, accepted)
         history.append(now)
         progress(now)
-        small = length < settings.step_tolerance
+        last = length < settings.step_tolerance or min(predicted, abs(cost - new)) <= settings.cost_tolerance * cost
         if accepted:
-            decrease, values, cost, rejected = cost - new, trial, new, 0
-            if small:
-                return Outcome(values, initial, cost, True, _message(now, settings, "step"), tuple(history))
-            if decrease <= settings.cost_tolerance * cost:
-                return Outcome(values, initial, cost, True, _message(now, settings, "cost"), tuple(history))
+            values, cost, rejected = trial, new, 0
+        if last:
+            return Outcome(values, initial, cost, True, _converged(now, settings), tuple(history))
+        if accepted:
             damping = max(damping * _EASE, _LEAST_DAMPING)
             linear = graph.linearize(values)
-            continue
-        if small or at_rest - after <= settings.cost_tolerance * cost:
-            return Outcome(values, initial, cost, True, _message(now, settings, "floor"), tuple(history))
-        rejected += 1
-        damping *= _TIGHTEN**rejected
-        if damping > _MOST_DAMPING:
-            return Outcome(values, initial, cost, False, _message(now, settings, "stuck"), tuple(history))
-    return Outcome(values, initial, cost, False, _message(history[-1], settings, "iterations"), tuple(history))
+        else:
+            rejected += 1
+            damping *= _TIGHTEN**rejected
+            if damping > _MOST_DAMPING:
+                return Outcome(values, initial, cost, False, _STUCK, tuple(history))
+    message = f"Stopped after {settings.max_iterations} iterations without converging; raise max_iterations or {_REMEDY}."
+    return Outcome(values, initial, cost, False, message, tuple(history))
 
 
-def _message(last: Iteration, settings: SolverSettings, reason: str) -> str:
-    sentences = {
-        "step": f"Converged: the last step was {last.step:.1e} posterior sigmas long.",
-        "cost": f"Converged: the last step lowered the cost by only {max(last.decrease, 0.0) / max(last.cost, 1e-300):.1e} of it.",
-        "floor": "Converged: no step lowers the cost further within rounding.",
-        "stuck": "Stopped: no step lowers the cost although the linear model promises it; look for blunders or use a robust loss.",
-        "iterations": f"Stopped after {settings.max_iterations} iterations without converging; raise max_iterations or look for blunders.",
-    }
-    return sentences[reason]
+def _converged(last: Iteration, settings: SolverSettings) -> str:
+    if last.step < settings.step_tolerance:
+        return f"Converged: the last step was {last.step:.1e} posterior sigmas long."
+    return f"Converged: the last step promised to lower the cost by no more than {settings.cost_tolerance:.0e} of it."
 
 
 def _damped_step(

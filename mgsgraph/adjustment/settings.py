@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import Angles as Angles
 
 Form = Literal["bundle", "explicit"]
 Line = Literal["predicted", "measured"]
-Angles = Literal["camera", "opk-paper", "opk-peer"]
 Loss = Literal["none", "huber", "cauchy", "tukey"]
 
 LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
@@ -33,8 +33,8 @@ class SolverSettings:
     """Blunder limit in robust standard deviations of each class of rows; 0 switches the blunder pass off."""
     max_iterations: int = 50
     """Most Levenberg-Marquardt iterations."""
-    cost_tolerance: float = 1e-12
-    """Stop when an accepted step lowers the cost by less than this share of it."""
+    cost_tolerance: float = 1e-11
+    """Stop when a step lowers the cost, or promises to, by less than this share of it."""
     step_tolerance: float = 1e-6
     """Stop when the step is shorter than this many posterior sigmas."""
 

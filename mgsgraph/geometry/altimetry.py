@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index, require_covariances, require_unique
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,18 +37,21 @@ class LaserProfile:
 
     def __post_init__(self) -> None:
         n, k = len(self.ids), len(self.measure_image)
+        require_unique(self.ids, self.source)
         ranges = frozen(self.ranges, f"{self.source}, ranges", (n,))
         sigmas = frozen(self.range_sigmas, f"{self.source}, range sigmas", (n,))
         for what, values in (("range", ranges), ("range sigma", sigmas)):
             for i in np.flatnonzero(values <= 0.0)[:1]:
                 raise InputError(f"{self.source}, shot {self.ids[i]}", f"{what} {values[i]} m", "a positive number")
+        covariances = frozen(self.covariances, f"{self.source}, covariances", (n, 3, 3))
+        require_covariances(covariances, np.ones(n, dtype=bool), self.ids, self.source)
         assign(
             self,
             times=frozen(self.times, f"{self.source}, times", (n,)),
             ranges=ranges,
             range_sigmas=sigmas,
             footprints=frozen(self.footprints, f"{self.source}, footprints", (n, 3)),
-            covariances=frozen(self.covariances, f"{self.source}, covariances", (n, 3, 3)),
+            covariances=covariances,
             measure_shot=frozen_index(self.measure_shot, f"{self.source}, measures", k, n),
             measures=frozen(self.measures, f"{self.source}, measures", (k, 2)),
         )

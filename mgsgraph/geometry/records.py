@@ -59,3 +59,26 @@ def assign(record: Any, **fields: Any) -> None:
     """Set fields of a frozen record while it is being made (`__post_init__` only)."""
     for name, value in fields.items():
         object.__setattr__(record, name, value)
+
+
+def require_unique(ids: tuple[str, ...], source: str) -> None:
+    """Raise InputError when a name occurs twice."""
+    seen: set[str] = set()
+    for name in ids:
+        if name in seen:
+            raise InputError(source, f"the id {name!r} twice", "each id once", "rename or remove one of the two")
+        seen.add(name)
+
+
+def require_covariances(covariances: Array, needed: Mask, ids: tuple[str, ...], source: str) -> None:
+    """Raise InputError unless covariances (n, 3, 3) are symmetric and positive definite where `needed` (n,)."""
+    chosen = np.flatnonzero(needed)
+    matrices = covariances[chosen]
+    scale = np.abs(matrices).max(axis=(1, 2), initial=0.0)
+    lopsided = np.abs(matrices - np.swapaxes(matrices, 1, 2)).max(axis=(1, 2), initial=0.0) > 1e-9 * scale
+    flat = np.linalg.eigvalsh(matrices)[:, 0] <= 1e-14 * scale
+    for k in np.flatnonzero(lopsided | flat)[:1]:
+        raise InputError(
+            f"{source}, point {ids[chosen[k]]}", "an a-priori covariance that is not positive definite",
+            "positive sigmas in all three directions",
+        )

@@ -20,6 +20,7 @@ from mgsgraph.geometry.camera import (
     RadialDistortion,
 )
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.io.aberration import geometric
 from mgsgraph.io.text import Fields, read_json
@@ -65,15 +66,30 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     model = isd.text("name_model")
     if model != "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL":
         raise InputError(f"{path}, name_model", repr(model), "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL (a line scanner)")
-    return PushbroomImage(
-        name=name,
-        lines=isd.count("image_lines"),
-        samples=isd.count("image_samples"),
-        interior=_interior(isd),
-        timing=_timing(isd),
-        trajectory=_trajectory(isd, aberration),
-        body=_body(isd),
-    )
+    try:
+        image = PushbroomImage(
+            name=name,
+            lines=isd.count("image_lines"),
+            samples=isd.count("image_samples"),
+            interior=_interior(isd),
+            timing=_timing(isd),
+            trajectory=_trajectory(isd, aberration),
+            body=_body(isd),
+        )
+    except InputError as error:  # what a record refuses doesn't know the file
+        raise error if str(path) in str(error) else error.within(str(path)) from None
+    _require_outside(image, path)
+    return image
+
+
+def _require_outside(image: PushbroomImage, path: Path) -> None:
+    """A camera inside the body betrays metres that were called kilometres."""
+    distance = np.linalg.norm(image.trajectory.position.positions, axis=1).min()
+    if distance <= image.body.polar:
+        raise InputError(
+            f"{path}, instrument_position", f"a camera {distance / KM:.3f} km from the body's centre",
+            f"more than its radius, {image.body.polar / KM:.3f} km", "check the units of positions and radii",
+        )
 
 
 def _body(isd: Fields) -> Ellipsoid:
@@ -127,23 +143,26 @@ def _distortion(isd: Fields) -> Distortion:
     raise InputError(fields.where, f"the model {kind!r}", "lrolrocnac, radial, or none at all")
 
 
-def _times(table: Fields, epoch: float) -> np.ndarray:
+def _times(table: Fields, epoch: float) -> Array:
     return np.array(table.numbers("ephemeris_times", None), dtype=np.float64) - epoch
 
 
 def _attitude(table: Fields, epoch: float) -> AttitudeTable:
     times = _times(table, epoch)
+    frames = table.numbers("constant_frames", None) if "constant_frames" in table else []
+    if "constant_rotation" not in table and len(frames) > 1:
+        raise InputError(table.where, f"constant_frames {frames} without constant_rotation", "the rotation between them")
     constant = np.array(table.numbers("constant_rotation", 9)) if "constant_rotation" in table else np.eye(3)
     quaternions = np.array(table.numbers("quaternions", times.size, 4), dtype=np.float64)
-    return _located(table.where, AttitudeTable, times, quaternions, constant.reshape(3, 3))
-
-
-def _located(where: str, record: type, *arguments: object) -> AttitudeTable:
-    """A record made of a file's numbers; what the record refuses is said with the file's name."""
     try:
-        return record(*arguments)
+        return AttitudeTable(times, quaternions, constant.reshape(3, 3))
     except InputError as error:
-        raise InputError(f"{where}: {error.where}", error.found, error.expected, error.remedy) from None
+        raise error.within(table.where) from None
+
+
+def _require_j2000(table: Fields) -> None:
+    if "reference_frame" in table and table.number("reference_frame") != 1.0:
+        raise InputError(f"{table.where}, reference_frame", f"{table.number('reference_frame'):g}", "1 (J2000)")
 
 
 def _trajectory(isd: Fields, aberration: Aberration | None) -> Trajectory:
@@ -155,11 +174,13 @@ def _trajectory(isd: Fields, aberration: Aberration | None) -> Trajectory:
     if "velocities" not in table:
         raise InputError(table.where, "no velocities", "one per position", "write the support data with velocities")
     velocities = np.array(table.numbers("velocities", times.size, 3), dtype=np.float64) * unit
-    position = _located(table.where, PositionTable, times, positions, velocities)
+    try:
+        position = PositionTable(times, positions, velocities)
+    except InputError as error:
+        raise error.within(table.where) from None
     pointing, rotation = isd.section("instrument_pointing"), isd.section("body_rotation")
     for part in (table, pointing, rotation):
-        if "reference_frame" in part and part.number("reference_frame") != 1.0:
-            raise InputError(f"{part.where}, reference_frame", f"{part.number('reference_frame'):g}", "1 (J2000)")
+        _require_j2000(part)
     chosen = aberration or _stated_aberration(isd)
     if chosen.correction == "LT+S":
         position = geometric(position, _body_velocity(isd, epoch), chosen.observer == "body")
@@ -177,18 +198,21 @@ def _stated_aberration(isd: Fields) -> Aberration:
             "a statement whether the positions are geometric or apparent",
             "set aberration = 'NONE' or 'LT+S' (and observer = 'body' or 'spacecraft') for this image in the case file",
         )
-    correction = str(corrections[0]).upper()
-    if correction not in ("NONE", "LT+S"):
-        raise InputError(f"{isd.where}, INS..._LIGHTTIME_CORRECTION", repr(corrections[0]), "'NONE' or 'LT+S'")
-    swapped = str(swaps[0]).upper() == "TRUE" if swaps else False
-    return Aberration("NONE" if correction == "NONE" else "LT+S", "body" if swapped else "spacecraft")
+    correction, swap = corrections[0], swaps[0] if swaps else False
+    if not isinstance(correction, str) or correction.upper() not in ("NONE", "LT+S"):
+        raise InputError(f"{isd.where}, INS..._LIGHTTIME_CORRECTION", repr(correction), "'NONE' or 'LT+S'")
+    if str(swap).upper() not in ("TRUE", "FALSE"):
+        raise InputError(f"{isd.where}, INS..._SWAP_OBSERVER_TARGET", repr(swap), "true or false")
+    observer: Observer = "body" if str(swap).upper() == "TRUE" else "spacecraft"
+    return Aberration("NONE", observer) if correction.upper() == "NONE" else Aberration("LT+S", observer)
 
 
-def _body_velocity(isd: Fields, epoch: float) -> np.ndarray:
+def _body_velocity(isd: Fields, epoch: float) -> Array:
     """m/s, (3,), of the body about the Sun at the image's middle: minus the Sun's about the body."""
     sun = isd.section("sun_position")
     if "velocities" not in sun:
         raise InputError(sun.where, "no velocities", "the Sun's velocity, to undo the stellar aberration of positions")
+    _require_j2000(sun)
     sun_times = _times(sun, epoch)
     velocities = np.array(sun.numbers("velocities", sun_times.size, 3)) * _length_unit(sun, default="km")
     return np.array([-np.interp(0.0, sun_times, velocities[:, axis]) for axis in range(3)])

@@ -13,7 +13,6 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import from_planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.text import Fields, read_json
-from mgsgraph.ties import require_covariances
 from mgsgraph.units import DEG, KM
 
 _FIRST_CENTRE = 0.5
@@ -50,7 +49,6 @@ def read_lidar(path: Path) -> LaserProfile:
     ids = _named(shots)
     places = np.array([_place(shot) for shot in shots])
     covariances = _covariances(places, np.array([shot.numbers("aprioriMatrix", 6) for shot in shots], dtype=np.float64))
-    require_covariances(covariances, np.ones(len(ids), dtype=bool), ids, str(path))
     measures = [_measures(shot) for shot in shots]
     flat = [measure for of_shot in measures for measure in of_shot]
     return LaserProfile(

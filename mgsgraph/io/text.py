@@ -1,7 +1,6 @@
 """Reading text and JSON with errors that name the file and the place."""
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,9 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
+_LARGEST = 1e300
+
+
 class Fields:
     """A mapping out of a file whose look-ups raise InputError with the key's full path."""
 
@@ -74,7 +76,7 @@ class Fields:
     def number(self, key: str) -> float:
         """A finite number."""
         value = self._get(key, "a number")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if not _fits(value, ()):
             raise self._wrong(key, value, "a finite number")
         return float(value)
 
@@ -117,7 +119,8 @@ class Fields:
 
 def _fits(value: object, shape: tuple[int | None, ...]) -> bool:
     if not shape:
-        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        # magnitudes beyond 1e300 are no measurements, and whole numbers may be too large for a float altogether
+        return isinstance(value, int | float) and not isinstance(value, bool) and -_LARGEST < value < _LARGEST
     if not isinstance(value, list) or not value or shape[0] not in (None, len(value)):
         return False
     return all(_fits(item, shape[1:]) for item in value)

@@ -58,7 +58,6 @@ class BundleGraph:
 
     def __init__(self, layout: Layout, rows: Rows | None = None) -> None:
         self.layout = layout
-        scale = np.where(np.isinf(layout.sigmas), _unit_scale(layout), layout.sigmas)
         images = layout.group_images
         self._bundles = Bundles(
             layout.rows if rows is None else rows,
@@ -66,7 +65,7 @@ class BundleGraph:
             layout.model,
             [[orientation_key(j) for j in group] for group in images],
             [[layout.columns_of(j) for j in group] for group in images],
-            scale,
+            layout.scales,
         )
         self.graph = gtsam.NonlinearFactorGraph()
         for j in layout.adjusted_images():
@@ -75,9 +74,9 @@ class BundleGraph:
             if images[group]:
                 self.graph.add(self._bundles.factor(group))
 
-    def start(self) -> gtsam.Values:
-        """Values of the nominal orientation: no correction."""
-        return orientation_values(self.layout, np.zeros(self.layout.columns))
+    def values(self, orientation: Array) -> gtsam.Values:
+        """GTSAM values of an orientation vector (columns,)."""
+        return orientation_values(self.layout, orientation)
 
     @property
     def constant_cost(self) -> float:
@@ -89,8 +88,3 @@ class BundleGraph:
     def reduction(self, orientation: Array, system: bool = True) -> Reduction:
         """All points solved (and eliminated) at an orientation vector (columns,)."""
         return self._bundles.at(orientation, system)
-
-
-def _unit_scale(layout: Layout) -> Array:
-    """1 km and 10 mrad: units for coefficients of which nothing is known beforehand."""
-    return np.tile(np.repeat([1e3, 1e-2], 3), layout.columns // 6)

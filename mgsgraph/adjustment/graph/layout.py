@@ -66,6 +66,17 @@ class Layout:
         first = int(self.first_column[image])
         return slice(first, first + self.network.priors[image].sigmas.size)
 
+    def group_columns(self, group: int) -> Index:
+        """Columns of a group's variables, in the order of its own columns."""
+        parts = [np.arange(self.columns)[self.columns_of(j)] for j in self.group_images[group]]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+
+    @property
+    def scales(self) -> Array:
+        """(columns,) units in which the orientation vector is of order one: a-priori sigmas, else 1 km and 10 mrad."""
+        plain = np.tile(np.repeat([1e3, 1e-2], 3), self.columns // 6)
+        return np.where(np.isinf(self.sigmas), plain, self.sigmas)
+
     def adjusted_images(self) -> list[int]:
         """Images whose orientation is adjusted."""
         return [int(j) for j in np.flatnonzero(self.first_column >= 0)]

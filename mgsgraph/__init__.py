@@ -1,0 +1,45 @@
+"""Factor-graph bundle adjustment of planetary pushbroom images and laser altimetry.
+
+>>> import mgsgraph
+>>> solution = mgsgraph.adjust(mgsgraph.read_case("case.toml"))  # doctest: +SKIP
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.adjust import adjust_network as adjust_network
+    from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
+    from mgsgraph.adjustment.solution import Solution as Solution
+    from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
+    from mgsgraph.case import Case as Case
+    from mgsgraph.case import adjust as adjust
+    from mgsgraph.case import read_case as read_case
+    from mgsgraph.network import Network as Network
+    from mgsgraph.products.archive import read_solution as read_solution
+    from mgsgraph.products.results import write_results as write_results
+
+_HOME = {
+    "adjust": "mgsgraph.case",
+    "adjust_network": "mgsgraph.adjustment.adjust",
+    "Case": "mgsgraph.case",
+    "Network": "mgsgraph.network",
+    "orientation_profile": "mgsgraph.adjustment.solution",
+    "read_case": "mgsgraph.case",
+    "read_solution": "mgsgraph.products.archive",
+    "Solution": "mgsgraph.adjustment.solution",
+    "SolverSettings": "mgsgraph.adjustment.settings",
+    "write_results": "mgsgraph.products.results",
+}
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use: `mgsgraph --help` must not wait for numba and GTSAM."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'mgsgraph' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,177 @@
+"""The result of an adjustment: one frozen record from which every table, figure and later command is made."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.posterior import Fit
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import Network, PointClass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Adjusted orientation, ground points, residuals and covariances of one network."""
+
+    name: str
+    """What the case is called."""
+    network: Network
+    """What was adjusted."""
+    settings: SolverSettings
+    """How."""
+    converged: bool
+    """Whether the adjustment came to rest."""
+    message: str
+    """Why it stopped, and what to do where that is not well."""
+    history: tuple[Iteration, ...]
+    """Every step tried, over all blunder passes."""
+    cost_initial: float
+    """Half the weighted sum of squares with the nominal orientation."""
+    cost_final: float
+    """The same at the solution."""
+    fit: Fit
+    """sigma0 and degrees of freedom."""
+    coefficients: tuple[Array, ...]
+    """Per image (degree + 1, 6) in m and rad; zero for a held one."""
+    first_column: Index
+    """(images,) first column of each image in the joint covariance; -1 when held."""
+    joint_covariance: Array
+    """(columns, columns) of all orientation coefficients, m and rad, for sigma0 = 1."""
+    places_before: Array
+    """(n, 3) m: a-priori places, and for free points the intersection of their rays with the nominal orientation."""
+    places: Array
+    """(n, 3) m, body-fixed, adjusted; NaN for points that nothing determines, or nothing after rejection."""
+    covariances: Array
+    """(n, 3, 3) m^2, for sigma0 = 1; zero for fixed points, NaN for undetermined ones."""
+    determined: Mask
+    """(n,) False for points that nothing determines, or nothing after rejection."""
+    rays_used: Mask
+    """(k,) False for rays that were rejected or belong to undetermined points."""
+    ranges_used: Mask
+    """(r,) the same of ranges."""
+    residuals: Array
+    """(k, 2) pixels, line and sample, measured minus predicted, of all rays; NaN for undetermined points."""
+    residuals_before: Array
+    """(k, 2) pixels, the same with the nominal orientation and `places_before`."""
+    range_residuals: Array
+    """(r,) m, measured minus predicted."""
+    range_residuals_before: Array
+    """(r,) m, the same before."""
+    sigmas_without_laser: Array | None
+    """(3,) m, mean sigma of the tie points in x, y, z that the same network without its laser rows would have; None
+    where there is no laser or no tie point."""
+    seconds: Mapping[str, float]
+    """Wall time by stage."""
+    versions: Mapping[str, str]
+    """Versions of this program and of the libraries that computed."""
+
+    @property
+    def sigma0(self) -> float:
+        """A-posteriori standard deviation of unit weight."""
+        return self.fit.sigma0
+
+    @property
+    def sigmas(self) -> Array:
+        """(n, 3) m, standard deviations of the points in x, y, z, for sigma0 = 1."""
+        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
+
+    @property
+    def iterations(self) -> int:
+        """Number of steps tried."""
+        return len(self.history)
+
+    def correction(self, image: int) -> OrientationCorrection:
+        """Orientation correction of one image."""
+        return OrientationCorrection(self.coefficients[image], self.settings.angles)
+
+    def image_covariance(self, image: int) -> Array:
+        """Covariance (6 (degree + 1), 6 (degree + 1)) of one image's coefficients, m and rad; zero when held."""
+        size, first = self.coefficients[image].size, int(self.first_column[image])
+        if first < 0:
+            return np.zeros((size, size))
+        return self.joint_covariance[first : first + size, first : first + size]
+
+    def members(self, point_class: PointClass) -> Index:
+        """Determined points of one class."""
+        return np.flatnonzero((self.network.points.classes == point_class) & self.determined)
+
+    def __repr__(self) -> str:
+        state = "converged" if self.converged else "NOT converged"
+        return (
+            f"Solution({self.name!r}, {state} after {self.iterations} iterations, cost {self.cost_initial:.6g} -> "
+            f"{self.cost_final:.6g}, sigma0 {self.sigma0:.4g}, {self.fit.degrees_of_freedom} degrees of freedom; "
+            f"{self.network!r})"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrientationProfile:
+    """Exterior orientation of one image at some of its lines, before and after, with sigmas."""
+
+    lines: Array
+    """(n,) line coordinate."""
+    times: Array
+    """(n,) s TDB past J2000."""
+    position_before: Array
+    """(n, 3) m, body-fixed, nominal."""
+    position_after: Array
+    """(n, 3) m, adjusted."""
+    position_sigma: Array
+    """(n, 3) m, of the adjusted one, for sigma0 = 1."""
+    angles_before: Array
+    """(n, 3) rad, omega, phi, kappa in the papers' product, nominal."""
+    angles_after: Array
+    """(n, 3) rad, adjusted."""
+    angles_sigma: Array
+    """(n, 3) rad, of the adjusted one, for sigma0 = 1."""
+    rotation: Array
+    """(n, 3) rad, correction as a small rotation about the camera's axes: x across the detector (pitch), y along it
+    (roll), z the optical axis (yaw)."""
+    rotation_sigma: Array
+    """(n, 3) rad, its sigma, for sigma0 = 1."""
+
+    @property
+    def angle_differences(self) -> Array:
+        """(n, 3) rad, omega, phi, kappa after minus before, in -pi .. pi."""
+        return (self.angles_after - self.angles_before + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def orientation_profile(solution: Solution, image: int, places: int = 31) -> OrientationProfile:
+    """Exterior orientation of one image at evenly spaced lines from its first to its last (the papers' 31 samples).
+
+    Sigmas by the law of error propagation from the joint covariance of the image's coefficients.
+    """
+    picture = solution.network.images[image]
+    lines = np.linspace(0.0, float(picture.lines), places)
+    correction, u = solution.correction(image), picture.normalised(lines)
+    before, after = picture.pose(lines), picture.pose(lines, correction)
+    basis, _ = polynomial(u, correction.coefficients.shape[0] - 1)
+    spread = solution.image_covariance(image).reshape(basis.shape[1], 6, basis.shape[1], 6)
+    covariance = np.einsum("np,piqj,nq->nij", basis, spread, basis)
+    turn = correction.axes(before, u)
+    about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)
+    angles_after = rotation.omega_phi_kappa(after.matrix)
+    to_angles = np.linalg.solve(rotation.angle_axes(angles_after, camera_to_body=True), turn)
+    of_angles = to_angles @ covariance[:, 3:, 3:] @ np.swapaxes(to_angles, 1, 2)
+    return OrientationProfile(
+        lines=lines,
+        times=picture.timing.at(lines)[0] + picture.trajectory.epoch,
+        position_before=before.position,
+        position_after=after.position,
+        position_sigma=_root(covariance[:, :3, :3]),
+        angles_before=rotation.omega_phi_kappa(before.matrix),
+        angles_after=angles_after,
+        angles_sigma=_root(of_angles),
+        rotation=-rotation.logarithm(after.matrix @ np.swapaxes(before.matrix, 1, 2)),
+        rotation_sigma=_root(about_camera),
+    )
+
+
+def _root(covariance: Array) -> Array:
+    """Standard deviations (n, 3) of covariances (n, 3, 3)."""
+    return np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))

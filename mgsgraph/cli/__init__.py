@@ -1,0 +1,65 @@
+"""The command line: one thin verb each; nothing here computes. Verbs are imported when they are called."""
+
+import sys
+from importlib import import_module
+
+import click
+
+from mgsgraph.errors import MgsgraphError
+
+_VERBS = {
+    "adjust": "Adjust a case: orientation, ground points and their sigmas.",
+    "check": "Read and validate a case, say what is in it, solve nothing.",
+    "demo": "Simulate a small stereo pair with laser ranges and adjust it.",
+}
+
+
+class _Verbs(click.Group):
+    """Verbs by name, with their one-line help known before their modules are imported."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _VERBS:
+            return None
+        command = getattr(import_module(f"mgsgraph.cli.{cmd_name}"), cmd_name)
+        return command if isinstance(command, click.Command) else None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_VERBS.items()))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and not args[0].startswith("-") and args[0] not in _VERBS:
+            raise click.UsageError(f"no command {args[0]!r}; there are {', '.join(_VERBS)}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="mgsgraph")
+def group() -> None:
+    """Bundle adjustment of planetary pushbroom images and laser altimetry."""
+
+
+def main() -> None:
+    """Entry point: bad input is one line on standard error and exit status 2."""
+    try:
+        status = group(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except click.exceptions.Abort:
+        click.echo("mgsgraph: interrupted; nothing was written", err=True)
+        sys.exit(130)
+    except MgsgraphError as error:
+        click.echo(f"mgsgraph: error: {error}", err=True)
+        sys.exit(2)
+    except MemoryError:
+        click.echo("mgsgraph: error: out of memory; give the machine more or leave images out", err=True)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.exit(1)
+    sys.exit(status or 0)

@@ -1,0 +1,48 @@
+"""`mgsgraph adjust`: from a case file to a folder of results."""
+
+import dataclasses
+from pathlib import Path
+
+import click
+
+_FORMS = click.Choice(["bundle", "explicit"])
+_LOSSES = click.Choice(["none", "huber", "cauchy", "tukey"])
+
+
+@click.command(short_help="Adjust a case.")
+@click.argument("case", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the results; made anew.")
+@click.option("--form", type=_FORMS, help="Points eliminated inside their factors, or as variables of the graph.")
+@click.option("--loss", type=_LOSSES, help="Robust loss on image coordinates and ranges.")
+@click.option("--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none.")
+@click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
+@click.option("--no-figures", is_flag=True, help="Write tables only.")
+@click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
+@click.pass_context
+def adjust(
+    ctx: click.Context, case: Path, out: Path, form: str | None, loss: str | None, reject: float | None,
+    no_laser: bool, no_figures: bool, verbose: bool,
+) -> None:
+    """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
+
+    Options overrule the case file. Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
+    """
+    from mgsgraph.case import adjust as run
+    from mgsgraph.case import read_case
+    from mgsgraph.cli.progress import iteration_bar
+    from mgsgraph.products.atomic import require_replaceable
+    from mgsgraph.products.results import write_results
+    from mgsgraph.products.summary import statements, summary_table
+
+    require_replaceable(out)
+    read = read_case(case, laser=not no_laser)
+    chosen = {"form": form, "loss": loss, "reject": reject}
+    settings = dataclasses.replace(read.settings, **{key: value for key, value in chosen.items() if value is not None})
+    with iteration_bar(verbose, settings.max_iterations) as bar:
+        solution = run(dataclasses.replace(read, settings=settings), bar)
+    write_results(solution, out, figures=not no_figures)
+    click.echo(summary_table(solution))
+    for sentence in statements(solution):
+        click.echo(f"- {sentence}")
+    click.echo(f"Results are in {out}")
+    ctx.exit(0 if solution.converged else 1)

@@ -1,0 +1,16 @@
+"""`mgsgraph check`: what a case holds, before anything is solved."""
+
+from pathlib import Path
+
+import click
+
+
+@click.command(short_help="Validate a case.")
+@click.argument("case", type=click.Path(path_type=Path))
+@click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
+def check(case: Path, no_laser: bool) -> None:
+    """Read and validate CASE and everything that it names; print what is there and where it is weak. Solves nothing."""
+    from mgsgraph.case import read_case
+    from mgsgraph.products.inventory import inventory
+
+    click.echo(inventory(read_case(case, laser=not no_laser)))

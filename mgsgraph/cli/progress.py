@@ -1,0 +1,57 @@
+"""What a person sees while the adjustment runs: a bar over iterations, and a word when the kernel is being compiled."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+from tqdm import tqdm
+
+from mgsgraph.adjustment.batch import Iteration
+
+_PATIENCE = 4.0
+"""s after which the silence is explained."""
+
+
+@contextmanager
+def iteration_bar(verbose: bool, most: int) -> Iterator["IterationBar"]:
+    """Progress over iterations on standard error (where that is a terminal); one line each when verbose."""
+    bar = IterationBar(verbose, most)
+    timer = threading.Timer(_PATIENCE, bar.explain)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield bar
+    finally:
+        timer.cancel()
+        bar.close()
+
+
+class IterationBar:
+    """Called with every iteration."""
+
+    def __init__(self, verbose: bool, most: int) -> None:
+        self._verbose, self._count = verbose, 0
+        self._bar = tqdm(total=most, desc="adjusting", unit="iteration", leave=False, disable=None)
+
+    def __call__(self, now: Iteration) -> None:
+        """Show one step that was tried."""
+        self._count += 1
+        if self._verbose:
+            if self._count == 1:
+                tqdm.write("iteration           cost       decrease   step [sigma]   damping")
+            taken = "" if now.accepted else "   rejected"
+            tqdm.write(
+                f"{self._count:9d} {now.cost:14.6f} {now.decrease:14.4e} {now.step:14.4e} {now.damping:9.1e}{taken}"
+            )
+        self._bar.set_postfix_str(f"cost {now.cost:.6g}")
+        self._bar.update()
+
+    def explain(self) -> None:
+        """Say why nothing has moved yet."""
+        if self._count == 0:
+            click.echo("compiling the numeric kernel: once per installation, about a minute", err=True)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._bar.close()

@@ -1,0 +1,212 @@
+"""The solution as one file, solution.npz, from which it is read back bit for bit.
+
+Every array of the record lies under its own path (`network.points.places`, `joint_covariance`), so that plain NumPy
+reads them too; everything else is a JSON text under `record`. Nothing is pickled: reading an archive runs no code of it.
+"""
+
+import json
+import math
+import struct
+import types
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
+from mgsgraph.geometry.records import assign
+from mgsgraph.geometry.trajectory import AttitudeTable
+
+FORMAT = 1
+"""Version of the layout; raised whenever an older reader would misread it."""
+ARCHIVE = "solution.npz"
+"""Name of the file in a result folder."""
+
+_DISTORTIONS = {kind.__name__: kind for kind in (NoDistortion, LrocNacDistortion, RadialDistortion)}
+_BROKEN = (
+    OSError, EOFError, KeyError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError, RecursionError,
+    struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What zipfile, NumPy and json raise on files that are damaged or no archives."""
+_ANEW = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
+
+
+def write_archive(solution: Solution, path: Path) -> None:
+    """Write a solution to an .npz file."""
+    arrays: dict[str, np.ndarray] = {}
+    record = json.dumps(_taken_apart(solution, "", arrays), allow_nan=False)
+    with path.open("wb") as file:
+        np.savez(file, format=np.int64(FORMAT), record=np.frombuffer(record.encode(), dtype=np.uint8), **arrays)
+
+
+def read_solution(path: str | Path) -> Solution:
+    """Read a solution back.
+
+    Parameters
+    ----------
+    path : path
+        Folder of results, or the archive in it.
+
+    Raises
+    ------
+    InputError
+        If there is no archive, or it is damaged, foreign, or of a format that this version doesn't know.
+    """
+    path = Path(path)
+    path = path / ARCHIVE if path.is_dir() else path
+    if not path.is_file():
+        raise InputError(str(path), "no such file", remedy=_ANEW)
+    try:
+        arrays = _members(path)
+        version = int(arrays["format"])
+        if version == FORMAT:
+            record = json.loads(arrays["record"].tobytes().decode())
+            solution: Solution = _put_together(record, Solution, "", arrays)
+            _require_shapes(solution)
+            return solution
+    except InputError as error:
+        raise error.within(str(path)) from None
+    except _BROKEN as error:
+        reason = " ".join(str(error).split())[:100] or type(error).__name__
+        raise InputError(str(path), f"no archive of mgsgraph, or a damaged one ({reason})", remedy=_ANEW) from None
+    raise InputError(
+        f"{path}, format", f"{version}", f"{FORMAT}", "read it with the version of mgsgraph that wrote it, or a newer one"
+    )
+
+
+def _members(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of an archive, read-only; checksums first, so that NumPy parses nothing that was damaged."""
+    with zipfile.ZipFile(path) as archive:
+        damaged = archive.testzip()
+    if damaged is not None:
+        raise InputError(damaged.removesuffix(".npy"), "a wrong checksum", remedy=_ANEW)
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    for array in arrays.values():
+        array.flags.writeable = False
+    return arrays
+
+
+# --- taking a record apart
+
+
+def _taken_apart(value: Any, where: str, arrays: dict[str, np.ndarray]) -> Any:
+    """JSON of a value; the arrays in it go to `arrays`, under the path that leads to them."""
+    if isinstance(value, np.ndarray):
+        arrays[where] = value
+        return {"array": where}
+    if is_dataclass(value):
+        parts = {field.name: _taken_apart(getattr(value, field.name), _at(where, field.name), arrays)
+                 for field in fields(value)}
+        return parts | ({"kind": type(value).__name__} if type(value).__name__ in _DISTORTIONS else {})
+    if isinstance(value, Mapping):
+        return {key: _taken_apart(item, _at(where, key), arrays) for key, item in value.items()}
+    if isinstance(value, tuple):
+        names = _as_text_array(value)
+        if names is not None:
+            return _taken_apart(names, where, arrays)
+        return [_taken_apart(item, _at(where, str(k)), arrays) for k, item in enumerate(value)]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else {"float": str(float(value))}
+    if isinstance(value, int | str | None):
+        return value
+    raise TypeError(f"{where} is a {type(value).__name__}, for which the archive has no form")
+
+
+def _as_text_array(names: tuple[Any, ...]) -> np.ndarray | None:
+    """Array of names; None where there are none, or NumPy would drop something (it does with closing NULs)."""
+    if not names or not all(isinstance(name, str) for name in names):
+        return None
+    array = np.array(names)
+    return array if array.tolist() == list(names) else None
+
+
+def _at(where: str, name: str) -> str:
+    return f"{where}.{name}" if where else name
+
+
+# --- putting it together again
+
+
+def _put_together(value: Any, kind: Any, where: str, arrays: dict[str, np.ndarray]) -> Any:
+    """The value of type `kind` (as the records' fields declare it) that was taken apart to the JSON `value`."""
+    origin, options = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in options:
+            return None
+        return _put_together(value, next(option for option in options if option is not type(None)), where, arrays)
+    if origin is np.ndarray:
+        return _array(value, get_args(options[1])[0], where, arrays)
+    if origin is tuple:
+        if isinstance(value, dict):
+            return tuple(_array(value, np.str_, where, arrays).tolist())
+        return tuple(_put_together(item, options[0], _at(where, str(k)), arrays) for k, item in enumerate(value))
+    if origin is Mapping:
+        return {key: _put_together(item, options[1], _at(where, key), arrays) for key, item in value.items()}
+    if kind is Distortion:
+        return _record(value, _DISTORTIONS[value["kind"]], where, arrays)
+    return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
+
+
+def _array(value: dict[str, str], scalar: type[np.generic], where: str, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    array = arrays[value["array"]]
+    if not issubclass(array.dtype.type, scalar):
+        raise InputError(where, f"an array of {array.dtype}", f"of {scalar.__name__}", _ANEW)
+    return array
+
+
+def _record(value: dict[str, Any], kind: Any, where: str, arrays: dict[str, np.ndarray]) -> Any:
+    parts = {
+        name: _put_together(value[name], hint, _at(where, name), arrays) for name, hint in _field_types(kind).items()
+    }
+    record = kind(**parts)
+    if kind is AttitudeTable:
+        assign(record, quaternions=parts["quaternions"])  # checked above; a second division by the norm moves last bits
+    return record
+
+
+@cache
+def _field_types(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in fields(kind)}
+
+
+def _scalar(value: Any, kind: Any, where: str) -> Any:
+    if isinstance(value, dict):
+        value = float(value["float"])
+    if isinstance(kind, type) and not (isinstance(value, kind) or (kind is float and isinstance(value, int))):
+        raise InputError(where, f"{value!r}", f"a value of type {kind.__name__}", _ANEW)
+    return value
+
+
+def _require_shapes(solution: Solution) -> None:
+    """Raise InputError unless the arrays of a solution fit its network, so that no later table stumbles over them."""
+    network, n, k, r = (
+        solution.network, len(solution.network.points), solution.network.rays.point.size, solution.network.ranges.point.size
+    )
+    sizes = [prior.sigmas.size for prior, held in zip(network.priors, network.held, strict=True) if not held]
+    columns = sum(sizes)
+    first = np.where(network.held, -1, 0)
+    first[~network.held] = np.cumsum([0, *sizes])[:-1]
+    expected: dict[str, tuple[int, ...]] = {
+        "joint_covariance": (columns, columns), "places_before": (n, 3), "places": (n, 3), "covariances": (n, 3, 3),
+        "determined": (n,), "rays_used": (k,), "ranges_used": (r,), "residuals": (k, 2), "residuals_before": (k, 2),
+        "range_residuals": (r,), "range_residuals_before": (r,),
+    }  # fmt: skip
+    for name, shape in expected.items():
+        if (found := getattr(solution, name).shape) != shape:
+            raise InputError(name, f"shape {found}", f"{shape}", _ANEW)
+    if not np.array_equal(solution.first_column, first):
+        raise InputError("first_column", f"{solution.first_column.tolist()[:10]}", f"{first.tolist()[:10]}", _ANEW)
+    shapes = [part.shape for part in solution.coefficients]
+    if shapes != [prior.sigmas.shape for prior in network.priors]:
+        raise InputError("coefficients", f"shapes {shapes[:5]}", "those of the priors", _ANEW)

@@ -1,0 +1,106 @@
+"""A result folder is there whole or not at all: it is written aside and renamed into place."""
+
+import errno
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mgsgraph.errors import InputError
+
+PROGRAM = "mgsgraph"
+"""What `program` in solution.json says; by it a folder is known as ours."""
+RECORD = "solution.json"
+"""File that makes a folder a result of this program."""
+
+_REMEDIES = {
+    errno.ENOSPC: "free some space, or choose another --out",
+    errno.EDQUOT: "free some of your quota, or choose another --out",
+    errno.EBUSY: "choose a folder inside it (nothing can be renamed onto a mount point)",
+}
+
+
+@contextmanager
+def fresh_folder(path: str | Path) -> Iterator[Path]:
+    """Make a result folder.
+
+    Inside the context everything is written to a new folder beside `path`; at its end that folder takes the place of
+    `path`. On any exception it vanishes, and what was at `path` stays as it was.
+
+    Parameters
+    ----------
+    path : path
+        Absent, empty, or an earlier result, which is replaced.
+
+    Yields
+    ------
+    Path
+        Where to write.
+
+    Raises
+    ------
+    InputError
+        If `path` holds anything else, or can't be written.
+    """
+    shown, target = str(path), Path(path).resolve()
+    require_replaceable(path)
+    aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.unfinished")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        aside.mkdir()
+        yield aside
+        require_replaceable(path)
+        _put_in_place(aside, target)
+    except OSError as error:
+        raise _refusal(shown, error) from None
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def require_replaceable(path: str | Path) -> None:
+    """Raise InputError unless `path` is absent, an empty folder, or an earlier result; for the time before long work."""
+    shown, target = str(path), Path(path).resolve()
+    try:
+        if not target.exists():
+            return
+        if not target.is_dir():
+            raise InputError(shown, "exists and is a file", "a folder for the results", "choose another --out")
+        if target in (Path.cwd(), *Path.cwd().parents):
+            raise InputError(shown, "is the folder you are in, and would be replaced", remedy="choose another --out")
+        if any(target.iterdir()) and not _is_ours(target):
+            raise InputError(shown, f"exists and is not a result of {PROGRAM}", remedy="choose another --out")
+    except OSError as error:
+        raise _refusal(shown, error) from None
+
+
+def _is_ours(folder: Path) -> bool:
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(record, dict) and record.get("program") == PROGRAM
+
+
+def _put_in_place(new: Path, target: Path) -> None:
+    """Rename `new` to `target`; an earlier result steps aside first, and comes back should that fail."""
+    if not target.exists():
+        new.rename(target)
+        return
+    old = new.with_suffix(".replaced")
+    target.rename(old)
+    try:
+        new.rename(target)
+    except BaseException:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _refusal(shown: str, error: OSError) -> InputError:
+    reason = error.strerror or str(error)
+    inside = f" at {Path(os.fsdecode(error.filename)).name}" if isinstance(error.filename, str | bytes) else ""
+    remedy = _REMEDIES.get(error.errno or 0, "choose another --out, where you may write")
+    return InputError(shown, f"can't be written ({reason}{inside})", remedy=remedy)

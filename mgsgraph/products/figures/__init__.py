@@ -1,0 +1,44 @@
+"""Figures of an adjustment, each as PNG and SVG: residuals, orientation corrections, laser registration, map.
+
+This package is the only one that imports matplotlib; import it only where figures are wanted.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.products.figures.content import registration_discrepancy as registration_discrepancy
+from mgsgraph.products.figures.content import registration_offsets as registration_offsets
+from mgsgraph.products.figures.ground_map import map_sheet
+from mgsgraph.products.figures.orientation import orientation_sheets
+from mgsgraph.products.figures.registration import registration_sheets
+from mgsgraph.products.figures.residuals import residual_sheets
+from mgsgraph.products.figures.sheet import Sheet, plain_style, save
+
+
+def write_figures(solution: Solution, folder: Path) -> list[str]:
+    """Draw an adjustment.
+
+    Parameters
+    ----------
+    solution : Solution
+    folder : Path
+        Made where it does not exist; files of the same names are replaced.
+
+    Returns
+    -------
+    list of str
+        Names of the files in the folder: residuals, orientation, registration (where there are laser points) and map,
+        each as .png and .svg, numbered (residuals_1, ...) where a kind takes several sheets.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with plain_style():
+        return [name for sheet in _sheets(solution) for name in save(sheet, folder)]
+
+
+def _sheets(solution: Solution) -> Iterator[Sheet]:
+    """One after another, so that no more than one is in memory."""
+    yield from residual_sheets(solution)
+    yield from orientation_sheets(solution)
+    yield from registration_sheets(solution)
+    yield map_sheet(solution)

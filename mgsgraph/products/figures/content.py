@@ -1,0 +1,205 @@
+"""The numbers that figures show, as arrays: residuals by image, laser registration, places on a map. Nothing is drawn here."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import PointClass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageResiduals:
+    """Residuals of one image's rays to determined points."""
+
+    places: Array
+    """(k, 2) line, sample, measured."""
+    residuals: Array
+    """(k, 2) pixels, line and sample, measured minus predicted, adjusted."""
+    residuals_before: Array
+    """(k, 2) pixels, the same with the nominal orientation."""
+    classes: Index
+    """(k,) PointClass of the point."""
+    used: Mask
+    """(k,) False for rejected rays."""
+
+    def of(self, point_class: PointClass) -> Index:
+        """Rays of one class that took part."""
+        return np.flatnonzero((self.classes == point_class) & self.used)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Laser points in one image, in the order of its lines: where they fall, and where they were measured."""
+
+    image: int
+    """Which image."""
+    points: Index
+    """(m,) ground points."""
+    measured: Array
+    """(m, 2) line, sample; NaN where the point was not measured in this image."""
+    before: Array
+    """(m, 2) line, sample of the a-priori footprint with the nominal orientation; NaN where it is not seen."""
+    after: Array
+    """(m, 2) line, sample of the adjusted place with the adjusted orientation; NaN where it is not seen."""
+
+    @property
+    def offset_before(self) -> Array:
+        """(m, 2) pixels, measured minus projected, before; NaN without a measure."""
+        return self.measured - self.before
+
+    @property
+    def offset_after(self) -> Array:
+        """(m, 2) pixels, measured minus projected, after: the sign of `Solution.residuals`."""
+        return self.measured - self.after
+
+    @property
+    def lines(self) -> Array:
+        """(m,) where the points lie along the image: the measured line, or the projected one."""
+        return np.where(np.isnan(self.measured[:, 0]), self.after[:, 0], self.measured[:, 0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discrepancy:
+    """By how much two images contradict each other about the same laser points."""
+
+    lines: Array
+    """(m,) measured line in the first image."""
+    before: Array
+    """(m, 2) pixels of the first image, line and sample: its offset minus the second one's, nominal."""
+    after: Array
+    """(m, 2) the same, adjusted."""
+
+
+def image_residuals(solution: Solution, image: int) -> ImageResiduals:
+    """Residuals of one image; rays to undetermined points have none and are left out."""
+    rays = solution.network.rays
+    mine = np.flatnonzero((rays.image == image) & np.all(np.isfinite(solution.residuals), axis=1))
+    return ImageResiduals(
+        places=rays.places[mine],
+        residuals=solution.residuals[mine],
+        residuals_before=solution.residuals_before[mine],
+        classes=solution.network.points.classes[rays.point[mine]],
+        used=solution.rays_used[mine],
+    )
+
+
+def registration_offsets(solution: Solution, image: int, most: int | None = None) -> Registration:
+    """Laser points projected onto an image, before and after the adjustment, beside their measured places.
+
+    Before: a-priori footprint, nominal orientation; after: adjusted place, adjusted orientation. Points that are not
+    measured in the image are there when they fall on it.
+
+    Parameters
+    ----------
+    solution : Solution
+    image : int
+        Which image.
+    most : int, optional
+        Take no more than about this many laser points, evenly spread over all; the same ones in every image.
+    """
+    network = solution.network
+    rays, picture = network.rays, network.images[image]
+    laser = solution.members(PointClass.LASER)
+    laser = laser[np.all(np.isfinite(network.points.places[laser]), axis=1)]
+    laser = laser[thinned(laser.size, most)]
+    of_point = np.full((len(network.points), 2), np.nan)
+    mine = np.flatnonzero(rays.image == image)
+    of_point[rays.point[mine]] = rays.places[mine]
+    measured = of_point[laser]
+    start = np.where(np.isnan(measured[:, 0]), 0.5 * picture.lines, measured[:, 0])
+    before, _ = picture.ground_to_image(network.points.places[laser], start=start)
+    after, _ = picture.ground_to_image(solution.places[laser], solution.correction(image), start)
+    with np.errstate(invalid="ignore"):
+        inside = np.all((after >= 0.0) & (after <= [picture.lines, picture.samples]), axis=1)
+    kept = np.flatnonzero(inside | ~np.isnan(measured[:, 0]))
+    found = Registration(image, laser[kept], measured[kept], before[kept], after[kept])
+    order = np.argsort(found.lines, kind="stable")
+    return Registration(image, found.points[order], found.measured[order], found.before[order], found.after[order])
+
+
+def registration_discrepancy(solution: Solution, first: Registration, second: Registration) -> Discrepancy:
+    """Offsets of laser points in one image minus those in another, carried over to the first image's pixels.
+
+    They are carried along the ground, at the points' heights, because images may differ in scale, skew and direction
+    of flight. What a horizontal displacement of the footprints does to both images cancels.
+    """
+    images = solution.network.images
+    shared, i, j = np.intersect1d(first.points, second.points, return_indices=True)
+    both = np.all(np.isfinite(first.offset_after[i] + second.offset_after[j]), axis=1)
+    shared, i, j = shared[both], i[both], j[both]
+    order = np.argsort(first.lines[i], kind="stable")
+    shared, i, j = shared[order], i[order], j[order]
+    one, two = images[first.image], images[second.image]
+    places = solution.places[shared]
+    height = geodetic(places, two.body)[:, 2]
+    _, to_ground = two.image_to_ground(
+        second.after[j, 0], second.after[j, 1], height, solution.correction(second.image)
+    )
+    _, to_image = one.ground_to_image(places, solution.correction(first.image), first.after[i, 0])
+    carried = to_image @ to_ground
+    return Discrepancy(
+        first.lines[i],
+        first.offset_before[i] - np.einsum("nij,nj->ni", carried, second.offset_before[j]),
+        first.offset_after[i] - np.einsum("nij,nj->ni", carried, second.offset_after[j]),
+    )
+
+
+def footprint(
+    image: PushbroomImage, correction: OrientationCorrection | None = None, height: float = 0.0, side: int = 21
+) -> Array:
+    """Closed outline (4 side + 1, 3) in m, body-fixed, of an image on the ground at a height (m) above the ellipsoid;
+    NaN where it looks past the body.
+    """
+    step = np.linspace(0.0, 1.0, side, endpoint=False)
+    ends = np.zeros(side), np.ones(side)
+    down = np.concatenate([ends[0], step, ends[1], 1.0 - step, [0.0]])
+    across = np.concatenate([step, ends[1], 1.0 - step, ends[0], [0.0]])
+    points, _ = image.image_to_ground(down * image.lines, across * image.samples, height, correction)
+    return points
+
+
+def centre_of(points: Array) -> Array:
+    """Middle (3,) in m of points (n, 3), at their mean distance from the body's centre; the mean of their directions."""
+    sound = points[np.all(np.isfinite(points), axis=1)]
+    radii = np.linalg.norm(sound, axis=1)
+    mean = np.mean(sound / radii[:, None], axis=0)
+    return np.asarray(mean / np.linalg.norm(mean) * radii.mean())
+
+
+def east_north(points: Array, centre: Array) -> Array:
+    """East and north (n, 2) in m of points (n, 3) around a centre (3,): azimuthal equidistant, on the sphere through it.
+
+    Distances and directions from the centre are true however large the block is (Snyder 1987, p. 191).
+    """
+    radius = float(np.linalg.norm(centre))
+    up = centre / radius
+    planar = float(np.hypot(up[0], up[1]))
+    east = np.array([-up[1], up[0], 0.0]) / planar if planar > 0.0 else np.array([0.0, 1.0, 0.0])
+    flat = points @ np.stack([east, np.cross(up, east)], axis=1)
+    length = np.linalg.norm(flat, axis=1)
+    angle = np.arctan2(length, points @ up)
+    return np.asarray(flat * np.where(length > 0.0, radius * angle / np.where(length > 0.0, length, 1.0), 0.0)[:, None])
+
+
+def rms(values: Array) -> float:
+    """Root mean square of what is finite; NaN when nothing is."""
+    sound = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(sound**2))) if sound.size else float("nan")
+
+
+def mean(values: Array) -> float:
+    """Mean of what is finite; NaN when nothing is."""
+    sound = values[np.isfinite(values)]
+    return float(sound.mean()) if sound.size else float("nan")
+
+
+def thinned(size: int, most: int | None) -> Index:
+    """All of `size` indices, or `most` of them, evenly spread from the first to the last."""
+    if most is None or size <= most:
+        return np.arange(size)
+    return np.linspace(0, size - 1, most).astype(np.int64)

@@ -1,0 +1,181 @@
+"""What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import Prediction, predict
+from mgsgraph.case import Case
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, PointClass
+from mgsgraph.ties import PointKind
+from mgsgraph.units import DEG, KM, MRAD
+
+_FEW_POINTS = 6
+"""Fewer points than this in an image leave its orientation to the prior."""
+_SHORT = 0.5
+"""Points over less than this share of the lines leave the polynomials to extrapolate."""
+_NARROW = 5.0 * DEG
+"""Convergence below which heights are poor."""
+_NAMED = 5
+"""How many of a kind are named."""
+
+
+def inventory(case: Case) -> str:
+    """Images and their coverage, points, shots, connectivity, and expected weak spots; several lines of text."""
+    network = case.network
+    prediction = predict(network, case.settings)
+    parts = [
+        f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
+        f"measurements, {network.ranges.point.size} ranges",
+        _images(network),
+        _points(network, prediction),
+        _connections(network),
+        "Weak spots\n" + "\n".join(f"  - {line}" for line in _weak_spots(network, prediction) or ["none seen"]),
+    ]
+    return "\n\n".join(parts)
+
+
+def _images(network: Network) -> str:
+    lines = ["Images"]
+    for j, image in enumerate(network.images):
+        middle, spacing = _ground_spacing(image)
+        longitude, latitude, _ = planetocentric(middle)
+        held = ", held" if network.held[j] else ""
+        corners = _corners(image)
+        lines.append(
+            f"  {image.name}: {image.lines} lines x {image.samples} samples{held}; "
+            f"line {spacing[0]:.2f} m, sample {spacing[1]:.2f} m on the ground"
+        )
+        lines.append(
+            f"    centre {longitude / DEG % 360.0:.4f} E {latitude / DEG:+.4f} N; "
+            f"longitude {corners[0, 0]:.4f} .. {corners[1, 0]:.4f}, latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg"
+        )
+        prior = network.priors[j].sigmas
+        lines.append(
+            f"    orientation polynomials of degree {network.priors[j].degree}, a-priori sigma "
+            f"{_range(prior[0, :3])} m and {_range(prior[0, 3:] / MRAD)} mrad (constant term)"
+        )
+    return "\n".join(lines)
+
+
+def _range(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} .. {high:g}"
+
+
+def _ground_spacing(image: PushbroomImage) -> tuple[Array, Array]:
+    """Ground point (3,) of the image's middle, and m per line and per sample there, on the ellipsoid."""
+    point, derivative = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    return point[0], np.linalg.norm(derivative[0], axis=0)
+
+
+def _corners(image: PushbroomImage) -> Array:
+    """Least and largest longitude and latitude (2, 2) in deg of the image's corners on the ellipsoid."""
+    lines = np.array([0.0, 0.0, image.lines, image.lines])
+    samples = np.array([0.0, image.samples, 0.0, image.samples])
+    places = planetocentric(image.image_to_ground(lines, samples)[0])[:, :2] / DEG
+    places[:, 0] = (places[:, 0] - places[0, 0] + 180.0) % 360.0 - 180.0 + places[0, 0] % 360.0
+    return np.stack([places.min(axis=0), places.max(axis=0)])
+
+
+def _points(network: Network, prediction: Prediction) -> str:
+    lines = ["Points"]
+    counts = network.ray_counts
+    sigmas = np.sqrt(np.diagonal(prediction.covariances, axis1=1, axis2=2))
+    for point_class, members in network.of_class():
+        kinds = ", ".join(
+            f"{count} {kind.name.lower()}"
+            for kind in PointKind
+            if (count := int(np.count_nonzero(network.points.kinds[members] == kind)))
+        )
+        lines.append(
+            f"  {members.size} {point_class.name.lower()} points ({kinds}), {counts[members].min()} to "
+            f"{counts[members].max()} rays each"
+        )
+        expected = np.nanmean(sigmas[members], axis=0)
+        lines.append(f"    expected mean sigma in x, y, z: {expected[0]:.2f}, {expected[1]:.2f}, {expected[2]:.2f} m")
+        mine = np.isin(network.rays.point, members)
+        if np.any(mine):
+            misfit = prediction.residuals[mine]
+            rms = np.sqrt(np.nanmean(misfit**2, axis=0))
+            lines.append(f"    with the nominal orientation: image residuals {rms[0]:.2f} lines, {rms[1]:.2f} samples rms")
+    if network.ranges.point.size:
+        misfit = prediction.range_residuals
+        lines.append(
+            f"  {misfit.size} laser ranges of {network.ranges.values.min() / KM:.3f} .. {network.ranges.values.max() / KM:.3f}"
+            f" km; measured minus nominal: mean {misfit.mean():+.3f} m, rms {np.sqrt(np.mean(misfit**2)):.3f} m"
+        )
+    else:
+        lines.append("  no laser ranges")
+    return "\n".join(lines)
+
+
+def _connections(network: Network) -> str:
+    common = network.common_points()
+    lines = ["Connections (points in common)"]
+    for i in range(len(network.images)):
+        partners = [
+            f"{common[i, j]} with {network.images[j].name}" for j in range(len(network.images)) if j != i and common[i, j]
+        ]
+        named = ", ".join(partners[:_NAMED]) + (f" and {len(partners) - _NAMED} more" if len(partners) > _NAMED else "")
+        lines.append(f"  {network.images[i].name}: {common[i, i]} points; {named or 'no other image'}")
+    return "\n".join(lines)
+
+
+def _weak_spots(network: Network, prediction: Prediction) -> list[str]:
+    """Sentences about what will be poorly determined."""
+    found = []
+    islands = network.islands()
+    if len(islands) > 1:
+        rest = "; ".join(", ".join(network.images[j].name for j in island[:_NAMED]) for island in islands[1:])
+        found.append(f"the block falls into {len(islands)} islands without common points; apart from the largest: {rest}")
+    lost = np.flatnonzero(network.undetermined)
+    if lost.size:
+        found.append(f"{lost.size} points have fewer than two rays and no a-priori place, and stay out: {_some(network, lost)}")
+    flat = np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~network.undetermined)
+    if flat.size:
+        found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {_some(network, flat)}")
+    found += _poor_images(network)
+    angle = _convergence(network)
+    if np.any(angle < _NARROW):
+        found.append(
+            f"{np.count_nonzero(angle < _NARROW)} tie points have rays that converge by less than {_NARROW / DEG:.0f} deg "
+            f"(least {angle.min() / DEG:.2f} deg): expect their sigma along the line of sight to be large"
+        )
+    held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
+    if not held_down:
+        found.append("no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block")
+    return found
+
+
+def _some(network: Network, points: Array) -> str:
+    names = ", ".join(network.points.ids[i] for i in points[:_NAMED])
+    return names + (f" and {points.size - _NAMED} more" if points.size > _NAMED else "")
+
+
+def _poor_images(network: Network) -> list[str]:
+    found = []
+    for j, image in enumerate(network.images):
+        mine = network.rays.image == j
+        count, lines = int(np.count_nonzero(mine)), network.rays.places[mine, 0]
+        if count < _FEW_POINTS:
+            found.append(f"image {image.name} has only {count} points: its orientation will mostly be its prior")
+        elif np.ptp(lines) < _SHORT * image.lines:
+            found.append(
+                f"the points of image {image.name} span lines {lines.min():.0f} .. {lines.max():.0f} of {image.lines}: "
+                "its orientation is extrapolated elsewhere"
+            )
+    return found
+
+
+def _convergence(network: Network) -> Array:
+    """Angle (rad) between the outermost rays of each tie point with two rays or more."""
+    rays = network.rays
+    origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
+    for j, image in enumerate(network.images):
+        mine = rays.image == j
+        origins[mine], directions[mine], _, _ = image.rays(*rays.places[mine].T)
+    _, _, angle = intersect_rays(origins, directions, rays.point, len(network.points))
+    return angle[(network.points.classes == PointClass.TIE) & (network.ray_counts >= 2)]

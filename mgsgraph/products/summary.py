@@ -1,0 +1,323 @@
+"""A solution in words: what came out, what it is worth, and what to look at; and as a short table for the terminal."""
+
+import math
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import PointClass
+from mgsgraph.products.statistics import (
+    RayStatistics, laser_gain, orientation_statistics, point_statistics, range_statistics, ray_statistics,
+    used_ray_counts,
+)
+from mgsgraph.ties import PointKind
+from mgsgraph.units import ARCSEC, MRAD
+
+_NAMED = 4
+"""How many of a kind are named before the rest is only counted."""
+_STANDARD_ERRORS = 3.0
+"""Size of a mean residual, in its standard errors, above which it isn't noise."""
+_PIXELS = 0.5
+"""Size of a mean residual below which it does no harm."""
+_ROWS = 24
+"""Images listed in the table."""
+_NAME = 26
+"""Characters of an image's name in the table."""
+_ALIKE = 1.05
+"""Ratio up to which two mean sigmas count as the same."""
+
+
+def statements(solution: Solution) -> list[str]:
+    """Sentences with figures and units, for reports and the terminal."""
+    rays = ray_statistics(solution)
+    return [
+        *_ending(solution),
+        _weight_unit(solution),
+        *_fits(solution, rays),
+        *_datum(solution),
+        *_constant_residuals(solution, rays),
+        *_left_out(solution),
+        *_islands(solution),
+    ]
+
+
+def _ending(solution: Solution) -> list[str]:
+    cost = f"the cost went from {solution.cost_initial:.4g} to {solution.cost_final:.4g}"
+    if solution.converged:
+        return [f"{solution.message} {_many(solution.iterations, 'iteration')}; {cost}."]
+    return [
+        f"NOT CONVERGED after {_many(solution.iterations, 'iteration')}; {cost}. {solution.message}",
+        "Nothing below is a result: the figures describe the state at which it stopped. Look at the largest residuals in "
+        "residuals.csv for blunders, and at the a-priori sigmas; then adjust again.",
+    ]
+
+
+def _weight_unit(solution: Solution) -> str:
+    sigma0, freedom = solution.sigma0, solution.fit.degrees_of_freedom
+    if math.isnan(sigma0):
+        return (
+            f"There are {freedom} degrees of freedom: nothing checks the observations, sigma0 is not defined, and the "
+            "sigmas rest on the a-priori ones alone."
+        )
+    head = f"sigma0 is {sigma0:.3g} with {freedom} degrees of freedom"
+    # the chi-square law: sigma0 scatters by 1 / sqrt(2 f) about 1 when the stated sigmas are right
+    if abs(sigma0 - 1.0) <= _STANDARD_ERRORS / math.sqrt(2.0 * freedom):
+        return f"{head}: the observations fit as well as their stated sigmas say, and the quoted sigmas hold as they are."
+    if sigma0 < 1.0:
+        better = f"{1.0 / sigma0:.2g} times better than" if sigma0 > 0.0 else "without any error, against"
+        return (
+            f"{head}: the observations fit {better} their stated sigmas. All sigmas are quoted for sigma0 = 1 and "
+            f"are cautious; multiply them by {sigma0:.3g} if you trust the fit."
+        )
+    return (
+        f"{head}: the observations fit {sigma0:.2g} times worse than their stated sigmas. All sigmas are quoted for sigma0 = 1 "
+        f"and are too small by that factor, unless blunders are to blame: look at the largest residuals."
+    )
+
+
+def _fits(solution: Solution, rays: RayStatistics) -> list[str]:
+    """Residuals of each class of rays, and of the ranges."""
+    found = []
+    for point_class in PointClass:
+        count = int(rays.count[:, point_class].sum())
+        if count:
+            line, sample = rays.rms_of_classes[point_class]
+            found.append(
+                f"{point_class.name.capitalize()} points fit to {line:.2f} lines and {sample:.2f} samples "
+                f"(rms of {_many(count, 'ray')})."
+            )
+    ranges = range_statistics(solution)
+    if ranges.used:
+        found.append(
+            f"Laser ranges fit to {ranges.rms:.3g} m (rms of {ranges.used}, mean {ranges.mean:+.2g} m); with the nominal "
+            f"orientation to {ranges.rms_before:.3g} m (mean {ranges.mean_before:+.3g} m)."
+        )
+    return found
+
+
+# --- what holds the block
+
+
+def _datum(solution: Solution) -> list[str]:
+    """What the laser gives; or, where nothing is known of the ground, what the sigmas rest on."""
+    kinds, classes = solution.network.points.kinds, solution.network.points.classes
+    if solution.sigmas_without_laser is not None:
+        return [_laser_effect(solution, solution.sigmas_without_laser)]
+    if np.any(solution.determined & (kinds != PointKind.FREE)) or np.any(solution.ranges_used):
+        others = solution.determined & (kinds != PointKind.FREE) & (classes != PointClass.LASER)
+        unheld = [np.isinf(prior.sigmas).any() for prior in solution.network.priors]
+        if np.any(unheld) and not np.any(others | solution.network.held.any()):
+            return ["Without the laser rows nothing would hold the block on the ground: some orientation has no prior."]
+        return []
+    adjusted = np.flatnonzero(~solution.network.held)
+    if adjusted.size == 0:
+        return ["Every image is held: the points have the sigmas of their rays alone, as if the orientation were true."]
+    constant = np.array([solution.network.priors[j].sigmas[0] for j in adjusted])
+    held = _many(int(solution.network.held.sum()), "held image")
+    holders = "the orientation priors" + ("" if adjusted.size == solution.network.held.size else f" and {held}")
+    return [
+        f"No laser rows and no ground control: only {holders} hold the block on the ground. The priors' constant terms are "
+        f"{_span(constant[:, :3])} m in position and {_span(constant[:, 3:] / MRAD)} mrad in rotation, and the sigmas of the "
+        "ground points mostly repeat them."
+    ]
+
+
+def _laser_effect(solution: Solution, without: Array) -> str:
+    network, gain = solution.network, laser_gain(solution)
+    laser = network.points.classes == PointClass.LASER
+    rays = int(np.sum(solution.rays_used & laser[network.rays.point]))
+    rows = f"{_many(int(laser.sum()), 'point')}, {_many(rays, 'ray')}, {_many(int(solution.ranges_used.sum()), 'range')}"
+    sigmas = point_statistics(solution, PointClass.TIE).mean_sigma
+    with_units = f"{_three(without)} m in x, y, z instead of {_three(sigmas)} m"
+    if gain < _ALIKE:
+        return f"The laser rows ({rows}) add little: without them the tie points' mean sigmas would be {with_units}."
+    return (
+        f"Without the laser rows ({rows}) the tie points' mean sigmas would be {with_units}: about {gain:.2g} times larger."
+    )
+
+
+# --- what to look at
+
+
+def _constant_residuals(solution: Solution, rays: RayStatistics) -> list[str]:
+    """Mean residuals of a class in an image that are too large for noise: stored coordinates that contradict the rest."""
+    names = [image.name for image in solution.network.images]
+    with np.errstate(invalid="ignore"):
+        marked = (np.abs(rays.mean) > _STANDARD_ERRORS * rays.standard_errors) & (np.abs(rays.mean) > _PIXELS)
+    found = []
+    for point_class in PointClass:
+        parts = [
+            _means(rays.mean[:, point_class, c], marked[:, point_class, c], names, unit)
+            for c, unit in enumerate(("lines", "samples"))
+        ]
+        if any(parts):
+            found.append(
+                f"{point_class.name.capitalize()} points keep a constant residual of {' and '.join(p for p in parts if p)}. "
+                "That is no noise but a systematic disagreement between their stored image coordinates and the ranges, "
+                "ground places or ties; no sigma here covers it."
+            )
+    return found
+
+
+def _means(means: Array, marked: np.ndarray, names: list[str], unit: str) -> str:
+    """Words for the marked mean residuals of one component, largest first; empty where none is marked."""
+    chosen: Index = np.flatnonzero(marked)
+    if chosen.size == 0:
+        return ""
+    chosen = chosen[np.argsort(-np.abs(means[chosen]), kind="stable")]
+    parts = [f"{means[j]:+.1f}{f' {unit}' if k == 0 else ''} in {names[j]}" for k, j in enumerate(chosen[:_NAMED])]
+    more = f" (and in {_many(chosen.size - _NAMED, 'more image')})" if chosen.size > _NAMED else ""
+    opposite = ", of opposite sign" if means[chosen].min() < 0.0 < means[chosen].max() else ""
+    return _listed(parts) + more + opposite
+
+
+def _left_out(solution: Solution) -> list[str]:
+    network, found = solution.network, []
+    lost = np.flatnonzero(~solution.determined)
+    if lost.size:
+        found.append(
+            f"{_many(lost.size, 'point')} of {len(network.points)} stayed out, because nothing determines a place (fewer than two "
+            f"rays, or rays that hardly converge): {_some([network.points.ids[i] for i in lost[:_NAMED]], lost.size)}."
+        )
+    rays = int(np.sum(~solution.rays_used & solution.determined[network.rays.point]))
+    ranges = int(np.sum(~solution.ranges_used & solution.determined[network.ranges.point]))
+    if rays or ranges:
+        found.append(
+            f"{_many(rays, 'ray')} of {network.rays.point.size} and {_many(ranges, 'range')} of {network.ranges.point.size} "
+            "were rejected as blunders; residuals.csv marks them."
+        )
+    bare = np.flatnonzero(solution.determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
+    if bare.size:
+        found.append(
+            f"{_many(bare.size, 'point')} lost all rays to that: "
+            f"{_some([network.points.ids[i] for i in bare[:_NAMED]], bare.size)}."
+        )
+    return found
+
+
+def _islands(solution: Solution) -> list[str]:
+    islands = solution.network.islands()
+    if len(islands) < 2:
+        return []
+    names = [image.name for image in solution.network.images]
+    parts = [_some([names[j] for j in island[:_NAMED]], len(island)) for island in islands[:_NAMED]]
+    return [
+        f"The block falls into {len(islands)} parts without common points, each on the ground by itself: "
+        f"{_some([f'({part})' for part in parts], len(islands))}. Tie points between them would join them."
+    ]
+
+
+# --- the table
+
+
+def summary_table(solution: Solution) -> str:
+    """Images, points, ranges and sigma0 as aligned text of at most 110 columns."""
+    rays = ray_statistics(solution)
+    sections = [_head(solution), _image_table(solution, rays), _point_table(solution), _range_lines(solution)]
+    seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
+    return "\n\n".join([section for section in sections if section] + [f"Seconds: {seconds}"])
+
+
+def _head(solution: Solution) -> str:
+    fit, state = solution.fit, "converged" if solution.converged else "NOT CONVERGED"
+    sigma0 = "not defined" if math.isnan(fit.sigma0) else f"{fit.sigma0:.4g}"
+    return (
+        f"{_short(solution.name, 60)}: {state}, {_many(solution.iterations, 'iteration')}\n"
+        f"  sigma0 {sigma0}; {fit.observations} observations, {fit.unknowns} unknowns, "
+        f"{fit.degrees_of_freedom} degrees of freedom\n"
+        f"  cost {solution.cost_initial:.6g} -> {solution.cost_final:.6g}"
+    )
+
+
+def _image_table(solution: Solution, rays: RayStatistics) -> str:
+    images = solution.network.images
+    lines = [
+        f"{'Images':<{_NAME + 2}} {'rays':>6} {'used':>6}  {'residual rms [px]':>16}  {'mean correction [m]':>25}  "
+        f"{'about camera axes [arcsec]':>20}",
+        f"{'':<{_NAME + 2}} {'':>6} {'':>6}  {'line':>8} {'sample':>8}  {'X':>8} {'Y':>8} {'Z':>8}  {'x':>8} {'y':>8} {'z':>8}",
+    ]
+    for j, image in enumerate(images[:_ROWS]):
+        moved = orientation_statistics(solution, j).mean
+        held = "held" if solution.network.held[j] else ""
+        turned = moved[6:] / ARCSEC
+        numbers = [held.rjust(26), ""] if held else [_cells(moved[:3], 8), _cells(turned, 8)]
+        lines.append(
+            f"  {_short(image.name, _NAME):<{_NAME}} {rays.total[j]:>6} {rays.count[j].sum():>6}  "
+            f"{_cells(rays.rms_of_images[j], 8)}  {numbers[0]}  {numbers[1]}".rstrip()
+        )
+    if len(images) > _ROWS:
+        lines.append(f"  and {_many(len(images) - _ROWS, 'more image')}: see solution.json")
+    return "\n".join(lines)
+
+
+def _point_table(solution: Solution) -> str:
+    lines = [
+        f"{'Points':<12} {'count':>8} {'rejected':>9}  {'mean sigma [m]':>29}  {'rms correction [m]':>29}",
+        f"{'':<12} {'':>8} {'':>9}  {'x':>9} {'y':>9} {'z':>9}  {'x':>9} {'y':>9} {'z':>9}",
+    ]
+    for point_class, _ in solution.network.of_class():
+        found = point_statistics(solution, point_class)
+        lines.append(
+            f"  {point_class.name.lower():<10} {found.count:>8} {found.rejected:>9}  {_cells(found.mean_sigma, 9)}  "
+            f"{_cells(found.rms_correction, 9)}"
+        )
+    return "\n".join([*lines, "  (sigmas for sigma0 = 1)"])
+
+
+def _range_lines(solution: Solution) -> str:
+    found = range_statistics(solution)
+    if found.count == 0:
+        return ""
+    return (
+        f"Ranges: {found.count}, used {found.used}; residual [m]: mean {_cells(np.array([found.mean]), 0)}, "
+        f"rms {_cells(np.array([found.rms]), 0)}; before: mean {_cells(np.array([found.mean_before]), 0)}, "
+        f"rms {_cells(np.array([found.rms_before]), 0)}"
+    )
+
+
+# --- wording
+
+
+def _cells(values: Array, width: int) -> str:
+    """Right-aligned numbers with three decimals, or fewer where large; a dash for none."""
+    return " ".join(_cell(float(value)).rjust(width) for value in values)
+
+
+def _cell(value: float) -> str:
+    if not math.isfinite(value):
+        return "-"
+    if abs(value) >= 1e5:
+        return f"{value:.2g}"
+    return f"{value:.3f}" if abs(value) < 1e3 else f"{value:.1f}"
+
+
+def _three(values: Array) -> str:
+    return ", ".join(f"{value:.3g}" if value < 1e3 else f"{value:.0f}" for value in values)
+
+
+def _span(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+
+
+def _many(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _listed(parts: list[str]) -> str:
+    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
+
+
+def _some(names: list[str], total: int) -> str:
+    """Names that stand for `total` of them."""
+    named = names[:_NAMED]
+    return ", ".join(named) + (f" and {total - len(named)} more" if total > len(named) else "")
+
+
+def _short(name: str, width: int) -> str:
+    """A name cut in its middle: serial numbers differ at their ends."""
+    if len(name) <= width:
+        return name
+    tail = (width - 3) // 2
+    return f"{name[: width - 3 - tail]}...{name[-tail:]}"

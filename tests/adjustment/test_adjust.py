@@ -1,0 +1,298 @@
+"""Bundle form, explicit form and GTSAM's own optimiser agree; the posterior is honest; blunders go and come back."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from networks import network, pair
+
+from mgsgraph.adjustment.adjust import adjust_network, predict
+from mgsgraph.adjustment.graph import BundleGraph, explicit_graph, lay_out
+from mgsgraph.adjustment.graph.bundle import orientation_vector, point_key
+from mgsgraph.adjustment.posterior import explicit_covariances, orientation_covariance, point_covariances
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.network import GroundPoints, ImageRays, Network
+from mgsgraph.products.truth import nees
+from mgsgraph.ties import PointKind
+
+TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}
+
+
+def with_measures(net: Network, places: np.ndarray) -> Network:
+    rays = ImageRays(net.rays.point, net.rays.image, places, net.rays.sigmas)
+    return replace(net, rays=rays)
+
+
+@pytest.mark.parametrize("loss", ["none", "huber", "cauchy"])
+@pytest.mark.parametrize("line", ["predicted", "measured"])
+@pytest.mark.parametrize("held", [(False, False), (True, False)])
+def test_forms_agree(loss: str, line: str, held: tuple[bool, bool]) -> None:
+    net = network(pair(), held)
+    settings = SolverSettings(loss=loss, line=line, **TIGHT)
+    bundle = adjust_network(net, settings)
+    explicit = adjust_network(net, replace(settings, form="explicit"))
+    assert bundle.converged
+    assert explicit.converged
+    assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
+    assert bundle.cost_initial == pytest.approx(explicit.cost_initial, rel=1e-9)
+    assert bundle.fit.squares == pytest.approx(explicit.fit.squares, rel=1e-7)
+    for first, second, prior in zip(bundle.coefficients, explicit.coefficients, net.priors, strict=True):
+        assert np.abs((first - second) / prior.sigmas).max() < 1e-5
+    np.testing.assert_allclose(bundle.places, explicit.places, atol=1e-3)
+
+
+@pytest.mark.parametrize("loss", ["none", "huber"])
+def test_gtsam_own_optimiser_agrees(loss: str) -> None:
+    layout = lay_out(network(pair()), SolverSettings(loss=loss))
+    bundle = adjust_network(layout.network, SolverSettings(loss=loss, **TIGHT))
+    graph = BundleGraph(layout)
+    start = graph.reduction(np.zeros(layout.columns)).points
+    explicit, values = explicit_graph(layout, layout.rows, np.zeros(layout.columns), start)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setDiagonalDamping(True)
+    parameters.setRelativeErrorTol(1e-15)
+    parameters.setAbsoluteErrorTol(1e-15)
+    parameters.setlambdaInitial(1e-10)
+    parameters.setMaxIterations(100)
+    optimum = gtsam.LevenbergMarquardtOptimizer(explicit, values, parameters).optimize()
+    assert explicit.error(optimum) == pytest.approx(bundle.cost_final, rel=1e-9)
+    found = orientation_vector(layout, optimum)
+    mine = np.concatenate([part.ravel() for part in bundle.coefficients])
+    assert np.abs((found - mine) / layout.sigmas).max() < 1e-5
+
+
+def test_covariances_agree_at_one_linearisation_point() -> None:
+    """Joint covariance of the orientation and 3x3 of every point, against gtsam.Marginals of the explicit graph."""
+    layout = lay_out(network(pair()), SolverSettings())
+    rng = np.random.default_rng(1)
+    orientation = rng.standard_normal(layout.columns) * layout.sigmas
+    graph = BundleGraph(layout)
+    points = graph.reduction(orientation).points
+    joint = orientation_covariance(graph, orientation)
+    mine = point_covariances(layout, layout.rows, orientation, points, joint)
+    explicit_joint, theirs = explicit_covariances(layout, *explicit_graph(layout, layout.rows, orientation, points))
+    scale = np.sqrt(np.outer(np.diag(explicit_joint), np.diag(explicit_joint)))
+    assert np.abs((joint - explicit_joint) / scale).max() < 1e-6
+    assert np.abs(mine - theirs).max(axis=(1, 2)).max() <= 1e-6 * np.abs(theirs).max(axis=(1, 2)).min()
+    np.testing.assert_allclose(mine, theirs, rtol=0.0, atol=1e-6 * np.abs(theirs).max(axis=(1, 2)).min())
+
+
+def test_whole_graph_error_is_the_full_cost() -> None:
+    layout = lay_out(network(pair()), SolverSettings())
+    graph = BundleGraph(layout)
+    x = np.random.default_rng(2).standard_normal(layout.columns) * layout.sigmas
+    reduction = graph.reduction(x)
+    explicit, values = explicit_graph(layout, layout.rows, x, reduction.points)
+    assert graph.graph.error(graph.values(x)) == pytest.approx(explicit.error(values), rel=1e-11)
+    assert graph.graph.linearize(graph.values(x)).error(
+        gtsam.VectorValues.Zero(graph.graph.linearize(graph.values(x)).optimize())
+    ) == pytest.approx(explicit.error(values), rel=1e-11)
+
+
+def test_angle_conventions_reach_the_same_ground() -> None:
+    """Parametrisations differ by second-order terms and by what the prior is on; the points hardly notice."""
+    net = network(pair())
+    found = {angles: adjust_network(net, SolverSettings(angles=angles)) for angles in ("camera", "opk-paper", "opk-peer")}
+    for angles in ("opk-paper", "opk-peer"):
+        assert found[angles].cost_final == pytest.approx(found["camera"].cost_final, rel=2e-2)
+        offset = (found[angles].places - found["camera"].places) / found["camera"].sigmas
+        assert np.abs(offset).max() < 0.3
+
+
+def test_honest_sigmas_over_ten_seeds() -> None:
+    """NEES per degree of freedom of orientation and points, and cost per degree of freedom, near 1."""
+    orientation, points, cost = [], [], []
+    for seed in range(10):
+        drawn = pair(ties=30, shots=12, seed=100 + seed)
+        solution = adjust_network(network(drawn), SolverSettings())
+        errors = np.concatenate(
+            [
+                (mine - true.coefficients).ravel()
+                for mine, true in zip(solution.coefficients, drawn.true_corrections, strict=True)
+            ]
+        )
+        orientation.append(nees(errors[None], solution.joint_covariance[None])[0] / errors.size)
+        true_places = np.concatenate([drawn.true_ties, drawn.true_footprints])
+        points.append(nees(solution.places - true_places, solution.covariances).mean() / 3.0)
+        cost.append(2.0 * solution.cost_final / solution.fit.degrees_of_freedom)
+    # 99.9% bands: chi-square with 360 and about 10 x 63 degrees of freedom; points of a draw share their orientation
+    assert 0.77 < np.mean(orientation) < 1.27
+    assert 0.6 < np.mean(points) < 1.5
+    assert 0.82 < np.mean(cost) < 1.2
+
+
+def test_planted_blunders_are_rejected_and_others_kept() -> None:
+    net = network(pair(ties=40))
+    places = net.rays.places.copy()
+    bad = [4, 11, 30]
+    places[bad, 0] += np.array([25.0, -40.0, 15.0])  # along track: across, an error of a two-ray point is its height
+    solution = adjust_network(with_measures(net, places), SolverSettings(reject=5.0))
+    rejected = np.flatnonzero(~solution.rays_used)
+    assert set(bad) <= set(rejected.tolist())
+    # the two rays of a tie point share its misfit, so that the partner goes too; hardly anything else does
+    assert set(net.rays.point[rejected].tolist()) == set(net.rays.point[bad].tolist())
+    clean = adjust_network(net, SolverSettings())
+    assert np.abs((solution.coefficients[0] - clean.coefficients[0]) / net.priors[0].sigmas).max() < 0.3
+    assert "blunder passes" in solution.message
+
+
+def test_rows_are_admitted_again() -> None:
+    """A selection that is judged anew lets clean rows return when the orientation has recovered."""
+    from mgsgraph.adjustment import adjust as room
+
+    net = network(pair(ties=40))
+    layout = lay_out(net, SolverSettings())
+    everything = room._everything(net)
+    without = replace(everything, rays=np.arange(net.rays.point.size) % 7 != 0)
+    solved = room._solve_in_passes(layout, SolverSettings(), without, lambda _: None)
+    assert np.all(room._select(layout, solved, 6.0).rays)
+
+
+def test_held_image_does_not_move() -> None:
+    solution = adjust_network(network(pair(), (True, False)), SolverSettings())
+    assert not np.any(solution.coefficients[0])
+    assert np.any(solution.coefficients[1])
+    assert solution.first_column.tolist() == [-1, 0]
+    assert not np.any(solution.image_covariance(0))
+
+
+def test_all_images_held_is_intersection() -> None:
+    solution = adjust_network(network(pair(), (True, True)), SolverSettings())
+    assert solution.converged
+    assert solution.iterations == 0
+    np.testing.assert_allclose(solution.places, solution.places_before, atol=1e-9)
+    assert np.all(np.isfinite(solution.sigmas))
+
+
+def fixed_points(net: Network, kind: PointKind, places: np.ndarray, sigma: float) -> Network:
+    n = len(net.points)
+    covariances = np.broadcast_to(np.eye(3) * sigma**2, (n, 3, 3)) if kind == PointKind.CONSTRAINED else np.zeros((n, 3, 3))
+    points = GroundPoints(net.points.ids, net.points.classes, np.full(n, kind), places, covariances)
+    return replace(net, points=points)
+
+
+def test_tightly_constrained_points_tend_to_fixed_ones() -> None:
+    drawn = pair(ties=30)
+    net = network(drawn)
+    places = np.concatenate([drawn.true_ties, drawn.true_footprints])
+    fixed = adjust_network(fixed_points(net, PointKind.FIXED, places, 0.0), SolverSettings())
+    tight = adjust_network(fixed_points(net, PointKind.CONSTRAINED, places, 1e-4), SolverSettings())
+    assert fixed.cost_final == pytest.approx(tight.cost_final, rel=1e-6)
+    for one, other, prior in zip(fixed.coefficients, tight.coefficients, net.priors, strict=True):
+        assert np.abs((one - other) / prior.sigmas).max() < 1e-5
+    assert not np.any(fixed.covariances)
+    np.testing.assert_array_equal(fixed.places, places)
+    explicit = adjust_network(fixed_points(net, PointKind.FIXED, places, 0.0), SolverSettings(form="explicit"))
+    assert explicit.cost_final == pytest.approx(fixed.cost_final, rel=1e-9)
+
+
+def test_ground_control_replaces_an_orientation_prior() -> None:
+    """Nothing known of the positions' constant terms, but control points on the ground: the truth is found."""
+    drawn = pair(ties=30)
+    net = fixed_points(
+        network(drawn), PointKind.CONSTRAINED, np.concatenate([drawn.true_ties, drawn.true_footprints]), 1.0
+    )
+    sigmas = net.priors[0].sigmas.copy()
+    sigmas[0, :3] = np.inf
+    unknown = OrientationPrior(sigmas)
+    solution = adjust_network(replace(net, priors=(unknown, unknown)), SolverSettings())
+    assert solution.converged
+    assert np.sqrt(np.mean((solution.places - net.points.places) ** 2)) < 1.0
+
+
+def test_a_datum_that_nothing_holds_is_named() -> None:
+    net = network(pair(), laser=False)
+    unknown = OrientationPrior(np.full((3, 6), np.inf))
+    with pytest.raises(WeakNetwork, match=r"image SIM/[AB]") as caught:
+        adjust_network(replace(net, priors=(unknown, unknown)), SolverSettings())
+    assert "\n" not in str(caught.value)
+    assert caught.value.directions
+
+
+def test_a_point_behind_the_camera_is_named() -> None:
+    net = network(pair())
+    places = net.points.places.copy()
+    laser = np.flatnonzero(net.points.kinds == PointKind.CONSTRAINED)[2]
+    places[laser] *= 2.0
+    points = GroundPoints(net.points.ids, net.points.classes, net.points.kinds, places, net.points.covariances)
+    with pytest.raises(PointBehindCamera, match=net.points.ids[laser]):
+        adjust_network(replace(net, points=points), SolverSettings())
+
+
+def test_undetermined_points_stay_out_and_change_nothing() -> None:
+    net = network(pair())
+    keep = np.ones(net.rays.point.size, dtype=bool)
+    keep[1] = False
+    fewer = ImageRays(*(getattr(net.rays, name)[keep] for name in ("point", "image", "places", "sigmas")))
+    lone = int(net.rays.point[1])
+    solution = adjust_network(replace(net, rays=fewer), SolverSettings())
+    assert not solution.determined[lone]
+    assert np.all(np.isnan(solution.places[lone]))
+    assert np.all(np.isnan(solution.residuals[fewer.point == lone]))
+    assert not np.any(solution.rays_used[fewer.point == lone])
+    without = net.rays.point != lone
+    none = ImageRays(*(getattr(net.rays, name)[without] for name in ("point", "image", "places", "sigmas")))
+    assert adjust_network(replace(net, rays=none), SolverSettings()).cost_final == pytest.approx(
+        solution.cost_final, rel=1e-12
+    )
+
+
+def test_degrees_of_freedom() -> None:
+    net = network(pair())
+    solution = adjust_network(net, SolverSettings())
+    # rows: 36 image pairs, 6 ranges, 6 ground priors of three rows, 36 orientation priors; unknowns: 36 and 18 points
+    assert solution.fit.observations == 2 * 36 + 6 + 18 + 36
+    assert solution.fit.unknowns == 36 + 3 * 18
+    assert solution.sigma0 == pytest.approx(
+        np.sqrt(2.0 * solution.cost_final / solution.fit.degrees_of_freedom), rel=1e-9
+    )
+
+
+def test_result_does_not_depend_on_the_order_of_the_input() -> None:
+    net = network(pair())
+    rng = np.random.default_rng(7)
+    order = rng.permutation(net.rays.point.size)
+    rays = ImageRays(*(getattr(net.rays, name)[order] for name in ("point", "image", "places", "sigmas")))
+    one, other = adjust_network(net, SolverSettings(**TIGHT)), adjust_network(replace(net, rays=rays), SolverSettings(**TIGHT))
+    assert one.cost_final == pytest.approx(other.cost_final, rel=1e-11)
+    np.testing.assert_allclose(one.residuals[order], other.residuals, atol=1e-7)
+    np.testing.assert_allclose(one.places, other.places, atol=1e-5)
+
+
+def test_prediction_is_the_posterior_of_the_same_geometry() -> None:
+    net = network(pair(ties=30))
+    expected, solution = predict(net, SolverSettings()), adjust_network(net, SolverSettings())
+    sigmas = np.sqrt(np.diagonal(expected.covariances, axis1=1, axis2=2))
+    np.testing.assert_allclose(sigmas, solution.sigmas, rtol=0.02)
+
+
+def test_nothing_is_determined() -> None:
+    net = network(pair(), laser=False)
+    first = net.rays.image == 0
+    second = np.flatnonzero(net.rays.image == 1)[:1]
+    chosen = np.concatenate([np.flatnonzero(first)[1:], second])
+    rays = ImageRays(*(getattr(net.rays, name)[chosen] for name in ("point", "image", "places", "sigmas")))
+    with pytest.raises(InputError, match="none of"):
+        adjust_network(replace(net, rays=rays), SolverSettings())
+
+
+def test_settings_refuse_what_makes_no_sense() -> None:
+    for wrong in ({"form": "x"}, {"loss": "l1"}, {"loss_width": 0.0}, {"reject": 1.0}, {"max_iterations": 0},
+                  {"cost_tolerance": 2.0}, {"line": "m"}, {"angles": "euler"}, {"reject": float("nan")}):
+        with pytest.raises(InputError, match="solver"):
+            SolverSettings(**wrong)
+
+
+def test_iteration_limit_is_said() -> None:
+    solution = adjust_network(network(pair()), SolverSettings(max_iterations=1, **TIGHT))
+    assert not solution.converged
+    assert "max_iterations" in solution.message
+
+
+def test_points_of_the_explicit_graph_are_variables() -> None:
+    layout = lay_out(network(pair()), SolverSettings())
+    _, values = explicit_graph(layout, layout.rows, np.zeros(layout.columns), layout.rows.point_start)
+    assert all(values.exists(point_key(i)) for i in range(18))
