@@ -44,7 +44,7 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of the constant term along the body-fixed axes; inf for unknown."""
     angle_sigma_mrad: float | list[float] = 0.29
     """Sigma of the constant term about the camera axes (1 arcmin by default); inf for unknown."""
-    trend: tuple[Positive, ...] = (1.0, 0.1, 0.01)
+    trend: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)] = (1.0, 0.1, 0.01)
     """Factor of the constant term's sigma for each power of u, at u = 1; its last value serves higher powers."""
 
     def prior(self, where: str) -> OrientationPrior:

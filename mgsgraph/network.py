@@ -9,7 +9,16 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, require_covariances, require_unique
+from mgsgraph.geometry.records import (
+    Array,
+    Index,
+    Mask,
+    assign,
+    frozen,
+    frozen_index,
+    require_covariances,
+    require_unique,
+)
 from mgsgraph.ties import PointKind
 
 
@@ -44,6 +53,10 @@ class GroundPoints:
         require_unique(self.ids, "ground points")
         kinds = frozen_index(self.kinds, "ground points, kinds", n, len(PointKind))
         places = np.array(self.places, dtype=np.float64)
+        if places.shape != (n, 3):
+            raise InputError("ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
+        for i in np.flatnonzero(np.any(np.isinf(places), axis=1))[:1]:
+            raise InputError(f"ground point {self.ids[i]}", "an infinite place", "metres, or NaN where unknown")
         known = np.all(np.isfinite(places), axis=1)
         for i in np.flatnonzero((kinds != PointKind.FREE) & ~known)[:1]:
             raise InputError(f"ground point {self.ids[i]}", "no a-priori place", "one for a constrained or fixed point")
@@ -109,8 +122,11 @@ class Network:
         if m == 0:
             raise InputError("network", "no images", "at least one")
         require_unique(tuple(image.name for image in self.images), "images")
-        if len(self.priors) != m or np.asarray(self.held).shape != (m,):
+        held = np.array(self.held, dtype=np.bool_)
+        if len(self.priors) != m:
             raise InputError("network", f"{len(self.priors)} orientation priors", f"one for each of {m} images")
+        if held.shape != (m,):
+            raise InputError("network, held", f"an array of shape {held.shape}", f"one for each of {m} images")
         if len({image.body for image in self.images}) > 1:
             raise InputError("network", "images of different bodies", "one body", "check the radii of the support data")
         k, r = np.size(self.rays.point), np.size(self.ranges.point)
@@ -132,7 +148,8 @@ class Network:
             frozen(self.ranges.values, "ranges, values", (r,)),
             range_sigmas,
         )
-        assign(self, held=np.array(self.held, dtype=np.bool_), rays=rays, ranges=ranges)
+        held.flags.writeable = False
+        assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shots_covered()
         self._require_seeing_images()
 
@@ -151,8 +168,8 @@ class Network:
         seen[self.rays.image] = True
         for j in np.flatnonzero(~seen)[:1]:
             raise InputError(
-                f"image {self.images[j].name}", "no point is measured in it", "at least one tie, laser or control point",
-                "take it out of the case or give it measures",
+                f"image {self.images[j].name}", "no point is measured in it",
+                "at least one tie, laser or control point", "take it out of the case or give it measures",
             )
 
     @property
@@ -162,14 +179,23 @@ class Network:
 
     @property
     def undetermined(self) -> Mask:
-        """(n,) True for points that have no a-priori place and fewer than two rays: nothing can determine them."""
+        """(n,) True for free points with fewer than two rays; they stay out, with a range or without."""
         return np.asarray((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
 
     def common_points(self) -> Index:
         """(images, images) number of points seen by both; on the diagonal, seen by the image."""
-        seen = np.zeros((len(self.points), len(self.images)), dtype=np.int64)
-        seen[self.rays.point, self.rays.image] = 1
-        return seen.T @ seen
+        m = len(self.images)
+        # a table of points x images would outgrow the memory: go through the pairs of each point's rays
+        point, image = np.divmod(np.unique(self.rays.point * m + self.rays.image), m)
+        common = np.zeros(m * m, dtype=np.int64)
+        for lag in range(m):
+            first, second = slice(0, point.size - lag), slice(lag, None)
+            same = point[first] == point[second]
+            if not np.any(same):
+                break
+            common += np.bincount(image[first][same] * m + image[second][same], minlength=m * m)
+        table = common.reshape(m, m)
+        return table + np.triu(table, 1).T
 
     def islands(self) -> list[list[int]]:
         """Groups of images that hang together by common points, largest first; more than one means a broken block."""

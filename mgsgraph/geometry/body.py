@@ -24,7 +24,7 @@ class Ellipsoid:
 
 
 def planetocentric(points: Array) -> Array:
-    """Longitude, latitude (rad, planetocentric, east positive, -pi .. pi) and radius (m) of points (..., 3); (..., 3)."""
+    """Longitude (east, -pi .. pi), planetocentric latitude (rad) and radius (m) of points (..., 3); (..., 3)."""
     x, y, z = np.moveaxis(points, -1, 0)
     planar = np.hypot(x, y)
     return np.stack([np.arctan2(y, x), np.arctan2(z, planar), np.hypot(planar, z)], axis=-1)
@@ -53,7 +53,7 @@ def planetocentric_jacobian(places: Array) -> Array:
 def geodetic(points: Array, ellipsoid: Ellipsoid) -> Array:
     """Longitude, geodetic latitude (rad) and height above the ellipsoid (m) of points (..., 3); (..., 3).
 
-    Bowring's iteration on the parametric latitude; below 1e-9 m for heights up to the body's radius.
+    Bowring's iteration on the parametric latitude; as exact as float64 (1e-8 m) for heights up to the body's radius.
     """
     a, b = ellipsoid.equatorial, ellipsoid.polar
     x, y, z = np.moveaxis(points, -1, 0)
@@ -62,9 +62,7 @@ def geodetic(points: Array, ellipsoid: Ellipsoid) -> Array:
     parametric = np.arctan2(z * a, planar * b)
     latitude = parametric
     for _ in range(4):
-        latitude = np.arctan2(
-            z + second * b * np.sin(parametric) ** 3, planar - excess * a * np.cos(parametric) ** 3
-        )
+        latitude = np.arctan2(z + second * b * np.sin(parametric) ** 3, planar - excess * a * np.cos(parametric) ** 3)
         parametric = np.arctan2(b * np.sin(latitude), a * np.cos(latitude))
     sine, cosine = np.sin(latitude), np.cos(latitude)
     height = planar * cosine + z * sine - a * np.sqrt(1.0 - excess * sine**2)
@@ -84,35 +82,36 @@ def from_geodetic(places: Array, ellipsoid: Ellipsoid) -> Array:
 def intersect_ellipsoid(
     origins: Array, directions: Array, ellipsoid: Ellipsoid, height: Array | float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """First intersection of rays with the ellipsoid whose radii are larger by `height`.
+    """First intersection of rays that come from outside with the ellipsoid whose radii are larger by `height`.
 
     Parameters
     ----------
     origins, directions : (n, 3)
         m, body-fixed; directions need not be of unit length.
     ellipsoid : Ellipsoid
+        Of the body.
     height : float or (n,)
         m, added to both radii (exactly the height on a sphere).
 
     Returns
     -------
     points : (n, 3)
-        m, body-fixed; NaN where a ray misses the body or points away from it.
+        m, body-fixed; NaN where a ray misses the body, points away from it or begins inside.
     d_origin, d_direction : (n, 3, 3)
         Derivatives of the points with respect to origins and directions.
     """
-    radii = np.stack(np.broadcast_arrays(ellipsoid.equatorial + height, ellipsoid.equatorial + height,
-                                         ellipsoid.polar + height), axis=-1)
+    radii = np.array([ellipsoid.equatorial, ellipsoid.equatorial, ellipsoid.polar]) + np.asarray(height)[..., None]
     start, along = origins / radii, directions / radii
     a = np.einsum("ni,ni->n", along, along)
     b = np.einsum("ni,ni->n", start, along)
     c = np.einsum("ni,ni->n", start, start) - 1.0
     root = b * b - a * c
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         distance = c / (-b + np.sqrt(root))  # the nearer root, free of cancellation
-        distance = np.where((root >= 0.0) & (distance >= 0.0), distance, np.nan)
+    distance = np.where((b < 0.0) & (c >= 0.0) & (root >= 0.0), distance, np.nan)
     points = origins + distance[:, None] * directions
     normal = points / radii**2
     fall = np.einsum("ni,ni->n", normal, directions)
-    d_origin = np.eye(3) - directions[:, :, None] * (normal / fall[:, None])[:, None, :]
+    with np.errstate(invalid="ignore", divide="ignore"):  # a ray that only touches has no derivative
+        d_origin = np.eye(3) - directions[:, :, None] * (normal / fall[:, None])[:, None, :]
     return points, d_origin, distance[:, None, None] * d_origin

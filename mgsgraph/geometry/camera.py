@@ -45,7 +45,7 @@ class LrocNacDistortion:
 
 @dataclass(frozen=True, slots=True)
 class RadialDistortion:
-    """Radial polynomial (x, y) = (x_d, y_d) (1 - k0 - k1 r^2 - k2 r^4), r the distorted radius (ISIS, usgscsm RADIAL)."""
+    """Radial polynomial (x, y) = (x_d, y_d) (1 - k0 - k1 r^2 - k2 r^4), r the distorted radius (usgscsm RADIAL)."""
 
     k0: float
     """no unit."""
@@ -117,7 +117,6 @@ class InteriorOrientation:
         pixel = np.empty((samples.size, 2))
         pixel[:, 0] = self.first[0] - self.centre[0]
         pixel[:, 1] = samples * self.sample_summing + self.first[1] - self.centre[1]
-        distorted = np.linalg.solve(self.to_pixel[:, 1:], (pixel - self.to_pixel[:, 0]).T).T
-        step = np.linalg.solve(self.to_pixel[:, 1:], np.array([0.0, self.sample_summing]))
-        place, jacobian = self.distortion.undistort(distorted)
-        return place, jacobian @ step
+        from_pixel: Array = np.linalg.inv(self.to_pixel[:, 1:]).astype(np.float64)
+        place, jacobian = self.distortion.undistort((pixel - self.to_pixel[:, 0]) @ from_pixel.T)
+        return place, jacobian @ (from_pixel[:, 1] * self.sample_summing)

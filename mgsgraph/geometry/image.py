@@ -12,7 +12,6 @@ from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose, Trajectory
 
 _NEWTON_STEPS = 30
@@ -42,6 +41,10 @@ class LineTiming:
         starts = frozen(self.start_times, "line timing, start times", (lines.size,))
         if np.any(np.diff(starts) <= 0.0):
             raise InputError("line timing, start times", "times that go back", "increasing start times")
+        late = starts[:-1] + np.diff(lines) * periods[:-1] - starts[1:]
+        for k in np.flatnonzero(late > periods[:-1])[:1]:
+            where = f"line timing, segment from line {lines[k]}"
+            raise InputError(where, f"it ends {late[k]:.6f} s after the next begins", "segments one after the other")
         assign(self, first_lines=lines, start_times=starts, periods=periods)
 
     def at(self, lines: Array) -> tuple[Array, Array]:
@@ -50,9 +53,10 @@ class LineTiming:
         return self.start_times[k] + (lines - self.first_lines[k]) * self.periods[k], self.periods[k]
 
     def lines(self, times: Array) -> Array:
-        """Lines (n,) that are read at times (n,); inverse of `at`."""
+        """Lines (n,) that are read at times (n,); inverse of `at`. In a pause, the line at which it goes on."""
         k = np.clip(np.searchsorted(self.start_times, times, side="right") - 1, 0, None)
-        return np.asarray(self.first_lines[k] + (times - self.start_times[k]) / self.periods[k])
+        goes_on = np.append(self.first_lines[1:], np.inf)
+        return np.asarray(np.minimum(self.first_lines[k] + (times - self.start_times[k]) / self.periods[k], goes_on[k]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +113,7 @@ class PushbroomImage:
         lines, samples : (n,)
             image place, first pixel's centre at (0.5, 0.5).
         correction : OrientationCorrection, optional
+            of the nominal orientation; none when absent.
 
         Returns
         -------
@@ -150,6 +155,7 @@ class PushbroomImage:
         points : (n, 3)
             m, body-fixed.
         correction : OrientationCorrection, optional
+            of the nominal orientation; none when absent.
         start : (n,), optional
             first guess of the line; the image's middle when absent.
 
@@ -157,7 +163,7 @@ class PushbroomImage:
         -------
         places : (n, 2)
             line and sample, which may lie outside the image; NaN where the point is behind the camera or more than
-            half an image length away from the image.
+            half an image length before or after the image. The body does not hide anything.
         jacobian : (n, 2, 3)
             d(line, sample) / d(point), per m.
         """
@@ -167,16 +173,13 @@ class PushbroomImage:
         low, high = -_EDGE * self.lines, (1.0 + _EDGE) * self.lines
         for _ in range(_NEWTON_STEPS):
             error, jacobian, _ = self._misplacement(points, place, correction)
-            with np.errstate(invalid="ignore"):
-                step = -np.linalg.solve(jacobian, error[:, :, None])[:, :, 0]
-            place = place + step
-            lost = ~((place[:, 0] >= low) & (place[:, 0] <= high))
-            place[lost, 0] = np.clip(place[lost, 0], low, high)
-            if np.all(lost | (np.abs(step).max(axis=1) < _PIXEL_TOLERANCE)):
+            before, place = place, place - _solve(jacobian, error[:, :, None])[:, :, 0]
+            place[:, 0] = np.clip(place[:, 0], low, high)
+            if not np.any(np.abs(place - before) > _PIXEL_TOLERANCE):  # NaN has come to rest, too
                 break
         error, jacobian, by_point = self._misplacement(points, place, correction)
-        derivative = -np.linalg.solve(jacobian, by_point)
-        off = np.abs(np.linalg.solve(jacobian, error[:, :, None])[:, :, 0]).max(axis=1)
+        derivative = -_solve(jacobian, by_point)
+        off = np.abs(_solve(jacobian, error[:, :, None])[:, :, 0]).max(axis=1)
         unseen = ~(off < 1e3 * _PIXEL_TOLERANCE)
         place[unseen], derivative[unseen] = np.nan, np.nan
         return place, derivative
@@ -200,13 +203,9 @@ class PushbroomImage:
         return image - detector, np.stack([by_line, -slope], axis=2), by_ray @ pose.matrix
 
 
-def derivative_by_correction(image: PushbroomImage, points: Array, pose: Pose) -> Array:
-    """d(focal-plane place) / d(position correction, rotation correction) (n, 2, 6) of points (n, 3) seen at poses.
-
-    m per m and m per rad; the rotation is the one of `orientation`: small, about the camera axes.
-    """
-    ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
-    by_ray = np.zeros((points.shape[0], 2, 3))
-    by_ray[:, 0, 0] = by_ray[:, 1, 1] = image.interior.focal_length / ray[:, 2]
-    by_ray[:, :, 2] = -image.interior.focal_length * ray[:, :2] / ray[:, 2:] ** 2
-    return np.concatenate([-by_ray @ pose.matrix, by_ray @ skew(ray)], axis=2)
+def _solve(matrix: Array, right: Array) -> Array:
+    """Solutions (n, 2, k) of equations with matrices (n, 2, 2) and right sides (n, 2, k); NaN where singular."""
+    (a, b), (c, d) = np.moveaxis(matrix, 0, -1)
+    determinant = a * d - b * c
+    adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
+    return np.asarray(adjugate @ right / np.where(determinant == 0.0, np.nan, determinant)[:, None, None])

@@ -5,9 +5,7 @@ import numpy as np
 from mgsgraph.geometry.records import Array, Index
 
 
-def intersect_rays(
-    origins: Array, directions: Array, point_of_ray: Index, points: int
-) -> tuple[Array, Array, Array]:
+def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, points: int) -> tuple[Array, Array, Array]:
     """Least-squares intersection of the rays of many points at once.
 
     Parameters
@@ -24,9 +22,10 @@ def intersect_rays(
     places : (m, 3)
         m, body-fixed; NaN where a point has fewer than two rays or all are parallel.
     skew : (m,)
-        m, root mean square distance of the point from its rays.
+        m, root mean square distance of the point from its rays; NaN where the place is.
     angle : (m,)
-        rad, about the angle between the outermost rays: twice the arc sine of the spread of unit directions.
+        rad, about the angle between the outermost rays (exactly, of two rays less than 90 deg apart): twice the arc
+        sine of the spread of unit directions; zero where the place is NaN.
     """
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
@@ -44,7 +43,7 @@ def intersect_rays(
     places = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
     distance = np.einsum("nij,nj->ni", across, places[point_of_ray] - shifted)
     square = np.bincount(point_of_ray, np.einsum("ni,ni->n", distance, distance), points)
-    skew = np.sqrt(square / np.maximum(count, 1))
-    places = np.where(good[:, None], places + reference, np.nan)
-    angle = 2.0 * np.arcsin(np.sqrt(np.clip(weakest, 0.0, 1.0)))
-    return places, np.where(good, skew, np.nan), angle
+    skew: Array = np.where(good, np.sqrt(square / np.maximum(count, 1)), np.nan)
+    nearest: Array = np.where(good[:, None], places + reference, np.nan)
+    angle = 2.0 * np.arcsin(np.sqrt(np.where(good, weakest, 0.0)))
+    return nearest, skew, angle

@@ -2,12 +2,12 @@
 
 The coefficients c_k are 6-vectors: position in m along the body-fixed axes, then a rotation vector in rad about the
 camera axes, so that the camera frame is turned by it: M = Exp([theta]x)' M_nominal; or, by choice, additions to the
-nominal omega, phi, kappa, in the papers' product (camera to body) or the peer's (body to camera). B_k(u) = u^k (Yoon & Shan 2005,
-Eq. 2, as corrections to SPICE). Other bases that act linearly on the pose fit the same place.
+nominal omega, phi, kappa, in the papers' product (camera to body) or the peer's (body to camera). B_k(u) = u^k (Yoon &
+Shan 2005, Eq. 2, as corrections to SPICE). Other bases that act linearly on the pose fit the same place.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class OrientationPrior:
     @property
     def degree(self) -> int:
         """Degree of the orientation polynomials."""
-        return self.sigmas.shape[0] - 1
+        return int(self.sigmas.shape[0]) - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +64,9 @@ class OrientationCorrection:
     """What the rotation part is."""
 
     def __post_init__(self) -> None:
+        if self.angles not in get_args(Angles):
+            known = ", ".join(get_args(Angles))
+            raise InputError("orientation correction, angles", repr(self.angles), f"one of {known}")
         assign(self, coefficients=frozen(self.coefficients, "orientation coefficients", (None, 6)))
 
     def at(self, u: Array) -> tuple[Array, Array]:

@@ -32,7 +32,10 @@ def frozen(value: ArrayLike, where: str, shape: tuple[int | None, ...]) -> Array
     InputError
         If the shape differs or a value is NaN or infinite.
     """
-    array = np.array(value, dtype=np.float64)
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(where, f"no array of numbers ({error})", "numbers in even rows") from None
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
         want = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ")"
         raise InputError(where, f"an array of shape {array.shape}", f"shape {want}")
@@ -46,7 +49,11 @@ def frozen(value: ArrayLike, where: str, shape: tuple[int | None, ...]) -> Array
 
 def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
     """Copy to a read-only int64 array of `size` indices in 0 .. upper - 1; raises InputError otherwise."""
-    array = np.array(value, dtype=np.int64).reshape(-1)
+    given = np.asarray(value).reshape(-1)
+    numbers = given.size == 0 or given.dtype.kind in "iuf"
+    if not (numbers and np.all(np.abs(given) < 2.0**53) and np.all(given % 1 == 0)):
+        raise InputError(where, f"{given.dtype} values {given[:3].tolist()}", "whole numbers")
+    array = given.astype(np.int64)
     if array.shape != (size,):
         raise InputError(where, f"{array.size} indices", f"{size}")
     if array.size and (array.min() < 0 or array.max() >= upper):

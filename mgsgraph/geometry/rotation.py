@@ -40,7 +40,7 @@ def exponential(vector: Array) -> Array:
 
 
 def logarithm(matrix: Array) -> Array:
-    """Rotation vectors (..., 3) in rad of rotation matrices (..., 3, 3), the shortest ones; inverse of `exponential`."""
+    """Shortest rotation vectors (..., 3) in rad of rotation matrices (..., 3, 3); inverse of `exponential`."""
     quaternion = from_matrix(matrix)
     quaternion = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
     axis = quaternion[..., 1:]
@@ -92,7 +92,8 @@ def omega_phi_kappa(camera_matrix: Array) -> Array:
     (Shan, Yoon et al. 2005; design.md section 5).
     """
     product = np.swapaxes(camera_matrix, -1, -2)
-    phi = np.arcsin(np.clip(product[..., 2, 0], -1.0, 1.0))
+    # the arc sine would lose half the digits near +-90 deg, where a camera is whose lines lie across a polar orbit
+    phi = np.arctan2(product[..., 2, 0], np.hypot(product[..., 0, 0], product[..., 1, 0]))
     omega = np.arctan2(-product[..., 2, 1], product[..., 2, 2])
     kappa = np.arctan2(-product[..., 1, 0], product[..., 0, 0])
     return np.stack([omega, phi, kappa], axis=-1)

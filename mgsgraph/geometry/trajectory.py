@@ -135,6 +135,16 @@ class Trajectory:
     body: AttitudeTable
     """Inertial to body-fixed frame."""
 
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.epoch):
+            raise InputError("trajectory, epoch", f"{self.epoch}", "s TDB past J2000")
+        start, stop = self.coverage
+        if start >= stop:
+            raise InputError(
+                "trajectory", f"one table begins {start - stop:.6f} s after another has ended",
+                "position, attitude and body rotation at the same times",
+            )
+
     @property
     def coverage(self) -> tuple[float, float]:
         """First and last time, s past the epoch, at which all three tables hold."""
@@ -144,12 +154,12 @@ class Trajectory:
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
         start, stop = self.coverage
-        outside = (times < start - slack) | (times > stop + slack)
+        outside = ~((times >= start - slack) & (times <= stop + slack))
         if np.any(outside):
             raise EphemerisGap(where, self.epoch + float(times[outside][0]), self.epoch + start, self.epoch + stop)
 
     def pose(self, times: Array) -> Pose:
-        """Pose at times (n,) in s past the epoch, rates per second; outside the coverage the outermost interval is continued."""
+        """Pose at times (n,) in s past the epoch, rates per second; outside the tables their outer intervals go on."""
         place, motion = self.position.at(times)
         to_camera, camera_turning = self.camera.at(times)
         to_body, body_turning = self.body.at(times)

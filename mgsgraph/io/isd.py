@@ -61,7 +61,8 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     if "instrument_position" not in isd and "sensor_position" in isd:
         raise InputError(
             str(path), "the older usgscsm layout (sensor_position, sensor_orientation)",
-            "ALE's layout (instrument_position, instrument_pointing, body_rotation)", "write it with ale.loads/isd_generate",
+            "ALE's layout (instrument_position, instrument_pointing, body_rotation)",
+            "write it with ale.loads/isd_generate",
         )
     model = isd.text("name_model")
     if model != "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL":
@@ -132,6 +133,8 @@ def _distortion(isd: Fields) -> Distortion:
     models = isd.mapping("optical_distortion")
     if not models:
         return NoDistortion()
+    if len(models) > 1:
+        raise InputError(f"{isd.where}, optical_distortion", f"{len(models)} models: {', '.join(models)}", "one")
     kind = next(iter(models)).lower()
     fields = Fields({key.lower(): value for key, value in models.items()}, f"{isd.where}, optical_distortion")
     if kind == "lrolrocnac":
@@ -151,7 +154,8 @@ def _attitude(table: Fields, epoch: float) -> AttitudeTable:
     times = _times(table, epoch)
     frames = table.numbers("constant_frames", None) if "constant_frames" in table else []
     if "constant_rotation" not in table and len(frames) > 1:
-        raise InputError(table.where, f"constant_frames {frames} without constant_rotation", "the rotation between them")
+        found = f"constant_frames {frames} without constant_rotation"
+        raise InputError(table.where, found, "the rotation between them")
     constant = np.array(table.numbers("constant_rotation", 9)) if "constant_rotation" in table else np.eye(3)
     quaternions = np.array(table.numbers("quaternions", times.size, 4), dtype=np.float64)
     try:
@@ -198,6 +202,10 @@ def _stated_aberration(isd: Fields) -> Aberration:
             "a statement whether the positions are geometric or apparent",
             "set aberration = 'NONE' or 'LT+S' (and observer = 'body' or 'spacecraft') for this image in the case file",
         )
+    for values in (corrections, swaps):
+        if any(value != values[0] for value in values):
+            found = f"keywords of several instruments that differ: {values}"
+            raise InputError(f"{isd.where}, naif_keywords", found, "those of the instrument that took the image")
     correction, swap = corrections[0], swaps[0] if swaps else False
     if not isinstance(correction, str) or correction.upper() not in ("NONE", "LT+S"):
         raise InputError(f"{isd.where}, INS..._LIGHTTIME_CORRECTION", repr(correction), "'NONE' or 'LT+S'")
@@ -214,5 +222,7 @@ def _body_velocity(isd: Fields, epoch: float) -> Array:
         raise InputError(sun.where, "no velocities", "the Sun's velocity, to undo the stellar aberration of positions")
     _require_j2000(sun)
     sun_times = _times(sun, epoch)
+    if np.any(np.diff(sun_times) <= 0.0):
+        raise InputError(f"{sun.where}, ephemeris_times", "times that stand still or go back", "increasing times")
     velocities = np.array(sun.numbers("velocities", sun_times.size, 3)) * _length_unit(sun, default="km")
     return np.array([-np.interp(0.0, sun_times, velocities[:, axis]) for axis in range(3)])

@@ -1,1 +1,1 @@
-"""What an adjustment leaves behind: tables, words, figures and the archive, in a folder that appears whole or not at all."""
+"""What an adjustment leaves: tables, words, figures and the archive, in a folder that is there whole or not at all."""

@@ -1,7 +1,7 @@
 """The solution as one file, solution.npz, from which it is read back bit for bit.
 
 Every array of the record lies under its own path (`network.points.places`, `joint_covariance`), so that plain NumPy
-reads them too; everything else is a JSON text under `record`. Nothing is pickled: reading an archive runs no code of it.
+reads it too; everything else is a JSON text under `record`. Nothing is pickled: reading an archive runs no code of its.
 """
 
 import json
@@ -42,8 +42,9 @@ def write_archive(solution: Solution, path: Path) -> None:
     """Write a solution to an .npz file."""
     arrays: dict[str, np.ndarray] = {}
     record = json.dumps(_taken_apart(solution, "", arrays), allow_nan=False)
+    head = {"format": np.array(FORMAT), "record": np.frombuffer(record.encode(), dtype=np.uint8)}
     with path.open("wb") as file:
-        np.savez(file, format=np.int64(FORMAT), record=np.frombuffer(record.encode(), dtype=np.uint8), **arrays)
+        np.savez(file, **head, **arrays)  # type: ignore[arg-type]  # NumPy's stub takes any name for allow_pickle
 
 
 def read_solution(path: str | Path) -> Solution:
@@ -76,9 +77,8 @@ def read_solution(path: str | Path) -> Solution:
     except _BROKEN as error:
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise InputError(str(path), f"no archive of mgsgraph, or a damaged one ({reason})", remedy=_ANEW) from None
-    raise InputError(
-        f"{path}, format", f"{version}", f"{FORMAT}", "read it with the version of mgsgraph that wrote it, or a newer one"
-    )
+    remedy = "read it with the version of mgsgraph that wrote it, or a newer one"
+    raise InputError(f"{path}, format", f"{version}", f"{FORMAT}", remedy)
 
 
 def _members(path: Path) -> dict[str, np.ndarray]:
@@ -190,9 +190,8 @@ def _scalar(value: Any, kind: Any, where: str) -> Any:
 
 def _require_shapes(solution: Solution) -> None:
     """Raise InputError unless the arrays of a solution fit its network, so that no later table stumbles over them."""
-    network, n, k, r = (
-        solution.network, len(solution.network.points), solution.network.rays.point.size, solution.network.ranges.point.size
-    )
+    network = solution.network
+    n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size
     sizes = [prior.sigmas.size for prior, held in zip(network.priors, network.held, strict=True) if not held]
     columns = sum(sizes)
     first = np.where(network.held, -1, 0)

@@ -61,7 +61,7 @@ def fresh_folder(path: str | Path) -> Iterator[Path]:
 
 
 def require_replaceable(path: str | Path) -> None:
-    """Raise InputError unless `path` is absent, an empty folder, or an earlier result; for the time before long work."""
+    """Raise InputError unless `path` is absent, an empty folder, or an earlier result; to be asked before long work."""
     shown, target = str(path), Path(path).resolve()
     try:
         if not target.exists():

@@ -15,6 +15,7 @@ def write_results(solution: Solution, folder: str | Path, figures: bool = True) 
     Parameters
     ----------
     solution : Solution
+        Converged or not.
     folder : path
         Absent, empty, or an earlier result, which is replaced.
     figures : bool

@@ -1,14 +1,20 @@
 """A solution in words: what came out, what it is worth, and what to look at; and as a short table for the terminal."""
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
-from mgsgraph.products.statistics import (
-    RayStatistics, laser_gain, orientation_statistics, point_statistics, range_statistics, ray_statistics,
+from mgsgraph.products.merit import (
+    RayStatistics,
+    laser_gain,
+    orientation_statistics,
+    point_statistics,
+    range_statistics,
+    ray_statistics,
     used_ray_counts,
 )
 from mgsgraph.ties import PointKind
@@ -16,14 +22,17 @@ from mgsgraph.units import ARCSEC, MRAD
 
 _NAMED = 4
 """How many of a kind are named before the rest is only counted."""
-_STANDARD_ERRORS = 3.0
-"""Size of a mean residual, in its standard errors, above which it isn't noise."""
+_ODDS = 0.0027
+"""Chance (three sigma) of taking mere noise for something worth a sentence, in a whole solution."""
 _PIXELS = 0.5
 """Size of a mean residual below which it does no harm."""
+_FEW_RAYS = 8
+"""Fewer rays don't show how they scatter."""
 _ROWS = 24
 """Images listed in the table."""
 _NAME = 26
 """Characters of an image's name in the table."""
+_HEADINGS = (("line", "sample"), ("X", "Y", "Z"), ("x", "y", "z"))
 _ALIKE = 1.05
 """Ratio up to which two mean sigmas count as the same."""
 
@@ -43,13 +52,14 @@ def statements(solution: Solution) -> list[str]:
 
 
 def _ending(solution: Solution) -> list[str]:
+    steps = _many(solution.iterations, "iteration")
     cost = f"the cost went from {solution.cost_initial:.4g} to {solution.cost_final:.4g}"
     if solution.converged:
-        return [f"{solution.message} {_many(solution.iterations, 'iteration')}; {cost}."]
+        return [f"{solution.message} It took {steps}; {cost}."]
     return [
-        f"NOT CONVERGED after {_many(solution.iterations, 'iteration')}; {cost}. {solution.message}",
-        "Nothing below is a result: the figures describe the state at which it stopped. Look at the largest residuals in "
-        "residuals.csv for blunders, and at the a-priori sigmas; then adjust again.",
+        f"NOT CONVERGED after {steps}; {cost}. {solution.message}",
+        "Nothing below is a result: the figures describe the state at which it stopped. Look at the largest residuals "
+        "in residuals.csv for blunders, and at the a-priori sigmas; then adjust again.",
     ]
 
 
@@ -62,8 +72,8 @@ def _weight_unit(solution: Solution) -> str:
         )
     head = f"sigma0 is {sigma0:.3g} with {freedom} degrees of freedom"
     # the chi-square law: sigma0 scatters by 1 / sqrt(2 f) about 1 when the stated sigmas are right
-    if abs(sigma0 - 1.0) <= _STANDARD_ERRORS / math.sqrt(2.0 * freedom):
-        return f"{head}: the observations fit as well as their stated sigmas say, and the quoted sigmas hold as they are."
+    if abs(sigma0 - 1.0) <= _limit(1) / math.sqrt(2.0 * freedom):
+        return f"{head}: the observations fit as well as their stated sigmas say, and the quoted sigmas hold."
     if sigma0 < 1.0:
         better = f"{1.0 / sigma0:.2g} times better than" if sigma0 > 0.0 else "without any error, against"
         return (
@@ -71,8 +81,8 @@ def _weight_unit(solution: Solution) -> str:
             f"are cautious; multiply them by {sigma0:.3g} if you trust the fit."
         )
     return (
-        f"{head}: the observations fit {sigma0:.2g} times worse than their stated sigmas. All sigmas are quoted for sigma0 = 1 "
-        f"and are too small by that factor, unless blunders are to blame: look at the largest residuals."
+        f"{head}: the observations fit {sigma0:.2g} times worse than their stated sigmas. All sigmas are quoted for "
+        "sigma0 = 1 and are too small by that factor, unless blunders are to blame: look at the largest residuals."
     )
 
 
@@ -84,14 +94,14 @@ def _fits(solution: Solution, rays: RayStatistics) -> list[str]:
         if count:
             line, sample = rays.rms_of_classes[point_class]
             found.append(
-                f"{point_class.name.capitalize()} points fit to {line:.2f} lines and {sample:.2f} samples "
+                f"{point_class.name.capitalize()} points fit to {line:.2g} lines and {sample:.2g} samples "
                 f"(rms of {_many(count, 'ray')})."
             )
     ranges = range_statistics(solution)
     if ranges.used:
         found.append(
-            f"Laser ranges fit to {ranges.rms:.3g} m (rms of {ranges.used}, mean {ranges.mean:+.2g} m); with the nominal "
-            f"orientation to {ranges.rms_before:.3g} m (mean {ranges.mean_before:+.3g} m)."
+            f"Laser ranges fit to {ranges.rms:.2g} m (rms of {ranges.used}, mean {ranges.mean:+.2g} m); with the "
+            f"nominal orientation to {ranges.rms_before:.2g} m (mean {ranges.mean_before:+.2g} m)."
         )
     return found
 
@@ -101,25 +111,20 @@ def _fits(solution: Solution, rays: RayStatistics) -> list[str]:
 
 def _datum(solution: Solution) -> list[str]:
     """What the laser gives; or, where nothing is known of the ground, what the sigmas rest on."""
-    kinds, classes = solution.network.points.kinds, solution.network.points.classes
+    network, kinds = solution.network, solution.network.points.kinds
     if solution.sigmas_without_laser is not None:
         return [_laser_effect(solution, solution.sigmas_without_laser)]
     if np.any(solution.determined & (kinds != PointKind.FREE)) or np.any(solution.ranges_used):
-        others = solution.determined & (kinds != PointKind.FREE) & (classes != PointClass.LASER)
-        unheld = [np.isinf(prior.sigmas).any() for prior in solution.network.priors]
-        if np.any(unheld) and not np.any(others | solution.network.held.any()):
-            return ["Without the laser rows nothing would hold the block on the ground: some orientation has no prior."]
         return []
-    adjusted = np.flatnonzero(~solution.network.held)
+    adjusted = np.flatnonzero(~network.held)
     if adjusted.size == 0:
         return ["Every image is held: the points have the sigmas of their rays alone, as if the orientation were true."]
-    constant = np.array([solution.network.priors[j].sigmas[0] for j in adjusted])
-    held = _many(int(solution.network.held.sum()), "held image")
-    holders = "the orientation priors" + ("" if adjusted.size == solution.network.held.size else f" and {held}")
+    constant = np.array([network.priors[j].sigmas[0] for j in adjusted])
+    also = f" and {_many(int(network.held.sum()), 'held image')}" if np.any(network.held) else ""
     return [
-        f"No laser rows and no ground control: only {holders} hold the block on the ground. The priors' constant terms are "
-        f"{_span(constant[:, :3])} m in position and {_span(constant[:, 3:] / MRAD)} mrad in rotation, and the sigmas of the "
-        "ground points mostly repeat them."
+        f"No laser rows and no ground control: only the orientation priors{also} hold the block on the ground. The "
+        f"constant terms' sigmas are {_span(constant[:, :3])} m in position and {_span(constant[:, 3:] / MRAD)} mrad "
+        "in rotation, and the sigmas of the ground points mostly repeat them."
     ]
 
 
@@ -127,24 +132,26 @@ def _laser_effect(solution: Solution, without: Array) -> str:
     network, gain = solution.network, laser_gain(solution)
     laser = network.points.classes == PointClass.LASER
     rays = int(np.sum(solution.rays_used & laser[network.rays.point]))
-    rows = f"{_many(int(laser.sum()), 'point')}, {_many(rays, 'ray')}, {_many(int(solution.ranges_used.sum()), 'range')}"
+    ranges = _many(int(solution.ranges_used.sum()), "range")
+    rows = f"{_many(int(laser.sum()), 'point')}, {_many(rays, 'ray')}, {ranges}"
     sigmas = point_statistics(solution, PointClass.TIE).mean_sigma
     with_units = f"{_three(without)} m in x, y, z instead of {_three(sigmas)} m"
     if gain < _ALIKE:
         return f"The laser rows ({rows}) add little: without them the tie points' mean sigmas would be {with_units}."
-    return (
-        f"Without the laser rows ({rows}) the tie points' mean sigmas would be {with_units}: about {gain:.2g} times larger."
-    )
+    head = f"Without the laser rows ({rows}) the tie points' mean sigmas would be {with_units}"
+    return f"{head}: about {gain:.2g} times larger."
 
 
 # --- what to look at
 
 
 def _constant_residuals(solution: Solution, rays: RayStatistics) -> list[str]:
-    """Mean residuals of a class in an image that are too large for noise: stored coordinates that contradict the rest."""
+    """Mean residuals of a class in an image that are too large for noise: its coordinates contradict the rest."""
     names = [image.name for image in solution.network.images]
-    with np.errstate(invalid="ignore"):
-        marked = (np.abs(rays.mean) > _STANDARD_ERRORS * rays.standard_errors) & (np.abs(rays.mean) > _PIXELS)
+    enough = rays.count >= _FEW_RAYS
+    size, noise = np.abs(np.nan_to_num(rays.mean)), np.nan_to_num(rays.standard_errors)
+    limit = _limit(2 * int(enough.sum()))
+    marked = enough[:, :, None] & (size > limit * noise) & (size > _PIXELS)
     found = []
     for point_class in PointClass:
         parts = [
@@ -153,20 +160,25 @@ def _constant_residuals(solution: Solution, rays: RayStatistics) -> list[str]:
         ]
         if any(parts):
             found.append(
-                f"{point_class.name.capitalize()} points keep a constant residual of {' and '.join(p for p in parts if p)}. "
-                "That is no noise but a systematic disagreement between their stored image coordinates and the ranges, "
-                "ground places or ties; no sigma here covers it."
+                f"{point_class.name.capitalize()} image points keep a constant residual of "
+                f"{' and '.join(part for part in parts if part)}. That is no noise but a systematic disagreement "
+                "between their stored image coordinates and the ranges, ground places or ties; no sigma here covers it."
             )
     return found
 
 
+def _limit(trials: int) -> float:
+    """Standard deviations that noise exceeds once in 1 / _ODDS solutions with so many trials each."""
+    return NormalDist().inv_cdf(1.0 - 0.5 * _ODDS / max(trials, 1))
+
+
 def _means(means: Array, marked: np.ndarray, names: list[str], unit: str) -> str:
-    """Words for the marked mean residuals of one component, largest first; empty where none is marked."""
+    """Words for the marked mean residuals of one component, the largest few; empty where none is marked."""
     chosen: Index = np.flatnonzero(marked)
     if chosen.size == 0:
         return ""
-    chosen = chosen[np.argsort(-np.abs(means[chosen]), kind="stable")]
-    parts = [f"{means[j]:+.1f}{f' {unit}' if k == 0 else ''} in {names[j]}" for k, j in enumerate(chosen[:_NAMED])]
+    worst = np.sort(chosen[np.argsort(-np.abs(means[chosen]), kind="stable")][:_NAMED])
+    parts = [f"{means[j]:+.1f}{f' {unit}' if k == 0 else ''} in {names[j]}" for k, j in enumerate(worst)]
     more = f" (and in {_many(chosen.size - _NAMED, 'more image')})" if chosen.size > _NAMED else ""
     opposite = ", of opposite sign" if means[chosen].min() < 0.0 < means[chosen].max() else ""
     return _listed(parts) + more + opposite
@@ -177,23 +189,27 @@ def _left_out(solution: Solution) -> list[str]:
     lost = np.flatnonzero(~solution.determined)
     if lost.size:
         found.append(
-            f"{_many(lost.size, 'point')} of {len(network.points)} stayed out, because nothing determines a place (fewer than two "
-            f"rays, or rays that hardly converge): {_some([network.points.ids[i] for i in lost[:_NAMED]], lost.size)}."
+            f"{_many(lost.size, 'point')} of {len(network.points)} stayed out, because nothing determines a place "
+            "(fewer than two rays, or rays that hardly converge): "
+            f"{_some_points(solution, lost)}."
         )
     rays = int(np.sum(~solution.rays_used & solution.determined[network.rays.point]))
     ranges = int(np.sum(~solution.ranges_used & solution.determined[network.ranges.point]))
     if rays or ranges:
         found.append(
-            f"{_many(rays, 'ray')} of {network.rays.point.size} and {_many(ranges, 'range')} of {network.ranges.point.size} "
-            "were rejected as blunders; residuals.csv marks them."
+            f"{_many(rays, 'ray')} of {network.rays.point.size} and {_many(ranges, 'range')} of "
+            f"{network.ranges.point.size} were rejected as blunders; residuals.csv marks them."
         )
     bare = np.flatnonzero(solution.determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
     if bare.size:
         found.append(
-            f"{_many(bare.size, 'point')} lost all rays to that: "
-            f"{_some([network.points.ids[i] for i in bare[:_NAMED]], bare.size)}."
+            f"{_many(bare.size, 'point')} lost all rays to that: {_some_points(solution, bare)}."
         )
     return found
+
+
+def _some_points(solution: Solution, points: Index) -> str:
+    return _some([solution.network.points.ids[i] for i in points[:_NAMED]], points.size)
 
 
 def _islands(solution: Solution) -> list[str]:
@@ -235,7 +251,7 @@ def _image_table(solution: Solution, rays: RayStatistics) -> str:
     lines = [
         f"{'Images':<{_NAME + 2}} {'rays':>6} {'used':>6}  {'residual rms [px]':>16}  {'mean correction [m]':>25}  "
         f"{'about camera axes [arcsec]':>20}",
-        f"{'':<{_NAME + 2}} {'':>6} {'':>6}  {'line':>8} {'sample':>8}  {'X':>8} {'Y':>8} {'Z':>8}  {'x':>8} {'y':>8} {'z':>8}",
+        " " * (_NAME + 18) + "  ".join(" ".join(f"{name:>8}" for name in group) for group in _HEADINGS),
     ]
     for j, image in enumerate(images[:_ROWS]):
         moved = orientation_statistics(solution, j).mean
@@ -267,12 +283,11 @@ def _point_table(solution: Solution) -> str:
 
 def _range_lines(solution: Solution) -> str:
     found = range_statistics(solution)
-    if found.count == 0:
-        return ""
+    if found.used == 0:
+        return f"Ranges: {found.count}, used 0" if found.count else ""
     return (
-        f"Ranges: {found.count}, used {found.used}; residual [m]: mean {_cells(np.array([found.mean]), 0)}, "
-        f"rms {_cells(np.array([found.rms]), 0)}; before: mean {_cells(np.array([found.mean_before]), 0)}, "
-        f"rms {_cells(np.array([found.rms_before]), 0)}"
+        f"Ranges: {found.count}, used {found.used}; residual [m]: mean {found.mean:.3g}, rms {found.rms:.3g}; "
+        f"before: mean {found.mean_before:.3g}, rms {found.rms_before:.3g}"
     )
 
 

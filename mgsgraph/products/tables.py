@@ -1,7 +1,7 @@
 """Tables of a solution: one JSON record with all figures of merit, and CSV files of points, orientation and residuals.
 
-The CSV columns carry their units. Lines and samples are counted as ISIS does, the first pixel's centre at (1, 1); latitudes
-are planetocentric, longitudes east of the prime meridian, 0 to 360 degrees; heights are given as radii.
+The CSV columns carry their units. Lines and samples are counted as ISIS does, the first pixel's centre at (1, 1);
+latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights are given as radii.
 """
 
 import dataclasses
@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
@@ -17,9 +18,18 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.products.atomic import PROGRAM
-from mgsgraph.products.statistics import (
-    ORIENTATION, PLACES, RayStatistics, laser_gain, local_sigmas, orientation_statistics, point_statistics,
-    range_statistics, ray_statistics, rejected_points, used_ray_counts,
+from mgsgraph.products.merit import (
+    ORIENTATION,
+    PLACES,
+    RayStatistics,
+    laser_gain,
+    local_sigmas,
+    orientation_statistics,
+    point_statistics,
+    range_statistics,
+    ray_statistics,
+    rejected_points,
+    used_ray_counts,
 )
 from mgsgraph.products.summary import statements
 from mgsgraph.ties import PointKind
@@ -30,9 +40,10 @@ FORMAT = 1
 
 _ISIS = 0.5
 """pixels from our count of lines and samples to that of ISIS."""
-_SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; multiply by sigma0 to scale them to the fit"
+_SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; times sigma0 they are scaled to the fit"
 _CHUNK = 20_000
 """Rows written at a time."""
+_SPECIAL = frozenset(',"\r\n')
 
 
 def solution_json(solution: Solution) -> dict[str, Any]:
@@ -171,14 +182,14 @@ def points_csv(solution: Solution, path: Path) -> None:
     network, sigmas = solution.network, solution.sigmas
     longitude, latitude, radius = planetocentric(solution.places).T
     text = {
-        "id": network.points.ids,
+        "id": [_quoted(name) for name in network.points.ids],
         "class": _names(PointClass, network.points.classes),
         "kind": _names(PointKind, network.points.kinds),
         "rejected": _truths(rejected_points(solution)),
+        "rays": _whole(network.ray_counts),
+        "rays_used": _whole(used_ray_counts(solution)),
     }
     numbers = {
-        "rays": network.ray_counts,
-        "rays_used": used_ray_counts(solution),
         **_columns(["x_m", "y_m", "z_m"], solution.places),
         "lon_deg": longitude / DEG % 360.0,
         "lat_deg": latitude / DEG,
@@ -199,19 +210,16 @@ def orientation_csv(solution: Solution, path: Path) -> None:
     """Write the exterior orientation of every image at the papers' 31 places, before and after."""
     images = solution.network.images
     profiles = [orientation_profile(solution, j, PLACES) for j in range(len(images))]
-    text = {
-        "image": [image.name for image in images for _ in range(PLACES)],
-        # twelve digits of ephemeris time would end at the millisecond
-        "time_et_s": [repr(time) for profile in profiles for time in profile.times.tolist()],
-    }
+    names = [_quoted(image.name) for image in images for _ in range(PLACES)]
     parts = [_orientation_columns(profile) for profile in profiles]
-    _write(path, text, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+    _write(path, {"image": names}, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
 
 def _orientation_columns(profile: OrientationProfile) -> dict[str, Array]:
     position, angles, turns = ("x", "y", "z"), ("omega", "phi", "kappa"), ("rotation_x", "rotation_y", "rotation_z")
     return {
         "isis_line": profile.lines + _ISIS,
+        "time_et_s": profile.times,
         **_columns([f"{name}_before_m" for name in position], profile.position_before),
         **_columns([f"{name}_after_m" for name in position], profile.position_after),
         **_columns([f"{name}_difference_m" for name in position], profile.position_after - profile.position_before),
@@ -234,9 +242,9 @@ def residuals_csv(solution: Solution, path: Path) -> None:
     point, image = np.concatenate([rays.point, ranges.point]), np.concatenate([rays.image, ranges.image])
     text = {
         "kind": ["image"] * rays.point.size + ["range"] * ranges.point.size,
-        "point": _picked(network.points.ids, point),
+        "point": _picked([_quoted(name) for name in network.points.ids], point),
         "class": _names(PointClass, network.points.classes[point]),
-        "image": _picked([image.name for image in network.images], image),
+        "image": _picked([_quoted(image.name) for image in network.images], image),
         "used": _truths(np.concatenate([solution.rays_used, solution.ranges_used])),
     }
     shots, before, after = _shot_lines(solution), solution.residuals_before, solution.residuals
@@ -285,30 +293,32 @@ def _picked(names: Sequence[str], index: np.ndarray) -> list[str]:
     return [names[i] for i in index.tolist()]
 
 
+def _whole(values: np.ndarray) -> list[str]:
+    return [str(value) for value in values.tolist()]
+
+
 def _truths(values: np.ndarray) -> list[str]:
     return _picked(("false", "true"), values.astype(np.int64))
 
 
-def _write(path: Path, text: Mapping[str, Sequence[str]], numbers: Mapping[str, np.ndarray]) -> None:
-    """Write a CSV file, columns of text first; numbers with twelve digits, NaN as an empty field.
+def _write(path: Path, text: Mapping[str, Sequence[str]], numbers: Mapping[str, Array]) -> None:
+    """Write a CSV file, columns of text first; numbers read back bit for bit, NaN is an empty field.
 
-    The rows of a chunk are formatted by one template, which takes a quarter of the csv module's time.
+    msgspec's JSON gives the shortest digits that do so, in a tenth of the csv module's time.
     """
-    row = ",".join(["%.12g"] * len(numbers)) + "\n"
-    table, names = list(numbers.values()), list(text.values())
+    names, table = list(text.values()), list(numbers.values())
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join([*text, *numbers]) + "\n")
         for first in range(0, len(names[0]), _CHUNK):
             some = slice(first, first + _CHUNK)
-            values = np.column_stack([column[some] for column in table])
-            figures = (row * values.shape[0] % tuple(values.ravel().tolist())).replace("nan", "").splitlines()
-            leading = zip(*([_quoted(item) for item in column[some]] for column in names), strict=True)
-            lines = (",".join((*words, rest)) for words, rest in zip(leading, figures, strict=True))
-            file.write("\n".join(lines) + "\n")
+            rows = msgspec.json.encode(np.column_stack([column[some] for column in table]).tolist()).decode()
+            figures = rows.replace("null", "")[2:-2].split("],[")
+            lines = zip(*(column[some] for column in names), figures, strict=True)
+            file.write("\n".join(map(",".join, lines)) + "\n")
 
 
 def _quoted(text: str) -> str:
     """A field of a CSV file, quoted where it must be (RFC 4180)."""
-    if not any(sign in text for sign in ',"\r\n'):
+    if _SPECIAL.isdisjoint(text):
         return text
     return '"' + text.replace('"', '""') + '"'

@@ -22,6 +22,7 @@ def write_figures(solution: Solution, folder: Path) -> list[str]:
     Parameters
     ----------
     solution : Solution
+        What an adjustment found.
     folder : Path
         Made where it does not exist; files of the same names are replaced.
 

@@ -1,4 +1,4 @@
-"""The numbers that figures show, as arrays: residuals by image, laser registration, places on a map. Nothing is drawn here."""
+"""The numbers that figures show, as arrays: residuals by image, laser registration, places on a map."""
 
 from dataclasses import dataclass
 
@@ -97,6 +97,7 @@ def registration_offsets(solution: Solution, image: int, most: int | None = None
     Parameters
     ----------
     solution : Solution
+        What an adjustment found.
     image : int
         Which image.
     most : int, optional
@@ -164,7 +165,7 @@ def footprint(
 
 
 def centre_of(points: Array) -> Array:
-    """Middle (3,) in m of points (n, 3), at their mean distance from the body's centre; the mean of their directions."""
+    """Middle (3,) in m of points (n, 3): the mean of their directions, at their mean distance from the origin."""
     sound = points[np.all(np.isfinite(points), axis=1)]
     radii = np.linalg.norm(sound, axis=1)
     mean = np.mean(sound / radii[:, None], axis=0)
@@ -172,7 +173,7 @@ def centre_of(points: Array) -> Array:
 
 
 def east_north(points: Array, centre: Array) -> Array:
-    """East and north (n, 2) in m of points (n, 3) around a centre (3,): azimuthal equidistant, on the sphere through it.
+    """East and north (n, 2) in m of points (n, 3) around a centre (3,), azimuthal equidistant on the sphere through it.
 
     Distances and directions from the centre are true however large the block is (Snyder 1987, p. 191).
     """

@@ -7,7 +7,7 @@ from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import geodetic, planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.products.figures.content import centre_of, east_north, footprint, thinned
 from mgsgraph.products.figures.sheet import (
@@ -78,7 +78,7 @@ def outlines_of(solution: Solution) -> list[Array]:
     return found
 
 
-def tie_sigmas(solution: Solution) -> tuple[Array, Array]:
+def tie_sigmas(solution: Solution) -> tuple[Index, Array]:
     """Indices (n,) of determined tie points, and their 3-D sigmas (n,) in m: the root of the covariance's trace."""
     ties = solution.members(PointClass.TIE)
     return ties, np.sqrt(np.trace(solution.covariances[ties], axis1=1, axis2=2))
@@ -111,7 +111,8 @@ def _draw_ties(panel: Axes, solution: Solution, places: Array) -> PathCollection
     low, high = np.quantile(sigmas, [0.02, 0.98])
     shown = thinned(ties.size, MOST_MARKS)
     return panel.scatter(
-        *places[ties[shown]].T, c=sigmas[shown], s=11.0, cmap="viridis", vmin=low, vmax=max(high, low + 1e-12),
+        places[ties[shown], 0], places[ties[shown], 1], c=sigmas[shown], s=11.0, cmap="viridis",
+        vmin=low, vmax=max(high, low + 1e-12),
         edgecolors="none", zorder=3,
     )
 

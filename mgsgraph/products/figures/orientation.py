@@ -101,7 +101,8 @@ def _caption(profiles: Sequence[OrientationProfile], couplings: Sequence[float],
     (shift, turn), (spread, twist) = [(max(part[:3]), max(part[3:])) for part in largest]
     kept = f"; {sum(held)} held images keep theirs" if any(held) else ""
     return (
-        f"Positions (body-fixed X, Y, Z) moved by up to {number(shift)} m and the camera turned by up to {number(turn)} "
-        f"arcsec about its own axes, while their sigmas reach {number(spread)} m and {number(twist)} arcsec; position and "
-        f"rotation of an image are correlated by up to {max(couplings):.3f}, so that one may stand for the other{kept}"
+        f"Positions (body-fixed X, Y, Z) moved by up to {number(shift)} m and the camera turned by up to "
+        f"{number(turn)} arcsec about its own axes, while their sigmas reach {number(spread)} m and {number(twist)} "
+        f"arcsec; position and rotation of an image are correlated by up to {max(couplings):.3f}, so that one may stand "
+        f"for the other{kept}"
     )

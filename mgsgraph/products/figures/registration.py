@@ -1,4 +1,4 @@
-"""How well the laser profile lies in the images: where its points fall before and after, against their measured places."""
+"""How well the laser profile lies in the images: where its points fall, against their measured places."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -38,8 +38,8 @@ from mgsgraph.products.figures.sheet import (
 )
 
 _PER_SHEET = 2
-_GAP = 0.62
-"""inch between the rows: numbers, axis label and title."""
+_FREE = 0.3
+"""Height of the free row above the discrepancy, which has an axis label and a title to hold."""
 _LABELS = ("sample (px)", "line, measured\nminus projected (px)", "sample, measured\nminus projected (px)")
 
 
@@ -74,11 +74,10 @@ def _sheet(solution: Solution, registrations: Sequence[Registration], name: str,
     pair = _pair(solution, registrations)
     caption = _caption(solution, registrations, pair) + omitted + "."
     height = 6.4 if pair is None else 8.8
-    sheet = new_sheet(
-        name, 11.0 if len(registrations) > 1 else 7.6, height, "Registration of the laser profile with the images", caption
-    )
-    ratios = [1.25, 1.0, 1.0] if pair is None else [1.25, 1.0, 1.0, 1.0]
-    grid = panels(sheet, len(ratios), len(registrations), heights=ratios, across=0.9, down=_GAP)
+    width = 11.0 if len(registrations) > 1 else 7.6
+    sheet = new_sheet(name, width, height, "Registration of the laser profile with the images", caption)
+    ratios = [1.25, 1.0, 1.0] if pair is None else [1.25, 1.0, 1.0, _FREE, 1.0]
+    grid = panels(sheet, len(ratios), len(registrations), heights=ratios, across=0.9)
     factor = min(magnification(one) for one in registrations)
     for column, registration in zip(grid.T, registrations, strict=True):
         _frame(column[0], solution, registration, factor)
@@ -87,9 +86,12 @@ def _sheet(solution: Solution, registrations: Sequence[Registration], name: str,
             panel.sharey(grid[1 + k, 0])
             _along(panel, registration.lines, registration.offset_before[:, k], registration.offset_after[:, k])
         for panel, label in zip(column, _LABELS, strict=False):
-            words(panel, "line (px)", label, panel.get_title())
+            words(panel, "line (px)" if panel is column[2] else "", label, panel.get_title())
+            panel.tick_params(labelbottom=panel is column[2])
     if pair is not None:
-        _contradiction(grid[3], pair)
+        for panel in grid[3]:
+            panel.remove()
+        _contradiction(grid[4], pair)
     marks = (
         ("measured", "+", INK, INK),
         ("before: a-priori footprint, nominal orientation", "o", BEFORE, "white"),
@@ -160,8 +162,8 @@ def _contradiction(row: Iterable[Axes], pair: Discrepancy) -> None:
 
 def _caption(solution: Solution, registrations: Sequence[Registration], pair: Discrepancy | None) -> str:
     """What one sees, with figures."""
-    alone = len(registrations) == 1
-    parts = [_offsets(one, "" if alone else where) for one, where in zip(registrations, (" left", " right"), strict=False)]
+    sides = ("",) if len(registrations) == 1 else (" left", " right")
+    parts = [_offsets(one, side) for one, side in zip(registrations, sides, strict=True)]
     text = "Laser points, measured minus projected (mean ± scatter): " + "; ".join(parts)
     if pair is not None:
         text += (

@@ -34,10 +34,10 @@ from mgsgraph.products.figures.sheet import (
 )
 
 _PER_SHEET = 4
-_KEY = {PointClass.TIE: 0.3, PointClass.LASER: 0.15, PointClass.CONTROL: 0.3}
-"""inch, length of the key arrow; laser points lie in rows so dense that long arrows would hide each other."""
-_LONGEST = 1.5
-"""Arrows are cut off at this many lengths of the key arrow."""
+_LONGEST = {PointClass.TIE: 0.4, PointClass.LASER: 0.18, PointClass.CONTROL: 0.4}
+"""inch, of the longest arrow; laser points lie in rows so dense that long arrows would hide each other."""
+_SHARE = 0.98
+"""Share of the residuals that are drawn in full; the others' arrows are cut off at the longest of these."""
 
 
 def residual_sheets(solution: Solution) -> Iterator[Sheet]:
@@ -82,7 +82,7 @@ def _sheet(
     legend(sheet.figure, handles)
     width = float(sheet.figure.get_figwidth())
     for n, (point_class, arrows) in enumerate(reversed(keys.items())):
-        key = scales[point_class]
+        key = round_figure(scales[point_class])
         row[0].quiverkey(
             arrows, 1.0 - (0.85 + 1.0 * n) / width, band_height(sheet.figure), key, f"{number(key)} px",
             coordinates="figure", labelpos="E", labelsep=0.06, color=CLASS_COLOUR[point_class],
@@ -91,9 +91,9 @@ def _sheet(
 
 
 def _scale(residuals: Sequence[ImageResiduals], point_class: PointClass) -> float:
-    """Pixels of the key arrow: a round figure that most residuals of the class don't exceed by far."""
+    """Pixels of the longest arrow of a class."""
     lengths = np.concatenate([np.hypot(*one.residuals[one.of(point_class)].T) for one in residuals])
-    return round_figure(float(np.quantile(lengths, 0.95))) if lengths.size else 1.0
+    return (float(np.quantile(lengths, _SHARE)) if lengths.size else 0.0) or 1.0
 
 
 def _frame(panel: Axes, lines: int, samples: int) -> None:
@@ -105,17 +105,18 @@ def _frame(panel: Axes, lines: int, samples: int) -> None:
     panel.locator_params(axis="x", nbins=5)
 
 
-def _draw(panel: Axes, one: ImageResiduals, point_class: PointClass, key: float) -> Quiver | None:
+def _draw(panel: Axes, one: ImageResiduals, point_class: PointClass, longest: float) -> Quiver | None:
     """Dots at the measured places and arrows from them; None when the image has none of the class."""
     mine = one.of(point_class)
     if not mine.size:
         return None
     mine = mine[thinned(mine.size, MOST_MARKS)]
     colour, (lines, samples) = CLASS_COLOUR[point_class], one.places[mine].T
-    down, right = cut(one.residuals[mine], _LONGEST * key).T
+    down, right = cut(one.residuals[mine], longest).T
     panel.plot(samples, lines, ls="", marker=CLASS_MARKER[point_class], ms=2.2, mew=0.0, color=colour, alpha=0.8)
     return panel.quiver(
-        samples, lines, right, -down, color=colour, angles="uv", units="inches", scale_units="inches", scale=key / _KEY[point_class],
+        samples, lines, right, -down, color=colour,
+        angles="uv", units="inches", scale_units="inches", scale=longest / _LONGEST[point_class],
         width=0.011, headwidth=4.5, headlength=5.0, headaxislength=4.5, minlength=0.2, minshaft=1.5,
         zorder=3, clip_on=False,
     )
@@ -132,7 +133,7 @@ def _cross_out(panel: Axes, one: ImageResiduals) -> None:
 def cut(residuals: Array, longest: float) -> Array:
     """Residuals (n, 2) shortened to at most `longest`, direction kept."""
     length = np.hypot(*residuals.T)
-    return residuals * np.minimum(1.0, longest / np.maximum(length, longest * 1e-9))[:, None]
+    return np.asarray(residuals * np.minimum(1.0, longest / np.maximum(length, longest * 1e-9))[:, None])
 
 
 def _caption(
@@ -144,7 +145,7 @@ def _caption(
         rows = [(one, one.of(point_class)) for one in residuals]
         before = np.concatenate([one.residuals_before[mine] for one, mine in rows])
         after = np.concatenate([one.residuals[mine] for one, mine in rows])
-        longer += int(np.count_nonzero(np.hypot(*after.T) > _LONGEST * scales[point_class]))
+        longer += int(np.count_nonzero(np.hypot(*after.T) > scales[point_class] * (1.0 + 1e-9)))
         fewer = fewer or any(mine.size > MOST_MARKS for _, mine in rows)
         parts.append(
             f"{len(after)} measures of {CLASS_NAME[point_class]} from {number(rms(before[:, 0]))} and "
@@ -154,6 +155,7 @@ def _caption(
     text = "The adjustment brought the RMS residual (line and sample, measured minus predicted) of "
     text = text + "; of ".join(parts) if parts else "No measure of these images took part in the adjustment"
     text += "; arrows go from the measured place along the residual, and line and sample axes differ in scale"
-    text += f"; {longer} arrows are cut off at {_LONGEST:g} times their key arrow" if longer else ""
+    limits = " and ".join(f"{number(scales[point_class])}" for point_class in present)
+    text += f"; {longer} arrows are cut off, at {limits} px" if longer else ""
     text += f"; {crossed} measures are rejected" if crossed else ""
     return text + (f"; at most {MOST_MARKS} arrows of a kind are drawn in a panel" if fewer else "")

@@ -33,7 +33,7 @@ CLASS_COLOUR = {PointClass.TIE: "#0072B2", PointClass.LASER: "#D55E00", PointCla
 CLASS_MARKER = {PointClass.TIE: "o", PointClass.LASER: "^", PointClass.CONTROL: "s"}
 CLASS_NAME = {PointClass.TIE: "tie points", PointClass.LASER: "laser points", PointClass.CONTROL: "control points"}
 
-_STYLE: dict[str, Any] = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "axes.titlesize": 9.0,
@@ -61,7 +61,7 @@ _STYLE: dict[str, Any] = {
 _DPI = 150
 _MARGIN, _TITLE, _BAND, _CAPTION_LINE = 0.12, 0.33, 0.27, 0.165
 """inch: white border, heights of the title, the legend band and a line of the caption."""
-_LEFT, _RIGHT, _UNDER, _OVER = 0.9, 0.2, 0.42, 0.27
+_LEFT, _RIGHT, _UNDER, _OVER = 0.86, 0.2, 0.45, 0.25
 """inch: room beside the panels for their labels, numbers and titles."""
 _INCH_PER_LETTER = 0.0672
 """inch, width of a letter of the caption on the average, on the safe side."""
@@ -70,8 +70,9 @@ _INCH_PER_LETTER = 0.0672
 @contextmanager
 def plain_style() -> Iterator[None]:
     """Matplotlib's own defaults with this package's style on top; the user's settings come back afterwards."""
-    defaults = {name: value for name, value in mpl.rcParamsDefault.items() if name != "backend"}
-    with mpl.rc_context({**defaults, **_STYLE}):
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
         yield
 
 
@@ -94,7 +95,7 @@ class Sheet:
 
 
 def new_sheet(name: str, width: float, height: float, title: str, caption: str, band: float = _BAND) -> Sheet:
-    """A sheet with title, caption and a legend band (inch), and room for `height` inches of panels with their labels."""
+    """A sheet with title, caption and a legend band (inch), and `height` inches for panels with their labels."""
     lines = textwrap.wrap(caption, int((width - 2.0 * _MARGIN) / _INCH_PER_LETTER)) or [""]
     below = 2.0 * _MARGIN + _CAPTION_LINE * len(lines)
     above = _MARGIN + _TITLE + band
@@ -138,12 +139,13 @@ def panels(
 
 def words(panel: Axes, x: str = "", y: str = "", title: str = "") -> None:
     """Axis labels and title at fixed distances, so that labels are in line and nothing needs to be measured."""
+    assert isinstance(panel.figure, Figure)
     box, (width, height) = panel.get_position(), panel.figure.get_size_inches()
     lines = 1 + y.count("\n")
     panel.set_xlabel(x)
     panel.set_ylabel(y)
-    panel.xaxis.set_label_coords(0.5, -0.24 / (box.height * height))
-    panel.yaxis.set_label_coords((-0.6 + 0.07 * (lines - 1)) / (box.width * width), 0.5)
+    panel.xaxis.set_label_coords(0.5, -0.27 / (box.height * height))
+    panel.yaxis.set_label_coords((-0.57 + 0.05 * (lines - 1)) / (box.width * width), 0.5)
     panel.set_title(title, y=1.0, pad=4.0, parse_math=False)
 
 
@@ -169,8 +171,10 @@ def save(sheet: Sheet, folder: Path) -> list[str]:
     figure = sheet.figure
     png, svg = f"{sheet.name}.png", f"{sheet.name}.svg"
     about = {"Title": sheet.title, "Description": sheet.caption}
-    FigureCanvasAgg(figure).print_png(folder / png, metadata=about, pil_kwargs={"compress_level": 4})
-    FigureCanvasSVG(figure).print_svg(folder / svg, metadata={"Date": None, "Creator": "mgsgraph", **about})
+    agg: Any = FigureCanvasAgg(figure)  # savefig would draw twice
+    agg.print_png(folder / png, metadata=about, pil_kwargs={"compress_level": 1})
+    vector: Any = FigureCanvasSVG(figure)
+    vector.print_svg(folder / svg, metadata={"Date": None, "Creator": "mgsgraph", **about})
     return [png, svg]
 
 

@@ -73,7 +73,7 @@ def ray_statistics(solution: Solution) -> RayStatistics:
 
     def summed(values: Array) -> Array:
         parts = [np.bincount(cell, weights=values[:, c], minlength=images * CLASSES) for c in range(2)]
-        return np.stack(parts, axis=1).reshape(images, CLASSES, 2)
+        return np.stack(parts, axis=1).reshape(images, CLASSES, 2).astype(np.float64)  # no rays: counts, not weights
 
     return RayStatistics(
         total=np.bincount(network.rays.image, minlength=images),
@@ -85,7 +85,7 @@ def ray_statistics(solution: Solution) -> RayStatistics:
 
 def _ratio(sums: Array, count: Index) -> Array:
     """Sums (..., 2) over counts (...); NaN where there is nothing."""
-    return np.where(count[..., None] > 0, sums / np.maximum(count, 1)[..., None], np.nan)
+    return np.asarray(np.where(count[..., None] > 0, sums / np.maximum(count, 1)[..., None], np.nan))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,4 +196,4 @@ def local_sigmas(solution: Solution) -> Array:
     """(n, 3) m, standard deviations of the points towards east, north and up (radially), for sigma0 = 1."""
     partials = planetocentric_jacobian(planetocentric(solution.places))
     axes = partials / np.linalg.norm(partials, axis=1, keepdims=True)
-    return np.sqrt(np.maximum(np.einsum("nia,nij,nja->na", axes, solution.covariances, axes), 0.0))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("nia,nij,nja->na", axes, solution.covariances, axes), 0.0)))

@@ -1,0 +1,5 @@
+"""`python -m mgsgraph.cli`."""
+
+from mgsgraph.cli import main
+
+main()

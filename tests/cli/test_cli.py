@@ -1,0 +1,154 @@
+"""The command line as a person uses it, in processes of its own: exit status, one line on stderr, nothing half-written."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mgsgraph
+
+MGSGRAPH = [sys.executable, "-m", "mgsgraph.cli"]
+
+
+def run(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*MGSGRAPH, *map(str, arguments)], capture_output=True, text=True, cwd=cwd, timeout=300, check=False,
+        env=os.environ | {"COLUMNS": "110"},
+    )
+
+
+def refused(done: subprocess.CompletedProcess[str], said: str) -> None:
+    """Exit status 2 and one line that says it."""
+    lines = [line for line in done.stderr.splitlines() if line]
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(lines) == 1, done.stderr
+    assert said in lines[0]
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("adjust", "--help"), ("check", "-h"), ("demo", "-h"), ("--version",)])
+def test_help(arguments: tuple[str, ...]) -> None:
+    done = run(*arguments)
+    assert done.returncode == 0
+    assert done.stdout.strip()
+    assert not done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(("adjst",), "adjust, check, demo"), (("adjust",), "CASE"), (("adjust", "x.toml"), "--out"),
+     (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"), (("check", "a", "b"), "b")],
+)
+def test_typing_errors_show_the_way(arguments: tuple[str, ...], said: str) -> None:
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_adjust_writes_everything(case_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "result"
+    done = run("adjust", case_file, "--out", out, "-v")
+    assert done.returncode == 0, done.stderr
+    names = {path.name for path in out.iterdir()}
+    assert {"solution.json", "points.csv", "orientation.csv", "residuals.csv", "solution.npz"} <= names
+    assert any(name.endswith(".png") for name in names)
+    assert any(name.endswith(".svg") for name in names)
+    record = json.loads((out / "solution.json").read_text(encoding="utf-8"))
+    assert record["status"] == "converged"
+    assert "sigma0" in done.stdout
+    assert " m" in done.stdout
+    solution = mgsgraph.read_solution(out)
+    assert solution.cost_final == pytest.approx(record["cost_final"], rel=1e-12)
+    again = run("adjust", case_file, "--out", out, "--no-figures")
+    assert again.returncode == 0, again.stderr
+    assert not any(path.suffix in (".png", ".svg") for path in out.iterdir())
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+@pytest.mark.parametrize("options", [("--form", "explicit"), ("--loss", "huber"), ("--reject", "5"), ("--no-laser",)])
+def test_options(case_file: Path, tmp_path: Path, options: tuple[str, ...]) -> None:
+    done = run("adjust", case_file, "--out", tmp_path / "result", "--no-figures", *options)
+    assert done.returncode == 0, done.stderr
+    solution = mgsgraph.read_solution(tmp_path / "result")
+    if options[0] == "--no-laser":
+        assert solution.network.ranges.point.size == 0
+        assert "prior" in done.stdout
+    else:
+        wanted = {options[0][2:]: float(options[1]) if options[0] == "--reject" else options[1]}
+        assert all(getattr(solution.settings, name) == value for name, value in wanted.items())
+
+
+def test_check_tells_what_is_there(case_file: Path, tmp_path: Path) -> None:
+    before = sorted(path.name for path in case_file.parent.iterdir())
+    done = run("check", case_file, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for said in ("SIM/A", "SIM/B", "20 tie points", "8 laser points", "8 laser ranges", "Connections", "Weak spots"):
+        assert said in done.stdout
+    assert sorted(path.name for path in case_file.parent.iterdir()) == before
+
+
+def test_check_names_weak_spots(case_file: Path) -> None:
+    done = run("check", case_file, "--no-laser")
+    assert "only the a-priori sigmas of the orientation hold the block" in done.stdout
+
+
+def test_demo_against_truth(tmp_path: Path) -> None:
+    done = run("demo", "--out", tmp_path / "demo", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert "NEES" in done.stdout
+    assert (tmp_path / "demo" / "inputs" / "case.toml").is_file()
+    record = json.loads((tmp_path / "demo" / "solution.json").read_text(encoding="utf-8"))
+    assert record["status"] == "converged"
+
+
+def test_bad_input_leaves_no_folder(case_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "result"
+    text = case_file.read_text(encoding="utf-8")
+    case_file.write_text(text.replace("sigma_px = 1.0", "sigma_px = -1.0"), encoding="utf-8")
+    refused(run("adjust", case_file, "--out", out), "sigma_px")
+    refused(run("adjust", tmp_path / "none.toml", "--out", out), "no such file")
+    refused(run("check", tmp_path), "a folder")
+    assert not out.exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["case"]
+
+
+def test_a_foreign_folder_is_not_replaced(case_file: Path, tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "thesis.txt").write_text("years of work", encoding="utf-8")
+    refused(run("adjust", case_file, "--out", precious), "not a result of mgsgraph")
+    assert (precious / "thesis.txt").read_text(encoding="utf-8") == "years of work"
+
+
+def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) -> None:
+    text = case_file.read_text(encoding="utf-8")
+    text = text.replace("position_sigma_m = 30.0", "position_sigma_m = inf").replace(
+        "angle_sigma_mrad = 0.1", "angle_sigma_mrad = inf"
+    )
+    case_file.write_text(text, encoding="utf-8")
+    done = run("adjust", case_file, "--out", tmp_path / "result", "--no-laser")
+    refused(done, "too weak")
+    assert "SIM/" in done.stderr
+    assert not (tmp_path / "result").exists()
+
+
+def test_a_full_disk(case_file: Path, tmp_path: Path) -> None:
+    """/dev/full answers every write with ENOSPC; a file size limit does the same to any file."""
+    limited = f"ulimit -f 8; exec {' '.join(MGSGRAPH)} adjust {case_file} --out {tmp_path / 'result'} --no-figures"
+    done = subprocess.run(["bash", "-c", limited], capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["case"]
+
+
+def test_not_converged_is_exit_status_one(case_file: Path, tmp_path: Path) -> None:
+    text = case_file.read_text(encoding="utf-8") + "\n[solver]\nmax_iterations = 1\n"
+    case_file.write_text(text, encoding="utf-8")
+    done = run("adjust", case_file, "--out", tmp_path / "result", "--no-figures")
+    assert done.returncode == 1
+    assert "max_iterations" in done.stdout

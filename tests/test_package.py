@@ -1,0 +1,130 @@
+"""The house: what is declared is what is on disk, and every import goes down."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+FOLDERS = {"mgsgraph": ROOT / "mgsgraph", "mgsgraph.factors": ROOT / "factors"}
+STOREYS = [
+    ("mgsgraph.cli",),
+    ("mgsgraph.products",),
+    ("mgsgraph.case",),
+    ("mgsgraph.adjustment",),
+    ("mgsgraph.simulation",),
+    ("mgsgraph.network", "mgsgraph.io"),
+    ("mgsgraph.ties",),
+    ("mgsgraph.geometry",),
+    ("mgsgraph.factors",),
+    ("mgsgraph.units", "mgsgraph.errors"),
+]
+ONLY_IN = {
+    "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment"),
+    "matplotlib": ("mgsgraph.products",),
+    "numba": ("mgsgraph.factors",),
+    "click": ("mgsgraph.cli",),
+    "tqdm": ("mgsgraph.cli",),
+    "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.products"),
+    "msgspec": ("mgsgraph.case",),
+}
+
+
+def modules() -> dict[str, Path]:
+    found = {}
+    for package, folder in FOLDERS.items():
+        for path in folder.rglob("*.py"):
+            parts = path.relative_to(folder).with_suffix("").parts
+            found[".".join((package, *(part for part in parts if part != "__init__")))] = path
+    return found
+
+
+def imports(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names.add(node.module or "")
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def storey(name: str) -> int | None:
+    for height, rooms in enumerate(STOREYS):
+        if any(name == room or name.startswith(room + ".") for room in rooms):
+            return height
+    return None
+
+
+def test_every_package_on_disk_is_declared() -> None:
+    on_disk = {name for name, path in modules().items() if path.name == "__init__.py"}
+    assert on_disk == set(TABLE["tool"]["setuptools"]["packages"])
+
+
+def test_no_top_level_factors(tmp_path: Path) -> None:
+    code = "import importlib.util; print(importlib.util.find_spec('factors'))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert done.stdout.strip() == "None"
+
+
+def test_every_import_goes_down() -> None:
+    wrong = [
+        f"{name} imports {target}"
+        for name, path in modules().items()
+        if name != "mgsgraph"
+        for target in imports(path)
+        if (here := storey(name)) is not None and (there := storey(target)) is not None and there < here
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("library", ONLY_IN)
+def test_libraries_stay_in_their_rooms(library: str) -> None:
+    wrong = [
+        name
+        for name, path in modules().items()
+        if any(target.split(".")[0] == library for target in imports(path))
+        and not any(name == room or name.startswith(room + ".") for room in ONLY_IN[library])
+    ]
+    assert not wrong
+
+
+def test_only_the_adjustment_imports_factors() -> None:
+    wrong = [
+        name
+        for name, path in modules().items()
+        if not name.startswith(("mgsgraph.factors", "mgsgraph.adjustment"))
+        and any(target.startswith("mgsgraph.factors") for target in imports(path))
+    ]
+    assert not wrong
+
+
+def test_no_file_outgrows_its_room() -> None:
+    assert not {n: k for n, p in modules().items() if (k := len(p.read_text(encoding="utf-8").splitlines())) > 520}
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = "import sys, mgsgraph.cli; print([m for m in ('numpy', 'numba', 'gtsam', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_public_names_resolve() -> None:
+    import mgsgraph
+
+    assert all(getattr(mgsgraph, name) is not None for name in mgsgraph.__all__)
+    with pytest.raises(AttributeError, match="read_case"):
+        _ = mgsgraph.nothing_like_that
+
+
+def test_readme_holds_two_one_line_set_up_commands() -> None:
+    commands = re.findall(r"```sh setup\n(.+?)\n```", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert len(commands) == 2
+    assert not any("\n" in command for command in commands)
