@@ -51,7 +51,7 @@ def reduce(rows: Rows, groups: Groups, model: Model, orientation: Array, system:
     rights = np.empty((chunks, width) if system else (chunks, 0))
     kernels.reduce_points(rows, groups, model, orientation, system, points, states, costs, blocks, rights)
     owner = groups.chunk[:, 0]
-    group_cost = np.bincount(owner, costs, groups.dimension.size)
+    group_cost = np.bincount(owner, costs, groups.dimension.size).astype(np.float64)
     block_sum: list[Array] = []
     right_sum: list[Array] = []
     for group, d in enumerate(groups.dimension if system else ()):
@@ -83,16 +83,16 @@ def square_root(block: Array, right: Array, cost: float, sigmas: Array) -> tuple
     d = right.size
     values, vectors = np.linalg.eigh(block * sigmas[:, None] * sigmas)
     gradient = vectors.T @ (right * sigmas)
-    largest = max(float(values[-1]), 0.0) if d else 0.0
+    largest = float(values.max(initial=0.0))
     floor = _ROUNDING * d * largest
-    # a direction whose curvature drowns in rounding may still have a gradient that the prior has to balance: it is kept,
-    # at the curvature of the rounding, which no prior feels
+    # a direction whose curvature drowns in rounding may still have a gradient, which the prior has to balance: it is
+    # kept, at the curvature of the rounding, which no prior feels
     kept = (values > floor) | (np.abs(gradient) > _ROUNDING * d * np.sqrt(largest * 2.0 * cost))
     root = np.sqrt(np.where(values > floor, values, floor if floor > 0.0 else 1.0))
     jacobian, error = np.zeros((d + 1, d)), np.zeros(d + 1)
     jacobian[:d] = np.where(kept, root, 0.0)[:, None] * vectors.T / sigmas
     error[:d] = np.where(kept, gradient / root, 0.0)
-    error[d] = np.sqrt(max(2.0 * cost - error[:d] @ error[:d], 0.0))
+    error[d] = np.sqrt(max(2.0 * cost - float(error[:d] @ error[:d]), 0.0))
     return jacobian, error
 
 
@@ -112,12 +112,18 @@ class Bundles:
     """
 
     def __init__(
-        self, rows: Rows, groups: Groups, model: Model, keys: Sequence[Sequence[int]],
-        columns: Sequence[Sequence[slice]], sigmas: Array,
+        self,
+        rows: Rows,
+        groups: Groups,
+        model: Model,
+        keys: Sequence[Sequence[int]],
+        columns: Sequence[Sequence[slice]],
+        sigmas: Array,
     ) -> None:
         self.rows, self.groups, self.model, self.sigmas = rows, groups, model, sigmas
         self._keys, self._columns = keys, columns
-        self._of_key = {key: part for group in range(len(keys)) for key, part in zip(keys[group], columns[group], strict=True)}
+        pairs = (pair for group in zip(keys, columns, strict=True) for pair in zip(*group, strict=True))
+        self._of_key = dict(pairs)
         self._last: Reduction | None = None
 
     def at(self, orientation: Array, system: bool = True) -> Reduction:

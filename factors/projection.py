@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import PointBehindCamera
-from mgsgraph.factors import kernels
+from mgsgraph.factors.equations import image_row
 from mgsgraph.factors.rows import Model, Rows
 
 Array = NDArray[np.float64]
+_OF_A_RAY = ("centre", "matrix", "turning", "detector", "focal", "to_pixels")
 
 
 def projection_factor(
@@ -49,7 +50,7 @@ def projection_factor(
     size = 0 if orientation_key is None else 6 * int(last - first)
     local = rows._replace(
         weight=np.ones_like(rows.weight[ray : ray + 1]),
-        **{name: getattr(rows, name)[ray : ray + 1] for name in ("centre", "matrix", "turning", "detector", "focal", "to_pixels")},
+        **{name: getattr(rows, name)[ray : ray + 1] for name in _OF_A_RAY},
         angles=rows.angles[ray : ray + 1] if rows.angles.size else rows.angles,
         pair_first=np.array([0, last - first]),
         pair_column=6 * np.arange(last - first),
@@ -58,10 +59,10 @@ def projection_factor(
     keys = [key for key in (orientation_key, point_key) if isinstance(key, int)]
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        x = values.atVector(orientation_key) if size else np.zeros(0)
+        x = np.zeros(0) if orientation_key is None else values.atVector(orientation_key)
         point = values.atPoint3(point_key) if isinstance(point_key, int) else point_key
         residual, by_pose, by_point = np.empty(2), np.empty((2, 6)), np.empty((2, 3))
-        carry, front = kernels.image_row(local, 0, model, x, point, np.empty((5, 9)), residual, by_pose, by_point)
+        carry, front = image_row(local, 0, model, x, point, np.empty((5, 9)), residual, by_pose, by_point)
         if not front:
             if jacobians is not None:
                 raise PointBehindCamera(label, "the point is behind the camera")

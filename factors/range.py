@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.factors import kernels
+from mgsgraph.factors.equations import range_row
 from mgsgraph.factors.rows import Rows
 
 Array = NDArray[np.float64]
@@ -39,10 +39,10 @@ def range_factor(
     keys = [key for key in (orientation_key, point_key) if isinstance(key, int)]
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        x = values.atVector(orientation_key) if size else np.zeros(0)
+        x = np.zeros(0) if orientation_key is None else values.atVector(orientation_key)
         point = values.atPoint3(point_key) if isinstance(point_key, int) else point_key
         by_point = np.empty(3)
-        residual = kernels.range_row(local, 0, x, point, by_point)
+        residual = range_row(local, 0, x, point, by_point)
         if jacobians is not None:
             blocks = []
             if size:

@@ -8,10 +8,11 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
@@ -21,7 +22,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.gcp import read_ground_control
 from mgsgraph.io.isd import Aberration, Observer, read_isd
@@ -187,7 +188,8 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
         for j, image in enumerate(wanted.images)
     )
     ties = read_control_network(folder / wanted.ties.network) if wanted.ties else None
-    control = read_ground_control(folder / wanted.ground_control.file, images[0].body) if wanted.ground_control else None
+    control_file = wanted.ground_control.file if wanted.ground_control else None
+    control = read_ground_control(folder / control_file, images[0].body) if control_file else None
     if wanted.laser is True:
         raise InputError(f"{path}, laser", "true", "false, or a table with the shots' file")
     shots = wanted.laser if laser and isinstance(wanted.laser, LaserInput) else None
@@ -250,9 +252,9 @@ class _Parts:
         self._index = {image.name: j for j, image in enumerate(images)}
         self.ids: list[str] = []
         self._sources: dict[str, str] = {}
-        self._points: list[tuple[Array, ...]] = []
-        self._rays: list[tuple[Array, ...]] = []
-        self._ranges: list[tuple[Array, ...]] = []
+        self._points: list[tuple[NDArray[Any], ...]] = []
+        self._rays: list[tuple[NDArray[Any], ...]] = []
+        self._ranges: list[tuple[NDArray[Any], ...]] = []
 
     def add_points(self, points: TiePoints, point_class: PointClass, sigma: float) -> None:
         """Points and measures of a control network or ground control file; `sigma` (px) where the file has none."""
@@ -281,11 +283,11 @@ class _Parts:
             own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
             self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
 
-    def network(self, priors: tuple[OrientationPrior, ...], held: Array) -> Network:
+    def network(self, priors: tuple[OrientationPrior, ...], held: Mask) -> Network:
         """All of it as one network."""
         points = GroundPoints(tuple(self.ids), *(np.concatenate(part) for part in zip(*self._points, strict=True)))
         rays = ImageRays(*(np.concatenate(part) for part in zip(*self._rays, strict=True)))
-        empty: tuple[Array, ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
+        empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
         ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
         return Network(self._images, priors, held, points, rays, ranges)
 
@@ -302,12 +304,16 @@ class _Parts:
     def _image(self, name: str, where: str) -> int:
         if name not in self._index:
             known = ", ".join(list(self._index)[:4])
-            raise InputError(where, f"the image {name!r}", f"one of the case's images ({known})",
-                             "add it to the case or take its measures out")
+            raise InputError(
+                where,
+                f"the image {name!r}",
+                f"one of the case's images ({known})",
+                "add it to the case or take its measures out",
+            )
         return self._index[name]
 
     def _add_rays(
-        self, first: int, point: Array, names: tuple[str, ...], places: Array, sigmas: Array, source: str
+        self, first: int, point: Index, names: tuple[str, ...], places: Array, sigmas: Array, source: str
     ) -> None:
         where = {name: k for k, name in reversed(list(enumerate(names)))}
         index = {
@@ -317,7 +323,7 @@ class _Parts:
         self._require_inside(image, places, point + first, source)
         self._rays.append((point + first, image, places, sigmas))
 
-    def _require_inside(self, image: Array, places: Array, point: Array, source: str) -> None:
+    def _require_inside(self, image: Index, places: Array, point: Index, source: str) -> None:
         """Measures lie on their image."""
         size = np.array([(im.lines, im.samples) for im in self._images], dtype=np.float64)[image]
         for k in np.flatnonzero(np.any((places < 0.0) | (places > size), axis=1))[:1]:

@@ -1,4 +1,4 @@
-"""What can go wrong, in few kinds, each also a standard error. A message is one line: place, finding, expectation, remedy."""
+"""What can go wrong, in few kinds, each also a standard error; one line: where, what was found, expected, to do."""
 
 from collections.abc import Sequence
 

@@ -63,8 +63,11 @@ def test_settings_and_overrides(case_file: Path) -> None:
     case = mgsgraph.read_case(
         edited(
             case_file,
-            swap('isd = "image_B.isd"', 'isd = "image_B.isd"\nheld = true\norientation = {degree = 1, '
-                 "position_sigma_m = [1.0, 2.0, inf], angle_sigma_mrad = 3, trend = [1, 0.5]}"),
+            swap(
+                'isd = "image_B.isd"',
+                'isd = "image_B.isd"\nheld = true\norientation = {degree = 1, '
+                "position_sigma_m = [1.0, 2.0, inf], angle_sigma_mrad = 3, trend = [1, 0.5]}",
+            ),
             add('[solver]\nloss = "huber"\nreject = 5\nline = "measured"'),
         )
     )
@@ -78,7 +81,9 @@ def test_files_own_sigmas_where_the_case_is_silent(case_file: Path) -> None:
     case = mgsgraph.read_case(edited(case_file, lambda text: re.sub(r"(range|ground)_sigma_m = .*\n", "", text)))
     assert np.all(case.network.ranges.sigmas == 1.0)
     laser = case.network.points.classes == PointClass.LASER
-    np.testing.assert_allclose(case.network.points.covariances[laser], np.eye(3) * 100.0 * np.ones((8, 1, 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        case.network.points.covariances[laser], np.eye(3) * 100.0 * np.ones((8, 1, 1)), atol=1e-6
+    )
 
 
 def test_ground_control_joins_in(case_file: Path) -> None:
@@ -110,8 +115,10 @@ WRONG: dict[str, tuple[tuple[Edit, ...], str]] = {
     "unknown loss": ((add('[solver]\nloss = "l1"'),), r"solver.loss"),
     "odd reject": ((add("[solver]\nreject = 0.5"),), r"reject"),
     "no images": ((lambda text: re.sub(r"\[\[images\]\][^\[]*", "", text),), r"images"),
-    "laser = true": ((lambda t: re.sub(r"\[laser\][^\[]*", "", t).replace("format = 1", "format = 1\nlaser = true"),),
-                     r"laser.*true"),
+    "laser = true": (
+        (lambda t: re.sub(r"\[laser\][^\[]*", "", t).replace("format = 1", "format = 1\nlaser = true"),),
+        r"laser.*true",
+    ),
     "missing ISD": ((swap("image_A.isd", "image_C.isd"),), r"image_C.isd: no such file"),
     "missing network": ((swap("network.pvl", "net.pvl"),), r"net.pvl: no such file"),
     "folder for a file": ((swap("network.pvl", "."),), r"a folder"),

@@ -1,18 +1,25 @@
-"""The main job: lay a network out, solve it (in passes, when blunders are to be rejected), and read off the posterior."""
+"""The main job: lay a network out, solve it (in passes, when blunders are sought), and read off the posterior."""
 
 import importlib.metadata
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, Layout, explicit_graph, lay_out
 from mgsgraph.adjustment.graph.bundle import orientation_key, orientation_vector, point_key
 from mgsgraph.adjustment.posterior import (
-    explicit_covariances, fit, orientation_covariance, point_covariances, require_strength, residuals,
+    explicit_covariances,
+    fit,
+    orientation_covariance,
+    point_covariances,
+    require_strength,
+    residuals,
 )
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
@@ -25,6 +32,7 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind
 
 Progress = Callable[[Iteration], None]
+_Kind = TypeVar("_Kind", np.float64, np.bool_)
 
 _MOST_PASSES = 10
 _POINT_SCALE = 100.0
@@ -215,8 +223,11 @@ def _without_weak(layout: Layout, reduction: Reduction, selection: _Selection) -
     out = selection.out.copy()
     out[layout.point_order[reduction.states == WEAK]] = True
     if np.all(out):
-        raise InputError("network", f"none of {len(network.points)} points is determined by its rays",
-                         "points seen from two sides, or with an a-priori place")
+        raise InputError(
+            "network",
+            f"none of {len(network.points)} points is determined by its rays",
+            "points seen from two sides, or with an a-priori place",
+        )
     return _Selection(selection.rays, selection.ranges, out)
 
 
@@ -229,7 +240,9 @@ def _behind(layout: Layout, place: int, point: Array) -> PointBehindCamera:
         if (pose.matrix[0] @ (point - pose.position[0]))[2] <= 0.0:
             break
     return PointBehindCamera(
-        f"point {network.points.ids[i]}, image {image.name}", "the point lies behind the camera", "a point before it",
+        f"point {network.points.ids[i]}, image {image.name}",
+        "the point lies behind the camera",
+        "a point before it",
         "check the point's a-priori place, the measure and the image's orientation",
     )
 
@@ -255,7 +268,8 @@ def _select(layout: Layout, solved: _Solved, limit: float) -> _Selection:
 
 def _places_of_all(layout: Layout, solved: _Solved) -> Array:
     """(n, 3) m, layout order: solved places; for points whose rays were rejected, the place that all its rays give."""
-    everything = _Selection(np.ones_like(solved.selection.rays), np.ones_like(solved.selection.ranges), solved.selection.out)
+    selection = solved.selection
+    everything = _Selection(np.ones_like(selection.rays), np.ones_like(selection.ranges), selection.out)
     by_all = BundleGraph(layout, everything.rows(layout)).reduction(solved.orientation, system=False).points
     return np.where(_determined(solved.rows)[:, None], solved.points, by_all)
 
@@ -327,7 +341,7 @@ def _determined(rows: Rows) -> Mask:
     return np.asarray(rows.point_kind != OUT)
 
 
-def _unsorted(values: Array, order: Index) -> Array:
+def _unsorted(values: NDArray[_Kind], order: Index) -> NDArray[_Kind]:
     """Values in the layout's order, back in the network's."""
     result = np.empty_like(values)
     result[order] = values
@@ -341,9 +355,9 @@ def _sigmas_without_laser(layout: Layout, solved: _Solved) -> Array | None:
     laser = classes == PointClass.LASER
     if not (np.any(ties) and np.any(laser)):
         return None
-    rows = _Selection(
-        solved.selection.rays, np.zeros_like(solved.selection.ranges), solved.selection.out | laser
-    ).rows(layout)
+    rows = _Selection(solved.selection.rays, np.zeros_like(solved.selection.ranges), solved.selection.out | laser).rows(
+        layout
+    )
     if np.any(np.isinf(layout.sigmas)):
         return None  # without the laser nothing may hold the datum
     joint = orientation_covariance(BundleGraph(layout, rows), solved.orientation)

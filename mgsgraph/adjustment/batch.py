@@ -1,8 +1,8 @@
 """Levenberg-Marquardt over a factor graph of either form; GTSAM holds the factors and does the elimination.
 
 The damping is Levenberg's in whitened units: a weak extra prior on the step, in the variables' own scales (a-priori
-sigmas), so that metres and radians are treated alike. A trial step costs one evaluation of the error; the loop is Python,
-the work is in the kernel and in GTSAM.
+sigmas), so that metres and radians are treated alike. A trial step costs one evaluation of the error; the loop is
+Python, the work is in the kernel and in GTSAM.
 """
 
 import math
@@ -129,7 +129,8 @@ def levenberg_marquardt(
             damping *= _TIGHTEN**rejected
             if damping > _MOST_DAMPING:
                 return Outcome(values, initial, cost, False, _STUCK, tuple(history))
-    message = f"Stopped after {settings.max_iterations} iterations without converging; raise max_iterations or {_REMEDY}."
+    limit = settings.max_iterations
+    message = f"Stopped after {limit} iterations without converging; raise max_iterations or {_REMEDY}."
     return Outcome(values, initial, cost, False, message, tuple(history))
 
 

@@ -107,7 +107,7 @@ def orientation_covariance(graph: BundleGraph, orientation: Array) -> Array:
 
 
 def point_covariances(layout: Layout, rows: Rows, orientation: Array, points: Array, joint: Array) -> Array:
-    """(n, 3, 3) m^2 covariances of all points, layout order, by back-substitution in the kernel; zero when fixed or out.
+    """(n, 3, 3) m^2 covariances of points, layout order, by back-substitution in the kernel; zero when fixed or out.
 
     S_p = V^-1 + V^-1 W' S_eo W V^-1 with the joint covariance S_eo of the orientation variables that see the point.
     """

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -20,8 +21,15 @@ _LOSSES = click.Choice(["none", "huber", "cauchy", "tukey"])
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
 def adjust(
-    ctx: click.Context, case: Path, out: Path, form: str | None, loss: str | None, reject: float | None,
-    no_laser: bool, no_figures: bool, verbose: bool,
+    ctx: click.Context,
+    case: Path,
+    out: Path,
+    form: str | None,
+    loss: str | None,
+    reject: float | None,
+    no_laser: bool,
+    no_figures: bool,
+    verbose: bool,
 ) -> None:
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
@@ -36,7 +44,7 @@ def adjust(
 
     require_replaceable(out)
     read = read_case(case, laser=not no_laser)
-    chosen = {"form": form, "loss": loss, "reject": reject}
+    chosen: dict[str, Any] = {"form": form, "loss": loss, "reject": reject}
     settings = dataclasses.replace(read.settings, **{key: value for key, value in chosen.items() if value is not None})
     with iteration_bar(verbose, settings.max_iterations) as bar:
         solution = run(dataclasses.replace(read, settings=settings), bar)

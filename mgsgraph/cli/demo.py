@@ -6,8 +6,13 @@ import click
 
 
 @click.command(short_help="Simulate a pair and adjust it.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("mgsgraph-demo"), show_default=True,
-              help="Folder for inputs and results; made anew.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("mgsgraph-demo"),
+    show_default=True,
+    help="Folder for inputs and results; made anew.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulated errors.")
 @click.option("--no-figures", is_flag=True, help="Write tables only.")
 def demo(out: Path, seed: int, no_figures: bool) -> None:

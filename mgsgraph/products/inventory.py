@@ -7,7 +7,7 @@ from mgsgraph.case import Case
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
@@ -50,7 +50,8 @@ def _images(network: Network) -> str:
         )
         lines.append(
             f"    centre {longitude / DEG % 360.0:.4f} E {latitude / DEG:+.4f} N; "
-            f"longitude {corners[0, 0]:.4f} .. {corners[1, 0]:.4f}, latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg"
+            f"longitude {corners[0, 0]:.4f} .. {corners[1, 0]:.4f}, "
+            f"latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg"
         )
         prior = network.priors[j].sigmas
         lines.append(
@@ -100,11 +101,14 @@ def _points(network: Network, prediction: Prediction) -> str:
         if np.any(mine):
             misfit = prediction.residuals[mine]
             rms = np.sqrt(np.nanmean(misfit**2, axis=0))
-            lines.append(f"    with the nominal orientation: image residuals {rms[0]:.2f} lines, {rms[1]:.2f} samples rms")
+            lines.append(
+                f"    with the nominal orientation: image residuals {rms[0]:.2f} lines, {rms[1]:.2f} samples rms"
+            )
     if network.ranges.point.size:
         misfit = prediction.range_residuals
         lines.append(
-            f"  {misfit.size} laser ranges of {network.ranges.values.min() / KM:.3f} .. {network.ranges.values.max() / KM:.3f}"
+            f"  {misfit.size} laser ranges of {network.ranges.values.min() / KM:.3f} .. "
+            f"{network.ranges.values.max() / KM:.3f}"
             f" km; measured minus nominal: mean {misfit.mean():+.3f} m, rms {np.sqrt(np.mean(misfit**2)):.3f} m"
         )
     else:
@@ -117,7 +121,9 @@ def _connections(network: Network) -> str:
     lines = ["Connections (points in common)"]
     for i in range(len(network.images)):
         partners = [
-            f"{common[i, j]} with {network.images[j].name}" for j in range(len(network.images)) if j != i and common[i, j]
+            f"{common[i, j]} with {network.images[j].name}"
+            for j in range(len(network.images))
+            if j != i and common[i, j]
         ]
         named = ", ".join(partners[:_NAMED]) + (f" and {len(partners) - _NAMED} more" if len(partners) > _NAMED else "")
         lines.append(f"  {network.images[i].name}: {common[i, i]} points; {named or 'no other image'}")
@@ -130,10 +136,14 @@ def _weak_spots(network: Network, prediction: Prediction) -> list[str]:
     islands = network.islands()
     if len(islands) > 1:
         rest = "; ".join(", ".join(network.images[j].name for j in island[:_NAMED]) for island in islands[1:])
-        found.append(f"the block falls into {len(islands)} islands without common points; apart from the largest: {rest}")
+        found.append(
+            f"the block falls into {len(islands)} islands without common points; apart from the largest: {rest}"
+        )
     lost = np.flatnonzero(network.undetermined)
     if lost.size:
-        found.append(f"{lost.size} points have fewer than two rays and no a-priori place, and stay out: {_some(network, lost)}")
+        found.append(
+            f"{lost.size} points have fewer than two rays and no a-priori place, and stay out: {_some(network, lost)}"
+        )
     flat = np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~network.undetermined)
     if flat.size:
         found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {_some(network, flat)}")
@@ -141,16 +151,19 @@ def _weak_spots(network: Network, prediction: Prediction) -> list[str]:
     angle = _convergence(network)
     if np.any(angle < _NARROW):
         found.append(
-            f"{np.count_nonzero(angle < _NARROW)} tie points have rays that converge by less than {_NARROW / DEG:.0f} deg "
-            f"(least {angle.min() / DEG:.2f} deg): expect their sigma along the line of sight to be large"
+            f"{np.count_nonzero(angle < _NARROW)} tie points have rays that converge by less than "
+            f"{_NARROW / DEG:.0f} deg (least {angle.min() / DEG:.2f} deg): "
+            "expect their sigma along the line of sight to be large"
         )
     held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
     if not held_down:
-        found.append("no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block")
+        found.append(
+            "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"
+        )
     return found
 
 
-def _some(network: Network, points: Array) -> str:
+def _some(network: Network, points: Index) -> str:
     names = ", ".join(network.points.ids[i] for i in points[:_NAMED])
     return names + (f" and {points.size - _NAMED} more" if points.size > _NAMED else "")
 
@@ -178,4 +191,4 @@ def _convergence(network: Network) -> Array:
         mine = rays.image == j
         origins[mine], directions[mine], _, _ = image.rays(*rays.places[mine].T)
     _, _, angle = intersect_rays(origins, directions, rays.point, len(network.points))
-    return angle[(network.points.classes == PointClass.TIE) & (network.ray_counts >= 2)]
+    return np.asarray(angle[(network.points.classes == PointClass.TIE) & (network.ray_counts >= 2)])

@@ -27,7 +27,8 @@ def against_truth(solution: Solution, pair: SimulatedPair) -> list[str]:
         after, before = (places[members] - true_places[members] for places in (solution.places, solution.places_before))
         mean = nees(after, solution.covariances[members]).mean() / 3.0
         sentences.append(
-            f"Truth, {point_class.name.lower()} points: error {_rms(before):.1f} m rms before, {_rms(after):.1f} m after; "
+            f"Truth, {point_class.name.lower()} points: error {_rms(before):.1f} m rms before, "
+            f"{_rms(after):.1f} m after; "
             f"mean NEES per degree of freedom {mean:.2f} (1 if the stated sigmas are honest; "
             "all points share one orientation, so one draw scatters)."
         )
@@ -38,7 +39,9 @@ def against_truth(solution: Solution, pair: SimulatedPair) -> list[str]:
         ]
     )
     whitened = nees(errors[None], solution.joint_covariance[None])[0]
-    sentences.append(f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size}).")
+    sentences.append(
+        f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size})."
+    )
     return sentences
 
 

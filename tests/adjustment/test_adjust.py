@@ -95,7 +95,9 @@ def test_whole_graph_error_is_the_full_cost() -> None:
 def test_angle_conventions_reach_the_same_ground() -> None:
     """Parametrisations differ by second-order terms and by what the prior is on; the points hardly notice."""
     net = network(pair())
-    found = {angles: adjust_network(net, SolverSettings(angles=angles)) for angles in ("camera", "opk-paper", "opk-peer")}
+    found = {
+        angles: adjust_network(net, SolverSettings(angles=angles)) for angles in ("camera", "opk-paper", "opk-peer")
+    }
     for angles in ("opk-paper", "opk-peer"):
         assert found[angles].cost_final == pytest.approx(found["camera"].cost_final, rel=2e-2)
         offset = (found[angles].places - found["camera"].places) / found["camera"].sigmas
@@ -169,7 +171,9 @@ def test_all_images_held_is_intersection() -> None:
 
 def fixed_points(net: Network, kind: PointKind, places: np.ndarray, sigma: float) -> Network:
     n = len(net.points)
-    covariances = np.broadcast_to(np.eye(3) * sigma**2, (n, 3, 3)) if kind == PointKind.CONSTRAINED else np.zeros((n, 3, 3))
+    covariances = (
+        np.broadcast_to(np.eye(3) * sigma**2, (n, 3, 3)) if kind == PointKind.CONSTRAINED else np.zeros((n, 3, 3))
+    )
     points = GroundPoints(net.points.ids, net.points.classes, np.full(n, kind), places, covariances)
     return replace(net, points=points)
 
@@ -256,7 +260,10 @@ def test_result_does_not_depend_on_the_order_of_the_input() -> None:
     rng = np.random.default_rng(7)
     order = rng.permutation(net.rays.point.size)
     rays = ImageRays(*(getattr(net.rays, name)[order] for name in ("point", "image", "places", "sigmas")))
-    one, other = adjust_network(net, SolverSettings(**TIGHT)), adjust_network(replace(net, rays=rays), SolverSettings(**TIGHT))
+    one, other = (
+        adjust_network(net, SolverSettings(**TIGHT)),
+        adjust_network(replace(net, rays=rays), SolverSettings(**TIGHT)),
+    )
     assert one.cost_final == pytest.approx(other.cost_final, rel=1e-11)
     np.testing.assert_allclose(one.residuals[order], other.residuals, atol=1e-7)
     np.testing.assert_allclose(one.places, other.places, atol=1e-5)
@@ -280,8 +287,17 @@ def test_nothing_is_determined() -> None:
 
 
 def test_settings_refuse_what_makes_no_sense() -> None:
-    for wrong in ({"form": "x"}, {"loss": "l1"}, {"loss_width": 0.0}, {"reject": 1.0}, {"max_iterations": 0},
-                  {"cost_tolerance": 2.0}, {"line": "m"}, {"angles": "euler"}, {"reject": float("nan")}):
+    for wrong in (
+        {"form": "x"},
+        {"loss": "l1"},
+        {"loss_width": 0.0},
+        {"reject": 1.0},
+        {"max_iterations": 0},
+        {"cost_tolerance": 2.0},
+        {"line": "m"},
+        {"angles": "euler"},
+        {"reject": float("nan")},
+    ):
         with pytest.raises(InputError, match="solver"):
             SolverSettings(**wrong)
 

@@ -1,4 +1,4 @@
-"""The command line as a person uses it, in processes of its own: exit status, one line on stderr, nothing half-written."""
+"""The command line as a person uses it, in processes of its own: exit status, one line on stderr, nothing left over."""
 
 import json
 import os
@@ -15,7 +15,12 @@ MGSGRAPH = [sys.executable, "-m", "mgsgraph.cli"]
 
 def run(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*MGSGRAPH, *map(str, arguments)], capture_output=True, text=True, cwd=cwd, timeout=300, check=False,
+        [*MGSGRAPH, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=300,
+        check=False,
         env=os.environ | {"COLUMNS": "110"},
     )
 
@@ -29,7 +34,9 @@ def refused(done: subprocess.CompletedProcess[str], said: str) -> None:
     assert said in lines[0]
 
 
-@pytest.mark.parametrize("arguments", [("--help",), ("adjust", "--help"), ("check", "-h"), ("demo", "-h"), ("--version",)])
+@pytest.mark.parametrize(
+    "arguments", [("--help",), ("adjust", "--help"), ("check", "-h"), ("demo", "-h"), ("--version",)]
+)
 def test_help(arguments: tuple[str, ...]) -> None:
     done = run(*arguments)
     assert done.returncode == 0
@@ -39,8 +46,13 @@ def test_help(arguments: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
-    [(("adjst",), "adjust, check, demo"), (("adjust",), "CASE"), (("adjust", "x.toml"), "--out"),
-     (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"), (("check", "a", "b"), "b")],
+    [
+        (("adjst",), "adjust, check, demo"),
+        (("adjust",), "CASE"),
+        (("adjust", "x.toml"), "--out"),
+        (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"),
+        (("check", "a", "b"), "b"),
+    ],
 )
 def test_typing_errors_show_the_way(arguments: tuple[str, ...], said: str) -> None:
     done = run(*arguments)

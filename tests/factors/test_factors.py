@@ -62,9 +62,7 @@ def test_projection(line: str, angles: str, seed: int, rotation: float, ray: int
     values.insert(orientation_key(0), coefficients)
     values.insert(point_key(point), made.rows.point_start[point] + move)
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.7, 1.3]))
-    factor = projection_factor(
-        orientation_key(0), point_key(point), made.rows, ray, made.model, noise, label_of(ray)
-    )
+    factor = projection_factor(orientation_key(0), point_key(point), made.rows, ray, made.model, noise, label_of(ray))
     assert_jacobians(factor, values, steps(), tolerance=2e-6)
 
 
@@ -75,7 +73,9 @@ def test_range(seed: int, shot: int) -> None:
     coefficients, move = state(seed, 1e-3)
     values = gtsam.Values()
     values.insert(orientation_key(0), coefficients)
-    values.insert(point_key(1), made.rows.point_start[made.rows.range_first.searchsorted(shot, side="right") - 1] + move)
+    values.insert(
+        point_key(1), made.rows.point_start[made.rows.range_first.searchsorted(shot, side="right") - 1] + move
+    )
     factor = range_factor(orientation_key(0), point_key(1), made.rows, shot, gtsam.noiseModel.Isotropic.Sigma(1, 2.0))
     assert_jacobians(factor, values, steps(), tolerance=1e-7)
 

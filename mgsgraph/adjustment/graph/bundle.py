@@ -1,7 +1,5 @@
 """The bundle form: orientation variables, their priors, and one bundle factor per set of them."""
 
-from collections.abc import Mapping
-
 import gtsam
 import numpy as np
 
@@ -35,14 +33,6 @@ def orientation_vector(layout: Layout, values: gtsam.Values) -> Array:
     vector = np.zeros(layout.columns)
     for j in layout.adjusted_images():
         vector[layout.columns_of(j)] = values.atVector(orientation_key(j))
-    return vector
-
-
-def step_vector(layout: Layout, step: gtsam.VectorValues | Mapping[int, Array]) -> Array:
-    """Orientation part (columns,) of a solved step."""
-    vector = np.zeros(layout.columns)
-    for j in layout.adjusted_images():
-        vector[layout.columns_of(j)] = step.at(orientation_key(j))
     return vector
 
 

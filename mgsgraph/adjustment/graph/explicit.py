@@ -1,4 +1,6 @@
-"""The explicit form: one factor per row set, ground points as variables. The reference, for small problems and teaching."""
+"""The explicit form: one factor per row set, points as variables. The reference, for small problems and teaching."""
+
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -11,7 +13,7 @@ from mgsgraph.factors.range import range_factor
 from mgsgraph.factors.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, TUKEY, Model, Rows
 from mgsgraph.geometry.records import Array
 
-_ESTIMATORS = {
+_ESTIMATORS: dict[int, Any] = {
     HUBER: gtsam.noiseModel.mEstimator.Huber,
     CAUCHY: gtsam.noiseModel.mEstimator.Cauchy,
     TUKEY: gtsam.noiseModel.mEstimator.Tukey,

@@ -4,15 +4,31 @@ What of an observation doesn't change during an adjustment is worked out here, o
 and its rates, basis values, the undistorted focal-plane place.
 """
 
+import itertools
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.factors.rows import (
-    CAMERA, CAUCHY, FIXED, FREE, HUBER, MEASURED, NO_LOSS, OPK_PAPER, OPK_PEER, OUT, PREDICTED, PRIOR, TUKEY,
-    Groups, Model, Rows,
+    CAMERA,
+    CAUCHY,
+    FIXED,
+    FREE,
+    HUBER,
+    MEASURED,
+    NO_LOSS,
+    OPK_PAPER,
+    OPK_PEER,
+    OUT,
+    PREDICTED,
+    PRIOR,
+    TUKEY,
+    Groups,
+    Model,
+    Rows,
 )
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.intersection import intersect_rays
@@ -82,7 +98,7 @@ class Layout:
         return [int(j) for j in np.flatnonzero(self.first_column >= 0)]
 
     def active(self, rays: Mask, ranges: Mask, out: Mask) -> Rows:
-        """Rows with some left out: rays (k,) and ranges (r,) that take part, and points (n,) that don't; network order."""
+        """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't; network order."""
         kind = self.rows.point_kind.copy()
         kind[out[self.point_order]] = OUT
         return self.rows._replace(
@@ -106,7 +122,7 @@ def lay_out(network: Network, settings: SolverSettings) -> Layout:
     """
     model = Model(_LINES[settings.line], _ANGLES[settings.angles], _LOSSES[settings.loss], settings.width)
     first_column, sigmas = _columns(network)
-    membership, group_images, group_of_point = _group_points(network, first_column >= 0)
+    group_images, group_of_point = _group_points(network, first_column >= 0)
     point_order = np.argsort(group_of_point, kind="stable")
     place_of = np.empty_like(point_order)
     place_of[point_order] = np.arange(point_order.size)
@@ -120,9 +136,7 @@ def lay_out(network: Network, settings: SolverSettings) -> Layout:
         **_range_arrays(network, range_order, place_of, first_column, local, group_of_point),
     )
     groups = _groups(network, group_images, group_of_point[point_order])
-    return Layout(
-        network, model, rows, groups, group_images, first_column, sigmas, point_order, ray_order, range_order
-    )
+    return Layout(network, model, rows, groups, group_images, first_column, sigmas, point_order, ray_order, range_order)
 
 
 def _columns(network: Network) -> tuple[Index, Array]:
@@ -138,7 +152,7 @@ def _columns(network: Network) -> tuple[Index, Array]:
     return first, np.concatenate(sigmas) if sigmas else np.zeros(0)
 
 
-def _group_points(network: Network, adjusted: Mask) -> tuple[Index, tuple[tuple[int, ...], ...], Index]:
+def _group_points(network: Network, adjusted: Mask) -> tuple[tuple[tuple[int, ...], ...], Index]:
     """Sort points by the set of adjusted images that see them or carry a range of theirs.
 
     Sets are told apart by the sum of a 63-bit random number per image: one pass, no Python per point.
@@ -159,7 +173,7 @@ def _group_points(network: Network, adjusted: Mask) -> tuple[Index, tuple[tuple[
     _, example, group = np.unique(signature, return_index=True, return_inverse=True)
     images_of = np.searchsorted(pairs[:, 0], example), np.searchsorted(pairs[:, 0], example, side="right")
     sets = tuple(tuple(int(j) for j in pairs[a:b, 1]) for a, b in zip(*images_of, strict=True))
-    return pairs, sets, group.reshape(-1).astype(np.int64)
+    return sets, group.reshape(-1).astype(np.int64)
 
 
 def _local_columns(network: Network, group_images: tuple[tuple[int, ...], ...]) -> Index:
@@ -172,12 +186,13 @@ def _local_columns(network: Network, group_images: tuple[tuple[int, ...], ...]) 
 
 
 def _groups(network: Network, group_images: tuple[tuple[int, ...], ...], sorted_group: Index) -> Groups:
-    dimension = np.array([sum(network.priors[j].sigmas.size for j in images) for images in group_images], dtype=np.int64)
+    sizes = np.array([prior.sigmas.size for prior in network.priors])
+    dimension = np.array([sizes[list(images)].sum() for images in group_images], dtype=np.int64)
     chunks = []
     for group in range(len(group_images)):
         first, last = np.searchsorted(sorted_group, [group, group + 1])
         edges = np.append(np.arange(first, last, _CHUNK), last)
-        chunks += [(group, a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        chunks += [(group, a, b) for a, b in itertools.pairwise(edges.tolist())]
     offset = np.concatenate([[0], np.cumsum(dimension * dimension)]).astype(np.int64)
     return Groups(dimension, offset, np.array(chunks, dtype=np.int64).reshape(-1, 3))
 
@@ -207,14 +222,16 @@ def _starting_places(network: Network) -> Array:
     for i in np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))[:1]:
         image = network.images[rays.image[first_of[i]]].name
         raise InputError(
-            f"point {network.points.ids[i]}", f"its ray in image {image} misses the body", "image places on the body",
+            f"point {network.points.ids[i]}",
+            f"its ray in image {image} misses the body",
+            "image places on the body",
             "check the image's orientation or leave the point out",
         )
     starts[network.undetermined] = 0.0
     return starts
 
 
-def _point_arrays(network: Network, order: Index, starts: Array) -> dict[str, Array | Index]:
+def _point_arrays(network: Network, order: Index, starts: Array) -> dict[str, Any]:
     kinds = np.array([FREE, PRIOR, FIXED])[network.points.kinds]
     kinds[network.undetermined] = OUT
     roots = np.zeros((len(network.points), 3, 3))
@@ -226,9 +243,15 @@ def _point_arrays(network: Network, order: Index, starts: Array) -> dict[str, Ar
 
 
 def _ray_arrays(
-    network: Network, order: Index, place_of: Index, model: Model, first_column: Index, local: Index,
-    group_of_point: Index, starts: Array,
-) -> dict[str, Array | Index]:
+    network: Network,
+    order: Index,
+    place_of: Index,
+    model: Model,
+    first_column: Index,
+    local: Index,
+    group_of_point: Index,
+    starts: Array,
+) -> dict[str, Any]:
     """Everything of the rays, in layout order."""
     rays = ImageRays(*(getattr(network.rays, name)[order] for name in ("point", "image", "places", "sigmas")))
     k = order.size
@@ -249,16 +272,24 @@ def _ray_arrays(
     pairs = _pairs(network, rays.image, rays.places[:, 0], first_column, local, group_of_point[rays.point])
     return {
         "ray_first": _first_of(place_of[rays.point], len(network.points)),
-        "centre": centre, "matrix": matrix, "turning": turning, "angles": angles,
-        "detector": detector, "focal": focal, "to_pixels": to_pixels, "weight": 1.0 / rays.sigmas,
-        "pair_first": pairs[0], "pair_column": pairs[1], "pair_local": pairs[2],
+        "centre": centre,
+        "matrix": matrix,
+        "turning": turning,
+        "angles": angles,
+        "detector": detector,
+        "focal": focal,
+        "to_pixels": to_pixels,
+        "weight": 1.0 / rays.sigmas,
+        "pair_first": pairs[0],
+        "pair_column": pairs[1],
+        "pair_local": pairs[2],
         "pair_value": np.stack([pairs[3], pairs[4]], axis=1),
     }
 
 
 def _range_arrays(
     network: Network, order: Index, place_of: Index, first_column: Index, local: Index, group_of_point: Index
-) -> dict[str, Array | Index]:
+) -> dict[str, Any]:
     """Everything of the ranges, in layout order; the instrument is where the camera is at the shot's time."""
     names = ("point", "image", "times", "values", "sigmas")
     ranges = Ranges(*(getattr(network.ranges, name)[order] for name in names))
@@ -271,8 +302,12 @@ def _range_arrays(
     pairs = _pairs(network, ranges.image, lines, first_column, local, group_of_point[ranges.point])
     return {
         "range_first": _first_of(place_of[ranges.point], len(network.points)),
-        "range_centre": centre, "range_value": ranges.values, "range_weight": 1.0 / ranges.sigmas,
-        "range_pair_first": pairs[0], "range_pair_column": pairs[1], "range_pair_local": pairs[2],
+        "range_centre": centre,
+        "range_value": ranges.values,
+        "range_weight": 1.0 / ranges.sigmas,
+        "range_pair_first": pairs[0],
+        "range_pair_column": pairs[1],
+        "range_pair_local": pairs[2],
         "range_pair_value": pairs[3],
     }
 
