@@ -31,7 +31,7 @@ ONLY_IN = {
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),
     "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.products"),
-    "msgspec": ("mgsgraph.case",),
+    "msgspec": ("mgsgraph.case", "mgsgraph.products"),
 }
 
 

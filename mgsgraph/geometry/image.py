@@ -16,8 +16,9 @@ from mgsgraph.geometry.trajectory import Pose, Trajectory
 
 _NEWTON_STEPS = 30
 _PIXEL_TOLERANCE = 1e-9
-_EDGE = 0.5
-"""Newton may leave the image by this share of its length; beyond, a place counts as not seen."""
+_EDGE = np.array([0.5, 2.0])
+"""Newton may leave the image by this share of its lines and samples; beyond, a place counts as not seen (and the
+polynomials of the optics mean nothing)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,18 +164,18 @@ class PushbroomImage:
         -------
         places : (n, 2)
             line and sample, which may lie outside the image; NaN where the point is behind the camera or more than
-            half an image length before or after the image. The body does not hide anything.
+            half its length before or after, or twice its width beside the image. The body does not hide anything.
         jacobian : (n, 2, 3)
             d(line, sample) / d(point), per m.
         """
         place = np.empty((points.shape[0], 2))
         place[:, 0] = 0.5 * self.lines if start is None else start
         place[:, 1] = 0.5 * self.samples
-        low, high = -_EDGE * self.lines, (1.0 + _EDGE) * self.lines
+        size = np.array([self.lines, self.samples])
         for _ in range(_NEWTON_STEPS):
             error, jacobian, _ = self._misplacement(points, place, correction)
-            before, place = place, place - _solve(jacobian, error[:, :, None])[:, :, 0]
-            place[:, 0] = np.clip(place[:, 0], low, high)
+            step = -_solve(jacobian, error[:, :, None])[:, :, 0]
+            before, place = place, np.clip(place + step, -_EDGE * size, (1.0 + _EDGE) * size)
             if not np.any(np.abs(place - before) > _PIXEL_TOLERANCE):  # NaN has come to rest, too
                 break
         error, jacobian, by_point = self._misplacement(points, place, correction)

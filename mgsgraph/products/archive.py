@@ -31,7 +31,7 @@ ARCHIVE = "solution.npz"
 
 _DISTORTIONS = {kind.__name__: kind for kind in (NoDistortion, LrocNacDistortion, RadialDistortion)}
 _BROKEN = (
-    OSError, EOFError, KeyError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError, RecursionError,
+    OSError, EOFError, LookupError, AttributeError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError,
     struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 """What zipfile, NumPy and json raise on files that are damaged or no archives."""
@@ -89,7 +89,9 @@ def _members(path: Path) -> dict[str, np.ndarray]:
         raise InputError(damaged.removesuffix(".npy"), "a wrong checksum", remedy=_ANEW)
     with np.load(path, allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
-    for array in arrays.values():
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):  # NumPy hands other members out as bytes
+            raise InputError(name, "no NumPy array", remedy=_ANEW)
         array.flags.writeable = False
     return arrays
 

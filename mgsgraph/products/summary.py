@@ -9,6 +9,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.products.merit import (
+    PLACES,
     RayStatistics,
     laser_gain,
     orientation_statistics,
@@ -249,22 +250,20 @@ def _head(solution: Solution) -> str:
 def _image_table(solution: Solution, rays: RayStatistics) -> str:
     images = solution.network.images
     lines = [
-        f"{'Images':<{_NAME + 2}} {'rays':>6} {'used':>6}  {'residual rms [px]':>16}  {'mean correction [m]':>25}  "
-        f"{'about camera axes [arcsec]':>20}",
-        " " * (_NAME + 18) + "  ".join(" ".join(f"{name:>8}" for name in group) for group in _HEADINGS),
+        f"{'Images':<{_NAME + 2}} {'rays':>6} {'used':>6}  {'residuals [px]':>15}  {'mean correction [m]':>23}  "
+        f"{'camera axes [arcsec]':>23}",
+        " " * (_NAME + 18) + "  ".join(" ".join(f"{name:>7}" for name in group) for group in _HEADINGS),
     ]
     for j, image in enumerate(images[:_ROWS]):
         moved = orientation_statistics(solution, j).mean
-        held = "held" if solution.network.held[j] else ""
-        turned = moved[6:] / ARCSEC
-        numbers = [held.rjust(26), ""] if held else [_cells(moved[:3], 8), _cells(turned, 8)]
+        correction = f"{_cells(moved[:3], 7)}  {_cells(moved[6:] / ARCSEC, 7)}"
         lines.append(
             f"  {_short(image.name, _NAME):<{_NAME}} {rays.total[j]:>6} {rays.count[j].sum():>6}  "
-            f"{_cells(rays.rms_of_images[j], 8)}  {numbers[0]}  {numbers[1]}".rstrip()
+            f"{_cells(rays.rms_of_images[j], 7)}  {'held'.rjust(23) if solution.network.held[j] else correction}"
         )
     if len(images) > _ROWS:
         lines.append(f"  and {_many(len(images) - _ROWS, 'more image')}: see solution.json")
-    return "\n".join(lines)
+    return "\n".join([*lines, f"  (residuals: rms; corrections: means over {PLACES} lines)"])
 
 
 def _point_table(solution: Solution) -> str:
@@ -295,16 +294,15 @@ def _range_lines(solution: Solution) -> str:
 
 
 def _cells(values: Array, width: int) -> str:
-    """Right-aligned numbers with three decimals, or fewer where large; a dash for none."""
-    return " ".join(_cell(float(value)).rjust(width) for value in values)
+    """Right-aligned numbers with as many of three decimals as the width holds; a dash for none."""
+    return " ".join(_cell(float(value), width).rjust(width) for value in values)
 
 
-def _cell(value: float) -> str:
+def _cell(value: float, width: int) -> str:
     if not math.isfinite(value):
         return "-"
-    if abs(value) >= 1e5:
-        return f"{value:.2g}"
-    return f"{value:.3f}" if abs(value) < 1e3 else f"{value:.1f}"
+    texts = (f"{value:.{decimals}f}" for decimals in (3, 2, 1, 0))
+    return next((text for text in texts if len(text) <= width), f"{value:.0e}")
 
 
 def _three(values: Array) -> str:

@@ -116,10 +116,12 @@ def test_bundle_gradient_is_that_of_the_full_cost(seed: int, line: str, loss: st
     assert 0.5 * right @ right == pytest.approx(factor.error(values), rel=1e-12)
     for k in range(36):
         step = np.zeros(36)
-        step[k] = 1e-3 * made.scales[k]
+        step[k] = 1e-4 * made.scales[k]
         difference = [factor.error(graph.values(x + times * step)) for times in (1.0, -1.0, 2.0, -2.0)]
-        numeric = (8.0 * (difference[0] - difference[1]) - (difference[2] - difference[3])) / 12e-3
-        assert gradient[k] == pytest.approx(numeric, rel=1e-5, abs=1e-5 * np.abs(gradient).max())
+        numeric = (8.0 * (difference[0] - difference[1]) - (difference[2] - difference[3])) / 12e-4
+        # Huber's curvature jumps, which costs the differences some digits
+        share = 1e-4 if loss == "huber" else 1e-5
+        assert gradient[k] == pytest.approx(numeric, rel=share, abs=share * np.abs(gradient).max())
 
 
 def test_the_oracle_finds_a_sign_error() -> None:

@@ -150,7 +150,7 @@ def _caption(solution: Solution) -> str:
             f"{number(middle)} m"
         )
     lost = int(np.count_nonzero(~solution.determined))
-    text += f"; {lost} points that nothing determines are not drawn" if lost else ""
+    text += f"; points that nothing determines are left out ({lost})" if lost else ""
     if max(counts.values()) > MOST_MARKS:
         text += f"; at most {MOST_MARKS} points of a kind are drawn"
     return f"{text}; distances from the centre are true (azimuthal equidistant, planetocentric latitude)."

@@ -35,7 +35,7 @@ def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
     images = range(len(solution.network.images))
     chosen = images[: _PER_SHEET * MOST_SHEETS]
     sheets = in_sheets(chosen, _PER_SHEET)
-    omitted = left_out(len(chosen), len(images), "first")
+    omitted = left_out(len(images), len(chosen), f"first {len(chosen)}")
     for n, some in enumerate(sheets):
         yield _sheet(solution, some, sheet_name("orientation", n + 1, len(sheets)), omitted)
 
@@ -82,12 +82,12 @@ def coupling(solution: Solution, image: int) -> float:
 
 
 def _draw(panel: Axes, profile: OrientationProfile, value: np.ndarray, sigma: np.ndarray, held: bool) -> None:
-    panel.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
     panel.set_xlim(profile.lines[0], profile.lines[-1])
     panel.locator_params(axis="both", nbins=5)
     if held:
         panel.plot(profile.lines, value, color=SOFT, ls="--")
         return
+    panel.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
     panel.fill_between(profile.lines, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)
     panel.plot(profile.lines, value, color=AFTER)
 
@@ -99,10 +99,10 @@ def _caption(profiles: Sequence[OrientationProfile], couplings: Sequence[float],
         return "All images drawn here are held, so that their orientation is the nominal one and has no sigma"
     largest = [[max(float(np.abs(one[k][part]).max()) for one in free) for k in range(6)] for part in (0, 1)]
     (shift, turn), (spread, twist) = [(max(part[:3]), max(part[3:])) for part in largest]
-    kept = f"; {sum(held)} held images keep theirs" if any(held) else ""
+    kept = f"; held at nominal: {sum(held)}" if any(held) else ""
     return (
         f"Positions (body-fixed X, Y, Z) moved by up to {number(shift)} m and the camera turned by up to "
         f"{number(turn)} arcsec about its own axes, while their sigmas reach {number(spread)} m and {number(twist)} "
-        f"arcsec; position and rotation of an image are correlated by up to {max(couplings):.3f}, so that one may stand "
-        f"for the other{kept}"
+        f"arcsec; position and rotation of an image are correlated by up to {max(couplings):.3f}, so that one may "
+        f"stand for the other{kept}"
     )

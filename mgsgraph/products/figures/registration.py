@@ -21,7 +21,6 @@ from mgsgraph.products.figures.sheet import (
     AFTER,
     BEFORE,
     INK,
-    MOST_MARKS,
     MOST_SHEETS,
     SOFT,
     Sheet,
@@ -38,6 +37,8 @@ from mgsgraph.products.figures.sheet import (
 )
 
 _PER_SHEET = 2
+MOST_SHOTS = 1000
+"""Laser points in an image; each is drawn up to ten times."""
 _FREE = 0.3
 """Height of the free row above the discrepancy, which has an axis label and a title to hold."""
 _LABELS = ("sample (px)", "line, measured\nminus projected (px)", "sample, measured\nminus projected (px)")
@@ -52,8 +53,8 @@ def registration_sheets(solution: Solution) -> Iterator[Sheet]:
     if not solution.members(PointClass.LASER).size:
         return
     chosen = _richest(solution, _PER_SHEET * MOST_SHEETS)
-    omitted = left_out(len(chosen), len(solution.network.images), "with most laser measures")
-    found = {j: registration_offsets(solution, j, MOST_MARKS) for j in chosen}
+    omitted = left_out(len(solution.network.images), len(chosen), f"{len(chosen)} with most laser measures")
+    found = {j: registration_offsets(solution, j, MOST_SHOTS) for j in chosen}
     seeing = [j for j in chosen if found[j].points.size]
     sheets = in_sheets(seeing, _PER_SHEET)
     for n, images in enumerate(sheets):
@@ -77,7 +78,7 @@ def _sheet(solution: Solution, registrations: Sequence[Registration], name: str,
     width = 11.0 if len(registrations) > 1 else 7.6
     sheet = new_sheet(name, width, height, "Registration of the laser profile with the images", caption)
     ratios = [1.25, 1.0, 1.0] if pair is None else [1.25, 1.0, 1.0, _FREE, 1.0]
-    grid = panels(sheet, len(ratios), len(registrations), heights=ratios, across=0.9)
+    grid = panels(sheet, len(ratios), len(registrations), heights=ratios, across=1.0)
     factor = min(magnification(one) for one in registrations)
     for column, registration in zip(grid.T, registrations, strict=True):
         _frame(column[0], solution, registration, factor)
@@ -171,7 +172,7 @@ def _caption(solution: Solution, registrations: Sequence[Registration], pair: Di
             f"and {number(mean(pair.after[:, 0]))} lines after"
         )
     total = solution.members(PointClass.LASER).size
-    return text + (f"; {MOST_MARKS} of {total} shots are drawn" if total > MOST_MARKS else "")
+    return text + (f"; {MOST_SHOTS} of {total} shots are drawn" if total > MOST_SHOTS else "")
 
 
 def _offsets(one: Registration, where: str) -> str:

@@ -45,7 +45,7 @@ def residual_sheets(solution: Solution) -> Iterator[Sheet]:
     every = [image_residuals(solution, j) for j in range(len(solution.network.images))]
     chosen = _worst([rms(one.residuals[one.used]) for one in every], _PER_SHEET * MOST_SHEETS)
     sheets = in_sheets(chosen, _PER_SHEET)
-    omitted = left_out(len(chosen), len(every), "with the largest residuals")
+    omitted = left_out(len(every), len(chosen), f"{len(chosen)} with the largest residuals")
     for n, images in enumerate(sheets):
         yield _sheet(solution, images, [every[j] for j in images], sheet_name("residuals", n + 1, len(sheets)), omitted)
 
@@ -156,6 +156,6 @@ def _caption(
     text = text + "; of ".join(parts) if parts else "No measure of these images took part in the adjustment"
     text += "; arrows go from the measured place along the residual, and line and sample axes differ in scale"
     limits = " and ".join(f"{number(scales[point_class])}" for point_class in present)
-    text += f"; {longer} arrows are cut off, at {limits} px" if longer else ""
-    text += f"; {crossed} measures are rejected" if crossed else ""
+    text += f"; arrows longer than {limits} px are cut off ({longer})" if longer else ""
+    text += f"; rejected measures: {crossed}" if crossed else ""
     return text + (f"; at most {MOST_MARKS} arrows of a kind are drawn in a panel" if fewer else "")
