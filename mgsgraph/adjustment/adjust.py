@@ -26,7 +26,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, PointBehindCamera
 from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.kernels import BEHIND, WEAK
-from mgsgraph.factors.rows import FIXED, OUT, Rows
+from mgsgraph.factors.rows import FIXED, OUT, PRIOR, Rows
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind
@@ -135,10 +135,11 @@ def predict(network: Network, settings: SolverSettings) -> Prediction:
     rows, nominal = selection.rows(layout), np.zeros(layout.columns)
     joint = orientation_covariance(BundleGraph(layout, rows), nominal)
     covariances = point_covariances(layout, rows, nominal, before.points, joint)
-    image, ranges = residuals(layout, nominal, before.points)
+    places = _places_before(layout, before)
+    image, ranges = residuals(layout, nominal, places)
     blank = np.where(_determined(rows), 1.0, np.nan)
     return Prediction(
-        _unsorted(before.points * blank[:, None], layout.point_order),
+        _unsorted(places * blank[:, None], layout.point_order),
         _unsorted(covariances * blank[:, None, None], layout.point_order),
         _unsorted(image * np.repeat(blank, np.diff(rows.ray_first))[:, None], layout.ray_order),
         _unsorted(ranges, layout.range_order),
@@ -295,7 +296,8 @@ def _posterior(
     without_laser = _sigmas_without_laser(layout, solved)
     clock.stop("covariance")
     image, ranges = residuals(layout, orientation, _places_of_all(layout, solved))
-    image_before, ranges_before = residuals(layout, np.zeros(layout.columns), before.points)
+    places_before = _places_before(layout, before)
+    image_before, ranges_before = residuals(layout, np.zeros(layout.columns), places_before)
     determined = _determined(rows)
     owner = np.repeat(np.arange(determined.size), np.diff(rows.ray_first))
     never = solved.selection.out[layout.point_order][owner]
@@ -321,7 +323,7 @@ def _posterior(
         coefficients=coefficients,
         first_column=layout.first_column,
         joint_covariance=joint,
-        places_before=_unsorted(before.points * blank[:, None], layout.point_order),
+        places_before=_unsorted(places_before * blank[:, None], layout.point_order),
         places=_unsorted(solved.points * blank[:, None], layout.point_order),
         covariances=_unsorted(covariances * blank[:, None, None], layout.point_order),
         determined=_unsorted(determined, layout.point_order),
@@ -335,6 +337,11 @@ def _posterior(
         seconds=clock.seconds,
         versions=versions(),
     )
+
+
+def _places_before(layout: Layout, before: Reduction) -> Array:
+    """(n, 3) m, layout order: a-priori places; for free points the intersection with the nominal orientation."""
+    return np.where((layout.rows.point_kind == PRIOR)[:, None], layout.rows.point_start, before.points)
 
 
 def _determined(rows: Rows) -> Mask:

@@ -1,11 +1,20 @@
 """Laser altimetry: shots with their ranges, footprints and, where there are any, measures in images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index, require_covariances, require_unique
+from mgsgraph.geometry.records import (
+    Array,
+    Index,
+    Mask,
+    assign,
+    frozen,
+    frozen_index,
+    require_covariances,
+    require_unique,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,3 +67,143 @@ class LaserProfile:
 
     def __repr__(self) -> str:
         return f"LaserProfile({len(self.ids)} shots, {len(self.measure_image)} image measures, from {self.source})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AltimeterShots:
+    """Altimeter shots as their archive holds them, struct of arrays; NaN where a source doesn't say."""
+
+    source: str
+    """File they come from, for messages."""
+    orbits: Index
+    """(n,) orbit, as the archive counts it; 0 where the source doesn't say."""
+    frames: Index
+    """(n,) number of the frame (or line) in its file, from 1."""
+    shots: Index
+    """(n,) number of the shot in its frame, from 1."""
+    times: Array
+    """(n,) s TDB past J2000."""
+    footprints: Array
+    """(n, 3) m, body-fixed."""
+    areoid_radii: Array
+    """(n,) m, radius of the areoid under the footprint; NaN where unknown."""
+    ranges: Array
+    """(n,) m, one-way; NaN where there is none."""
+    range_corrections: Array
+    """(n,) m, as archived and not applied here; NaN where unknown."""
+    spacecraft: Array
+    """(n, 3) m, body-fixed place of the spacecraft; NaN where unknown."""
+    off_nadir: Array
+    """(n,) rad; NaN where unknown."""
+    ground: Mask
+    """(n,) True for a return from the ground, False for noise and clouds."""
+    channels: Index
+    """(n,) receiver channel 1 .. 4 that triggered; 0 where unknown."""
+    clocks: Array
+    """(n,) Hz, the altimeter's clock; NaN where unknown."""
+
+    def __post_init__(self) -> None:
+        n = np.size(self.times)
+        times = frozen(self.times, f"{self.source}, times", (n,))
+        numbers = {
+            name: frozen_index(getattr(self, name), f"{self.source}, {name}", n, 2**62)
+            for name in ("orbits", "frames", "shots", "channels")
+        }
+        order = np.lexsort([numbers["shots"], numbers["frames"], numbers["orbits"]])
+        same = np.ones(max(n - 1, 0), dtype=bool)
+        for name in ("orbits", "frames", "shots"):
+            same &= np.diff(numbers[name][order]) == 0
+        for k in np.flatnonzero(same)[:1]:
+            shot = ":".join(str(numbers[name][order[k]]) for name in ("orbits", "frames", "shots"))
+            raise InputError(self.source, f"the shot {shot} twice", "each shot once")
+        partly = {
+            name: _with_gaps(getattr(self, name), f"{self.source}, {name}", shape)
+            for name, shape in (
+                ("areoid_radii", (n,)), ("ranges", (n,)), ("range_corrections", (n,)), ("off_nadir", (n,)),
+                ("clocks", (n,)), ("spacecraft", (n, 3)),
+            )
+        }
+        for k in np.flatnonzero(partly["ranges"] <= 0.0)[:1]:
+            raise InputError(self.source, f"range {partly['ranges'][k]} m", "a positive range, or NaN for none")
+        ground = np.array(self.ground, dtype=np.bool_)
+        if ground.shape != (n,):
+            raise InputError(f"{self.source}, ground", f"an array of shape {ground.shape}", f"({n},)")
+        ground.flags.writeable = False
+        footprints = frozen(self.footprints, f"{self.source}, footprints", (n, 3))
+        assign(self, times=times, footprints=footprints, ground=ground, **numbers, **partly)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """(n) names "orbit:frame:shot", each once in a file."""
+        table = np.column_stack([self.orbits, self.frames, self.shots]).tolist()
+        return tuple(f"{orbit}:{frame}:{shot}" for orbit, frame, shot in table)
+
+    @property
+    def spacing(self) -> float:
+        """m, median distance between footprints that follow each other within 0.15 s in one orbit; NaN without any."""
+        order = np.lexsort([self.times, self.orbits])
+        places, times = self.footprints[order], self.times[order]
+        near = (np.diff(times) < 0.15) & (np.diff(times) > 0.0) & (np.diff(self.orbits[order]) == 0)
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=1)[near]
+        return float(np.median(steps)) if steps.size else float("nan")
+
+    def chosen(self, which: Mask | Index) -> "AltimeterShots":
+        """The shots of a mask (n,) or of indices, in their order."""
+        names = [one.name for one in fields(self) if one.name != "source"]
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
+
+    def profile(
+        self, range_sigma: float, ground_sigma: float, simultaneous: str | None = None, name: str = ""
+    ) -> LaserProfile:
+        """The shots as observations of an adjustment, without image measures.
+
+        Parameters
+        ----------
+        range_sigma : float
+            m, of each range.
+        ground_sigma : float
+            m, of each footprint in each of the three directions (Yoon & Shan 2005: 10 m both).
+        simultaneous : str, optional
+            Image taken along with the shots, whose orientation carries the ranges; none when absent.
+        name : str
+            Put before the shots' names, where profiles of several files meet.
+
+        Raises
+        ------
+        InputError
+            Where a shot has no range: leave it out with ``chosen`` first.
+        """
+        for k in np.flatnonzero(np.isnan(self.ranges))[:1]:
+            raise InputError(
+                f"{self.source}, shot {self.ids[k]}", "no range", "shots with ranges", "choose those that have one"
+            )
+        n = self.times.size
+        ids = self.ids
+        return LaserProfile(
+            source=self.source,
+            ids=tuple(f"{name}:{one}" for one in ids) if name else ids,
+            times=self.times,
+            ranges=self.ranges,
+            range_sigmas=np.full(n, range_sigma),
+            footprints=self.footprints,
+            covariances=np.broadcast_to(ground_sigma**2 * np.eye(3), (n, 3, 3)),
+            simultaneous=((simultaneous,) if simultaneous else (),) * n,
+            measure_shot=np.zeros(0, dtype=np.int64),
+            measure_image=(),
+            measures=np.zeros((0, 2)),
+        )
+
+    def __repr__(self) -> str:
+        orbits = np.unique(self.orbits).size
+        return f"AltimeterShots({self.times.size} shots, {int(self.ground.sum())} on the ground, {orbits} orbits)"
+
+
+def _with_gaps(value: Array, where: str, shape: tuple[int, ...]) -> Array:
+    """Copy to a read-only float64 array of a shape, in which NaN stands for what is not known."""
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape:
+        raise InputError(where, f"an array of shape {array.shape}", f"shape {shape}")
+    if np.any(np.isinf(array)):
+        raise InputError(where, "an infinite value", "finite numbers, or NaN where unknown")
+    array.flags.writeable = False
+    return array
