@@ -220,6 +220,47 @@ def range_row(rows, q, x, point, by_point):
 
 
 @njit(cache=True)
+def surface_row(rows, point, by_point):
+    """Height (m) of a point above the bilinear patch of the four posts under it, along its normal, and its derivative.
+
+    F / |grad F| with F = r - R(lon, lat): `geometry.terrain.TerrainGrid.height_above` says the same for arrays. False
+    outside the terrain model and beside missing posts, where there is no row (Ebner et al. 2004).
+    """
+    x, y, z = point[0], point[1], point[2]
+    planar = math.sqrt(x * x + y * y)
+    radius = math.sqrt(planar * planar + z * z)
+    posts, frame = rows.terrain, rows.terrain_frame
+    east = ((math.atan2(y, x) - frame[0]) % (2.0 * math.pi)) / frame[2]
+    south = (frame[1] - math.atan2(z, planar)) / frame[3]
+    last = posts.shape[1] if frame[4] > 0.0 else posts.shape[1] - 1
+    if not (0.0 <= south <= posts.shape[0] - 1 and east <= last):
+        return 0.0, False
+    row, column = min(int(south), posts.shape[0] - 2), min(int(east), last - 1)
+    right = (column + 1) % posts.shape[1]
+    s, e = south - row, east - column
+    corner = posts[row, column]
+    to_east, to_south = posts[row, right] - corner, posts[row + 1, column] - corner
+    twist = posts[row + 1, right] - posts[row + 1, column] - to_east
+    value = corner + e * to_east + s * to_south + e * s * twist
+    if math.isnan(value):
+        return 0.0, False
+    by_longitude, by_latitude = (to_east + s * twist) / frame[2], -(to_south + e * twist) / frame[3]
+    twist = -twist / (frame[2] * frame[3])
+    a, b = by_longitude / planar, by_latitude / radius
+    norm = math.sqrt(1.0 + a * a + b * b)
+    share = (radius - value) / norm**3
+    turn_longitude, turn_latitude = b * twist / radius, a * (twist / planar + a * z / planar)
+    along_east = (-by_longitude / norm - share * turn_longitude) / planar
+    along_north = (-by_latitude / norm - share * turn_latitude) / radius
+    up = (1.0 / norm + share * (a * a + b * b) / radius) / radius
+    sine, cosine = z / radius, planar / radius
+    by_point[0] = -along_east * y / planar - along_north * sine * x / planar + up * x
+    by_point[1] = along_east * x / planar - along_north * sine * y / planar + up * y
+    by_point[2] = along_north * cosine + up * z
+    return (radius - value) / norm, True
+
+
+@njit(cache=True)
 def robust(model, square):
     """Cost contribution and weight of a residual whose squared norm is `square` (gtsam's mEstimator definitions)."""
     if model.loss == NO_LOSS:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from mgsgraph.factors.equations import image_row, range_row, robust
+from mgsgraph.factors.equations import image_row, range_row, robust, surface_row
 from mgsgraph.factors.rows import FIXED, OUT, PRIOR
 
 GOOD, BEHIND, WEAK = 0, 1, 2
@@ -60,19 +60,43 @@ def backward3(lower, y):
 
 
 @njit(cache=True)
-def prior_row(rows, i, point, normal, gradient):
+def prior_residual(rows, i, x, point, row):
+    """One whitened component of P - P0 - shift, the shift being the shared unknowns along their directions."""
+    residual = 0.0
+    for j in range(row, 3):
+        offset = point[j] - rows.point_start[i, j]
+        for q in range(rows.shift_first[i], rows.shift_first[i + 1]):
+            offset -= rows.shift_direction[q, j] * x[rows.shift_column[q]]
+        residual += rows.point_root[i, row, j] * offset
+    return residual
+
+
+@njit(cache=True)
+def add_prior(rows, i, x, point, normal, gradient):
     """Add the a-priori place of point i to its normal equations; its cost is returned."""
     cost = 0.0
     for row in range(3):
-        residual = 0.0
-        for j in range(row, 3):
-            residual += rows.point_root[i, row, j] * (point[j] - rows.point_start[i, j])
+        residual = prior_residual(rows, i, x, point, row)
         cost += 0.5 * residual * residual
         for j in range(row, 3):
             gradient[j] += rows.point_root[i, row, j] * residual
             for m in range(row, 3):
                 normal[j, m] += rows.point_root[i, row, j] * rows.point_root[i, row, m]
     return cost
+
+
+@njit(cache=True)
+def add_surface(rows, i, point, by_point, normal, gradient):
+    """Add the height of point i above the terrain to its normal equations; its cost is returned."""
+    height, there = surface_row(rows, point, by_point[0])
+    if not there:
+        return 0.0
+    weight = rows.surface_weight[i] ** 2
+    for j in range(3):
+        gradient[j] += weight * by_point[0, j] * height
+        for m in range(3):
+            normal[j, m] += weight * by_point[0, j] * by_point[0, m]
+    return 0.5 * weight * height * height
 
 
 @njit(cache=True)
@@ -105,7 +129,9 @@ def point_normal(rows, i, model, x, point, scratch, residual, by_pose, by_point,
             for b in range(3):
                 normal[a, b] += weight * by_point[0, a] * by_point[0, b]
     if rows.point_kind[i] == PRIOR:
-        cost += prior_row(rows, i, point, normal, gradient)
+        cost += add_prior(rows, i, x, point, normal, gradient)
+    if rows.surface_weight[i] > 0.0:
+        cost += add_surface(rows, i, point, by_point, normal, gradient)
     return cost, True
 
 
@@ -136,6 +162,27 @@ def solve_point(rows, i, model, x, point, scratch, residual, by_pose, by_point, 
         for j in range(3):
             point[j] -= gradient[j]
     return cost, GOOD
+
+
+@njit(cache=True)
+def eliminate_shift(rows, i, x, point, coupling, block, right):
+    """Add what point i's a-priori place says of the shared unknowns that move it to coupling, block and right."""
+    first, last = rows.shift_first[i], rows.shift_first[i + 1]
+    for row in range(3 if last > first else 0):
+        residual = prior_residual(rows, i, x, point, row)
+        for p in range(first, last):
+            slope = 0.0
+            for j in range(row, 3):
+                slope -= rows.point_root[i, row, j] * rows.shift_direction[p, j]
+            a = rows.shift_local[p]
+            right[a] += slope * residual
+            for j in range(row, 3):
+                coupling[a, j] += slope * rows.point_root[i, row, j]
+            for q in range(first, last):
+                other = 0.0
+                for j in range(row, 3):
+                    other -= rows.point_root[i, row, j] * rows.shift_direction[q, j]
+                block[a, rows.shift_local[q]] += slope * other
 
 
 @njit(cache=True)
@@ -184,6 +231,8 @@ def eliminate(
                     column0 = rows.range_pair_local[q]
                     for b in range(3):
                         block[row0 + a, column0 + b] -= slope * rows.range_pair_value[q] * by_point[0, b]
+    if rows.point_kind[i] == PRIOR:
+        eliminate_shift(rows, i, x, point, coupling, block, right)
     if not free:
         return
     for a in range(d):

@@ -33,6 +33,20 @@ class Rows(NamedTuple):
     """(n, 3) m: a-priori place, place of a fixed point, or where the inner solve begins."""
     point_root: Array
     """(n, 3, 3) 1/m: upper triangular square root U of the prior information, |U (P - P0)|^2; zero when FREE."""
+    shift_first: Index
+    """(n + 1,) shared unknowns that move point i's a-priori place (its profile's horizontal shift)."""
+    shift_column: Index
+    """(s,) column of the orientation vector."""
+    shift_local: Index
+    """(s,) the same within the point's group."""
+    shift_direction: Array
+    """(s, 3) unit vector, body-fixed, along which the a-priori place moves per metre of the unknown."""
+    surface_weight: Array
+    """(n,) 1/m: weight of the point's height above the terrain; 0 where it has no such row."""
+    terrain: Array
+    """(rows, columns) m, radii of the terrain model's posts; (0, 0) without one."""
+    terrain_frame: Array
+    """(5,) first longitude and latitude, their steps (rad), and 1.0 where the columns wrap."""
     ray_first: Index
     """(n + 1,) rays of point i are ray_first[i] .. ray_first[i + 1]."""
     centre: Array

@@ -19,6 +19,7 @@ from mgsgraph.geometry.records import (
     require_covariances,
     require_unique,
 )
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.ties import PointKind
 
 
@@ -101,6 +102,28 @@ class Ranges:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ProfileShifts:
+    """Unknown horizontal shifts, one per laser profile: what is to be added to the a-priori places of its footprints."""
+
+    names: tuple[str, ...]
+    """(p) profiles."""
+    profile: Index
+    """(n,) profile of each ground point; -1 for none. Its points are constrained."""
+    sigmas: Array
+    """(p,) m, a-priori, eastward and northward alike."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A terrain model as control: chosen points lie on it."""
+
+    grid: TerrainGrid
+    """Radii."""
+    sigmas: Array
+    """(n,) m, of each point's height above the terrain; infinite for points without such a row."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Network:
     """Images, ground points, rays and ranges with their sigmas; the whole input of an adjustment."""
 
@@ -116,6 +139,10 @@ class Network:
     """Image coordinates."""
     ranges: Ranges
     """Laser ranges."""
+    shifts: ProfileShifts | None = None
+    """Shared unknown shifts of profiles."""
+    surface: Surface | None = None
+    """Terrain model as control."""
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
@@ -150,8 +177,28 @@ class Network:
         )
         held.flags.writeable = False
         assign(self, held=held, rays=rays, ranges=ranges)
+        self._require_shifts_and_surface()
         self._require_shots_covered()
         self._require_seeing_images()
+
+    def _require_shifts_and_surface(self) -> None:
+        n = len(self.points)
+        if self.shifts is not None:
+            p = len(self.shifts.names)
+            profile = frozen_index(np.asarray(self.shifts.profile) + 1, "profile shifts, profiles", n, p + 1) - 1
+            sigmas = frozen(self.shifts.sigmas, "profile shifts, sigmas", (p,))
+            if p and sigmas.min() <= 0.0:
+                raise InputError("profile shifts, sigmas", f"{sigmas.min()} m", "positive sigmas")
+            for i in np.flatnonzero((profile >= 0) & (self.points.kinds != PointKind.CONSTRAINED))[:1]:
+                raise InputError(
+                    f"ground point {self.points.ids[i]}", "a profile's shift but no a-priori place", "both"
+                )
+            assign(self, shifts=ProfileShifts(self.shifts.names, profile, sigmas))
+        if self.surface is not None:
+            heights = np.array(self.surface.sigmas, dtype=np.float64)
+            if heights.shape != (n,) or not np.all(heights > 0.0):
+                raise InputError("surface, sigmas", f"shape {heights.shape}", f"{n} positive numbers (inf for no row)")
+            assign(self, surface=Surface(self.surface.grid, heights))
 
     def _require_shots_covered(self) -> None:
         for j in np.unique(self.ranges.image):
@@ -168,8 +215,10 @@ class Network:
         seen[self.rays.image] = True
         for j in np.flatnonzero(~seen)[:1]:
             raise InputError(
-                f"image {self.images[j].name}", "no point is measured in it",
-                "at least one tie, laser or control point", "take it out of the case or give it measures",
+                f"image {self.images[j].name}",
+                "no point is measured in it",
+                "at least one tie, laser or control point",
+                "take it out of the case or give it measures",
             )
 
     @property

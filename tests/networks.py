@@ -5,9 +5,11 @@ from functools import cache
 
 import numpy as np
 
+from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
-from mgsgraph.simulation.pair import NoiseSettings, PairSettings, SimulatedPair, simulate_pair
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.simulation.pair import MARS, NoiseSettings, PairSettings, SimulatedPair, simulate_pair, terrain_height
 from mgsgraph.ties import PointKind
 
 
@@ -16,6 +18,26 @@ def pair(ties: int = 12, shots: int = 6, seed: int = 1, noise: NoiseSettings | N
     """A simulated pair, small enough for the explicit form."""
     settings = PairSettings(ties=ties, shots=shots)
     return simulate_pair(settings if noise is None else replace(settings, noise=noise), seed=seed)
+
+
+def with_shift_and_surface(net: Network, sigma: float = 60.0) -> Network:
+    """The same with an unknown horizontal shift of its laser profile, and its tie points on a rough terrain model."""
+    laser = net.points.classes == PointClass.LASER
+    shifts = ProfileShifts(("profile",), np.where(laser, 0, -1), np.array([sigma]))
+    return replace(net, shifts=shifts, surface=Surface(terrain(net), np.where(laser, np.inf, 25.0)))
+
+
+def terrain(net: Network) -> TerrainGrid:
+    """Posts every 0.02 degrees around the network's points, of the simulated relief with errors of some metres."""
+    longitude, latitude, _ = planetocentric(net.points.places[np.isfinite(net.points.places[:, 0])]).T
+    step, half = np.radians(0.02), 40
+    first = longitude.mean() - half * step, latitude.mean() + half * step
+    places = np.meshgrid(first[0] + step * np.arange(2 * half), first[1] - step * np.arange(2 * half))
+    ground = from_planetocentric(np.stack([*places, np.full_like(places[0], MARS.equatorial)], axis=-1).reshape(-1, 3))
+    surface, _, _ = intersect_ellipsoid(ground * 2.0, -ground, MARS, 0.0)
+    heights = terrain_height(surface, 120.0) + np.random.default_rng(3).normal(0.0, 10.0, ground.shape[0])
+    radii = np.linalg.norm(surface, axis=1) + heights
+    return TerrainGrid("made by the test", radii.reshape(places[0].shape), *first, step, step)
 
 
 def network(pair: SimulatedPair, held: tuple[bool, bool] = (False, False), laser: bool = True) -> Network:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, Layout, explicit_graph, lay_out
-from mgsgraph.adjustment.graph.bundle import orientation_key, orientation_vector, point_key
+from mgsgraph.adjustment.graph.bundle import point_key, shared_vector, variable_key
 from mgsgraph.adjustment.posterior import (
     explicit_covariances,
     fit,
@@ -197,11 +197,11 @@ def _solve(
 ) -> tuple[Outcome, Array, Array, gtsam.NonlinearFactorGraph | None]:
     """One optimisation in the form that was asked for."""
     bundle = BundleGraph(layout, rows)
-    scales = {orientation_key(j): layout.scales[layout.columns_of(j)] for j in layout.adjusted_images()}
+    scales = {variable_key(layout, v): layout.scales[layout.columns_of(v)] for v in layout.variables.adjusted()}
     if settings.form == "bundle":
         start = bundle.values(orientation)
         outcome = levenberg_marquardt(bundle.graph, start, scales, settings, progress, bundle.constant_cost)
-        result = orientation_vector(layout, outcome.values)
+        result = shared_vector(layout, outcome.values)
         return outcome, result, bundle.reduction(result).points, None
     points = bundle.reduction(orientation).points
     graph, start = explicit_graph(layout, rows, orientation, points)
@@ -212,7 +212,7 @@ def _solve(
     for i in range(points.shape[0]):
         if outcome.values.exists(point_key(i)):
             points[i] = outcome.values.atPoint3(point_key(i))
-    return outcome, orientation_vector(layout, outcome.values), points, graph
+    return outcome, shared_vector(layout, outcome.values), points, graph
 
 
 def _without_weak(layout: Layout, reduction: Reduction, selection: _Selection) -> _Selection:
@@ -302,8 +302,9 @@ def _posterior(
     owner = np.repeat(np.arange(determined.size), np.diff(rows.ray_first))
     never = solved.selection.out[layout.point_order][owner]
     image[never] = image_before[never] = np.nan
+    profiles = range(len(network.images), layout.variables.first.size)
     coefficients = tuple(
-        orientation[layout.columns_of(j)].reshape(-1, 6) if layout.first_column[j] >= 0 else np.zeros_like(prior.sigmas)
+        np.zeros_like(prior.sigmas) if network.held[j] else orientation[layout.columns_of(j)].reshape(-1, 6)
         for j, prior in enumerate(network.priors)
     )
     blank = np.where(determined, 1.0, np.nan)
@@ -321,7 +322,8 @@ def _posterior(
         cost_final=solved.outcome.cost_final,
         fit=fit(layout, rows, orientation, solved.points),
         coefficients=coefficients,
-        first_column=layout.first_column,
+        first_column=layout.variables.first[: len(network.images)],
+        shifts=np.array([orientation[layout.columns_of(v)] for v in profiles]).reshape(-1, 2),
         joint_covariance=joint,
         places_before=_unsorted(places_before * blank[:, None], layout.point_order),
         places=_unsorted(solved.points * blank[:, None], layout.point_order),

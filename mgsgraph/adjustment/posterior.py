@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.bundle import orientation_key, orientation_values, point_key
+from mgsgraph.adjustment.graph.bundle import point_key, shared_values, variable_key
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.factors import kernels
 from mgsgraph.factors.bundle import Reduction
@@ -65,16 +65,30 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array) -> Fit:
     image_squares = np.einsum("ki,ki->k", image * rows.weight, image * rows.weight)[used]
     range_squares = ((ranges * rows.range_weight) ** 2)[range_used]
     known = rows.point_kind == PRIOR
-    ground = np.einsum("nij,nj->ni", rows.point_root[known], points[known] - rows.point_start[known])
+    offset = points - rows.point_start
+    owner_of_shift = np.repeat(np.arange(offset.shape[0]), np.diff(rows.shift_first))
+    np.subtract.at(offset, owner_of_shift, orientation[rows.shift_column][:, None] * rows.shift_direction)
+    ground = np.einsum("nij,nj->ni", rows.point_root[known], offset[known])
+    heights = surface_heights(layout, rows, points) * rows.surface_weight
+    on_surface = np.isfinite(heights) & (rows.surface_weight > 0.0) & (rows.point_kind != OUT)
     whitened = orientation / layout.sigmas
     parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(ground**2)]
-    finite = int(np.count_nonzero(np.isfinite(layout.sigmas)))
+    parts.append(np.sum(heights[on_surface] ** 2))
+    priors = int(np.count_nonzero(np.isfinite(layout.sigmas))) + 3 * int(known.sum())
     free = int(np.count_nonzero((rows.point_kind != OUT) & (rows.point_kind != FIXED)))
     return Fit(
         squares=float(sum(parts) + whitened @ whitened),
-        observations=2 * int(used.sum()) + int(range_used.sum()) + 3 * int(known.sum()) + finite,
+        observations=2 * int(used.sum()) + int(range_used.sum()) + int(on_surface.sum()) + priors,
         unknowns=layout.columns + 3 * free,
     )
+
+
+def surface_heights(layout: Layout, rows: Rows, points: Array) -> Array:
+    """(n,) m, heights of points above the terrain model along its normal; NaN where it has no posts."""
+    surface = layout.network.surface
+    if surface is None:
+        return np.full(points.shape[0], np.nan)
+    return surface.grid.height_above(points)[0]
 
 
 def _weighted(squares: Array, model: Model) -> float:
@@ -92,17 +106,18 @@ def _weighted(squares: Array, model: Model) -> float:
 def orientation_covariance(graph: BundleGraph, orientation: Array) -> Array:
     """(columns, columns) joint covariance of all orientation coefficients, m and rad, by GTSAM's elimination."""
     layout = graph.layout
-    images = layout.adjusted_images()
-    if not images:
+    adjusted = layout.variables.adjusted()
+    if not adjusted:
         return np.zeros((0, 0))
-    values = orientation_values(layout, orientation)
+    values = shared_values(layout, orientation)
     try:
         marginals = gtsam.Marginals(graph.graph.linearize(values), values)
     except RuntimeError as error:
         if "Indeterminate" not in str(error):
             raise
         raise WeakNetwork(weak_directions(layout, graph.reduction(orientation), _POORLY)) from None
-    joint = marginals.jointMarginalCovariance([orientation_key(j) for j in images]).fullMatrix()
+    keys = [variable_key(layout, v) for v in adjusted]
+    joint = marginals.jointMarginalCovariance(keys).fullMatrix()
     return np.asarray(0.5 * (joint + joint.T))
 
 
@@ -112,7 +127,7 @@ def point_covariances(layout: Layout, rows: Rows, orientation: Array, points: Ar
     S_p = V^-1 + V^-1 W' S_eo W V^-1 with the joint covariance S_eo of the orientation variables that see the point.
     """
     blocks = []
-    for group in range(len(layout.group_images)):
+    for group in range(len(layout.group_variables)):
         columns = layout.group_columns(group)
         blocks.append(joint[np.ix_(columns, columns)].ravel())
     covariances = np.zeros((points.shape[0], 3, 3))
@@ -126,10 +141,8 @@ def explicit_covariances(
 ) -> tuple[Array, Array]:
     """The same two, (columns, columns) and (n, 3, 3), from GTSAM's marginals of the explicit graph."""
     marginals = gtsam.Marginals(graph.linearize(values), values)
-    images = layout.adjusted_images()
-    joint = np.zeros((0, 0))
-    if images:
-        joint = np.asarray(marginals.jointMarginalCovariance([orientation_key(j) for j in images]).fullMatrix())
+    keys = [variable_key(layout, v) for v in layout.variables.adjusted()]
+    joint = np.asarray(marginals.jointMarginalCovariance(keys).fullMatrix()) if keys else np.zeros((0, 0))
     covariances = np.zeros((layout.rows.point_kind.size, 3, 3))
     for i in range(covariances.shape[0]):
         if values.exists(point_key(i)):
@@ -170,8 +183,14 @@ def _in_words(layout: Layout, direction: Array) -> str:
     for column in np.argsort(-share)[:6]:
         if share[column] < _NAMED and names:
             break
-        image = max((j for j in layout.adjusted_images() if layout.columns_of(j).start <= column), default=0)
-        power, component = divmod(int(column) - layout.columns_of(image).start, 6)
+        variable = max(v for v in layout.variables.adjusted() if layout.columns_of(v).start <= column)
+        inside = int(column) - layout.columns_of(variable).start
+        if variable >= layout.variables.images:
+            assert layout.network.shifts is not None
+            profile = layout.network.shifts.names[variable - layout.variables.images]
+            names.append(f"{('east', 'north')[inside]} shift of profile {profile}")
+            continue
+        image, (power, component) = variable, divmod(inside, 6)
         term = terms[power] if power < len(terms) else f"u^{power}"
         names.append(f"{term} {COMPONENTS[component]} of image {layout.network.images[image].name}")
     return " with ".join(names)

@@ -40,8 +40,10 @@ class Solution:
     """Per image (degree + 1, 6) in m and rad; zero for a held one."""
     first_column: Index
     """(images,) first column of each image in the joint covariance; -1 when held."""
+    shifts: Array
+    """(p, 2) m, east and north, horizontal shifts of the laser profiles that have one (network.shifts)."""
     joint_covariance: Array
-    """(columns, columns) of all orientation coefficients, m and rad, for sigma0 = 1."""
+    """(columns, columns) of all orientation coefficients, and after them the shifts, m and rad, for sigma0 = 1."""
     places_before: Array
     """(n, 3) m: a-priori places, and for free points the intersection of their rays with the nominal orientation."""
     places: Array
@@ -95,6 +97,11 @@ class Solution:
         if first < 0:
             return np.zeros((size, size))
         return self.joint_covariance[first : first + size, first : first + size]
+
+    def shift_covariance(self, profile: int) -> Array:
+        """Covariance (2, 2) in m^2 of one profile's horizontal shift, for sigma0 = 1."""
+        first = self.joint_covariance.shape[0] - self.shifts.size + 2 * profile
+        return self.joint_covariance[first : first + 2, first : first + 2]
 
     def members(self, point_class: PointClass) -> Index:
         """Determined points of one class."""

@@ -5,16 +5,17 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from networks import network, pair
+from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.graph import BundleGraph, explicit_graph, lay_out
-from mgsgraph.adjustment.graph.bundle import orientation_vector, point_key
+from mgsgraph.adjustment.graph.bundle import point_key, shared_vector
 from mgsgraph.adjustment.posterior import explicit_covariances, orientation_covariance, point_covariances
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
+from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass
+from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts
 from mgsgraph.products.truth import nees
 from mgsgraph.ties import PointKind
 
@@ -44,6 +45,42 @@ def test_forms_agree(loss: str, line: str, held: tuple[bool, bool]) -> None:
     np.testing.assert_allclose(bundle.places, explicit.places, atol=1e-3)
 
 
+@pytest.mark.parametrize("held", [(False, False), (True, True)])
+def test_forms_agree_with_shift_and_surface(held: tuple[bool, bool]) -> None:
+    net = with_shift_and_surface(network(pair(), held))
+    bundle = adjust_network(net, SolverSettings(**TIGHT))
+    explicit = adjust_network(net, SolverSettings(form="explicit", **TIGHT))
+    assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
+    assert bundle.fit.observations == explicit.fit.observations == 2 * 36 + 6 + 18 + 2 + 12 + 36 * (not held[0])
+    assert bundle.fit.squares == pytest.approx(2.0 * bundle.cost_final, rel=1e-9)
+    np.testing.assert_allclose(bundle.shifts, explicit.shifts, atol=1e-4)
+    np.testing.assert_allclose(bundle.shift_covariance(0), explicit.shift_covariance(0), rtol=1e-5)
+    np.testing.assert_allclose(bundle.places, explicit.places, atol=1e-3)
+
+
+def test_a_profiles_shift_is_found() -> None:
+    """All footprints moved by 80 m east and -50 m north: the shift takes them back (but for what its prior holds)."""
+    drawn = pair(ties=40, shots=20)
+    net = network(drawn)
+    laser = net.points.classes == PointClass.LASER
+    shifts = ProfileShifts(("p",), np.where(laser, 0, -1), np.array([100.0]))
+    longitude, latitude, _ = planetocentric(net.points.places[laser]).T
+    east = np.stack([-np.sin(longitude), np.cos(longitude), 0.0 * longitude], axis=1)
+    north = np.stack(
+        [-np.sin(latitude) * np.cos(longitude), -np.sin(latitude) * np.sin(longitude), np.cos(latitude)], axis=1
+    )
+    places = net.points.places.copy()
+    places[laser] += 80.0 * east - 50.0 * north
+    points = GroundPoints(net.points.ids, net.points.classes, net.points.kinds, places, net.points.covariances)
+    solution = adjust_network(replace(net, points=points, shifts=shifts), SolverSettings())
+    plain = adjust_network(replace(net, shifts=shifts), SolverSettings())
+    np.testing.assert_allclose(solution.shifts - plain.shifts, [[-80.0, 50.0]], atol=12.0)
+    error = solution.shifts[0] - plain.shifts[0] + [80.0, -50.0]
+    sigma = np.sqrt(np.diag(solution.shift_covariance(0)))
+    assert np.all(np.abs(error) < 3.0 * sigma)
+    assert np.all(sigma < 60.0)
+
+
 @pytest.mark.parametrize("loss", ["none", "huber"])
 def test_gtsam_own_optimiser_agrees(loss: str) -> None:
     layout = lay_out(network(pair()), SolverSettings(loss=loss))
@@ -59,7 +96,7 @@ def test_gtsam_own_optimiser_agrees(loss: str) -> None:
     parameters.setMaxIterations(100)
     optimum = gtsam.LevenbergMarquardtOptimizer(explicit, values, parameters).optimize()
     assert explicit.error(optimum) == pytest.approx(bundle.cost_final, rel=1e-9)
-    found = orientation_vector(layout, optimum)
+    found = shared_vector(layout, optimum)
     mine = np.concatenate([part.ravel() for part in bundle.coefficients])
     assert np.abs((found - mine) / layout.sigmas).max() < 1e-5
 

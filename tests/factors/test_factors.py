@@ -8,14 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jacobians import assert_jacobians
-from networks import network, pair
+from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import orientation_key, point_key
+from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors.priors import ground_prior, orientation_prior
+from mgsgraph.factors.priors import ground_prior, shifted_ground_prior, zero_prior
 from mgsgraph.factors.projection import projection_factor
 from mgsgraph.factors.range import range_factor
+from mgsgraph.factors.surface import surface_factor
+from mgsgraph.geometry.body import from_planetocentric
 
 MODELS = [(line, angles) for line in ("predicted", "measured") for angles in ("camera", "opk-paper", "opk-peer")]
 LAYOUTS: dict[tuple[str, str], Layout] = {}
@@ -88,13 +90,58 @@ def test_priors(seed: int) -> None:
     values.insert(orientation_key(0), coefficients)
     values.insert(point_key(1), move)
     sigmas = np.tile(np.repeat([50.0, 1e-3], 3), 3)
-    assert_jacobians(orientation_prior(orientation_key(0), sigmas), values, steps(), tolerance=1e-9)
+    assert_jacobians(zero_prior(orientation_key(0), sigmas), values, steps(), tolerance=1e-9)
     root = np.triu(np.random.default_rng(seed).standard_normal((3, 3)))
     assert_jacobians(ground_prior(point_key(1), np.ones(3), root), values, steps(), tolerance=1e-9)
 
 
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS)
+def test_shifted_prior(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = gtsam.Values()
+    values.insert(point_key(1), rng.standard_normal(3))
+    values.insert(shift_key(0), rng.standard_normal(2) * 50.0)
+    root, axes = np.triu(rng.standard_normal((3, 3))), rng.standard_normal((2, 3))
+    factor = shifted_ground_prior(point_key(1), shift_key(0), rng.standard_normal(3), root, axes)
+    assert_jacobians(factor, values, steps() | {shift_key(0): np.ones(2)}, tolerance=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS)
+def test_surface(seed: int) -> None:
+    """Oracle inside a patch, and the same height and normal as the terrain model itself says."""
+    made = lay_out(with_shift_and_surface(network(pair())), SolverSettings())
+    grid = made.network.surface.grid
+    rng = np.random.default_rng(seed)
+    place = np.array(
+        [
+            grid.first_longitude + (40 + rng.uniform(0.1, 0.9)) * grid.longitude_step,
+            grid.first_latitude - (40 + rng.uniform(0.1, 0.9)) * grid.latitude_step,
+            grid.radii[40, 40] + rng.normal(0.0, 200.0),
+        ]
+    )
+    values = gtsam.Values()
+    values.insert(point_key(1), from_planetocentric(place))
+    factor = surface_factor(point_key(1), made.rows, 20.0)
+    assert_jacobians(factor, values, steps(), tolerance=1e-6)
+    height, slope = grid.height_above(from_planetocentric(place)[None])
+    assert factor.unwhitenedError(values) == pytest.approx(height, abs=1e-6)
+    jacobian, _ = gtsam.JacobianFactor(factor.linearize(values)).jacobian()
+    np.testing.assert_allclose(jacobian * 20.0, slope, atol=1e-9)
+
+
+def test_off_the_terrain_model_there_is_no_row() -> None:
+    made = lay_out(with_shift_and_surface(network(pair())), SolverSettings())
+    values = gtsam.Values()
+    values.insert(point_key(1), np.array([0.0, -3.4e6, 1e3]))
+    factor = surface_factor(point_key(1), made.rows, 20.0)
+    assert factor.error(values) == 0.0
+    assert not np.any(gtsam.JacobianFactor(factor.linearize(values)).jacobian()[0])
+
+
 def test_an_unknown_coefficient_has_no_prior_row() -> None:
-    factor = orientation_prior(orientation_key(0), np.array([1.0, np.inf, 2.0, 1.0, 1.0, 1.0]))
+    factor = zero_prior(orientation_key(0), np.array([1.0, np.inf, 2.0, 1.0, 1.0, 1.0]))
     values = gtsam.Values()
     values.insert(orientation_key(0), np.full(6, 4.0))
     assert factor.error(values) == pytest.approx(0.5 * (16.0 * 4 + 4.0))

@@ -5,7 +5,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.factors.bundle import Bundles, Reduction
-from mgsgraph.factors.priors import orientation_prior
+from mgsgraph.factors.priors import zero_prior
 from mgsgraph.factors.rows import Rows
 from mgsgraph.geometry.records import Array
 
@@ -20,19 +20,30 @@ def point_key(point: int) -> int:
     return int(gtsam.symbol("p", point))
 
 
-def orientation_values(layout: Layout, orientation: Array) -> gtsam.Values:
-    """GTSAM values of an orientation vector (columns,)."""
+def shift_key(profile: int) -> int:
+    """GTSAM key of a laser profile's horizontal shift."""
+    return int(gtsam.symbol("s", profile))
+
+
+def variable_key(layout: Layout, variable: int) -> int:
+    """GTSAM key of a shared unknown."""
+    images = layout.variables.images
+    return orientation_key(variable) if variable < images else shift_key(variable - images)
+
+
+def shared_values(layout: Layout, vector: Array) -> gtsam.Values:
+    """GTSAM values of the vector of shared unknowns (columns,)."""
     values = gtsam.Values()
-    for j in layout.adjusted_images():
-        values.insert(orientation_key(j), orientation[layout.columns_of(j)])
+    for v in layout.variables.adjusted():
+        values.insert(variable_key(layout, v), vector[layout.columns_of(v)])
     return values
 
 
-def orientation_vector(layout: Layout, values: gtsam.Values) -> Array:
-    """Orientation vector (columns,) of GTSAM values."""
+def shared_vector(layout: Layout, values: gtsam.Values) -> Array:
+    """Vector of shared unknowns (columns,) of GTSAM values."""
     vector = np.zeros(layout.columns)
-    for j in layout.adjusted_images():
-        vector[layout.columns_of(j)] = values.atVector(orientation_key(j))
+    for v in layout.variables.adjusted():
+        vector[layout.columns_of(v)] = values.atVector(variable_key(layout, v))
     return vector
 
 
@@ -48,31 +59,31 @@ class BundleGraph:
 
     def __init__(self, layout: Layout, rows: Rows | None = None) -> None:
         self.layout = layout
-        images = layout.group_images
+        groups = layout.group_variables
         self._bundles = Bundles(
             layout.rows if rows is None else rows,
             layout.groups,
             layout.model,
-            [[orientation_key(j) for j in group] for group in images],
-            [[layout.columns_of(j) for j in group] for group in images],
+            [[variable_key(layout, v) for v in group] for group in groups],
+            [[layout.columns_of(v) for v in group] for group in groups],
             layout.scales,
         )
         self.graph = gtsam.NonlinearFactorGraph()
-        for j in layout.adjusted_images():
-            self.graph.add(orientation_prior(orientation_key(j), layout.sigmas[layout.columns_of(j)]))
-        for group in range(len(images)):
-            if images[group]:
+        for v in layout.variables.adjusted():
+            self.graph.add(zero_prior(variable_key(layout, v), layout.sigmas[layout.columns_of(v)]))
+        for group in range(len(groups)):
+            if groups[group]:
                 self.graph.add(self._bundles.factor(group))
 
     def values(self, orientation: Array) -> gtsam.Values:
         """GTSAM values of an orientation vector (columns,)."""
-        return orientation_values(self.layout, orientation)
+        return shared_values(self.layout, orientation)
 
     @property
     def constant_cost(self) -> float:
         """Cost of points that only held images see: no variable, so no factor carries it."""
         reduction = self._bundles.at(np.zeros(self.layout.columns), system=False)
-        alone = [group for group, images in enumerate(self.layout.group_images) if not images]
+        alone = [group for group, members in enumerate(self.layout.group_variables) if not members]
         return float(reduction.group_cost[alone].sum())
 
     def reduction(self, orientation: Array, system: bool = True) -> Reduction:

@@ -5,12 +5,13 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.graph.bundle import orientation_key, orientation_values, point_key
+from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shared_values, shift_key, variable_key
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.factors.priors import ground_prior, orientation_prior
+from mgsgraph.factors.priors import ground_prior, shifted_ground_prior, zero_prior
 from mgsgraph.factors.projection import projection_factor
 from mgsgraph.factors.range import range_factor
 from mgsgraph.factors.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, TUKEY, Model, Rows
+from mgsgraph.factors.surface import surface_factor
 from mgsgraph.geometry.records import Array
 
 _ESTIMATORS: dict[int, Any] = {
@@ -47,10 +48,10 @@ def explicit_graph(
     graph, values
         Points are `point_key(i)`, i being their place in the layout; those left out or fixed are no variables.
     """
-    graph, values = gtsam.NonlinearFactorGraph(), orientation_values(layout, orientation)
+    graph, values = gtsam.NonlinearFactorGraph(), shared_values(layout, orientation)
     network = layout.network
-    for j in layout.adjusted_images():
-        graph.add(orientation_prior(orientation_key(j), layout.sigmas[layout.columns_of(j)]))
+    for v in layout.variables.adjusted():
+        graph.add(zero_prior(variable_key(layout, v), layout.sigmas[layout.columns_of(v)]))
     for i in range(rows.point_kind.size):
         kind = rows.point_kind[i]
         if kind == OUT:
@@ -61,7 +62,9 @@ def explicit_graph(
         else:
             values.insert(place, points[i])
             if kind == PRIOR:
-                graph.add(ground_prior(place, rows.point_start[i], rows.point_root[i]))
+                graph.add(_prior(layout, rows, i))
+            if rows.surface_weight[i] > 0.0:
+                graph.add(surface_factor(place, rows, 1.0 / rows.surface_weight[i]))
         for k in range(rows.ray_first[i], rows.ray_first[i + 1]):
             if rows.weight[k, 0] > 0.0:
                 image = int(network.rays.image[layout.ray_order[k]])
@@ -76,3 +79,16 @@ def explicit_graph(
                 noise = _noise(np.array([1.0 / rows.range_weight[r]]), layout.model)
                 graph.add(range_factor(key, place, rows, r, noise))
     return graph, values
+
+
+def _prior(layout: Layout, rows: Rows, i: int) -> gtsam.NonlinearFactor:
+    """Prior of a constrained point, moved by its profile's shift where it belongs to one."""
+    mine = slice(int(rows.shift_first[i]), int(rows.shift_first[i + 1]))
+    if mine.start == mine.stop:
+        return ground_prior(point_key(i), rows.point_start[i], rows.point_root[i])
+    shifts = layout.network.shifts
+    assert shifts is not None
+    profile = int(shifts.profile[layout.point_order[i]])
+    return shifted_ground_prior(
+        point_key(i), shift_key(profile), rows.point_start[i], rows.point_root[i], rows.shift_direction[mine]
+    )
