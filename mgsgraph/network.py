@@ -83,6 +83,8 @@ class ImageRays:
     """(k, 2) line, sample."""
     sigmas: Array
     """(k, 2) pixels, positive."""
+    back_projected: Mask | None = None
+    """(k,) True for places that are projections with the nominal orientation: they repeat the prior as if measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +105,7 @@ class Ranges:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileShifts:
-    """Unknown horizontal shifts, one per laser profile: what is to be added to the a-priori places of its footprints."""
+    """Unknown horizontal shifts, one per laser profile: what is to be added to its footprints' a-priori places."""
 
     names: tuple[str, ...]
     """(p) profiles."""
@@ -167,6 +169,7 @@ class Network:
             frozen_index(self.rays.image, "rays, images", k, m),
             frozen(self.rays.places, "rays, places", (k, 2)),
             sigmas,
+            np.zeros(k, dtype=bool) if self.rays.back_projected is None else np.array(self.rays.back_projected, bool),
         )
         ranges = Ranges(
             frozen_index(self.ranges.point, "ranges, points", r, n),

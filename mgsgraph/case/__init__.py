@@ -1,0 +1,175 @@
+"""A case file (TOML) names the inputs of an adjustment and what is known of them beforehand; here it becomes a network.
+
+Paths are relative to the case file.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.assembly import Parts
+from mgsgraph.case.schema import CaseInput, ImageInput, LaserInput, MolaInput, OrientationInput, decode
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_polynomials
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.gcp import read_ground_control
+from mgsgraph.io.isd import Aberration, read_isd
+from mgsgraph.io.lidar import read_lidar
+from mgsgraph.network import Network, PointClass
+from mgsgraph.ties import TiePoints
+
+MGS_ATTITUDE_BIAS = -1.15
+"""s, ISIS and ALE (facts of io.kernels)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """Everything that an adjustment starts from."""
+
+    name: str
+    """What it is called."""
+    path: Path
+    """Where it was read."""
+    network: Network
+    """Who sees what, with what sigma."""
+    settings: SolverSettings
+    """How to solve it."""
+    ties: TiePoints | None = None
+    """Tie points as read."""
+    profiles: tuple[AltimeterShots, ...] = ()
+    """Shots of each MOLA profile that take part."""
+    fits: tuple[PolynomialFit, ...] = ()
+    """What the polynomials of the nominal orientation cost, for each image where they are used."""
+
+    def __repr__(self) -> str:
+        return f"Case({self.name!r}: {self.network!r})"
+
+
+def read_case(path: str | Path, laser: bool = True) -> Case:
+    """Read a case file and everything that it names.
+
+    Parameters
+    ----------
+    path : path
+        TOML file.
+    laser : bool
+        False leaves the laser rows out whatever the file says.
+
+    Raises
+    ------
+    InputError
+        With the place, the finding and the remedy.
+    """
+    path = Path(path)
+    wanted = decode(path)
+    folder = path.parent
+    orientations = [image.orientation or wanted.orientation for image in wanted.images]
+    images, fits = _read_images(wanted, orientations, path)
+    priors = tuple(
+        orientation.prior(
+            f"{path}, images[{j}].orientation" if wanted.images[j].orientation else f"{path}, orientation"
+        )
+        for j, orientation in enumerate(orientations)
+    )
+    parts = Parts(images)
+    ties = read_control_network(folder / wanted.ties.network) if wanted.ties else None
+    if ties and wanted.ties:
+        parts.add_points(ties, PointClass.TIE, wanted.ties.sigma_px)
+    if wanted.ground_control:
+        control = read_ground_control(folder / wanted.ground_control.file, images[0].body)
+        parts.add_points(control, PointClass.CONTROL, 1.0)
+    profiles = _add_laser(parts, wanted, path) if laser else ()
+    if not parts.ids:
+        raise InputError(str(path), "neither ties nor ground control nor laser", "at least one of them")
+    settings = SolverSettings(**{name: getattr(wanted.solver, name) for name in wanted.solver.__struct_fields__})
+    held = np.array([image.held for image in wanted.images])
+    network = parts.network(priors, held, _read_terrain(wanted, folder))
+    return Case(wanted.name, path, network, settings, ties, profiles, fits)
+
+
+def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -> Solution:
+    """Adjust a case; see `mgsgraph.adjustment.adjust.adjust_network`."""
+    return adjust_network(case.network, case.settings, case.name, progress)
+
+
+def _read_images(
+    wanted: CaseInput, orientations: list[OrientationInput], path: Path
+) -> tuple[tuple[PushbroomImage, ...], tuple[PolynomialFit, ...]]:
+    images, fits = list[PushbroomImage](), list[PolynomialFit]()
+    for j, (entry, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
+        image = _read_image(entry, wanted, path.parent, f"{path}, images[{j}]")
+        if orientation.nominal == "polynomial":
+            image, fit = fit_polynomials(image, orientation.nominal_order)
+            fits.append(fit)
+        images.append(image)
+    return tuple(images), tuple(fits)
+
+
+def _read_image(entry: ImageInput, wanted: CaseInput, folder: Path, where: str) -> PushbroomImage:
+    """From image support data, or from a label and SPICE kernels."""
+    if (entry.isd is None) == (entry.label is None):
+        found = "neither isd nor label" if entry.isd is None else "both isd and label"
+        raise InputError(where, found, "one of them")
+    if entry.isd is not None:
+        stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
+        return read_isd(folder / entry.isd, entry.name, stated)
+    from mgsgraph.io.moc import read_moc  # SPICE takes its time to load; only those who need it wait
+
+    assert entry.label is not None
+    kernels = entry.kernels or (wanted.spice.kernels if wanted.spice else ())
+    if not kernels:
+        raise InputError(where, "a label without kernels", "kernels = [...] here or in [spice]")
+    return read_moc(
+        folder / entry.label,
+        [folder / kernel for kernel in kernels],
+        name=entry.name,
+        focal_length=entry.focal_length_m,
+        constants=entry.constants,
+        attitude_bias=MGS_ATTITUDE_BIAS if entry.attitude_bias_s is None else entry.attitude_bias_s,
+        position_bias=entry.position_bias_s,
+        interval=wanted.spice.sampling_s if wanted.spice else 0.1,
+    )
+
+
+def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
+    """Shots of ISIS lidar files and of MOLA profiles; those of the latter are returned."""
+    if wanted.laser is True:
+        raise InputError(f"{path}, laser", "true", "false, or a table with the shots' file")
+    if isinstance(wanted.laser, LaserInput):
+        parts.add_profile(read_lidar(path.parent / wanted.laser.file), wanted.laser)
+    return tuple(parts.add_mola(_read_shots(entry, path.parent), entry) for entry in wanted.mola)
+
+
+def _read_shots(entry: MolaInput, folder: Path) -> AltimeterShots:
+    """PEDR binary by its ending (.b), else a table."""
+    from mgsgraph.io.pedr import read_pedr
+    from mgsgraph.io.pedr_text import read_pedr_text
+
+    path = folder / entry.pedr
+    if path.suffix.lower() == ".b":
+        return read_pedr(path, entry.clock_bias_s, entry.version)
+    leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
+    return read_pedr_text(path, entry.clock_bias_s, entry.version, leap_seconds)
+
+
+def _read_terrain(wanted: CaseInput, folder: Path) -> TerrainGrid | None:
+    """Radii of a MEGDR grid or a GeoTIFF."""
+    entry = wanted.terrain
+    if entry is None:
+        return None
+    from mgsgraph.io.megdr import read_megdr
+    from mgsgraph.io.terrain_file import read_terrain
+
+    path, sigmas = folder / entry.file, (entry.vertical_sigma_m, entry.planimetric_sigma_m)
+    if path.suffix.lower() in (".img", ".lbl"):
+        return read_megdr(path, *sigmas)
+    return read_terrain(path, entry.reference_radius_m, "radius", *sigmas)

@@ -1,0 +1,196 @@
+"""Points, rays, ranges, shifts and terrain of several files, gathered into one network."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.case.schema import LaserInput, MolaInput
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots, LaserProfile
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.registration import footprints_in_images
+from mgsgraph.ties import PointKind, TiePoints
+
+
+class Parts:
+    """Points, rays and ranges as they are gathered from several files; becomes one network."""
+
+    def __init__(self, images: tuple[PushbroomImage, ...]) -> None:
+        self._images = images
+        self._index = {image.name: j for j, image in enumerate(images)}
+        self.ids: list[str] = []
+        self._sources: dict[str, str] = {}
+        self._points: list[tuple[NDArray[Any], ...]] = []
+        self._rays: list[tuple[NDArray[Any], ...]] = []
+        self._ranges: list[tuple[NDArray[Any], ...]] = []
+        self._back_projected: list[Mask] = []
+        self._shifts: list[tuple[str, float, Index]] = []
+
+    def add_points(self, points: TiePoints, point_class: PointClass, sigma: float) -> None:
+        """Points and measures of a control network or ground control file; `sigma` (px) where the file has none."""
+        first, n = self._claim(points.ids, points.source), len(points.ids)
+        self._points.append((np.full(n, int(point_class)), points.kinds, points.places, points.covariances))
+        sigmas = np.where(np.isnan(points.measure_sigmas), sigma, points.measure_sigmas)
+        self._add_rays(first, points.measure_point, points.measure_image, points.measures, sigmas, points.source)
+
+    def add_profile(self, profile: LaserProfile, wanted: LaserInput) -> None:
+        """Shots of a laser profile: constrained points, with rays where they are measured and ranges."""
+        first, n = self._claim(profile.ids, profile.source), len(profile.ids)
+        covariances = profile.covariances
+        if wanted.ground_sigma_m is not None:
+            covariances = np.broadcast_to(np.eye(3) * wanted.ground_sigma_m**2, (n, 3, 3))
+        kinds = np.full(n, int(PointKind.CONSTRAINED))
+        self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, covariances))
+        sigmas = np.full((profile.measure_shot.size, 2), wanted.image_sigma_px)
+        self._add_rays(first, profile.measure_shot, profile.measure_image, profile.measures, sigmas, profile.source)
+        if wanted.ranges:
+            pairs = [
+                (i, self._image(name, f"{profile.source}, shot {profile.ids[i]}"))
+                for i, names in enumerate(profile.simultaneous)
+                for name in names
+            ]
+            shot, image = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+            own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
+            self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
+
+    def add_mola(self, shots: AltimeterShots, wanted: MolaInput) -> AltimeterShots:
+        """Shots of a MOLA profile that fall in an image: constrained points, with a range from the simultaneous image
+        and, if asked for, back-projected image coordinates. Returns the shots taken.
+        """
+        seen = footprints_in_images(self._images, shots)
+        usable = shots.ground & np.isfinite(shots.ranges)
+        owners = (
+            [wanted.image]
+            if wanted.image
+            else [
+                image.name for image, mine in zip(self._images, seen.simultaneous, strict=True) if np.any(mine & usable)
+            ]
+        )
+        if len(owners) > 1:
+            raise InputError(
+                shots.source,
+                f"shots simultaneous with {' and '.join(owners)}",
+                "one image",
+                "name it: image = ... in [[mola]]",
+            )
+        owner = self._image(owners[0], shots.source) if owners else None
+        if owner is None:
+            usable &= np.any(seen.inside, axis=0)
+        else:
+            usable &= seen.inside[owner] & seen.simultaneous[owner]
+        if not np.any(usable):
+            where = f"image {self._images[owner].name}" if owner is not None else "any image"
+            raise InputError(
+                shots.source,
+                f"{shots.times.size} shots, none of which fall in {where}",
+                "a profile that crosses the image",
+                "take the profile out, or check file and image",
+            )
+        taken = shots.chosen(usable)
+        name = Path(shots.source).stem
+        profile = taken.profile(wanted.range_sigma_m, wanted.ground_sigma_m, name=name)
+        first, n = self._claim(profile.ids, profile.source), len(profile.ids)
+        kinds = np.full(n, int(PointKind.CONSTRAINED))
+        self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))
+        if owner is not None and wanted.ranges:
+            mine = np.arange(first, first + n)
+            self._ranges.append((mine, np.full(n, owner), profile.times, profile.ranges, profile.range_sigmas))
+        if wanted.shift_sigma_m is not None:
+            self._shifts.append((name, wanted.shift_sigma_m, np.arange(first, first + n)))
+        if wanted.image_rows == "back-projected":
+            self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)
+        return taken
+
+    def _add_back_projections(self, first: int, places: Array, inside: Mask, sigma: float) -> None:
+        """Image coordinates (images, n, 2) of footprints by the nominal orientation: they repeat what it says."""
+        image, shot = np.nonzero(inside)
+        self._rays.append((shot + first, image, places[image, shot], np.full((image.size, 2), sigma)))
+        self._back_projected.append(np.ones(image.size, dtype=bool))
+
+    def network(self, priors: tuple[OrientationPrior, ...], held: Mask, terrain: TerrainGrid | None = None) -> Network:
+        """All of it as one network; tie points lie on the terrain model, if there is one."""
+        points = GroundPoints(tuple(self.ids), *(np.concatenate(part) for part in zip(*self._points, strict=True)))
+        if not self._rays:
+            raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
+        back_projected = np.concatenate(self._back_projected)
+        rays = ImageRays(*(np.concatenate(part) for part in zip(*self._rays, strict=True)), back_projected)
+        empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
+        ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
+        shifts = self._profile_shifts() if self._shifts else None
+        surface = self._surface(points, rays, terrain) if terrain else None
+        return Network(self._images, priors, held, points, rays, ranges, shifts, surface)
+
+    def _profile_shifts(self) -> ProfileShifts:
+        names, sigmas, members = zip(*self._shifts, strict=True)
+        profile = np.full(len(self.ids), -1, dtype=np.int64)
+        for k, mine in enumerate(members):
+            profile[mine] = k
+        return ProfileShifts(tuple(names), profile, np.array(sigmas))
+
+    def _surface(self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid) -> Surface:
+        """Tie points on the terrain: sigma of its heights, and of its horizontal place where it slopes."""
+        sigmas = np.full(len(points), np.inf)
+        first_rays = np.unique(rays.point, return_index=True)[1]
+        for k in first_rays[points.classes[rays.point[first_rays]] == PointClass.TIE]:
+            image = self._images[rays.image[k]]
+            ground, _ = image.image_to_ground(rays.places[[k], 0], rays.places[[k], 1])
+            longitude, latitude, _ = planetocentric(ground).T
+            slope = float(terrain.slope(longitude, latitude)[0])
+            if np.isfinite(slope):
+                sideways = (terrain.planimetric_sigma or 0.0) * np.tan(slope)
+                sigmas[rays.point[k]] = np.hypot(terrain.vertical_sigma or 0.0, sideways)
+        if not np.any(np.isfinite(sigmas)):
+            raise InputError(
+                terrain.source, "no tie point lies over the terrain model", "a model of the images' ground"
+            )
+        return Surface(terrain, sigmas)
+
+    def _claim(self, ids: tuple[str, ...], source: str) -> int:
+        """Take the ids in; the index of the first."""
+        for name in ids:
+            if name in self._sources:
+                raise InputError(source, f"the id {name!r}, which {self._sources[name]} has too", "each id once")
+            self._sources[name] = source
+        first = len(self.ids)
+        self.ids += ids
+        return first
+
+    def _image(self, name: str, where: str) -> int:
+        if name not in self._index:
+            known = ", ".join(list(self._index)[:4])
+            raise InputError(
+                where,
+                f"the image {name!r}",
+                f"one of the case's images ({known})",
+                "add it to the case or take its measures out",
+            )
+        return self._index[name]
+
+    def _add_rays(
+        self, first: int, point: Index, names: tuple[str, ...], places: Array, sigmas: Array, source: str
+    ) -> None:
+        where = {name: k for k, name in reversed(list(enumerate(names)))}
+        index = {
+            name: self._image(name, f"{source}, point {self.ids[first + int(point[k])]}") for name, k in where.items()
+        }
+        image = np.array([index[name] for name in names], dtype=np.int64)
+        self._require_inside(image, places, point + first, source)
+        self._rays.append((point + first, image, places, sigmas))
+        self._back_projected.append(np.zeros(image.size, dtype=bool))
+
+    def _require_inside(self, image: Index, places: Array, point: Index, source: str) -> None:
+        """Measures lie on their image."""
+        size = np.array([(im.lines, im.samples) for im in self._images], dtype=np.float64)[image]
+        for k in np.flatnonzero(np.any((places < 0.0) | (places > size), axis=1))[:1]:
+            raise InputError(
+                f"{source}, point {self.ids[int(point[k])]}, image {self._images[image[k]].name}",
+                f"line {places[k, 0] + 0.5:g}, sample {places[k, 1] + 0.5:g} (counted from 1)",
+                f"a place inside {size[k, 0]:g} lines x {size[k, 1]:g} samples",
+            )

@@ -1,0 +1,233 @@
+"""What a case file may say: tables and keys, units in their names. Unknown keys are refused with their path."""
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+
+from mgsgraph.adjustment.settings import Angles, Form, Line, Loss
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Array
+from mgsgraph.io.isd import Observer
+from mgsgraph.io.text import read_text
+from mgsgraph.units import MRAD
+
+FORMAT = 1
+Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+FORMAT = 1
+
+
+class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A-priori knowledge of an image's orientation corrections, and the nominal orientation that they correct."""
+
+    nominal: Literal["trajectory", "polynomial"] = "trajectory"
+    """The trajectory as read, or polynomials of the line fitted to 31 samples of it (Yoon & Shan 2005, Eq. 2)."""
+    nominal_order: Annotated[int, msgspec.Meta(ge=0, le=12)] = 2
+    """Order of these polynomials."""
+    degree: Annotated[int, msgspec.Meta(ge=0, le=8)] = 2
+    """Degree of the polynomials of the line."""
+    position_sigma_m: float | list[float] = 100.0
+    """Sigma of the constant term along the body-fixed axes; inf for unknown."""
+    angle_sigma_mrad: float | list[float] = 0.29
+    """Sigma of the constant term about the camera axes (1 arcmin by default); inf for unknown."""
+    trend: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)] = (1.0, 0.1, 0.01)
+    """Factor of the constant term's sigma for each power of u, at u = 1; its last value serves higher powers."""
+
+    def prior(self, where: str) -> OrientationPrior:
+        """The sigmas, (degree + 1, 6), in m and rad; `where` names this table in errors."""
+        position = _three_sigmas(self.position_sigma_m, f"{where}, position_sigma_m")
+        angle = _three_sigmas(self.angle_sigma_mrad, f"{where}, angle_sigma_mrad") * MRAD
+        factors = [self.trend[min(k, len(self.trend) - 1)] for k in range(self.degree + 1)]
+        return OrientationPrior(np.outer(factors, np.concatenate([position, angle])))
+
+
+def _three_sigmas(value: float | list[float], where: str) -> Array:
+    """One sigma for all three directions, or three. (A union with a fixed-length tuple crashes msgspec 0.22.)"""
+    sigmas = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if sigmas.size not in (1, 3) or not np.all(sigmas > 0.0):
+        raise InputError(where, f"{value}", "one positive number or three (inf for unknown)")
+    return np.broadcast_to(sigmas, 3)
+
+
+class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """One image."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1)]
+    """By which networks and shots refer to it (ISIS serial number)."""
+    isd: str | None = None
+    """CSM image support data, JSON; or, instead of it, a label and kernels."""
+    label: str | None = None
+    """MOC label: PDS3 image, detached label or ISIS cube."""
+    kernels: tuple[str, ...] = ()
+    """SPICE kernels or meta-kernels of this image; those of [spice] when absent."""
+    constants: Literal["iak", "ik"] = "iak"
+    """Camera constants of the ISIS addendum or of NAIF's instrument kernel."""
+    focal_length_m: Positive | None = None
+    """Focal length; the kernels' when absent."""
+    attitude_bias_s: float | None = None
+    """Attitude of time t is the CK's of t + this; for MOC -1.15 when absent (ISIS)."""
+    position_bias_s: float = 0.0
+    """Position of time t is the SPK's of t + this."""
+    held: bool = False
+    """Keep its orientation as it is."""
+    aberration: Literal["NONE", "LT+S"] | None = None
+    """What its position table holds, where the support data don't say."""
+    observer: Observer = "body"
+    """Who observed whom when that table was made."""
+    orientation: OrientationInput | None = None
+    """Sigmas of this image alone."""
+
+
+class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Tie points: a control network."""
+
+    network: str
+    """ISIS control network, PVL."""
+    sigma_px: Positive = 1.0
+    """Sigma of line and sample where the network doesn't say."""
+
+
+class ControlInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Ground control points with sigmas."""
+
+    file: str
+    """ASP .gcp text."""
+
+
+class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Laser shots."""
+
+    file: str
+    """ISIS lidar JSON."""
+    image_sigma_px: Positive = 30.0
+    """Sigma of the shots' image coordinates."""
+    range_sigma_m: Positive | None = None
+    """Sigma of the ranges; the file's own when absent."""
+    ground_sigma_m: Positive | None = None
+    """Sigma of the footprints in each direction; the file's covariances when absent."""
+    ranges: bool = True
+    """Use the ranges."""
+
+
+class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """One laser profile of MOLA."""
+
+    pedr: str
+    """PEDR binary file, PEDR2TAB table, or CSV of the Orbital Data Explorer."""
+    image: str | None = None
+    """Image taken along with it, whose orientation carries the ranges; found by time when absent."""
+    range_sigma_m: Positive = 10.0
+    """Sigma of the ranges."""
+    ground_sigma_m: Positive = 10.0
+    """Sigma of each footprint in each direction."""
+    shift_sigma_m: Positive | None = None
+    """Sigma of the profile's common horizontal error, which becomes an unknown; absent: none."""
+    image_rows: Literal["none", "back-projected"] = "none"
+    """Image coordinates of the footprints: none, or their projections with the nominal orientation (the papers')."""
+    image_sigma_px: Positive = 30.0
+    """Sigma of these."""
+    ranges: bool = True
+    """Use the ranges."""
+    version: str | None = None
+    """PEDR version letter, where the file's name doesn't say."""
+    clock_bias_s: float = 0.0
+    """Added to the shots' times."""
+    leap_seconds: str | None = None
+    """Leap seconds kernel, for tables with UTC alone."""
+
+
+class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A terrain model as control: tie points lie on it."""
+
+    file: str
+    """MEGDR grid of radii (.img, .lbl) or GeoTIFF."""
+    reference_radius_m: Positive | None = None
+    """Sphere above which a GeoTIFF's heights are."""
+    vertical_sigma_m: Positive = 10.0
+    """Sigma of its heights."""
+    planimetric_sigma_m: Positive = 200.0
+    """Sigma of its horizontal place; counts where it slopes."""
+
+
+class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """SPICE kernels for all images that name none of their own."""
+
+    kernels: tuple[str, ...]
+    """Kernels or meta-kernels."""
+    sampling_s: Positive = 0.1
+    """Interval of the trajectory's nodes."""
+
+
+class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Choices of the solver; see SolverSettings."""
+
+    form: Form = "bundle"
+    line: Line = "predicted"
+    angles: Angles = "camera"
+    loss: Loss = "none"
+    loss_width: Positive | None = None
+    reject: float = 0.0
+    max_iterations: Annotated[int, msgspec.Meta(ge=1)] = 50
+
+
+class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A case file."""
+
+    format: int
+    """Version of this layout."""
+    name: str
+    """What to call the case in reports."""
+    images: Annotated[tuple[ImageInput, ...], msgspec.Meta(min_length=1)]
+    """All images."""
+    orientation: OrientationInput = OrientationInput()
+    """For images without sigmas of their own."""
+    ties: TiesInput | None = None
+    """Tie points."""
+    ground_control: ControlInput | None = None
+    """Ground control points."""
+    laser: LaserInput | bool = False
+    """Laser shots; false leaves them out."""
+    mola: tuple[MolaInput, ...] = ()
+    """Laser profiles of MOLA."""
+    terrain: TerrainInput | None = None
+    """Terrain model as control."""
+    spice: SpiceInput | None = None
+    """SPICE kernels."""
+    solver: SolverInput = SolverInput()
+    """Choices of the solver."""
+
+
+def decode(path: Path) -> CaseInput:
+    """A case file's tables, validated; InputError with the path of what is wrong."""
+    try:
+        table = tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
+    version = table.get("format")
+    if version != FORMAT:
+        found = "no key 'format'" if version is None else f"format {version!r}"
+        raise InputError(str(path), found, f"format = {FORMAT}", "write it at the head of the case file")
+    try:
+        case = msgspec.convert(table, CaseInput, strict=False)
+    except msgspec.ValidationError as error:
+        what, _, place = str(error).partition(" - at `$.")
+        where = f"{path}, {place.rstrip('`')}" if place else str(path)
+        raise InputError(where, what[0].lower() + what[1:], remedy="see the case files in scripts/cases") from None
+    _refuse_nan(table, str(path))
+    return case
+
+
+def _refuse_nan(value: object, where: str) -> None:
+    """TOML has nan; nothing here may be it."""
+    if isinstance(value, float) and math.isnan(value):
+        raise InputError(where, "nan", "a number")
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _refuse_nan(item, f"{where}, {key}")
+    if isinstance(value, list):
+        for k, item in enumerate(value):
+            _refuse_nan(item, f"{where}[{k}]")
