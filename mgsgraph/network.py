@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
@@ -71,6 +72,14 @@ class GroundPoints:
         return len(self.ids)
 
 
+def _frozen_mask(value: ArrayLike, where: str, size: int) -> Mask:
+    mask = np.array(value, dtype=np.bool_)
+    if mask.shape != (size,):
+        raise InputError(where, f"marks of shape {mask.shape}", f"one for each of {size}")
+    mask.flags.writeable = False
+    return mask
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageRays:
     """Image coordinates of points: one ray each."""
@@ -105,7 +114,7 @@ class Ranges:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileShifts:
-    """Unknown horizontal shifts, one per laser profile: what is to be added to its footprints' a-priori places."""
+    """Unknown horizontal shifts, one per laser profile: to be added to its footprints' a-priori places."""
 
     names: tuple[str, ...]
     """(p) profiles."""
@@ -145,17 +154,17 @@ class Network:
     """Shared unknown shifts of profiles."""
     surface: Surface | None = None
     """Terrain model as control."""
+    areoid: TerrainGrid | None = None
+    """Radii of the areoid, for the heights of the points; no observation."""
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
         if m == 0:
             raise InputError("network", "no images", "at least one")
         require_unique(tuple(image.name for image in self.images), "images")
-        held = np.array(self.held, dtype=np.bool_)
         if len(self.priors) != m:
             raise InputError("network", f"{len(self.priors)} orientation priors", f"one for each of {m} images")
-        if held.shape != (m,):
-            raise InputError("network, held", f"an array of shape {held.shape}", f"one for each of {m} images")
+        held = _frozen_mask(self.held, "network, held", m)
         if len({image.body for image in self.images}) > 1:
             raise InputError("network", "images of different bodies", "one body", "check the radii of the support data")
         k, r = np.size(self.rays.point), np.size(self.ranges.point)
@@ -169,7 +178,7 @@ class Network:
             frozen_index(self.rays.image, "rays, images", k, m),
             frozen(self.rays.places, "rays, places", (k, 2)),
             sigmas,
-            np.zeros(k, dtype=bool) if self.rays.back_projected is None else np.array(self.rays.back_projected, bool),
+            _frozen_mask(np.zeros(k) if self.rays.back_projected is None else self.rays.back_projected, "rays", k),
         )
         ranges = Ranges(
             frozen_index(self.ranges.point, "ranges, points", r, n),
@@ -178,7 +187,6 @@ class Network:
             frozen(self.ranges.values, "ranges, values", (r,)),
             range_sigmas,
         )
-        held.flags.writeable = False
         assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shifts_and_surface()
         self._require_shots_covered()
@@ -196,11 +204,13 @@ class Network:
                 raise InputError(
                     f"ground point {self.points.ids[i]}", "a profile's shift but no a-priori place", "both"
                 )
+            profile.flags.writeable = False
             assign(self, shifts=ProfileShifts(self.shifts.names, profile, sigmas))
         if self.surface is not None:
             heights = np.array(self.surface.sigmas, dtype=np.float64)
             if heights.shape != (n,) or not np.all(heights > 0.0):
                 raise InputError("surface, sigmas", f"shape {heights.shape}", f"{n} positive numbers (inf for no row)")
+            heights.flags.writeable = False
             assign(self, surface=Surface(self.surface.grid, heights))
 
     def _require_shots_covered(self) -> None:

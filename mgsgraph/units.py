@@ -6,6 +6,8 @@ KM = 1e3
 """metre per kilometre"""
 MM = 1e-3
 """metre per millimetre"""
+MILLISECOND = 1e-3
+"""second per millisecond"""
 DEG = pi / 180.0
 """radian per degree"""
 ARCMIN = DEG / 60.0

@@ -18,7 +18,7 @@ STOREYS = [
     ("mgsgraph.case",),
     ("mgsgraph.adjustment",),
     ("mgsgraph.simulation",),
-    ("mgsgraph.network", "mgsgraph.io"),
+    ("mgsgraph.network", "mgsgraph.registration", "mgsgraph.io"),
     ("mgsgraph.ties",),
     ("mgsgraph.geometry",),
     ("mgsgraph.factors",),

@@ -19,7 +19,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_polynomials
-from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.terrain import TerrainGrid, areoid_grid
 from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.gcp import read_ground_control
 from mgsgraph.io.isd import Aberration, read_isd
@@ -47,6 +47,8 @@ class Case:
     """Tie points as read."""
     profiles: tuple[AltimeterShots, ...] = ()
     """Shots of each MOLA profile that take part."""
+    pictures: tuple[Path | None, ...] = ()
+    """File of each image's pixels, where the case names one."""
     fits: tuple[PolynomialFit, ...] = ()
     """What the polynomials of the nominal orientation cost, for each image where they are used."""
 
@@ -92,8 +94,9 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
         raise InputError(str(path), "neither ties nor ground control nor laser", "at least one of them")
     settings = SolverSettings(**{name: getattr(wanted.solver, name) for name in wanted.solver.__struct_fields__})
     held = np.array([image.held for image in wanted.images])
-    network = parts.network(priors, held, _read_terrain(wanted, folder))
-    return Case(wanted.name, path, network, settings, ties, profiles, fits)
+    network = parts.network(priors, held, _read_terrain(wanted, folder), _read_areoid(wanted, folder))
+    pictures = tuple(folder / image.label if image.label else None for image in wanted.images)
+    return Case(wanted.name, path, network, settings, ties, profiles, pictures, fits)
 
 
 def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -> Solution:
@@ -159,6 +162,15 @@ def _read_shots(entry: MolaInput, folder: Path) -> AltimeterShots:
         return read_pedr(path, entry.clock_bias_s, entry.version)
     leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
     return read_pedr_text(path, entry.clock_bias_s, entry.version, leap_seconds)
+
+
+def _read_areoid(wanted: CaseInput, folder: Path) -> TerrainGrid | None:
+    """Radius minus topography of two MEGDR grids."""
+    if wanted.areoid is None:
+        return None
+    from mgsgraph.io.megdr import read_megdr
+
+    return areoid_grid(read_megdr(folder / wanted.areoid.radius), read_megdr(folder / wanted.areoid.topography))
 
 
 def _read_terrain(wanted: CaseInput, folder: Path) -> TerrainGrid | None:

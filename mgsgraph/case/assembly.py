@@ -114,7 +114,13 @@ class Parts:
         self._rays.append((shot + first, image, places[image, shot], np.full((image.size, 2), sigma)))
         self._back_projected.append(np.ones(image.size, dtype=bool))
 
-    def network(self, priors: tuple[OrientationPrior, ...], held: Mask, terrain: TerrainGrid | None = None) -> Network:
+    def network(
+        self,
+        priors: tuple[OrientationPrior, ...],
+        held: Mask,
+        terrain: TerrainGrid | None = None,
+        areoid: TerrainGrid | None = None,
+    ) -> Network:
         """All of it as one network; tie points lie on the terrain model, if there is one."""
         points = GroundPoints(tuple(self.ids), *(np.concatenate(part) for part in zip(*self._points, strict=True)))
         if not self._rays:
@@ -124,8 +130,17 @@ class Parts:
         empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
         ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
         shifts = self._profile_shifts() if self._shifts else None
-        surface = self._surface(points, rays, terrain) if terrain else None
-        return Network(self._images, priors, held, points, rays, ranges, shifts, surface)
+        surface = self._surface(points, rays, terrain.around(self._ground(rays))) if terrain else None
+        areoid = areoid.around(self._ground(rays)) if areoid else None
+        return Network(self._images, priors, held, points, rays, ranges, shifts, surface, areoid)
+
+    def _ground(self, rays: ImageRays) -> Array:
+        """Where rays meet the ellipsoid, (k, 3) in m."""
+        ground = np.empty((rays.point.size, 3))
+        for j, image in enumerate(self._images):
+            mine = rays.image == j
+            ground[mine], _ = image.image_to_ground(*rays.places[mine].T)
+        return ground
 
     def _profile_shifts(self) -> ProfileShifts:
         names, sigmas, members = zip(*self._shifts, strict=True)
@@ -137,15 +152,11 @@ class Parts:
     def _surface(self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid) -> Surface:
         """Tie points on the terrain: sigma of its heights, and of its horizontal place where it slopes."""
         sigmas = np.full(len(points), np.inf)
-        first_rays = np.unique(rays.point, return_index=True)[1]
-        for k in first_rays[points.classes[rays.point[first_rays]] == PointClass.TIE]:
-            image = self._images[rays.image[k]]
-            ground, _ = image.image_to_ground(rays.places[[k], 0], rays.places[[k], 1])
-            longitude, latitude, _ = planetocentric(ground).T
-            slope = float(terrain.slope(longitude, latitude)[0])
-            if np.isfinite(slope):
-                sideways = (terrain.planimetric_sigma or 0.0) * np.tan(slope)
-                sigmas[rays.point[k]] = np.hypot(terrain.vertical_sigma or 0.0, sideways)
+        members, first_rays = np.unique(rays.point, return_index=True)
+        longitude, latitude, _ = planetocentric(self._ground(rays)[first_rays]).T
+        sideways = (terrain.planimetric_sigma or 0.0) * np.tan(terrain.slope(longitude, latitude))
+        usable = np.isfinite(sideways) & (points.classes[members] == PointClass.TIE)
+        sigmas[members[usable]] = np.hypot(terrain.vertical_sigma or 0.0, sideways[usable])
         if not np.any(np.isfinite(sigmas)):
             raise InputError(
                 terrain.source, "no tie point lies over the terrain model", "a model of the images' ground"

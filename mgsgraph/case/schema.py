@@ -153,6 +153,15 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of its horizontal place; counts where it slopes."""
 
 
+class AreoidInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Two MEGDR grids of the same posts, whose difference is the areoid: heights above it join the points' output."""
+
+    radius: str
+    """MEGDR grid of radii."""
+    topography: str
+    """MEGDR grid of topography."""
+
+
 class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """SPICE kernels for all images that name none of their own."""
 
@@ -195,6 +204,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Laser profiles of MOLA."""
     terrain: TerrainInput | None = None
     """Terrain model as control."""
+    areoid: AreoidInput | None = None
+    """For heights above the areoid."""
     spice: SpiceInput | None = None
     """SPICE kernels."""
     solver: SolverInput = SolverInput()

@@ -10,6 +10,7 @@ from mgsgraph.errors import MgsgraphError
 _VERBS = {
     "adjust": "Adjust a case: orientation, ground points and their sigmas.",
     "check": "Read and validate a case, say what is in it, solve nothing.",
+    "register": "Project laser footprints into the images, and say by how much the images contradict.",
     "demo": "Simulate a small stereo pair with laser ranges and adjust it.",
 }
 

@@ -152,6 +152,10 @@ class AltimeterShots:
         names = [one.name for one in fields(self) if one.name != "source"]
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
+    def moved(self, footprints: Array, spacecraft: Array) -> "AltimeterShots":
+        """The same shots with other places (n, 3) in m, body-fixed, of footprints and spacecraft."""
+        return replace(self, footprints=footprints, spacecraft=spacecraft)
+
     def profile(
         self, range_sigma: float, ground_sigma: float, simultaneous: str | None = None, name: str = ""
     ) -> LaserProfile:

@@ -4,6 +4,7 @@ Ground to image is Newton's method on the line (the papers' five steps find the 
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.geometry.trajectory import Pose, Trajectory
+from mgsgraph.geometry.trajectory import Pose
 
 _NEWTON_STEPS = 30
 _PIXEL_TOLERANCE = 1e-9
@@ -60,6 +61,28 @@ class LineTiming:
         return np.asarray(np.minimum(self.first_lines[k] + (times - self.start_times[k]) / self.periods[k], goes_on[k]))
 
 
+class ExteriorOrientation(Protocol):
+    """Where the camera is and how it stands over its image: sampled (`Trajectory`) or as polynomials of time."""
+
+    @property
+    def epoch(self) -> float:
+        """Zero of all times, s TDB past J2000."""
+        ...
+
+    @property
+    def coverage(self) -> tuple[float, float]:
+        """First and last time, s past the epoch, at which it holds."""
+        ...
+
+    def require(self, times: Array, where: str, slack: float = 0.0) -> None:
+        """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
+        ...
+
+    def pose(self, times: Array) -> Pose:
+        """Pose at times (n,) in s past the epoch, rates per second."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PushbroomImage:
     """A line-scanner image with everything that its geometry needs."""
@@ -74,7 +97,7 @@ class PushbroomImage:
     """Camera constants."""
     timing: LineTiming
     """Line to time."""
-    trajectory: Trajectory
+    trajectory: ExteriorOrientation
     """Nominal exterior orientation."""
     body: Ellipsoid
     """Reference ellipsoid of the body it shows."""

@@ -68,28 +68,29 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     if model != "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL":
         raise InputError(f"{path}, name_model", repr(model), "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL (a line scanner)")
     try:
+        trajectory = _trajectory(isd, aberration)
         image = PushbroomImage(
             name=name,
             lines=isd.count("image_lines"),
             samples=isd.count("image_samples"),
             interior=_interior(isd),
             timing=_timing(isd),
-            trajectory=_trajectory(isd, aberration),
+            trajectory=trajectory,
             body=_body(isd),
         )
     except InputError as error:  # what a record refuses doesn't know the file
         raise error if str(path) in str(error) else error.within(str(path)) from None
-    _require_outside(image, path)
+    _require_outside(trajectory, image.body, path)
     return image
 
 
-def _require_outside(image: PushbroomImage, path: Path) -> None:
+def _require_outside(trajectory: Trajectory, body: Ellipsoid, path: Path) -> None:
     """A camera inside the body betrays metres that were called kilometres."""
-    distance = np.linalg.norm(image.trajectory.position.positions, axis=1).min()
-    if distance <= image.body.polar:
+    distance = np.linalg.norm(trajectory.position.positions, axis=1).min()
+    if distance <= body.polar:
         raise InputError(
             f"{path}, instrument_position", f"a camera {distance / KM:.3f} km from the body's centre",
-            f"more than its radius, {image.body.polar / KM:.3f} km", "check the units of positions and radii",
+            f"more than its radius, {body.polar / KM:.3f} km", "check the units of positions and radii",
         )
 
 

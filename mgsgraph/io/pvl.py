@@ -1,4 +1,4 @@
-"""PVL text (Parameter Value Language) as ISIS writes it, read in one pass, with errors that name file and line.
+"""PVL text (Parameter Value Language) as ISIS and PDS3 write it, read in one pass, with errors that name file and line.
 
 Understood: nested Object and Group, keywords in any case, quoted strings, lists in parentheses or braces, units in
 angle brackets, values carried over lines (a trailing hyphen joins without a blank, as in ISIS PvlKeyword), comments
@@ -117,6 +117,20 @@ class Block:
             raise InputError(self.where(key), found, f"a list of {count} numbers")
         return [self._finite(key, value) for value in values]
 
+    def count(self, key: str) -> int:
+        """A whole number of at least 1, without a unit."""
+        value = self.number(key, {"": 1.0})
+        if value < 1.0 or value % 1.0 != 0.0:
+            raise InputError(self.where(key), f"{value:g}", "a whole number above zero")
+        return int(value)
+
+    def inner(self, name: str) -> "Block":
+        """The block of this name (in any case) inside."""
+        for block in self.blocks:
+            if block.name == name.lower():
+                return block
+        raise InputError(self.where(), f"no {name}", f"Object = {name} or Group = {name} in this {self.name}")
+
     def flag(self, key: str) -> bool:
         """A truth value; False where it is left out, which is how ISIS writes it."""
         if key not in self:
@@ -167,15 +181,49 @@ def inner_blocks(document: Document) -> Iterator[tuple[Block, Block]]:
         elif keyword == "end":
             break
         elif stack:
-            entries = stack[-1].entries
-            if keyword in entries:
-                raise InputError(document.where(entry.position), f"{keyword} twice in one {stack[-1].kind}", "it once")
-            entries[keyword] = entry
+            _enter(stack[-1], keyword, entry)
     if stack:
-        raise InputError(
-            document.where(stack[-1].position), f"the {stack[-1].kind} that begins here is never closed",
-            f"End_{stack[-1].kind.capitalize()}", "the file is cut short: write it anew",
-        )
+        raise _never_closed(stack[-1])
+
+
+def whole_label(document: Document) -> Block:
+    """All keywords and blocks of a label, up to its END, in one outermost block called label.
+
+    Raises
+    ------
+    InputError
+        Where the text is no PVL, a keyword stands twice in a block, or blocks are not closed.
+    """
+    root = Block(document, "label", "label", 0)
+    stack = [root]
+    for keyword, entry in _statements(document):
+        if keyword in _BEGIN:
+            block = Block(document, _BEGIN[keyword], str(entry.value).lower(), entry.position)
+            stack[-1].blocks.append(block)
+            stack.append(block)
+        elif keyword in _CLOSE:
+            _closed(document, stack, _CLOSE[keyword], entry)
+        elif keyword == "end":
+            break
+        else:
+            _enter(stack[-1], keyword, entry)
+    if len(stack) > 1:
+        raise _never_closed(stack[-1])
+    return root
+
+
+def _enter(block: Block, keyword: str, entry: Entry) -> None:
+    """Put a keyword into its block, once."""
+    if keyword in block.entries:
+        raise InputError(block.document.where(entry.position), f"{keyword} twice in one {block.kind}", "it once")
+    block.entries[keyword] = entry
+
+
+def _never_closed(block: Block) -> InputError:
+    return InputError(
+        block.document.where(block.position), f"the {block.kind} that begins here is never closed",
+        f"End_{block.kind.capitalize()}", "the file is cut short: write it anew",
+    )
 
 
 def _closed(document: Document, stack: list[Block], kind: str, entry: Entry) -> Block:

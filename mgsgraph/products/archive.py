@@ -17,24 +17,36 @@ from pathlib import Path
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
+from mgsgraph.geometry.image import ExteriorOrientation
+from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import assign
-from mgsgraph.geometry.trajectory import AttitudeTable
+from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 
 FORMAT = 1
 """Version of the layout; raised whenever an older reader would misread it."""
 ARCHIVE = "solution.npz"
 """Name of the file in a result folder."""
 
-_DISTORTIONS = {kind.__name__: kind for kind in (NoDistortion, LrocNacDistortion, RadialDistortion)}
+_KINDS: dict[Any, dict[str, Any]] = {
+    protocol: {kind.__name__: kind for kind in kinds}
+    for protocol, kinds in (
+        (Distortion, (NoDistortion, LrocNacDistortion, RadialDistortion)),
+        (ExteriorOrientation, (Trajectory, PolynomialTrajectory)),
+    )
+}
+"""Records that may stand where a protocol is declared; the record says which it is."""
+_KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
 _BROKEN = (
     OSError, EOFError, LookupError, AttributeError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError,
     struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 """What zipfile, NumPy and json raise on files that are damaged or no archives."""
+_NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
 _ANEW = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
 
 
@@ -77,8 +89,7 @@ def read_solution(path: str | Path) -> Solution:
     except _BROKEN as error:
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise InputError(str(path), f"no archive of mgsgraph, or a damaged one ({reason})", remedy=_ANEW) from None
-    remedy = "read it with the version of mgsgraph that wrote it, or a newer one"
-    raise InputError(f"{path}, format", f"{version}", f"{FORMAT}", remedy)
+    raise InputError(f"{path}, format", f"{version}", f"{FORMAT}", _NEWER)
 
 
 def _members(path: Path) -> dict[str, np.ndarray]:
@@ -107,7 +118,7 @@ def _taken_apart(value: Any, where: str, arrays: dict[str, np.ndarray]) -> Any:
     if is_dataclass(value):
         parts = {field.name: _taken_apart(getattr(value, field.name), _at(where, field.name), arrays)
                  for field in fields(value)}
-        return parts | ({"kind": type(value).__name__} if type(value).__name__ in _DISTORTIONS else {})
+        return parts | ({"kind": type(value).__name__} if type(value).__name__ in _KIND_NAMES else {})
     if isinstance(value, Mapping):
         return {key: _taken_apart(item, _at(where, key), arrays) for key, item in value.items()}
     if isinstance(value, tuple):
@@ -145,31 +156,37 @@ def _put_together(value: Any, kind: Any, where: str, arrays: dict[str, np.ndarra
     if origin in (Union, types.UnionType):
         if value is None and type(None) in options:
             return None
-        return _put_together(value, next(option for option in options if option is not type(None)), where, arrays)
+        options = tuple(option for option in options if option is not type(None))
+        if any(get_origin(option) is np.ndarray for option in options):
+            return _array(value, options, where, arrays)
+        return _put_together(value, options[0], where, arrays)
     if origin is np.ndarray:
-        return _array(value, get_args(options[1])[0], where, arrays)
+        return _array(value, (kind,), where, arrays)
     if origin is tuple:
         if isinstance(value, dict):
-            return tuple(_array(value, np.str_, where, arrays).tolist())
+            return tuple(_array(value, (NDArray[np.str_],), where, arrays).tolist())
         return tuple(_put_together(item, options[0], _at(where, str(k)), arrays) for k, item in enumerate(value))
     if origin is Mapping:
         return {key: _put_together(item, options[1], _at(where, key), arrays) for key, item in value.items()}
-    if kind is Distortion:
-        return _record(value, _DISTORTIONS[value["kind"]], where, arrays)
+    if kind in _KINDS:
+        return _record(value, _KINDS[kind][value["kind"]], where, arrays)
     return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
 
 
-def _array(value: dict[str, str], scalar: type[np.generic], where: str, arrays: dict[str, np.ndarray]) -> np.ndarray:
-    array = arrays[value["array"]]
-    if not issubclass(array.dtype.type, scalar):
-        raise InputError(where, f"an array of {array.dtype}", f"of {scalar.__name__}", _ANEW)
+def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """The array, after a look whether it is of one of the kinds NDArray[scalar]."""
+    array, scalars = arrays[value["array"]], tuple(get_args(get_args(kind)[1])[0] for kind in kinds)
+    if not issubclass(array.dtype.type, scalars):
+        raise InputError(where, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _ANEW)
     return array
 
 
 def _record(value: dict[str, Any], kind: Any, where: str, arrays: dict[str, np.ndarray]) -> Any:
-    parts = {
-        name: _put_together(value[name], hint, _at(where, name), arrays) for name, hint in _field_types(kind).items()
-    }
+    hints = _field_types(kind)
+    for name in sorted(set(value) - set(hints) - {"kind"})[:1]:
+        raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
+    # a field that the writer didn't know yet takes its default; one that has none fails there
+    parts = {name: _put_together(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}
     record = kind(**parts)
     if kind is AttitudeTable:
         assign(record, quaternions=parts["quaternions"])  # checked above; a second division by the norm moves last bits
@@ -195,11 +212,13 @@ def _require_shapes(solution: Solution) -> None:
     network = solution.network
     n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size
     sizes = [prior.sigmas.size for prior, held in zip(network.priors, network.held, strict=True) if not held]
-    columns = sum(sizes)
+    shifts = 0 if network.shifts is None else len(network.shifts.names)
+    columns = sum(sizes) + 2 * shifts
     first = np.where(network.held, -1, 0)
     first[~network.held] = np.cumsum([0, *sizes])[:-1]
     expected: dict[str, tuple[int, ...]] = {
-        "joint_covariance": (columns, columns), "places_before": (n, 3), "places": (n, 3), "covariances": (n, 3, 3),
+        "joint_covariance": (columns, columns), "shifts": (shifts, 2),
+        "places_before": (n, 3), "places": (n, 3), "covariances": (n, 3, 3),
         "determined": (n,), "rays_used": (k,), "ranges_used": (r,), "residuals": (k, 2), "residuals_before": (k, 2),
         "range_residuals": (r,), "range_residuals_before": (r,),
     }  # fmt: skip

@@ -14,7 +14,9 @@ from mgsgraph.errors import InputError
 PROGRAM = "mgsgraph"
 """What `program` in solution.json says; by it a folder is known as ours."""
 RECORD = "solution.json"
-"""File that makes a folder a result of this program."""
+"""File that makes a folder a result of an adjustment by this program."""
+REGISTRATION = "registration.json"
+"""File that makes a folder without a solution a registration by this program."""
 
 _REMEDIES = {
     errno.ENOSPC: "free some space, or choose another --out",
@@ -24,7 +26,7 @@ _REMEDIES = {
 
 
 @contextmanager
-def fresh_folder(path: str | Path) -> Iterator[Path]:
+def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
     """Make a result folder.
 
     Inside the context everything is written to a new folder beside `path`; at its end that folder takes the place of
@@ -33,7 +35,9 @@ def fresh_folder(path: str | Path) -> Iterator[Path]:
     Parameters
     ----------
     path : path
-        Absent, empty, or an earlier result, which is replaced.
+        Absent, empty, or an earlier result of the same kind, which is replaced.
+    record : str
+        File by which results of this kind are known.
 
     Yields
     ------
@@ -46,13 +50,13 @@ def fresh_folder(path: str | Path) -> Iterator[Path]:
         If `path` holds anything else, or can't be written.
     """
     shown, target = str(path), Path(path).resolve()
-    require_replaceable(path)
+    require_replaceable(path, record)
     aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.unfinished")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         aside.mkdir()
         yield aside
-        require_replaceable(path)
+        require_replaceable(path, record)
         _put_in_place(aside, target)
     except OSError as error:
         raise _refusal(shown, error) from None
@@ -60,8 +64,10 @@ def fresh_folder(path: str | Path) -> Iterator[Path]:
         shutil.rmtree(aside, ignore_errors=True)
 
 
-def require_replaceable(path: str | Path) -> None:
-    """Raise InputError unless `path` is absent, an empty folder, or an earlier result; to be asked before long work."""
+def require_replaceable(path: str | Path, record: str = RECORD) -> None:
+    """Raise InputError unless `path` is absent, an empty folder, or an earlier result known by the file `record`; to be
+    asked before long work.
+    """
     shown, target = str(path), Path(path).resolve()
     try:
         if not target.exists():
@@ -70,15 +76,21 @@ def require_replaceable(path: str | Path) -> None:
             raise InputError(shown, "exists and is a file", "a folder for the results", "choose another --out")
         if target in (Path.cwd(), *Path.cwd().parents):
             raise InputError(shown, "is the folder you are in, and would be replaced", remedy="choose another --out")
-        if any(target.iterdir()) and not _is_ours(target):
-            raise InputError(shown, f"exists and is not a result of {PROGRAM}", remedy="choose another --out")
+        if any(target.iterdir()) and (kept := _kind(target)) != record:
+            found = f"not a result of {PROGRAM}" if kept is None else f"another kind of result ({kept})"
+            raise InputError(shown, f"exists and is {found}", remedy="choose another --out")
     except OSError as error:
         raise _refusal(shown, error) from None
 
 
-def _is_ours(folder: Path) -> bool:
+def _kind(folder: Path) -> str | None:
+    """The file by which a folder is known as ours, RECORD before others; None for a foreign folder."""
+    return next((name for name in (RECORD, REGISTRATION) if _is_ours(folder / name)), None)
+
+
+def _is_ours(path: Path) -> bool:
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return False
     return isinstance(record, dict) and record.get("program") == PROGRAM

@@ -8,6 +8,7 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
+from mgsgraph.products.control import control_statements
 from mgsgraph.products.merit import (
     PLACES,
     RayStatistics,
@@ -46,6 +47,7 @@ def statements(solution: Solution) -> list[str]:
         _weight_unit(solution),
         *_fits(solution, rays),
         *_datum(solution),
+        *control_statements(solution),
         *_constant_residuals(solution, rays),
         *_left_out(solution),
         *_islands(solution),
@@ -115,7 +117,8 @@ def _datum(solution: Solution) -> list[str]:
     network, kinds = solution.network, solution.network.points.kinds
     if solution.sigmas_without_laser is not None:
         return [_laser_effect(solution, solution.sigmas_without_laser)]
-    if np.any(solution.determined & (kinds != PointKind.FREE)) or np.any(solution.ranges_used):
+    known = np.any(solution.determined & (kinds != PointKind.FREE)) or np.any(solution.ranges_used)
+    if known or network.surface is not None:
         return []
     adjusted = np.flatnonzero(~network.held)
     if adjusted.size == 0:

@@ -14,10 +14,11 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.products.atomic import PROGRAM
+from mgsgraph.products.control import control_json
 from mgsgraph.products.merit import (
     ORIENTATION,
     PLACES,
@@ -72,6 +73,7 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         "undetermined": [network.points.ids[i] for i in np.flatnonzero(~solution.determined)],
         "ranges": _ranges(solution),
         "laser_effect": _laser_effect(solution),
+        "control": control_json(solution),
         "sigmas": _sigmas(solution),
         "settings": dataclasses.asdict(solution.settings),
         "seconds": dict(solution.seconds),
@@ -194,6 +196,8 @@ def points_csv(solution: Solution, path: Path) -> None:
         "lon_deg": longitude / DEG % 360.0,
         "lat_deg": latitude / DEG,
         "radius_m": radius,
+        "height_m": geodetic(solution.places, network.images[0].body)[:, 2],
+        **({"height_above_areoid_m": radius - network.areoid.at(solution.places)} if network.areoid else {}),
         **_columns(["sigma_x_m", "sigma_y_m", "sigma_z_m"], sigmas),
         **_columns(["sigma_east_m", "sigma_north_m", "sigma_up_m"], local_sigmas(solution)),
         **_columns(["scaled_sigma_x_m", "scaled_sigma_y_m", "scaled_sigma_z_m"], sigmas * solution.sigma0),

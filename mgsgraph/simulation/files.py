@@ -62,6 +62,8 @@ def _letter(image: PushbroomImage) -> str:
 def _support_data(image: PushbroomImage) -> dict[str, Any]:
     """CSM image support data as ALE lays them out, of an image without distortion; km, mm and ISIS lines."""
     trajectory, timing, interior = image.trajectory, image.timing, image.interior
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(f"image {image.name}", "an orientation in polynomials", "sampled tables, as support data have")
     edges, _ = timing.at(np.array([0.0]))
     segments = np.column_stack([timing.first_lines + 0.5, timing.start_times, timing.periods])
     to_pixel = interior.to_pixel.copy()

@@ -1,0 +1,195 @@
+"""The papers' nominal orientation: polynomials of time in X, Y, Z, omega, phi, kappa, fitted to a sampled trajectory.
+
+Yoon & Shan 2005, eq. 2; order 2 fitted to 31 samples of the SPICE orientation over the image is theirs.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.units import ARCSEC
+
+if TYPE_CHECKING:
+    from mgsgraph.geometry.image import PushbroomImage
+
+_DENSE = 10
+"""The dense grid has this many intervals in one between two samples."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialTrajectory:
+    """Position and attitude as polynomials of normalised time s = (2 t - start - stop) / (stop - start)."""
+
+    epoch: float
+    """s TDB past J2000 from which all times count."""
+    start: float
+    """s past the epoch, where s = -1: the first line's edge."""
+    stop: float
+    """s past the epoch, where s = 1: the last line's edge."""
+    position: Array
+    """(order + 1, 3) m, body-fixed X, Y, Z; row k belongs to s^k."""
+    angles: Array
+    """(order + 1, 3) rad, omega, phi, kappa as in `rotation.omega_phi_kappa`; row k belongs to s^k."""
+
+    def __post_init__(self) -> None:
+        where = "polynomial trajectory"
+        if not (np.isfinite([self.epoch, self.start, self.stop]).all() and self.start < self.stop):
+            raise InputError(where, f"{self.start} .. {self.stop} s past {self.epoch} s", "finite, start before stop")
+        position = frozen(self.position, f"{where}, position", (None, 3))
+        angles = frozen(self.angles, f"{where}, angles", (None, 3))
+        if not position.size or not angles.size:
+            raise InputError(where, "no coefficients", "at least the constant ones")
+        assign(self, position=position, angles=angles)
+
+    @property
+    def coverage(self) -> tuple[float, float]:
+        """First and last time, s past the epoch, to which the polynomials were fitted."""
+        return self.start, self.stop
+
+    def require(self, times: Array, where: str, slack: float = 0.0) -> None:
+        """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
+        beyond = np.flatnonzero(~(np.maximum(self.start - times, times - self.stop) <= slack))
+        if beyond.size:
+            first = float(times[beyond[0]])
+            raise EphemerisGap(where, *(self.epoch + time for time in (first, self.start, self.stop)))
+
+    def pose(self, times: Array) -> Pose:
+        """Pose at times (n,) in s past the epoch, rates per second; outside the coverage the polynomials go on."""
+        rate = 2.0 / (self.stop - self.start)
+        s = rate * (times - self.start) - 1.0
+        position, velocity = _value_and_slope(self.position, s)
+        angles, turning = _value_and_slope(self.angles, s)
+        # d(M d) = [M d]x T da, and dM = -[turning]x M
+        axes = rotation.angle_axes(angles, camera_to_body=True)
+        return Pose(
+            position, velocity * rate, rotation.from_omega_phi_kappa(angles),
+            np.einsum("nij,nj->ni", axes, turning) * rate,
+        )  # fmt: skip
+
+
+def _value_and_slope(coefficients: Array, s: Array) -> tuple[Array, Array]:
+    """Values (n, 3) of polynomials at s (n,), and their derivatives by s."""
+    slope = polynomial.polyder(coefficients)
+    return np.asarray(polynomial.polyval(s, coefficients).T), np.asarray(polynomial.polyval(s, slope).T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Misfit:
+    """How far polynomials are from what they were fitted to: rms and largest over some lines of the image."""
+
+    position_rms: Array
+    """(3,) m, body-fixed X, Y, Z."""
+    position_max: Array
+    """(3,) m."""
+    angle_rms: Array
+    """(3,) rad, omega, phi, kappa."""
+    angle_max: Array
+    """(3,) rad."""
+    pixel_rms: Array
+    """(2,) lines, samples: where the polynomials see the ground that the trajectory sees in a pixel."""
+    pixel_max: Array
+    """(2,) lines, samples."""
+
+    def __str__(self) -> str:
+        def text(rms: Array, largest: Array, unit: float) -> str:
+            return ", ".join(f"{a / unit:.3g} ({b / unit:.3g})" for a, b in zip(rms, largest, strict=True))
+
+        return (
+            f"rms (largest): X, Y, Z {text(self.position_rms, self.position_max, 1.0)} m; "
+            f"omega, phi, kappa {text(self.angle_rms, self.angle_max, ARCSEC)} arcsec; "
+            f"line, sample {text(self.pixel_rms, self.pixel_max, 1.0)} px"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialFit:
+    """The fit's own error."""
+
+    order: int
+    """Of the polynomials."""
+    samples: int
+    """Number of places they were fitted to."""
+    at_samples: Misfit
+    """There."""
+    between: Misfit
+    """On a grid ten times denser."""
+
+
+def fit_polynomials(
+    image: "PushbroomImage", order: int = 2, samples: int = 31
+) -> tuple["PushbroomImage", PolynomialFit]:
+    """The same image with polynomials in place of its trajectory.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        With its trajectory as read.
+    order : int
+        Of the polynomials, at least 0.
+    samples : int
+        Places, evenly spread in time from the first line's edge to the last one's, that they are fitted to by least
+        squares; more than `order`.
+
+    Returns
+    -------
+    image : PushbroomImage
+        Its trajectory a `PolynomialTrajectory`.
+    fit : PolynomialFit
+        What the exchange costs.
+    """
+    if order < 0 or samples <= order:
+        raise InputError(f"image {image.name}, polynomials", f"order {order} through {samples} samples", "more samples")
+    (start, stop), _ = image.timing.at(np.array([0.0, float(image.lines)]))
+    s = np.linspace(-1.0, 1.0, samples)
+    pose = image.trajectory.pose(start + 0.5 * (s + 1.0) * (stop - start))
+    # Legendre's basis keeps the equations well conditioned; the record holds plain powers of s
+    basis = np.polynomial.legendre.legvander(s, order)
+    values = np.hstack([pose.position, _unwrapped(pose)])
+    fitted = np.linalg.lstsq(basis, values, rcond=None)[0]
+    coefficients = np.zeros((order + 1, 6))
+    for column in range(6):
+        powers = np.polynomial.legendre.leg2poly(fitted[:, column])
+        coefficients[: powers.size, column] = powers
+    trajectory = PolynomialTrajectory(
+        image.trajectory.epoch, float(start), float(stop), coefficients[:, :3], coefficients[:, 3:]
+    )
+    exchanged = replace(image, trajectory=trajectory)
+    dense = np.linspace(-1.0, 1.0, _DENSE * (samples - 1) + 1)
+    fit = PolynomialFit(order, samples, _misfit(image, exchanged, s), _misfit(image, exchanged, dense))
+    return exchanged, fit
+
+
+def _unwrapped(pose: Pose) -> Array:
+    """Angles (n, 3) in rad along the image, without jumps of a full turn."""
+    return np.unwrap(rotation.omega_phi_kappa(pose.matrix), axis=0)
+
+
+def _misfit(image: "PushbroomImage", exchanged: "PushbroomImage", s: Array) -> Misfit:
+    """Polynomials against the trajectory at normalised times s (n,), in the image at its edges and its middle."""
+    start, stop = exchanged.trajectory.coverage
+    times = start + 0.5 * (s + 1.0) * (stop - start)
+    before, after = image.trajectory.pose(times), exchanged.trajectory.pose(times)
+    turned = rotation.omega_phi_kappa(after.matrix) - rotation.omega_phi_kappa(before.matrix)
+    turned = np.remainder(turned + np.pi, 2.0 * np.pi) - np.pi
+    lines = np.repeat(image.timing.lines(times), 3)
+    columns = np.tile([0.0, 0.5 * image.samples, float(image.samples)], s.size)
+    ground, _ = image.image_to_ground(lines, columns)
+    seen, _ = exchanged.ground_to_image(ground, start=lines)
+    moved = (seen - np.column_stack([lines, columns]))[np.isfinite(ground).all(axis=1)]
+    if not moved.size:
+        moved = np.full((1, 2), np.nan)  # an image of the sky has no ground
+
+    def rms(values: Array) -> Array:
+        return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+    def largest(values: Array) -> Array:
+        return np.asarray(np.abs(values).max(axis=0))
+
+    shift = after.position - before.position
+    return Misfit(rms(shift), largest(shift), rms(turned), largest(turned), rms(moved), largest(moved))

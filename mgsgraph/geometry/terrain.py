@@ -1,0 +1,236 @@
+"""Terrain models: a grid of radii over longitude and latitude, read between its posts by bilinear interpolation.
+
+The surface row of an adjustment is the height of a point above the bilinear patch of the four posts around it, along
+the patch's normal: with F = r - R(lon, lat), the distance F / |grad F|, which is exact to first order in the height
+(its error is the square of the height times the patch's curvature, and it vanishes with the residual).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Array, Index, Mask, assign
+
+TerrainKind = Literal["radius", "topography", "areoid"]
+"""What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid."""
+_EDGE = 1e-9
+"""cells by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Patch:
+    """Bilinear patches under places: values and derivatives by longitude and latitude (rad); NaN outside the grid."""
+
+    value: Array
+    by_longitude: Array
+    by_latitude: Array
+    twist: Array
+    """second derivative by longitude and latitude; the other two are zero in a bilinear patch."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TerrainGrid:
+    """Posts at equal steps of longitude and planetocentric latitude; rows go south, columns go east."""
+
+    source: str
+    """File it comes from, for messages."""
+    radii: NDArray[np.float32] | Array
+    """(rows, columns) m, float32 or float64; what they are says `kind`; NaN where a post is missing."""
+    first_longitude: float
+    """rad, east, of post [0, 0]."""
+    first_latitude: float
+    """rad, planetocentric, of post [0, 0], the northernmost row."""
+    longitude_step: float
+    """rad between columns, positive."""
+    latitude_step: float
+    """rad between rows, positive."""
+    wraps: bool = False
+    """True where the first column follows the last one."""
+    kind: TerrainKind = "radius"
+    """What the posts hold."""
+    vertical_sigma: float | None = None
+    """m, of a post; None where unknown."""
+    planimetric_sigma: float | None = None
+    """m, of the grid's common horizontal place; None where unknown."""
+
+    def __post_init__(self) -> None:
+        where = f"terrain {self.source}"
+        radii = np.array(self.radii, dtype=np.float32 if np.asarray(self.radii).dtype == np.float32 else np.float64)
+        if radii.ndim != 2 or min(radii.shape) < 2:
+            raise InputError(where, f"posts of shape {radii.shape}", "at least 2 x 2")
+        if self.kind not in get_args(TerrainKind):
+            raise InputError(f"{where}, kind", repr(self.kind), f"one of {', '.join(get_args(TerrainKind))}")
+        if np.any(np.isinf(radii)):
+            raise InputError(where, "an infinite post", "metres, or NaN where a post is missing")
+        if self.kind != "topography" and np.nanmin(radii, initial=np.inf) <= 0.0:
+            raise InputError(where, f"a {self.kind} of {np.nanmin(radii):g} m", "positive numbers")
+        for name in ("longitude_step", "latitude_step"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise InputError(f"{where}, {name}", f"{getattr(self, name)} rad", "a positive number")
+        rows, columns = radii.shape
+        last = self.first_latitude - (rows - 1) * self.latitude_step
+        if not (self.first_latitude <= np.pi / 2 + 1e-9 and last >= -np.pi / 2 - 1e-9):
+            raise InputError(where, f"latitudes {last:.6f} .. {self.first_latitude:.6f} rad", "-pi/2 .. pi/2")
+        full = columns * self.longitude_step / (2.0 * np.pi)
+        if not np.isfinite(self.first_longitude) or full > 1.0 + 1.5 / columns:
+            raise InputError(where, f"{columns} columns that span {full:.4f} turns", "at most one")
+        if self.wraps and abs(full - 1.0) > 1e-6:
+            raise InputError(where, f"columns that wrap and span {full:.6f} turns", "exactly one")
+        for name in ("vertical_sigma", "planimetric_sigma"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"{where}, {name}", f"{value} m", "a positive number")
+        radii.flags.writeable = False
+        assign(self, radii=radii)
+
+    def _cell(self, longitudes: Array, latitudes: Array) -> tuple[Index, Index, Index, Array, Array, Mask]:
+        """Row and columns (left, right) of the cells of places (n,), fractions southward and eastward, and which of the
+        places lie in the grid.
+        """
+        rows, columns = self.radii.shape
+        slack = _EDGE * self.longitude_step
+        east = (np.mod(longitudes - self.first_longitude + slack, 2.0 * np.pi) - slack) / self.longitude_step
+        south = (self.first_latitude - latitudes) / self.latitude_step
+        last = columns if self.wraps else columns - 1
+        inside = (south >= -_EDGE) & (south <= rows - 1 + _EDGE) & (east <= last + _EDGE)
+        column = np.clip(np.floor(np.where(inside, east, 0.0)), 0, last - 1).astype(np.int64)
+        row = np.clip(np.floor(np.where(inside, south, 0.0)), 0, rows - 2).astype(np.int64)
+        return row, column, (column + 1) % columns, south - row, east - column, inside
+
+    def _patch(self, longitudes: Array, latitudes: Array) -> _Patch:
+        row, left, right, s, e, inside = self._cell(longitudes, latitudes)
+        north_west, north_east, south_west, south_east = (
+            self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right)
+        )
+        east = np.where(inside, north_east - north_west, np.nan)
+        south = south_west - north_west
+        twist = south_east - south_west - east
+        return _Patch(
+            north_west + e * east + s * south + e * s * twist,
+            (east + s * twist) / self.longitude_step,
+            -(south + e * twist) / self.latitude_step,
+            -twist / (self.longitude_step * self.latitude_step),
+        )
+
+    def radius(self, longitudes: Array, latitudes: Array) -> tuple[Array, Array, Array]:
+        """Posts' values between the posts.
+
+        Parameters
+        ----------
+        longitudes, latitudes : (n,)
+            rad, east and planetocentric; longitudes of any turn.
+
+        Returns
+        -------
+        values : (n,)
+            m, bilinear; NaN outside the grid and beside missing posts.
+        by_longitude, by_latitude : (n,)
+            m per rad.
+        """
+        patch = self._patch(longitudes, latitudes)
+        return patch.value, patch.by_longitude, patch.by_latitude
+
+    def at(self, points: Array) -> Array:
+        """Posts' values (n,) in m under points (n, 3) in m, body-fixed; NaN outside."""
+        longitudes, latitudes, _ = planetocentric(points).T
+        return self._patch(longitudes, latitudes).value
+
+    def slope(self, longitudes: Array, latitudes: Array) -> Array:
+        """Slope (n,) in rad of the patches against the sphere through them at places (n,); NaN outside."""
+        self._require("radius", "a slope")
+        patch = self._patch(longitudes, latitudes)
+        east = patch.by_longitude / (patch.value * np.cos(latitudes))
+        return np.asarray(np.arctan(np.hypot(east, patch.by_latitude / patch.value)))
+
+    def height_above(self, points: Array) -> tuple[Array, Array]:
+        """Distance of points from the patch under them, along its normal.
+
+        Parameters
+        ----------
+        points : (n, 3)
+            m, body-fixed.
+
+        Returns
+        -------
+        height : (n,)
+            m, positive above the terrain; NaN outside the grid and beside missing posts.
+        jacobian : (n, 3)
+            d(height) / d(point); a unit vector along the normal where the height is zero.
+        """
+        self._require("radius", "heights above the terrain")
+        longitudes, latitudes, r = planetocentric(points).T
+        patch = self._patch(longitudes, latitudes)
+        cosine, sine = np.cos(latitudes), np.sin(latitudes)
+        planar = np.maximum(r * cosine, 1e-6)  # at a pole itself longitude means nothing; the posts end before it
+        above = r - patch.value
+        a, b = patch.by_longitude / planar, patch.by_latitude / r  # slopes eastward and northward
+        norm = np.sqrt(1.0 + a * a + b * b)
+        # derivatives of a a' + b b' by longitude, latitude, radius: the patch's only second derivative is its twist
+        turn_longitude = b * patch.twist / r
+        turn_latitude = a * (patch.twist / planar + a * sine / cosine)
+        turn_radius = -(a * a + b * b) / r
+        share = above / norm**3
+        by_east = (-patch.by_longitude / norm - share * turn_longitude) / planar
+        by_north = (-patch.by_latitude / norm - share * turn_latitude) / r
+        by_up = 1.0 / norm - share * turn_radius
+        east = np.stack([-np.sin(longitudes), np.cos(longitudes), np.zeros_like(r)], axis=1)
+        north = np.stack([-sine * np.cos(longitudes), -sine * np.sin(longitudes), cosine], axis=1)
+        jacobian = by_east[:, None] * east + by_north[:, None] * north + by_up[:, None] * (points / r[:, None])
+        return above / norm, jacobian
+
+    def around(self, points: Array, margin: int = 8) -> "TerrainGrid":
+        """The part of the grid under points (n, 3) in m, body-fixed, and `margin` posts beyond.
+
+        The whole of it where it would be cut where the columns wrap, or where no point lies over it.
+        """
+        longitudes, latitudes, _ = planetocentric(points).T
+        row, left, _, _, _, inside = self._cell(longitudes, latitudes)
+        if not np.any(inside) or (self.wraps and np.ptp(left[inside]) > self.radii.shape[1] // 2):
+            return self
+        top, west = (max(int(index[inside].min()) - margin, 0) for index in (row, left))
+        bottom, east = row[inside].max() + margin + 2, left[inside].max() + margin + 2
+        return replace(
+            self,
+            radii=self.radii[top:bottom, west:east],
+            first_longitude=self.first_longitude + west * self.longitude_step,
+            first_latitude=self.first_latitude - top * self.latitude_step,
+            wraps=False,
+        )
+
+    def _require(self, kind: TerrainKind, what: str) -> None:
+        if self.kind != kind:
+            raise InputError(f"terrain {self.source}", f"a grid of {self.kind}", f"a grid of {kind} for {what}")
+
+    def __repr__(self) -> str:
+        rows, columns = self.radii.shape
+        return f"TerrainGrid({self.kind}, {rows} x {columns} posts, from {self.source})"
+
+
+def areoid_grid(radius: TerrainGrid, topography: TerrainGrid) -> TerrainGrid:
+    """Radius of the areoid at the posts: planetary radius minus topography, of two grids with the same posts."""
+    if radius.kind != "radius" or topography.kind != "topography":
+        found = f"grids of {radius.kind} and {topography.kind}"
+        raise InputError(f"areoid of {radius.source} and {topography.source}", found, "radius and topography")
+    places = [
+        np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step])
+        for grid in (radius, topography)
+    ]
+    if radius.radii.shape != topography.radii.shape or not np.allclose(places[0], places[1], rtol=0.0, atol=1e-9):
+        raise InputError(
+            f"areoid of {radius.source} and {topography.source}", "grids with different posts", "the same posts"
+        )
+    return TerrainGrid(
+        f"{radius.source} - {topography.source}", radius.radii - topography.radii, radius.first_longitude,
+        radius.first_latitude, radius.longitude_step, radius.latitude_step, radius.wraps, "areoid",
+    )
+
+
+def areoid_heights(points: Array, areoid: TerrainGrid) -> Array:
+    """Heights (n,) in m above the areoid of points (n, 3), as PEDR's topography: radius minus areoid; NaN outside."""
+    if areoid.kind != "areoid":
+        raise InputError(f"terrain {areoid.source}", f"a grid of {areoid.kind}", "a grid of the areoid's radius")
+    return np.asarray(np.linalg.norm(points, axis=1) - areoid.at(points))

@@ -1,0 +1,159 @@
+"""MOLA gridded records (MEGDR), simple cylindrical, to a TerrainGrid: planetary radius, topography or areoid.
+
+A grid's place comes from its PDS3 label (``.lbl`` beside the ``.img``) or, without one, from its name
+``MEG{A,C,R,T}{latitude}{N,S}{longitude}{resolution}{version}.IMG``, which tells the upper left corner, and its size.
+Where posts lie follows MAP_RESOLUTION and the projection offsets (dsmap.cat: whole lines and samples are pixel centres,
+the first is 1); GDAL's georeferencing of these labels is one pixel off, and is not used.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind
+from mgsgraph.io.pds3 import Pds3Label
+from mgsgraph.io.text import read_text
+from mgsgraph.units import DEG
+
+REFERENCE_RADIUS = 3_396_000.0
+"""m, taken off the radii of the planet and of the areoid before they were stored in 16 bits."""
+_NAME = re.compile(r"meg([acrt])(\d\d)([ns])(\d{3})([c-h])\w\.img", re.IGNORECASE)
+_KINDS: dict[str, TerrainKind] = {"A": "areoid", "R": "radius", "T": "topography"}
+_RESOLUTIONS = {"C": 4, "D": 8, "E": 16, "F": 32, "G": 64, "H": 128}
+"""pixels per degree, by the letter in the name."""
+_SHAPES = {"C": (180, 360), "D": (180, 360), "E": (180, 360), "F": (180, 360), "G": (90, 180), "H": (44, 90)}
+"""degrees of latitude and longitude in one file."""
+_NAMES = "MEGR90N000CB.IMG (radius), MEGT... (topography) or MEGA... (areoid)"
+_BYTES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How a file is to be read, and where its first post lies."""
+
+    kind: TerrainKind
+    lines: int
+    samples: int
+    resolution: float
+    """pixels per degree."""
+    longitude: float
+    latitude: float
+    """degrees, centre of the first pixel."""
+    offset: float
+    """m, to be added."""
+    scale: float
+    """m per count."""
+    skipped: int
+    """bytes before the first pixel."""
+
+
+def read_megdr(
+    path: Path, vertical_sigma: float | None = None, planimetric_sigma: float | None = None
+) -> TerrainGrid:
+    """Read a MEGDR grid of 16-bit numbers.
+
+    Parameters
+    ----------
+    path : Path
+        The image file or its label, ``.img`` or ``.lbl``.
+    vertical_sigma, planimetric_sigma : float, optional
+        m, handed on to the grid; the files don't say.
+
+    Returns
+    -------
+    TerrainGrid
+        Its `kind` says whether posts are radii, heights above the areoid, or radii of the areoid.
+
+    Raises
+    ------
+    InputError
+        Where neither label nor name tell what the file is, the label is for another projection or sample type, or the
+        file's size is not what they say.
+    """
+    image, label = _files(path)
+    layout = _from_label(label, image) if label is not None else _from_name(image)
+    try:
+        size = image.stat().st_size
+    except OSError:
+        raise InputError(str(image), "no such file", remedy="put the image beside its label") from None
+    expected = layout.skipped + layout.lines * layout.samples * _BYTES
+    if size != expected:
+        raise InputError(
+            str(image), f"{size} bytes",
+            f"{expected}: {layout.lines} lines x {layout.samples} samples x {_BYTES} bytes", "fetch it anew",
+        )
+    counts = np.fromfile(image, dtype=">i2", offset=layout.skipped).reshape(layout.lines, layout.samples)
+    # counts are whole metres below 2^15: float32 holds them and the radii (to 0.25 m) in half the memory
+    posts = counts.astype(np.float32) * np.float32(layout.scale) + np.float32(layout.offset)
+    step = DEG / layout.resolution
+    return TerrainGrid(
+        str(image), posts, layout.longitude * DEG, layout.latitude * DEG, step, step,
+        wraps=abs(layout.samples - 360.0 * layout.resolution) < 0.5, kind=layout.kind,
+        vertical_sigma=vertical_sigma, planimetric_sigma=planimetric_sigma,
+    )
+
+
+def _files(path: Path) -> tuple[Path, Path | None]:
+    """The image file and its label, if it has one; either may be given, in any case of letters."""
+    folder = path.parent
+    beside = {other.name.lower(): other for other in folder.iterdir()} if folder.is_dir() else {}
+    if path.suffix.lower() == ".lbl":
+        return beside.get(path.with_suffix(".img").name.lower(), path.with_suffix(".img")), path
+    return path, beside.get(path.with_suffix(".lbl").name.lower())
+
+
+def _kind(name: str, where: str) -> TerrainKind:
+    letter = name[3:4].upper() if name[:3].upper() == "MEG" else ""
+    if letter not in _KINDS:
+        found = "a grid of counts" if letter == "C" else f"the product {name!r}"
+        raise InputError(where, found, _NAMES)
+    return _KINDS[letter]
+
+
+def _from_name(path: Path) -> _Layout:
+    match = _NAME.fullmatch(path.name)
+    if not match:
+        raise InputError(str(path), "a name that tells no place, and no label", _NAMES, "fetch its label, too")
+    _, latitude, side, longitude, letter = match.groups()
+    resolution = _RESOLUTIONS[letter.upper()]
+    high, wide = _SHAPES[letter.upper()]
+    kind = _kind(path.name, str(path))
+    return _Layout(
+        kind, high * resolution, wide * resolution, resolution,
+        float(longitude) + 0.5 / resolution,
+        float(latitude) * (1.0 if side.upper() == "N" else -1.0) - 0.5 / resolution,
+        0.0 if kind == "topography" else REFERENCE_RADIUS, 1.0, 0,
+    )
+
+
+def _from_label(path: Path, image: Path) -> _Layout:
+    label = Pds3Label(read_text(path), str(path))
+    projection = label.text("MAP_PROJECTION_TYPE").upper().replace("_", " ")
+    if projection != "SIMPLE CYLINDRICAL":
+        raise InputError(f"{path}, MAP_PROJECTION_TYPE", projection, "SIMPLE CYLINDRICAL")
+    sample = f"{label.text('SAMPLE_TYPE').upper()} {label.count('SAMPLE_BITS')}"
+    if sample not in ("MSB_INTEGER 16", "INTEGER 16"):
+        raise InputError(f"{path}, SAMPLE_TYPE and SAMPLE_BITS", sample, "MSB_INTEGER 16")
+    resolution = label.number("MAP_RESOLUTION")
+    if resolution <= 0.0:
+        raise InputError(f"{path}, MAP_RESOLUTION", f"{resolution:g} pixels per degree", "a positive number")
+    if label.number("CENTER_LATITUDE") != 0.0:
+        raise InputError(f"{path}, CENTER_LATITUDE", f"{label.number('CENTER_LATITUDE'):g}", "0, the projection's own")
+    kind = _kind(label.text("PRODUCT_ID") if "PRODUCT_ID" in label else image.name, str(path))
+    usual = 0.0 if kind == "topography" else REFERENCE_RADIUS
+    return _Layout(
+        kind, label.count("LINES"), label.count("LINE_SAMPLES"), resolution,
+        label.number("CENTER_LONGITUDE") + (1.0 - label.number("SAMPLE_PROJECTION_OFFSET")) / resolution,
+        (label.number("LINE_PROJECTION_OFFSET") - 1.0) / resolution,
+        label.number("OFFSET") if "OFFSET" in label else usual,
+        label.number("SCALING_FACTOR") if "SCALING_FACTOR" in label else 1.0,
+        _skipped(label),
+    )
+
+
+def _skipped(label: Pds3Label) -> int:
+    """Bytes before the image, of a label that stands at the head of its file."""
+    return label.count("LABEL_RECORDS") * label.count("RECORD_BYTES") if "LABEL_RECORDS" in label else 0

@@ -1,0 +1,248 @@
+"""MOLA shots as text: PEDR2TAB tables and the CSV files of the Orbital Data Explorer (ODE), to AltimeterShots.
+
+Columns are found by the names in the header, whatever their order, case, padding or spelling ("Ephermis Time"). In a
+PEDR2TAB table fields may abut, so its lines are cut at the widths of the program's formats (2.71828, and the variant
+with wider shot, packet and orbit numbers). A frame number stands for the line in the file, which names the shot.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.io.pedr import IAU2000_VERSION, in_iau2000, pedr_version
+from mgsgraph.io.text import read_text
+from mgsgraph.units import DEG
+
+_COLUMNS = {
+    "longeast": "longitude", "longitude": "longitude", "eastlongitude": "longitude", "lon": "longitude",
+    "latnorth": "latitude", "latitude": "latitude", "lat": "latitude",
+    "planetrad": "radius", "planetradius": "radius", "planetaryradius": "radius", "radius": "radius",
+    "topography": "topography", "molarange": "range", "range": "range",
+    "c": "channel", "a": "flag", "orbit": "orbit", "rev": "orbit", "utc": "utc",
+    "ephemeristime": "time", "ephermistime": "time", "et": "time",
+    "sclong": "spacecraft_longitude", "sclat": "spacecraft_latitude", "scradius": "spacecraft_radius",
+    "offndr": "off_nadir", "areoidrad": "areoid", "rcorr": "range_correction",
+}
+"""What a column's name means, in lower case letters and digits only; other columns are not needed."""
+_NEEDED = {
+    "longitude": "long_East", "latitude": "lat_North", "radius": "planet_rad (heights above the areoid don't tell it)",
+}
+_WIDTHS = {
+    "longeast": 9, "latnorth": 10, "topography": 11, "molarange": 10, "planetrad": 12, "c": 2, "a": 2,
+    "sclong": 10, "sclat": 10, "scradius": 12, "offndr": 7, "ephemeristime": 16, "areodlat": 10, "areoidrad": 11,
+    "shot": 4, "pkt": 6, "orbit": 6, "gm": 3, "hrlcl": 7, "sphas": 7, "sinc": 7, "emissn": 7, "rcorr": 7, "pwt": 8,
+    "sigopt": 8, "elaser": 8, "pulsee": 7, "reft": 7, "bkgrd": 7, "thmv": 7, "wct": 3, "ect": 4, "rwnd": 7, "rdly": 8,
+}
+"""Characters of PEDR2TAB's formats."""
+_WIDER = _WIDTHS | {"offndr": 8, "pkt": 7, "orbit": 8}
+_NOT_GROUND = 4
+"""PEDR2TAB adds this to the attitude flag A of a shot that didn't reach the ground."""
+
+
+def read_pedr_text(
+    path: Path, clock_bias: float = 0.0, version: str | None = None, leap_seconds: Path | None = None
+) -> AltimeterShots:
+    """Read shots from a PEDR2TAB table or a CSV file of ODE.
+
+    Parameters
+    ----------
+    path : Path
+        Text file; with commas it is CSV.
+    clock_bias : float
+        s, added to the times of the shots.
+    version : str, optional
+        Product version of the PEDR they were taken from, a letter. ODE serves version L alone; a table says it only
+        by its file's name. Shots of versions before L are turned from the IAU1991 to the IAU2000 frame.
+    leap_seconds : Path, optional
+        SPICE leap seconds kernel, needed where a file has times in UTC alone.
+
+    Returns
+    -------
+    AltimeterShots
+        In the file's order; without the column A all count as ground returns, which alone both programs write unless
+        told otherwise.
+
+    Raises
+    ------
+    InputError
+        Where a needed column is missing, a line can't be cut into the header's columns, a value is no number or the
+        version is not known.
+    """
+    lines = read_text(path).splitlines()
+    header = next((k for k, line in enumerate(lines) if line.strip()), None)
+    if header is None:
+        raise InputError(str(path), "an empty file", "a header and shots")
+    csv = "," in lines[header]
+    names = [_plain(name) for name in (lines[header].split(",") if csv else lines[header].split())]
+    first = header + 1 + (not csv and len(lines) > header + 1 and set(lines[header + 1]) <= set("-. "))
+    body = [(k + 1, line.rstrip()) for k, line in enumerate(lines[first:], first) if line.strip()]
+    if not body:
+        raise InputError(str(path), "a header alone", "shots below it")
+    wanted = _wanted(names, path)
+    cut = _cut_csv if csv else _cut_table
+    table = _Table(path, np.array([number for number, _ in body]), cut(body, names, wanted, path))
+    letter = IAU2000_VERSION if csv and version is None else pedr_version(path, None, version)
+    shots = _shots(table, clock_bias, leap_seconds)
+    return in_iau2000(shots) if letter < IAU2000_VERSION else shots
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """Columns of a text, by what they mean."""
+
+    path: Path
+    lines: Index
+    """(n,) number of each row's line in the file, from 1."""
+    columns: dict[str, NDArray[np.str_]]
+    """each (n,)."""
+
+    def numbers(self, name: str) -> Array:
+        """A column as numbers; NaN throughout where there is no such column."""
+        if name not in self.columns:
+            return np.full(self.lines.size, np.nan)
+        texts = self.columns[name]
+        try:
+            values = texts.astype(np.float64)
+        except ValueError:
+            values = np.array([_number(text) for text in texts.tolist()])
+        for k in np.flatnonzero(~np.isfinite(values))[:1]:
+            raise InputError(f"{self.path}, line {self.lines[k]}, {name}", repr(str(texts[k]).strip()), "a number")
+        return values
+
+    def whole(self, name: str) -> Index:
+        """A column of whole numbers; zero throughout where there is no such column."""
+        if name not in self.columns:
+            return np.zeros(self.lines.size, dtype=np.int64)
+        values = self.within(name, 0.0, 2.0**53)
+        for k in np.flatnonzero(values % 1.0)[:1]:
+            raise InputError(f"{self.path}, line {self.lines[k]}, {name}", f"{values[k]:g}", "a whole number")
+        return values.astype(np.int64)
+
+    def within(self, name: str, least: float, largest: float) -> Array:
+        """A column of numbers that lie between two bounds."""
+        values = self.numbers(name)
+        for k in np.flatnonzero((values < least) | (values > largest))[:1]:
+            found, expected = f"{values[k]:g}", f"{least:g} .. {largest:g}"
+            raise InputError(f"{self.path}, line {self.lines[k]}, {name}", found, expected)
+        return values
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def _wanted(names: Sequence[str], path: Path) -> dict[int, str]:
+    """Column numbers and what they mean; InputError where one is missing that can't be done without."""
+    wanted: dict[int, str] = {}
+    for k, name in enumerate(names):
+        meaning = _COLUMNS.get(name)
+        if meaning in wanted.values():
+            raise InputError(f"{path}, header", f"two columns for the {meaning}", "one")
+        if meaning:
+            wanted[k] = meaning
+    needed = _NEEDED if {"time", "utc"} & set(wanted.values()) else _NEEDED | {"time": "EphemerisTime or UTC"}
+    for meaning, column in needed.items():
+        if meaning not in wanted.values():
+            raise InputError(
+                f"{path}, header", f"no column for the {meaning}", f"{column}",
+                "ask ODE for the points file (..._pts_csv.csv), PEDR2TAB for its groups 0 and 2 with header lines",
+            )
+    return wanted
+
+
+def _cut_csv(
+    body: Sequence[tuple[int, str]], names: Sequence[str], wanted: dict[int, str], path: Path
+) -> dict[str, NDArray[np.str_]]:
+    rows = [line.split(",") for _, line in body]
+    for (number, _), row in zip(body, rows, strict=True):
+        if len(row) != len(names):
+            raise InputError(f"{path}, line {number}", f"{len(row)} values", f"{len(names)}, as the header has names")
+    return {meaning: np.array([row[k].strip() for row in rows]) for k, meaning in wanted.items()}
+
+
+def _cut_table(
+    body: Sequence[tuple[int, str]], names: Sequence[str], wanted: dict[int, str], path: Path
+) -> dict[str, NDArray[np.str_]]:
+    """Cut at the program's widths where lines have its length, at blanks otherwise."""
+    for widths in (_WIDTHS, _WIDER):
+        if all(name in widths for name in names):
+            edges = np.cumsum([0] + [widths[name] for name in names])
+            if len(body[0][1]) == edges[-1]:
+                for number, line in body:
+                    if len(line) != edges[-1]:
+                        found, expected = f"{len(line)} characters", f"{edges[-1]}, as in the lines before"
+                        raise InputError(f"{path}, line {number}", found, expected, "the file is cut short")
+                return {
+                    meaning: np.array([line[edges[k] : edges[k + 1]].strip() for _, line in body])
+                    for k, meaning in wanted.items()
+                }
+    rows = [line.split() for _, line in body]
+    for (number, _), row in zip(body, rows, strict=True):
+        if len(row) != len(names):
+            raise InputError(
+                f"{path}, line {number}", f"{len(row)} values",
+                f"{len(names)}, as the header has names, or lines of PEDR2TAB's length", "write the table anew",
+            )
+    return {meaning: np.array([row[k] for row in rows]) for k, meaning in wanted.items()}
+
+
+def _shots(table: _Table, clock_bias: float, leap_seconds: Path | None) -> AltimeterShots:
+    n = table.lines.size
+    longitude = table.within("longitude", -360.0, 360.0) * DEG
+    latitude = table.within("latitude", -90.0, 90.0) * DEG
+    radius = table.within("radius", 3.3e6, 3.5e6)
+    times = table.numbers("time") if "time" in table.columns else _from_utc(table, leap_seconds)
+    ranges = table.numbers("range")
+    areoid = table.numbers("areoid")
+    areoid = np.where(np.isnan(areoid), radius - table.numbers("topography"), areoid)
+    spacecraft = np.column_stack([
+        table.numbers("spacecraft_longitude") * DEG, table.numbers("spacecraft_latitude") * DEG,
+        table.numbers("spacecraft_radius"),
+    ])
+    flag = table.numbers("flag")
+    return AltimeterShots(
+        source=str(table.path),
+        orbits=table.whole("orbit"),
+        frames=table.lines,
+        shots=np.ones(n, dtype=np.int64),
+        times=times + clock_bias,
+        footprints=from_planetocentric(np.column_stack([longitude, latitude, radius])),
+        areoid_radii=areoid,
+        ranges=np.where(ranges > 0.0, ranges, np.nan),
+        range_corrections=table.numbers("range_correction"),
+        spacecraft=from_planetocentric(spacecraft),
+        off_nadir=table.numbers("off_nadir") * DEG,
+        ground=~(flag >= _NOT_GROUND),
+        channels=table.whole("channel"),
+        clocks=np.full(n, np.nan),
+    )
+
+
+def _from_utc(table: _Table, leap_seconds: Path | None) -> Array:
+    """Times (n,) in s TDB past J2000 of the column UTC."""
+    if leap_seconds is None:
+        raise InputError(
+            f"{table.path}, header", "times in UTC alone", "a column EphemerisTime, or a leap seconds kernel",
+            "give the kernel (naif0012.tls), or ask ODE for a file with the ephemeris time",
+        )
+    import spiceypy  # half a second, which files with ephemeris times need not wait for
+
+    from mgsgraph.io.kernels import loaded, spice_words
+
+    with loaded([leap_seconds]), spice_words(f"{table.path}, UTC", "UTC is written as in 1999-04-08T09:50:04.631"):
+        return np.asarray(spiceypy.str2et(table.columns["utc"].tolist()), dtype=np.float64)

@@ -1,0 +1,271 @@
+"""Simulated laser shots as a MOLA Precision Experiment Data Record (PEDR): a label of ten records, then frames.
+
+A frame keeps 20 shots' ranges and radii one by one, but their places as a midpoint, a change over the frame and the
+parallax: how far a place moves with the shot's radius, which follows from the line of sight. So what is read back
+differs from what was given:
+
+* ranges and radii by the rounding to 1 cm;
+* places by the rounding to 1e-6 deg (3 cm, in each of midpoint and change) and by whatever in them isn't linear over
+  the two seconds of a frame: the curvature of the track, below 1 m; noise of single footprints is lost;
+* areoid radii and the spacecraft's place likewise (the orbit's curvature over a frame: below 1 m);
+* times by half a microsecond, and by the clock's rounding to 1 Hz (1e-8 s).
+
+`write_pedr` returns the shots as written.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.geometry.records import Array, Mask, assign, frozen
+from mgsgraph.io.pedr import FRAME, HEADER_RECORDS, SHOTS, read_pedr
+from mgsgraph.units import DEG
+
+_CM, _MICRODEG = 1e-2, 1e-6 * DEG
+_TICK = 0.1
+"""s between shots."""
+_FRACTION = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
+"""Time of each shot in units of the frame's length, from its midpoint."""
+_PACKET = 7
+"""Frames in a packet."""
+_EQUIPMENT = {
+    "received_energy": 20, "reflectivity": 12_000, "channel": 1, "pulse_width": 300, "sigma_optical": 80,
+    "laser_energy": 4_500, "background": 40, "gate_delay": 37_000_000, "gate_width": 3_000_000, "orbit_model": 7,
+    "local_time": 5_236, "raw_energy": 60, "raw_width": 30,
+}
+"""Fields about the instrument, in the file's units: ordinary values (channel 1 of 4, 45 mJ, two o'clock)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PedrFrames:
+    """Shots at 10 Hz without a gap; every 20 become a frame, the last one is filled up with missing shots."""
+
+    orbit: int
+    """Number of the orbit."""
+    times: Array
+    """(n,) s TDB past J2000, of the shots."""
+    longitudes: Array
+    """(n,) rad, east, IAU2000, of the footprints."""
+    latitudes: Array
+    """(n,) rad, planetocentric."""
+    radii: Array
+    """(n,) m, after crossover correction."""
+    ranges: Array
+    """(n,) m, one-way; zero for a shot without return."""
+    areoid_radii: Array
+    """(n,) m, of the areoid at the footprints."""
+    spacecraft_longitudes: Array
+    """(n,) rad, east."""
+    spacecraft_latitudes: Array
+    """(n,) rad, planetocentric."""
+    spacecraft_radii: Array
+    """(n,) m."""
+    off_nadir: Array
+    """(n,) rad, angle of the line of sight from nadir."""
+    ground: Mask
+    """(n,) whether the shot came back from the ground, not from a cloud or noise."""
+    crossovers: Array | None = None
+    """(frames,) m, crossover correction of each frame, to cm: the archived radius is so much larger than the corrected
+    one. When absent, 0.30 m and 1 cm more in each frame, so that readers have something to take off."""
+
+    def __post_init__(self) -> None:
+        where = "PEDR frames"
+        times = frozen(self.times, f"{where}, times", (None,))
+        if times.size == 0:
+            raise InputError(where, "no shots", "at least one")
+        late = np.abs(times - times[0] - _TICK * np.arange(times.size))
+        if late.max() > 1e-5:
+            k = int(np.argmax(late > 1e-5))
+            raise InputError(f"{where}, times", f"shot {k} is {late[k]:.6f} s off", "10 shots a second without a gap")
+        names = (
+            "longitudes", "latitudes", "radii", "ranges", "areoid_radii", "spacecraft_longitudes",
+            "spacecraft_latitudes", "spacecraft_radii", "off_nadir",
+        )
+        fields: dict[str, Any] = {
+            name: frozen(getattr(self, name), f"{where}, {name}", (times.size,)) for name in names
+        }
+        ground = np.array(self.ground, dtype=bool)
+        if ground.shape != times.shape:
+            raise InputError(f"{where}, ground", f"shape {ground.shape}", f"({times.size},)")
+        ground.flags.writeable = False
+        frames = -(-times.size // SHOTS)
+        crossovers: ArrayLike = 0.30 + 0.01 * np.arange(frames) if self.crossovers is None else self.crossovers
+        assign(self, times=times, ground=ground, crossovers=frozen(crossovers, f"{where}, crossovers", (frames,)))
+        assign(self, **fields)
+
+
+def write_pedr(path: Path, frames: PedrFrames, product_label: Mapping[str, str] | None = None) -> AltimeterShots:
+    """Write a PEDR file of version L (IAU2000); the same arguments give the same bytes.
+
+    Parameters
+    ----------
+    path : Path
+        File that is written, or replaced: ``ap<orbit><version>.b``, as ap18933l.b.
+    frames : PedrFrames
+        The shots.
+    product_label : mapping, optional
+        Further keywords of the label with their values as they stand there, such as ``{"START_TIME": "2001-03-08"}``;
+        they replace those that are always written.
+
+    Returns
+    -------
+    AltimeterShots
+        The shots as written: what reading the file gives.
+
+    Raises
+    ------
+    InputError
+        If a value doesn't fit its field, the label its ten records, or the file can't be written.
+    """
+    records = _records(frames)
+    label = _label(path, frames, records.size, product_label or {})
+    try:
+        path.write_bytes(label + records.tobytes())
+    except OSError as error:
+        raise InputError(str(path), f"can't be written ({error.strerror})", "a folder that may be written") from None
+    return read_pedr(path)
+
+
+def _label(path: Path, frames: PedrFrames, count: int, more: Mapping[str, str]) -> bytes:
+    """Label of the first ten records. PEDR2TAB looks for the software's version in its first record, 25 characters
+    after the keyword's first: 7.125 or more means that there are crossover corrections.
+    """
+    statements = {
+        "PDS_VERSION_ID": "PDS3",
+        "RECORD_TYPE": "FIXED_LENGTH",
+        "FILE_RECORDS": f"{count + HEADER_RECORDS}",
+        "RECORD_BYTES": f"{FRAME.itemsize}",
+        "LABEL_RECORDS": f"{HEADER_RECORDS}",
+        "FILE_NAME": f'"{path.name.upper()}"',
+        "^PEDR_TABLE": f"{HEADER_RECORDS + 1}",
+        "DATA_SET_ID": '"MGS-M-MOLA-3-PEDR-L1A-V1.0"',
+        "PRODUCT_ID": f'"{path.name.upper()}"',
+        "SPACECRAFT_NAME": "MARS_GLOBAL_SURVEYOR",
+        "INSTRUMENT_ID": "MOLA",
+        "TARGET_NAME": "MARS",
+        "SOFTWARE_NAME": '"MGSGRAP 7.30"',
+        "PRODUCT_CREATION_TIME": "2001-12-01T00:00:00",
+        "START_ORBIT_NUMBER": f"{frames.orbit}",
+    } | dict(more)
+    lines = ["CCSD3ZF0000100000001NJPL3KS0PDSX"]
+    lines += [f"{key} = {value}" for key, value in statements.items()]
+    lines += ["OBJECT = PEDR_TABLE", "INTERCHANGE_FORMAT = BINARY", f"ROWS = {count}", f"ROW_BYTES = {FRAME.itemsize}"]
+    lines += ["END_OBJECT = PEDR_TABLE", "END"]
+    text, size = "\r\n".join(lines) + "\r\n", HEADER_RECORDS * FRAME.itemsize
+    if not text.isascii() or len(text) > size:
+        raise InputError(f"{path}, label", f"{len(text)} characters", f"at most {size}, ASCII")
+    return text.encode("ascii").ljust(size)
+
+
+def _records(frames: PedrFrames) -> NDArray[np.void]:
+    """Frames as they lie in the file."""
+    shots = {
+        name: _by_frame(getattr(frames, name))
+        for name in ("radii", "ranges", "areoid_radii", "spacecraft_radii", "spacecraft_latitudes", "latitudes")
+    }
+    present = _by_frame(np.ones(frames.times.size)) > 0.0
+    count = np.sum(present, axis=1)
+    records = np.zeros(present.shape[0], FRAME)
+    longitudes, spacecraft = _by_frame(np.unwrap(frames.longitudes)), _by_frame(np.unwrap(frames.spacecraft_longitudes))
+    for name, value in _EQUIPMENT.items():
+        records[name] = value
+    records["orbit"] = frames.orbit
+    records["frame_index"] = np.arange(records.size) % _PACKET + 1
+    records["packet"] = (np.arange(records.size) // _PACKET) & 0x3FFF
+    records["shot_class"] = _by_frame(frames.ground.astype(np.float64))
+    _put_times(records, frames.times)
+
+    assert frames.crossovers is not None
+    crossover = np.rint(frames.crossovers / _CM)
+    change = np.diff(crossover, prepend=crossover[:1])
+    change[:1] = change[1:2] if change.size > 1 else 0.0  # as PEDR2TAB: the first frame takes the second one's
+    records["crossover"] = _whole(crossover, "crossover")
+    raw = np.where(present, shots["radii"] / _CM + crossover[:, None] + _FRACTION * change[:, None], 0.0)
+    records["shot_radius"] = _whole(raw, "shot_radius")
+    records["midpoint_radius"] = _whole(raw.sum(axis=1) / count, "midpoint_radius")
+    lift = (records["shot_radius"].astype(np.float64) - records["midpoint_radius"][:, None]) * _CM
+
+    parallax = np.rint(_parallax(frames, count) / (1e-3 * _MICRODEG))
+    for k, (name, values) in enumerate((("longitude", longitudes), ("latitude", shots["latitudes"]))):
+        records[f"parallax_{name}"] = parallax[:, k]
+        straight = values - parallax[:, k, None] * (1e-3 * _MICRODEG) * lift
+        _put_line(records, name, straight, present, _MICRODEG)
+    for name, values, unit in (
+        ("spacecraft_longitude", spacecraft, _MICRODEG),
+        ("spacecraft_latitude", shots["spacecraft_latitudes"], _MICRODEG),
+        ("spacecraft_radius", shots["spacecraft_radii"], _CM),
+        ("areoid_radius", shots["areoid_radii"], _CM),
+    ):
+        _put_line(records, name, values, present, unit)
+
+    records["range"] = _whole(shots["ranges"] / _CM, "range")
+    records["midpoint_range"] = records["range"].sum(axis=1) // np.maximum(np.sum(records["range"] > 0, axis=1), 1)
+    off_nadir = _by_frame(frames.off_nadir).sum(axis=1) / count
+    records["off_nadir"] = _whole(off_nadir / _MICRODEG, "off_nadir")
+    outward = shots["spacecraft_radii"].sum(axis=1) / shots["radii"].sum(axis=1)
+    records["emission"] = _whole(1e4 * np.arcsin(np.clip(outward * np.sin(off_nadir), 0.0, 1.0)), "emission")
+    return records
+
+
+def _by_frame(values: ArrayLike) -> Array:
+    """(frames, 20) of values (n,), zero where the last frame has no shots."""
+    given = np.asarray(values, dtype=np.float64)
+    padded = np.zeros(-(-given.size // SHOTS) * SHOTS)
+    padded[: given.size] = given
+    return padded.reshape(-1, SHOTS)
+
+
+def _put_times(records: NDArray[np.void], times: Array) -> None:
+    """Midpoints to the microsecond, twice, and the clock that makes the ticks between shots."""
+    tick = float(times[-1] - times[0]) / (times.size - 1) if times.size > 1 else _TICK
+    middle = times[0] + tick * (SHOTS * np.arange(records.size) + 0.5 * (SHOTS - 1))
+    seconds = np.floor(middle)
+    microseconds = np.rint((middle - seconds) * 1e6)
+    seconds, microseconds = seconds + microseconds // 1e6, microseconds % 1e6
+    records["seconds"], records["microseconds"] = seconds, microseconds
+    records["time"] = seconds + 1e-6 * microseconds
+    records["clock"] = round(1e7 / tick)
+
+
+def _parallax(frames: PedrFrames, count: NDArray[np.int64]) -> Array:
+    """How longitude and latitude of a footprint move with its radius along the line of sight: (frames, 2) in rad/m, at
+    the middle shot of each frame.
+    """
+    middle = SHOTS * np.arange(count.size) + (count - 1) // 2
+    places = np.column_stack([frames.longitudes, frames.latitudes, frames.radii])[middle]
+    craft = np.column_stack([frames.spacecraft_longitudes, frames.spacecraft_latitudes, frames.spacecraft_radii])
+    foot = from_planetocentric(places)
+    look = from_planetocentric(craft[middle]) - foot
+    step = 100.0 * look / np.linalg.norm(look, axis=1, keepdims=True)
+    above, below = planetocentric(foot + step), planetocentric(foot - step)
+    turned = np.remainder(above[:, :2] - below[:, :2] + np.pi, 2.0 * np.pi) - np.pi
+    return np.asarray(turned / (above[:, 2:] - below[:, 2:]))
+
+
+def _put_line(records: NDArray[np.void], name: str, values: Array, present: Mask, unit: float) -> None:
+    """Midpoint and change over the frame of the straight line nearest to values (frames, 20)."""
+    design = np.stack([np.ones_like(values), np.broadcast_to(_FRACTION, values.shape)], axis=-1) * present[:, :, None]
+    reference = values[:, :1]  # the shots' common part first: a radius would cost the change its digits
+    away = np.where(present, values - reference, 0.0)
+    middle, change = np.einsum("fpk,fk->pf", np.linalg.pinv(design), away)
+    middle = (middle + reference[:, 0]) / unit
+    if name.endswith("longitude"):
+        middle = np.remainder(middle, 360e6)
+    records[name], records[f"d_{name}"] = _whole(middle, name), _whole(change / unit, f"d_{name}")
+
+
+def _whole(values: Array, name: str) -> NDArray[np.int64]:
+    """Whole numbers nearest to values in the file's unit, which must fit the field."""
+    whole = np.rint(values).astype(np.int64)
+    limits = np.iinfo(FRAME[name].base)
+    for value in (whole.min(), whole.max()):
+        if not limits.min <= value <= limits.max:
+            raise InputError(f"PEDR frames, {name}", f"{value} in the file's unit", f"{limits.min} .. {limits.max}")
+    return whole

@@ -1,0 +1,152 @@
+"""A network drawn anew: the same geometry and sigmas, with a truth and observations from their stated distributions.
+
+Every orientation coefficient, shift and row is drawn from its stated sigma, so that the normalised estimation errors of
+the adjustment must average to one: the test of whether its sigmas are honest.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.orientation import Angles, OrientationCorrection
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
+from mgsgraph.ties import PointKind
+
+_HEIGHT_STEPS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Draw:
+    """One draw of a network, and its truth."""
+
+    network: Network
+    """Observations and a-priori places as drawn."""
+    corrections: tuple[OrientationCorrection, ...]
+    """True orientation of each image; none for a held one."""
+    shifts: Array
+    """(p, 2) m, east and north: what the a-priori places of each profile lack of the truth."""
+    places: Array
+    """(n, 3) m, true ground points."""
+
+
+def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera") -> Draw:
+    """Draw a network anew.
+
+    Parameters
+    ----------
+    network : Network
+        Whose geometry, sigmas and terrain are taken. Back-projected image places are computed anew with the nominal
+        orientation, as they came: they are no draws.
+    rng : Generator
+    angles : str
+        What the rotation part of the coefficients is.
+
+    Raises
+    ------
+    InputError
+        When a coefficient has no finite a-priori sigma, or a point isn't seen where it was.
+    """
+    corrections = tuple(
+        _drawn_correction(prior.sigmas * (not held), rng, angles)
+        for prior, held in zip(network.priors, network.held, strict=True)
+    )
+    truth = _true_places(network, rng)
+    shifts, points = _drawn_points(network, truth, rng)
+    rays = _drawn_rays(network, truth, points, corrections, rng)
+    ranges = _drawn_ranges(network, truth, corrections, rng)
+    return Draw(replace(network, points=points, rays=rays, ranges=ranges), corrections, shifts, truth)
+
+
+def _drawn_correction(sigmas: Array, rng: np.random.Generator, angles: Angles) -> OrientationCorrection:
+    if not np.all(np.isfinite(sigmas)):
+        raise InputError("orientation prior", "an infinite sigma", "finite ones, to draw from")
+    return OrientationCorrection(rng.standard_normal(sigmas.shape) * sigmas, angles)
+
+
+def _true_places(network: Network, rng: np.random.Generator) -> Array:
+    """(n, 3) m: a-priori places, or where the nominal rays meet; on the terrain model, but for a drawn height."""
+    rays = network.rays
+    origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
+    for j, image in enumerate(network.images):
+        mine = rays.image == j
+        origins[mine], directions[mine], _, _ = image.rays(*rays.places[mine].T)
+    crossing, _, _ = intersect_rays(origins, directions, rays.point, len(network.points))
+    known = np.all(np.isfinite(network.points.places), axis=1) & (network.points.kinds != PointKind.FREE)
+    places = np.where(known[:, None], network.points.places, crossing)
+    for i in np.flatnonzero(~np.all(np.isfinite(places), axis=1))[:1]:
+        raise InputError(f"point {network.points.ids[i]}", "nothing that places it", "two rays, or an a-priori place")
+    if network.surface is None:
+        return places
+    heights = rng.standard_normal(len(network.points)) * np.where(
+        np.isfinite(network.surface.sigmas), network.surface.sigmas, 0.0
+    )
+    for _ in range(_HEIGHT_STEPS):
+        above, normal = network.surface.grid.height_above(places)
+        move = np.where(np.isfinite(network.surface.sigmas) & np.isfinite(above), heights - above, 0.0)
+        up = places / np.linalg.norm(places, axis=1, keepdims=True)
+        places = places + (move / np.where(move == 0.0, 1.0, np.einsum("ni,ni->n", normal, up)))[:, None] * up
+    return places
+
+
+def _drawn_points(network: Network, truth: Array, rng: np.random.Generator) -> tuple[Array, GroundPoints]:
+    """True shifts, and a-priori places that lack them and an error of their covariance."""
+    points = network.points
+    places, constrained = points.places.copy(), points.kinds == PointKind.CONSTRAINED
+    roots = np.linalg.cholesky(points.covariances[constrained])
+    noise = np.einsum("nij,nj->ni", roots, rng.standard_normal((roots.shape[0], 3)))
+    places[constrained] = truth[constrained] - noise
+    shifts = np.zeros((0, 2))
+    if network.shifts is not None:
+        shifts = rng.standard_normal((network.shifts.sigmas.size, 2)) * network.shifts.sigmas[:, None]
+        mine = network.shifts.profile >= 0
+        east, north = horizontal_axes(truth[mine])
+        of_point = shifts[network.shifts.profile[mine]]
+        places[mine] -= of_point[:, :1] * east + of_point[:, 1:] * north
+    return shifts, replace(points, places=places)
+
+
+def horizontal_axes(places: Array) -> tuple[Array, Array]:
+    """Unit vectors (n, 3) eastward and northward at places (n, 3)."""
+    up = places / np.linalg.norm(places, axis=1, keepdims=True)
+    east = np.cross([0.0, 0.0, 1.0], up)
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    return east, np.cross(up, east)
+
+
+def _drawn_rays(
+    network: Network,
+    truth: Array,
+    points: GroundPoints,
+    corrections: tuple[OrientationCorrection, ...],
+    rng: np.random.Generator,
+) -> ImageRays:
+    rays = network.rays
+    noise = rng.standard_normal(rays.places.shape) * rays.sigmas
+    places = np.empty_like(rays.places)
+    repeated = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=bool)
+    for j, image in enumerate(network.images):
+        drawn, copied = (rays.image == j) & ~repeated, (rays.image == j) & repeated
+        places[drawn] = image.ground_to_image(truth[rays.point[drawn]], corrections[j])[0] + noise[drawn]
+        places[copied] = image.ground_to_image(points.places[rays.point[copied]])[0]
+    for k in np.flatnonzero(~np.all(np.isfinite(places), axis=1))[:1]:
+        where = f"point {network.points.ids[rays.point[k]]}, image {network.images[rays.image[k]].name}"
+        raise InputError(where, "not seen any more with the drawn orientation", "smaller a-priori sigmas")
+    return replace(rays, places=places)
+
+
+def _drawn_ranges(
+    network: Network, truth: Array, corrections: tuple[OrientationCorrection, ...], rng: np.random.Generator
+) -> Ranges:
+    ranges = network.ranges
+    values = rng.standard_normal(ranges.values.size) * ranges.sigmas
+    for j in np.unique(ranges.image):
+        mine: Index = np.flatnonzero(ranges.image == j)
+        image = network.images[j]
+        since = ranges.times[mine] - image.trajectory.epoch
+        correction, _ = corrections[j].at(image.normalised(image.timing.lines(since)))
+        eye = image.trajectory.pose(since).position + correction[:, :3]
+        values[mine] += np.linalg.norm(truth[ranges.point[mine]] - eye, axis=1)
+    return replace(ranges, values=values)

@@ -1,0 +1,314 @@
+"""A study site simulated: true images over true ground, what the instruments and kernels say of them, and the truth.
+
+The two images see the same middle from two flights (`orbit.fly`); the altimeter shoots beside the camera, so that it is
+rolled with the spacecraft. What an adjustment is given differs from truth by `sites.KernelErrors` (kernels), one
+horizontal shift of each profile and small noise (footprints), and noise (tie points, ranges, pictures).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.simulation import orbit
+from mgsgraph.simulation.imagery import Picture, render
+from mgsgraph.simulation.sites import ImageSettings, KernelErrors, SiteSettings, site_settings
+from mgsgraph.simulation.spice_files import clock_count, ephemeris_time
+from mgsgraph.simulation.terrain import SiteTerrain, make_terrain, terrain_grid
+from mgsgraph.ties import PointKind, TiePoints
+
+SOURCE = "simulated site"
+"""What messages call observations that were not read from a file."""
+SHOTS_PER_FRAME = 20
+"""Of a PEDR; profiles are whole frames."""
+
+_SHOT_INTERVAL = 0.1
+"""s between two shots."""
+_BEYOND = 6.0
+"""s, at least, by which a profile is longer than its image at either end."""
+_ALTIMETER_AXIS = np.array([4e-4, -6e-4, 1.0])
+"""Boresight of MOLA in camera axes: 150 m behind the camera's on the ground and 230 m to its right."""
+_MARGIN = 30.0
+"""pixels which true tie points keep from the edges."""
+_EDGE_SHOTS = 2
+"""Shots on either side of an image's edges that are no ground returns, so that the count inside is not in doubt."""
+_GRID_REACH = (25e3, 55e3)
+"""m east and west, north and south, to which the terrain grid reaches: all shots and images."""
+_CLOUD = (300.0, 3000.0)
+"""m above the ground, of returns that are not from it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationOptions:
+    """What may differ from the published site."""
+
+    attitude_time_bias: float | None = None
+    """s, error of the nadir image's CK tags in place of the site's own; 0.95 gives the 325 m of the papers' text."""
+    emission: float | None = None
+    """rad, of the held image, in place of Table 1's; 22.0 deg at Eos gives Shan's orientation."""
+    tie_noise: float = 1.0
+    """pixels, of a tie point's line and sample."""
+    range_noise: float = 1.0
+    """m, of a laser range."""
+    footprint_noise: float = 3.0
+    """m, of each footprint east and north, beside the profile's common shift; a third of it up."""
+    resolution: int = 128
+    """posts per degree of the terrain grid."""
+    pictures: bool = True
+    """Render the images; otherwise they are of one grey, which is enough for geometry."""
+
+    def __post_init__(self) -> None:
+        for name in ("tie_noise", "range_noise", "footprint_noise"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise InputError(f"simulation options, {name}", f"{getattr(self, name)}", "a positive number")
+        for name in ("attitude_time_bias", "emission"):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise InputError(f"simulation options, {name}", f"{value}", "a number")
+        if self.resolution < 1:
+            raise InputError("simulation options, resolution", f"{self.resolution}", "a whole number above zero")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedProfile:
+    """The shots along with one image, true and as given."""
+
+    times: Array
+    """(n,) s TDB past J2000, whole frames of 20."""
+    ground: Mask
+    """(n,) True for returns from the ground."""
+    true_footprints: Array
+    """(n, 3) m, body-fixed, where the beams met the ground."""
+    true_places: Array
+    """(n, 2, 2) line and sample of these in each of the two images; NaN where unseen."""
+    spacecraft: Array
+    """(n, 3) m, body-fixed, true place."""
+    off_nadir: Array
+    """(n,) rad, angle of the beam from the centre of Mars."""
+    shift: Array
+    """(2,) m east and north, by which all given footprints lie off."""
+    footprints: Array
+    """(n, 3) m, body-fixed, as given."""
+    ranges: Array
+    """(n,) m, as given."""
+    areoid_radii: Array
+    """(n,) m, under the given footprints."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedImage:
+    """One image: as it was taken, as the kernels have it, and what was taken along with it."""
+
+    settings: ImageSettings
+    """As published."""
+    errors: KernelErrors
+    """What is wrong with its kernels."""
+    clock_start: str
+    """Spacecraft clock count of its upper edge."""
+    true: PushbroomImage
+    """As it was taken."""
+    nominal: PushbroomImage
+    """As the kernels have it."""
+    sun: Array
+    """(3,) unit, body-fixed, to the Sun."""
+    pixels: Picture
+    """(lines, samples) grey values."""
+    profile: SimulatedProfile
+    """Shots of the simultaneous profile."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedSite:
+    """A simulated site: what an adjustment is given, and the truth it should find."""
+
+    settings: SiteSettings
+    """As published."""
+    options: SimulationOptions
+    """As simulated."""
+    seed: int
+    """Of everything drawn."""
+    terrain: SiteTerrain
+    """True ground."""
+    grid: TerrainGrid
+    """The ground as a grid of radii has it, 200 m off and with noise."""
+    images: tuple[SimulatedImage, SimulatedImage]
+    """Left and right as in PE&RS."""
+    ties: TiePoints
+    """Tie points, all free, each measured in both images."""
+    true_ties: Array
+    """(n, 3) m, body-fixed, in the order of `ties.ids`."""
+
+    def __repr__(self) -> str:
+        names = ", ".join(image.true.name for image in self.images)
+        shots = " and ".join(str(int(image.profile.ground.sum())) for image in self.images)
+        return f"SimulatedSite({self.settings.title}: {names}; {self.ties!r}; {shots} ground shots; seed {self.seed})"
+
+
+def simulate_site(site: str, seed: int = 1, options: SimulationOptions | None = None) -> SimulatedSite:
+    """Simulate a study site; the same site, seed and options give the same bytes when written.
+
+    Parameters
+    ----------
+    site : str
+        ``eos``, ``gusev`` or ``isidis``.
+    seed : int
+        zero or positive; ground, kernels, ties, profiles and pictures are drawn from streams of their own.
+    options : SimulationOptions, optional
+        What differs from the published site.
+
+    Raises
+    ------
+    InputError
+        If there is no such site, or the images do not share enough ground.
+    """
+    settings, options = site_settings(site), options or SimulationOptions()
+    if seed < 0:
+        raise InputError("simulated site, seed", f"{seed}", "zero or a positive whole number")
+    terrain = make_terrain(settings.name, seed)
+    streams = np.random.default_rng([seed, 3]).spawn(7)
+    flights = [_flight(settings, image, options, terrain) for image in settings.images]
+    pairs = [_images(*given) for given in zip(settings.images, flights, streams[:2], strict=True)]
+    true = (pairs[0][0], pairs[1][0])
+    ties, places = _tie_points(true, terrain, settings.ties, options.tie_noise, streams[2])
+    images = []
+    for k, (image, (_, errors, _, count)) in enumerate(zip(settings.images, flights, strict=True)):
+        sun = orbit.sun_direction(true[k].trajectory.epoch)
+        pixels = np.full((image.lines, image.samples), 120, dtype=np.uint8)
+        if options.pictures:
+            pixels = render(true[k], terrain, None, sun, streams[3 + k])
+        profile = _profile(k, true, image, terrain, settings.profile_shift, options, streams[5 + k])
+        images.append(SimulatedImage(image, errors, count, *pairs[k], sun, pixels, profile))
+    grid = terrain_grid(terrain, options.resolution, _GRID_REACH)
+    return SimulatedSite(settings, options, seed, terrain, grid, (images[0], images[1]), ties, places)
+
+
+def _flight(
+    site: SiteSettings, image: ImageSettings, options: SimulationOptions, terrain: SiteTerrain
+) -> tuple[orbit.Pass, KernelErrors, float, str]:
+    """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count."""
+    count, start = clock_count(ephemeris_time(image.start))
+    middle = terrain.on_ground(np.array([site.longitude]), np.array([site.latitude]))[0]
+    emission = options.emission if image.held else None
+    flown = orbit.fly(image, start + 0.5 * image.duration, middle, site.altitude, emission)
+    errors = image.errors
+    if options.attitude_time_bias is not None and not image.held:
+        errors = replace(errors, attitude_time_bias=options.attitude_time_bias)
+    return flown, errors, start, count
+
+
+def _images(
+    image: ImageSettings, flight: tuple[orbit.Pass, KernelErrors, float, str], rng: np.random.Generator
+) -> tuple[PushbroomImage, PushbroomImage]:
+    """The image as it was taken, and as the kernels have it."""
+    flown, errors, start, _ = flight
+    true = orbit.true_trajectory(flown, image.duration)
+    nominal = orbit.nominal_trajectory(flown, image.duration, errors, rng)
+    first, second = (orbit.moc_image(image, trajectory, start - flown.epoch) for trajectory in (true, nominal))
+    return first, second
+
+
+def _tie_points(
+    images: tuple[PushbroomImage, PushbroomImage],
+    terrain: SiteTerrain,
+    number: int,
+    noise: float,
+    rng: np.random.Generator,
+) -> tuple[TiePoints, Array]:
+    """Tie points at random places of the ground that both images see, and their true places (n, 3) in m."""
+    first = images[0]
+    drawn = rng.uniform(_MARGIN, np.array([first.lines, first.samples]) - _MARGIN, (8 * number, 2))
+    origins, directions, _, _ = first.rays(drawn[:, 0], drawn[:, 1])
+    points = terrain.intersect(origins, directions)
+    places = np.stack([image.ground_to_image(points)[0] for image in images], axis=1)
+    size = np.array([[image.lines, image.samples] for image in images])
+    kept = np.flatnonzero(np.all((places >= _MARGIN) & (places <= size - _MARGIN), axis=(1, 2)))[:number]
+    if kept.size < number:
+        raise InputError(SOURCE, f"images that share ground for {kept.size} of {number} tie points")
+    k = 2 * number
+    ties = TiePoints(
+        source=SOURCE,
+        ids=tuple(f"TIE{i + 1:05d}" for i in range(number)),
+        kinds=np.full(number, PointKind.FREE, dtype=np.int64),
+        places=np.full((number, 3), np.nan),
+        covariances=np.zeros((number, 3, 3)),
+        measure_point=np.repeat(np.arange(number), 2),
+        measure_image=tuple(image.name for image in images) * number,
+        measures=places[kept].reshape(k, 2) + noise * rng.standard_normal((k, 2)),
+        measure_sigmas=np.full((k, 2), noise),
+    )
+    return ties, points[kept]
+
+
+def _profile(
+    own: int,
+    images: tuple[PushbroomImage, PushbroomImage],
+    settings: ImageSettings,
+    terrain: SiteTerrain,
+    shift: tuple[float, float],
+    options: SimulationOptions,
+    rng: np.random.Generator,
+) -> SimulatedProfile:
+    """Shots along with the image `own`, at ten a second in whole frames."""
+    image = images[own]
+    epoch, edges = image.trajectory.epoch, image.timing.at(np.array([0.0, float(image.lines)]))[0]
+    frames = int(np.ceil((edges[1] - edges[0] + 2.0 * _BEYOND) / (_SHOT_INTERVAL * SHOTS_PER_FRAME)))
+    count = frames * SHOTS_PER_FRAME
+    first = 0.5 * (edges[0] + edges[1] - count * _SHOT_INTERVAL) + rng.uniform(0.0, _SHOT_INTERVAL)
+    times = epoch + first + _SHOT_INTERVAL * np.arange(count)
+    pose = image.trajectory.pose(times - epoch)
+    beams = np.einsum("nji,j->ni", pose.matrix, _ALTIMETER_AXIS / np.linalg.norm(_ALTIMETER_AXIS))
+    points = terrain.intersect(pose.position, beams)
+    places = np.stack([each.ground_to_image(points)[0] for each in images], axis=1)
+    ground = _ground_returns(places[:, own], image, settings, rng)
+    cloud = np.where(ground, 0.0, rng.uniform(*_CLOUD, count)) / np.einsum("ni,ni->n", beams, -pose.position)
+    cloud *= np.linalg.norm(pose.position, axis=1)
+    met = points - cloud[:, None] * beams  # where the pulse came back from
+    way, direction = rng.uniform(*shift), rng.uniform(0.0, 2.0 * np.pi)
+    common = way * np.array([np.cos(direction), np.sin(direction)])
+    given = _displaced(met, common, options.footprint_noise * rng.standard_normal((count, 3)) * [1.0, 1.0, 1.0 / 3.0])
+    longitude, latitude, _ = planetocentric(given).T
+    nadir = -pose.position / np.linalg.norm(pose.position, axis=1, keepdims=True)
+    return SimulatedProfile(
+        times=times,
+        ground=ground,
+        true_footprints=points,
+        true_places=places,
+        spacecraft=pose.position,
+        off_nadir=np.arccos(np.einsum("ni,ni->n", beams, nadir)),
+        shift=common,
+        footprints=given,
+        ranges=np.linalg.norm(met - pose.position, axis=1) + options.range_noise * rng.standard_normal(count),
+        areoid_radii=terrain.areoid_radius(longitude, latitude),
+    )
+
+
+def _ground_returns(places: Array, image: PushbroomImage, settings: ImageSettings, rng: np.random.Generator) -> Mask:
+    """Which shots come from the ground: the published number inside the image, none close to its ends.
+
+    The missing ones lie at the image's ends, so that errors of some hundred metres do not change how many are inside,
+    and the rest anywhere.
+    """
+    size = np.array([image.lines, image.samples])
+    inside = np.flatnonzero(np.all((places >= 0.0) & (places <= size), axis=1))
+    lost = inside.size - settings.shots
+    if lost < 0:
+        found = f"{inside.size} shots inside {settings.name}"
+        raise InputError(SOURCE, found, f"at least the published {settings.shots}")
+    ends = min(_EDGE_SHOTS, lost // 2)
+    ground = np.ones(places.shape[0], dtype=np.bool_)
+    ground[max(inside[0] - _EDGE_SHOTS, 0) : inside[0] + ends] = False
+    ground[inside[-1] + 1 - ends : inside[-1] + 1 + _EDGE_SHOTS] = False
+    ground[rng.choice(inside[ends : inside.size - ends], lost - 2 * ends, replace=False)] = False
+    return ground
+
+
+def _displaced(points: Array, common: Array, noise: Array) -> Array:
+    """Points (n, 3) moved along the sphere by `common` (2,) m east and north, and by noise (n, 3) m east, north, up."""
+    longitude, latitude, radius = planetocentric(points).T
+    east, north = (common[k] + noise[:, k] for k in (0, 1))
+    longitude = longitude + east / (radius * np.cos(latitude))
+    return from_planetocentric(np.column_stack([longitude, latitude + north / radius, radius + noise[:, 2]]))

@@ -1,0 +1,307 @@
+"""A simulated site as files, each in the format in which MGS data come: kernels, images, PEDR, MEGDR, network, case."""
+
+import json
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.io.megdr import REFERENCE_RADIUS
+from mgsgraph.simulation.files import _network as network_text
+from mgsgraph.simulation.moc_file import MocImageLabel, write_moc_image
+from mgsgraph.simulation.pedr_file import PedrFrames, write_pedr
+from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
+from mgsgraph.simulation.spice_files import KernelSegment, write_kernels
+from mgsgraph.units import DEG, MRAD
+
+PLACES = 31
+"""Places of the pose in the truth, evenly over the image, as the papers sample it."""
+_MOLA_ORBIT = 10_000
+"""What MOLA adds to MGS's mapping orbit."""
+_RANGE_SIGMA, _GROUND_SIGMA, _SHIFT_SIGMA = 10.0, 10.0, 100.0
+"""m, a-priori sigmas of ranges, of footprints, and of a profile's common shift (Yoon & Shan; Kirk et al. 2002)."""
+
+
+def write_site(simulated: SimulatedSite, folder: Path) -> Path:
+    """Write a simulated site, its case file and its truth; returns the path of ``case.toml``.
+
+    Parameters
+    ----------
+    simulated : SimulatedSite
+        As simulated.
+    folder : Path
+        Made when absent; files of the same names in it are replaced.
+
+    Raises
+    ------
+    InputError
+        If the folder can't be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        texts = {
+            "network.pvl": network_text(simulated.ties),
+            "truth.json": json.dumps(_truth(simulated), indent=1, allow_nan=False) + "\n",
+            "case.toml": _case(simulated),
+        }
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8", newline="\n")
+        _write_grids(simulated, folder)
+        write_kernels([_segment(image) for image in simulated.images], folder)
+    except OSError as error:
+        raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder that may be written") from None
+    for image in simulated.images:
+        write_moc_image(folder / _image_file(image), _label(image, simulated.settings.title), image.pixels)
+        write_pedr(folder / _pedr_file(image), _frames(image))
+    return folder / "case.toml"
+
+
+def shot_names(image: SimulatedImage) -> tuple[str, ...]:
+    """Names of an image's shots as the PEDR's reader gives them: orbit, frame and shot."""
+    orbit = image.settings.orbit + _MOLA_ORBIT
+    numbers = range(image.profile.times.size)
+    return tuple(f"{orbit}:{k // SHOTS_PER_FRAME + 1}:{k % SHOTS_PER_FRAME + 1}" for k in numbers)
+
+
+def _image_file(image: SimulatedImage) -> str:
+    return image.settings.name.replace("-", "") + ".img"
+
+
+def _pedr_file(image: SimulatedImage) -> str:
+    return image.settings.profile + ".b"
+
+
+def _segment(image: SimulatedImage) -> KernelSegment:
+    return KernelSegment(image.settings.name, image.settings.phase, _tables(image.nominal))
+
+
+def _tables(image: PushbroomImage) -> Trajectory:
+    if not isinstance(image.trajectory, Trajectory):
+        raise InputError(f"image {image.name}", "an orientation in polynomials", "sampled tables, as kernels have")
+    return image.trajectory
+
+
+def _label(image: SimulatedImage, title: str) -> MocImageLabel:
+    settings = image.settings
+    start = datetime.fromisoformat(settings.start)
+    stop = start + timedelta(seconds=settings.duration)
+    return MocImageLabel(
+        product_id=settings.name.replace("-", "/"),
+        start_time=_utc(start),
+        stop_time=_utc(stop),
+        clock_start=image.clock_start,
+        exposure=settings.exposure,
+        crosstrack_summing=settings.crosstrack_summing,
+        downtrack_summing=settings.downtrack_summing,
+        edit_mode=settings.edit_mode,
+        orbit=settings.orbit,
+        rationale=f"Simulated image of {title}",
+    )
+
+
+def _utc(time: datetime) -> str:
+    """ISO to hundredths of a second, as labels have it."""
+    return time.strftime("%Y-%m-%dT%H:%M:%S") + f".{time.microsecond // 10_000:02d}"
+
+
+def _frames(image: SimulatedImage) -> PedrFrames:
+    profile = image.profile
+    places, craft = planetocentric(profile.footprints), planetocentric(profile.spacecraft)
+    return PedrFrames(
+        orbit=image.settings.orbit + _MOLA_ORBIT,
+        times=profile.times,
+        longitudes=places[:, 0],
+        latitudes=places[:, 1],
+        radii=places[:, 2],
+        ranges=profile.ranges,
+        areoid_radii=profile.areoid_radii,
+        spacecraft_longitudes=craft[:, 0],
+        spacecraft_latitudes=craft[:, 1],
+        spacecraft_radii=craft[:, 2],
+        off_nadir=profile.off_nadir,
+        ground=profile.ground,
+    )
+
+
+# --- terrain
+
+
+def _write_grids(simulated: SimulatedSite, folder: Path) -> None:
+    """Planetary radius and topography as a pair of MEGDR products with labels, 16 bits."""
+    grid = simulated.grid
+    rows, columns = grid.radii.shape
+    longitudes = grid.first_longitude + grid.longitude_step * np.arange(columns)
+    latitudes = grid.first_latitude - grid.latitude_step * np.arange(rows)
+    lon, lat = (axis.ravel() for axis in np.meshgrid(longitudes, latitudes))
+    areoid = simulated.terrain.areoid_radius(lon, lat).reshape(grid.radii.shape)
+    for name, offset, posts in (
+        (_grid_file(simulated, "r"), REFERENCE_RADIUS, grid.radii),
+        (_grid_file(simulated, "t"), 0.0, grid.radii - areoid),
+    ):
+        counts = np.rint(posts - offset).astype(">i2")
+        (folder / f"{name}.img").write_bytes(counts.tobytes())
+        text = _grid_label(name, offset, counts.shape, grid.first_longitude, grid.first_latitude, grid.longitude_step)
+        (folder / f"{name}.lbl").write_text(text, encoding="ascii", newline="\r\n")
+
+
+def _grid_file(simulated: SimulatedSite, letter: str) -> str:
+    return f"meg{letter}_{simulated.settings.name}"
+
+
+def _grid_label(
+    name: str, offset: float, shape: tuple[int, ...], first_longitude: float, first_latitude: float, step: float
+) -> str:
+    """PDS3 label of a MEGDR grid; LINE = LPO - RES (LAT - CLAT), SAMPLE = SPO + RES (LON - CLON) (dsmap.cat)."""
+    rows, columns = shape
+    resolution = round(DEG / step)
+    line_offset = 1.0 + first_latitude / step
+    sample_offset = 1.0 - (first_longitude / DEG - 180.0) * resolution
+    return f"""PDS_VERSION_ID            = "PDS3"
+RECORD_TYPE               = FIXED_LENGTH
+RECORD_BYTES              = {2 * columns}
+FILE_RECORDS              = {rows}
+^IMAGE                    = "{name.upper()}.IMG"
+DATA_SET_ID               = "MGS-M-MOLA-5-MEGDR-L3-V1.0"
+PRODUCT_ID                = "{name.upper()}.IMG"
+SPACECRAFT_NAME           = "MARS GLOBAL SURVEYOR"
+INSTRUMENT_ID             = MOLA
+TARGET_NAME               = MARS
+PRODUCT_VERSION_ID        = "SIMULATED"
+OBJECT                    = IMAGE
+  LINES                   = {rows}
+  LINE_SAMPLES            = {columns}
+  SAMPLE_TYPE             = MSB_INTEGER
+  SAMPLE_BITS             = 16
+  UNIT                    = METER
+  SCALING_FACTOR          = 1
+  OFFSET                  = {offset:.0f}
+END_OBJECT                = IMAGE
+OBJECT                    = IMAGE_MAP_PROJECTION
+  MAP_PROJECTION_TYPE     = "SIMPLE CYLINDRICAL"
+  A_AXIS_RADIUS           = 3396.0 <KM>
+  B_AXIS_RADIUS           = 3396.0 <KM>
+  C_AXIS_RADIUS           = 3396.0 <KM>
+  POSITIVE_LONGITUDE_DIRECTION = "EAST"
+  CENTER_LATITUDE         = 0.0 <DEGREE>
+  CENTER_LONGITUDE        = 180.0 <DEGREE>
+  MAP_RESOLUTION          = {resolution} <PIXEL/DEGREE>
+  LINE_PROJECTION_OFFSET  = {line_offset:.6f}
+  SAMPLE_PROJECTION_OFFSET = {sample_offset:.6f}
+  COORDINATE_SYSTEM_TYPE  = "BODY-FIXED ROTATING"
+  COORDINATE_SYSTEM_NAME  = "PLANETOCENTRIC"
+END_OBJECT                = IMAGE_MAP_PROJECTION
+END
+"""
+
+
+# --- truth
+
+
+def _truth(simulated: SimulatedSite) -> dict[str, Any]:
+    """What an adjustment should find, m, rad and s, body-fixed; and what was put in."""
+    images = simulated.images
+    footprints, places, ground = [], [], []
+    for image in images:
+        footprints += image.profile.true_footprints.tolist()
+        places += [[None if np.isnan(one[0]) else one.tolist() for one in shot] for shot in image.profile.true_places]
+        ground += image.profile.ground.tolist()
+    names = [name for image in images for name in shot_names(image)]
+    return {
+        "site": simulated.settings.name,
+        "seed": simulated.seed,
+        "images": {image.true.name: _image_truth(image) for image in images},
+        "ties": dict(zip(simulated.ties.ids, simulated.true_ties.tolist(), strict=True)),
+        "footprints": {
+            name: {
+                "point": point,
+                "ground": returned,
+                "places": {image.true.name: place for image, place in zip(images, seen, strict=True)},
+            }
+            for name, point, returned, seen in zip(names, footprints, ground, places, strict=True)
+        },
+    }
+
+
+def _image_truth(image: SimulatedImage) -> dict[str, Any]:
+    errors, profile = image.errors, image.profile
+    return {
+        "epoch": image.true.trajectory.epoch,
+        "poses": {"true": _poses(image.true), "nominal": _poses(image.nominal)},
+        "errors": {
+            "position_radial_along_across_m": errors.position.tolist(),
+            "attitude_time_bias_s": errors.attitude_time_bias,
+            "pitch_rad": list(errors.pitch),
+            "roll_rad": list(errors.roll),
+            "yaw_rad": list(errors.yaw),
+            "attitude_noise_rad": errors.noise,
+        },
+        "profile": {
+            "pedr": _pedr_file(image),
+            "shift_east_north_m": profile.shift.tolist(),
+            "ground_shots_inside": image.settings.shots,
+        },
+        "sun": image.sun.tolist(),
+    }
+
+
+def _poses(image: PushbroomImage) -> dict[str, Any]:
+    """Position and attitude at evenly spaced lines, from the first line's upper edge to the last one's lower edge."""
+    lines = np.linspace(0.0, image.lines, PLACES)
+    pose = image.pose(lines)
+    return {
+        "lines": lines.tolist(),
+        "positions": pose.position.tolist(),
+        "matrices": pose.matrix.tolist(),
+        "omega_phi_kappa": rotation.omega_phi_kappa(pose.matrix).tolist(),
+    }
+
+
+# --- the case
+
+
+def _case(simulated: SimulatedSite) -> str:
+    settings, options = simulated.settings, simulated.options
+    text = ["format = 1", f'name = "{settings.title}"']
+    for image in simulated.images:
+        text += [
+            "",
+            "[[images]]",
+            f'name = "{image.settings.name}"',
+            f'label = "{_image_file(image)}"',
+            'kernels = ["mgs.tm"]',
+            f"orientation = {_prior(image, settings.angle_sigmas, settings.trend)}",
+        ]
+    text += ["", "[orientation]", 'nominal = "polynomial"', "nominal_order = 2"]
+    text += ["", "[ties]", 'network = "network.pvl"', f"sigma_px = {options.tie_noise!r}"]
+    for image in simulated.images:
+        text += [
+            "",
+            "[[mola]]",
+            f'pedr = "{_pedr_file(image)}"',
+            f'image = "{image.settings.name}"',
+            f"range_sigma_m = {_RANGE_SIGMA!r}",
+            f"ground_sigma_m = {_GROUND_SIGMA!r}",
+            f"shift_sigma_m = {_SHIFT_SIGMA!r}",
+        ]
+    text += [
+        "",
+        "[terrain]",
+        f'radius = "{_grid_file(simulated, "r")}.lbl"',
+        f'topography = "{_grid_file(simulated, "t")}.lbl"',
+        f"vertical_sigma_m = {simulated.grid.vertical_sigma!r}",
+        f"planimetric_sigma_m = {simulated.grid.planimetric_sigma!r}",
+    ]
+    return "\n".join([*text, ""])
+
+
+def _prior(image: SimulatedImage, angles: tuple[float, float, float], trend: tuple[float, ...]) -> str:
+    """A-priori sigmas, twice as large for a held image (Yoon & Shan: 100 and 200 m, and the angles that match)."""
+    factor = 2.0 if image.settings.held else 1.0
+    milli = [round(factor * angle / MRAD, 4) for angle in angles]
+    return f"{{ position_sigma_m = {100.0 * factor!r}, angle_sigma_mrad = {milli}, trend = {list(trend)} }}"

@@ -1,0 +1,306 @@
+"""SPICE kernels of a simulated site: the same kinds, ids and keywords as the archive's, with a made-up trajectory.
+
+Binary kernels are written by CSPICE, text kernels here. The CK keeps the archive's time tags: what is meant for the
+time t is stored at t - 1.15 s (`sites.ARCHIVE_ATTITUDE_BIAS`). Nothing in the files depends on date or place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import spiceypy
+
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.simulation.orbit import (
+    BORESIGHT_SAMPLE,
+    FOCAL_LENGTH_MM,
+    MERIDIAN,
+    MOUNT_ANGLES,
+    PITCH_MM,
+    POLE_DEC,
+    POLE_RA,
+    mars_about_sun,
+)
+from mgsgraph.simulation.pair import MARS
+from mgsgraph.simulation.sites import ARCHIVE_ATTITUDE_BIAS
+from mgsgraph.units import KM
+
+SPACECRAFT, STRUCTURE, CAMERA, MARS_ID, MARS_SYSTEM, SUN, ORIGIN = -94, -94000, -94031, 499, 4, 10, 0
+"""NAIF ids: MGS, its structure (CK), MOC-NA, Mars, its barycentre, the Sun, the solar system's barycentre."""
+
+_DEGREE = 7
+"""Of the Hermite interpolation (SPK type 13)."""
+_POSITION_STEP = 5
+"""Every fifth record of the trajectory goes into the SPK: CSPICE interpolates to 1e-6 m between them."""
+_DAY = 86400.0
+_TICKS = 256
+"""Ticks of the clock per second."""
+_PARTITION = (136_111_334_400.0, 1_099_511_627_775.0)
+"""Ticks at which the clock's partition begins and ends; as in the archive, so that counts look like MGS's."""
+_CLOCK_ZERO, _CLOCK_RATE = -99_510_250.0, 0.99999986
+"""s TDT past J2000 when the partition begins, and s per second of the clock: this clock's own."""
+_TDT_TO_TAI, _LEAP_SECONDS = 32.184, 32
+"""s, TDT - TAI; s, TAI - UTC in 2001."""
+_K, _EB, _M0, _M1 = 1.657e-3, 1.671e-2, 6.239996, 1.99096871e-7
+"""TDB - TDT = K sin(E), E = M + EB sin(M), M = M0 + M1 t (SPICE leap seconds kernel)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KernelSegment:
+    """One image's share of the SPK and the CK."""
+
+    name: str
+    """Of the image; goes into the segment identifiers."""
+    phase: str
+    """Kernels are named after it; segments of one phase share an SPK and a CK."""
+    trajectory: Trajectory
+    """What they are to say: nominal, archive's time tags undone."""
+
+
+def ephemeris_time(utc: str) -> float:
+    """Seconds TDB past J2000 of a UTC time (ISO) of the year 2001, as SPICE's `utc2et` gives."""
+    since = datetime.fromisoformat(utc) - datetime(2000, 1, 1, 12)
+    return _tdb(since.total_seconds() + _LEAP_SECONDS + _TDT_TO_TAI)
+
+
+def clock_count(time: float) -> tuple[str, float]:
+    """Spacecraft clock count nearest to a time (s TDB past J2000), as labels write it, and the time it stands for."""
+    tdt = time
+    for _ in range(3):
+        tdt = time - (_tdb(tdt) - tdt)
+    ticks = round((tdt - _CLOCK_ZERO) / _CLOCK_RATE * _TICKS)
+    count, fraction = divmod(int(_PARTITION[0]) + ticks, _TICKS)
+    return f"{count}:{fraction}", _tdb(_CLOCK_ZERO + ticks / _TICKS * _CLOCK_RATE)
+
+
+def write_kernels(segments: Sequence[KernelSegment], folder: Path) -> tuple[str, ...]:
+    """Write all kernels that the images need; existing files of these names are replaced.
+
+    Parameters
+    ----------
+    segments : sequence of KernelSegment
+        One per image, no two of one phase at the same time.
+    folder : Path
+        Exists.
+
+    Returns
+    -------
+    tuple of str
+        File names in the order in which they are to be loaded. `mgs.tm` lists them too, for use in that folder.
+    """
+    texts = {"mgs.tls": _LEAP_SECOND_TEXT, "mgs.tsc": _clock_text(), "mars.tpc": _constants_text()}
+    texts |= {"mgs.tf": _FRAME_TEXT, "moc.ti": _instrument_text()}
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="ascii", newline="\n")
+    names = [*texts, "mars.bsp"]
+    epochs = [segment.trajectory.epoch for segment in segments]
+    _write_planet(folder / "mars.bsp", min(epochs), max(epochs))
+    with spiceypy.KernelPool([str(folder / "mgs.tls"), str(folder / "mgs.tsc")]):
+        for phase in dict.fromkeys(segment.phase for segment in segments):
+            members = sorted((s for s in segments if s.phase == phase), key=lambda s: s.trajectory.epoch)
+            _write_positions(folder / f"mgs_{phase}.bsp", members)
+            _write_attitudes(folder / f"mgs_sc_{phase}.bc", members)
+            names += [f"mgs_{phase}.bsp", f"mgs_sc_{phase}.bc"]
+    (folder / "mgs.tm").write_text(_list_text(names), encoding="ascii", newline="\n")
+    return tuple(names)
+
+
+def _tdb(tdt: float) -> float:
+    """TDB of TDT, both in s past J2000 (SPICE `unitim`)."""
+    mean = _M0 + _M1 * tdt
+    return float(tdt + _K * np.sin(mean + _EB * np.sin(mean)))
+
+
+def _write_planet(path: Path, first: float, last: float) -> None:
+    """Mars about the Sun, the Sun at rest at the barycentre: enough for aberration and for the light."""
+    times = np.arange(np.floor(first / _DAY) - 2.0, np.ceil(last / _DAY) + 2.5, 0.5) * _DAY
+    place, motion = mars_about_sun(times)
+    rest = np.zeros((times.size, 6))
+    path.unlink(missing_ok=True)
+    handle = spiceypy.spkopn(str(path), "SIMULATED MARS AND SUN", 0)
+    bodies = ((SUN, ORIGIN, rest), (MARS_SYSTEM, SUN, np.hstack([place, motion]) / KM), (MARS_ID, MARS_SYSTEM, rest))
+    for body, centre, states in bodies:
+        _add_states(handle, body, centre, "SIMULATED", times, states)
+    spiceypy.spkcls(handle)
+
+
+def _write_positions(path: Path, segments: Sequence[KernelSegment]) -> None:
+    path.unlink(missing_ok=True)
+    handle = spiceypy.spkopn(str(path), "SIMULATED MGS SPK", 0)
+    for segment in segments:
+        table = segment.trajectory.position
+        chosen = np.unique([*range(0, table.times.size, _POSITION_STEP), table.times.size - 1])
+        states = np.hstack([table.positions, table.velocities])[chosen] / KM
+        times = segment.trajectory.epoch + table.times[chosen]
+        _add_states(handle, SPACECRAFT, MARS_ID, f"SIMULATED {segment.name}", times, states)
+    spiceypy.spkcls(handle)
+
+
+def _add_states(handle: int, body: int, centre: int, name: str, times: Array, states: Array) -> None:
+    """One SPK segment; states (n, 6) in km and km/s."""
+    first, last = float(times[0]), float(times[-1])
+    spiceypy.spkw13(handle, body, centre, "J2000", first, last, name, _DEGREE, times.size, states, times)
+
+
+def _write_attitudes(path: Path, segments: Sequence[KernelSegment]) -> None:
+    """CK of type 3 with angular velocities; needs the clock and leap seconds in the pool."""
+    path.unlink(missing_ok=True)
+    handle = spiceypy.ckopn(str(path), "SIMULATED MGS CK", 0)
+    for segment in segments:
+        table = segment.trajectory.camera
+        tags = segment.trajectory.epoch + table.times + ARCHIVE_ATTITUDE_BIAS
+        ticks = np.array([spiceypy.sce2c(SPACECRAFT, float(tag)) for tag in tags])
+        spiceypy.ckw03(
+            handle, ticks[0], ticks[-1], STRUCTURE, "J2000", True, f"SIMULATED {segment.name}", ticks.size,
+            ticks, table.quaternions.copy(), _angular_velocities(segment.trajectory), 1, ticks[:1],
+        )
+    spiceypy.ckcls(handle)
+
+
+def _angular_velocities(trajectory: Trajectory) -> Array:
+    """(n, 3) rad/s, inertial, of the spacecraft at the records: the mean of the turns before and after."""
+    times = trajectory.camera.times
+    matrices, turning = trajectory.camera.at(0.5 * (times[1:] + times[:-1]))
+    inertial = np.einsum("nji,nj->ni", matrices, turning)
+    return np.asarray(0.5 * (np.vstack([inertial[:1], inertial]) + np.vstack([inertial, inertial[-1:]])))
+
+
+def _clock_text() -> str:
+    return f"""KPL/SCLK
+
+Clock of the simulated Mars Global Surveyor.
+
+\\begindata
+SCLK_KERNEL_ID           = ( @2001-01-01/00:00:00.00 )
+SCLK_DATA_TYPE_94        = ( 1 )
+SCLK01_TIME_SYSTEM_94    = ( 2 )
+SCLK01_N_FIELDS_94       = ( 2 )
+SCLK01_MODULI_94         = ( 4294967296 {_TICKS} )
+SCLK01_OFFSETS_94        = ( 0 0 )
+SCLK01_OUTPUT_DELIM_94   = ( 2 )
+SCLK_PARTITION_START_94  = ( {_PARTITION[0]:.13E} )
+SCLK_PARTITION_END_94    = ( {_PARTITION[1]:.13E} )
+SCLK01_COEFFICIENTS_94   = ( {0.0:.13E} {_CLOCK_ZERO:.13E} {_CLOCK_RATE:.13E} )
+\\begintext
+"""
+
+
+def _constants_text() -> str:
+    equatorial, polar = MARS.equatorial / KM, MARS.polar / KM
+    return f"""KPL/PCK
+
+Mars, IAU 2000 (Seidelmann et al. 2002).
+
+\\begindata
+BODY499_POLE_RA  = ( {POLE_RA[0]} {POLE_RA[1]} 0.0 )
+BODY499_POLE_DEC = ( {POLE_DEC[0]} {POLE_DEC[1]} 0.0 )
+BODY499_PM       = ( {MERIDIAN[0]} {MERIDIAN[1]} 0.0 )
+BODY499_RADII    = ( {equatorial} {equatorial} {polar} )
+\\begintext
+"""
+
+
+def _instrument_text() -> str:
+    pitch = repr(PITCH_MM)
+    return f"""KPL/IK
+
+MOC narrow angle camera. Focal length and pixel pitch in mm, angles in radians; keywords as in ISIS's addendum.
+
+\\begindata
+INS{CAMERA}_SPK_TIME_BIAS     = 0.0
+INS{CAMERA}_CK_TIME_BIAS      = {ARCHIVE_ATTITUDE_BIAS}
+INS{CAMERA}_CK_TIME_TOLERANCE = 1
+INS{CAMERA}_FOCAL_LENGTH      = {FOCAL_LENGTH_MM}
+INS{CAMERA}_PIXEL_PITCH       = {pitch}
+INS{CAMERA}_BORESIGHT_SAMPLE  = {BORESIGHT_SAMPLE}
+INS{CAMERA}_ALONGTRACK_OFFSET = 0.0
+INS{CAMERA}_TRANSX            = ( 0.0 0.0 {pitch} )
+INS{CAMERA}_TRANSY            = ( 0.0 {pitch} 0.0 )
+INS{CAMERA}_ITRANSS           = ( 0.0 0.0 {1.0 / PITCH_MM!r} )
+INS{CAMERA}_ITRANSL           = ( 0.0 {1.0 / PITCH_MM!r} 0.0 )
+
+FRAME_MGS_MOC_NA         = {CAMERA}
+FRAME_{CAMERA}_NAME        = 'MGS_MOC_NA'
+FRAME_{CAMERA}_CLASS       = 4
+FRAME_{CAMERA}_CLASS_ID    = {CAMERA}
+FRAME_{CAMERA}_CENTER      = {SPACECRAFT}
+TKFRAME_{CAMERA}_SPEC      = 'ANGLES'
+TKFRAME_{CAMERA}_RELATIVE  = 'MGS_SPACECRAFT'
+TKFRAME_{CAMERA}_ANGLES    = ( {" ".join(repr(angle) for angle in MOUNT_ANGLES)} )
+TKFRAME_{CAMERA}_AXES      = ( 1 2 3 )
+TKFRAME_{CAMERA}_UNITS     = 'RADIANS'
+\\begintext
+"""
+
+
+def _list_text(names: Sequence[str]) -> str:
+    listed = "\n".join(f"  '{name}'" for name in names)
+    return f"""KPL/MK
+
+Kernels of the simulated site; SPICE looks for them in the current folder.
+
+\\begindata
+KERNELS_TO_LOAD = (
+{listed}
+)
+\\begintext
+"""
+
+
+_FRAME_TEXT = f"""KPL/FK
+
+Frame of the Mars Global Surveyor's structure, to which its attitude (CK) refers.
+
+\\begindata
+FRAME_MGS_SPACECRAFT     = {STRUCTURE}
+FRAME_{STRUCTURE}_NAME        = 'MGS_SPACECRAFT'
+FRAME_{STRUCTURE}_CLASS       = 3
+FRAME_{STRUCTURE}_CLASS_ID    = {STRUCTURE}
+FRAME_{STRUCTURE}_CENTER      = {SPACECRAFT}
+CK_{STRUCTURE}_SCLK           = {SPACECRAFT}
+CK_{STRUCTURE}_SPK            = {SPACECRAFT}
+\\begintext
+"""
+
+_LEAP_SECOND_TEXT = f"""KPL/LSK
+
+Leap seconds, announced by the IERS, and the constants of TDB.
+
+\\begindata
+DELTET/DELTA_T_A = {_TDT_TO_TAI}
+DELTET/K         = 1.657D-3
+DELTET/EB        = 1.671D-2
+DELTET/M         = ( 6.239996D0 1.99096871D-7 )
+DELTET/DELTA_AT  = ( 10, @1972-JAN-1
+                     11, @1972-JUL-1
+                     12, @1973-JAN-1
+                     13, @1974-JAN-1
+                     14, @1975-JAN-1
+                     15, @1976-JAN-1
+                     16, @1977-JAN-1
+                     17, @1978-JAN-1
+                     18, @1979-JAN-1
+                     19, @1980-JAN-1
+                     20, @1981-JUL-1
+                     21, @1982-JUL-1
+                     22, @1983-JUL-1
+                     23, @1985-JUL-1
+                     24, @1988-JAN-1
+                     25, @1990-JAN-1
+                     26, @1991-JAN-1
+                     27, @1992-JUL-1
+                     28, @1993-JUL-1
+                     29, @1994-JUL-1
+                     30, @1996-JAN-1
+                     31, @1997-JUL-1
+                     32, @1999-JAN-1
+                     33, @2006-JAN-1
+                     34, @2009-JAN-1
+                     35, @2012-JUL-1
+                     36, @2015-JUL-1
+                     37, @2017-JAN-1 )
+\\begintext
+"""

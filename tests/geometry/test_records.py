@@ -1,0 +1,83 @@
+"""What records accept, copy and refuse."""
+
+import numpy as np
+import pytest
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import frozen, frozen_index, require_covariances, require_unique
+
+
+def test_frozen_copies_and_can_not_be_written() -> None:
+    given = np.arange(6).reshape(2, 3)
+    array = frozen(given, "field", (None, 3))
+    given[0, 0] = 99
+
+    assert array.dtype == np.float64
+    assert array[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        array[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("value", "shape", "said"),
+    [
+        (np.zeros(3), (None, 3), r"field: an array of shape \(3,\); expected shape \(n, 3\)"),
+        (np.zeros((2, 4)), (2, 3), r"expected shape \(2, 3\)"),
+        ([[1.0, np.nan]], (None, 2), r"field: nan at \[0, 1\]; expected finite numbers"),
+        ([np.inf], (1,), r"inf at \[0\]"),
+        ([[1.0], [1.0, 2.0]], (None, 2), "field: no array of numbers"),
+        (["x"], (1,), "field: no array of numbers"),
+        (None, (1,), "field"),
+    ],
+)
+def test_frozen_refuses(value: object, shape: tuple[int | None, ...], said: str) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        frozen(value, "field", shape)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_indices_are_copied_and_can_not_be_written() -> None:
+    given = np.array([2, 0, 1])
+    index = frozen_index(given, "index", 3, 3)
+    given[:] = 0
+
+    np.testing.assert_array_equal(index, [2, 0, 1])
+    assert index.dtype == np.int64
+    with pytest.raises(ValueError, match="read-only"):
+        index[0] = 1
+
+
+def test_no_indices_and_whole_floats_are_indices() -> None:
+    assert frozen_index([], "index", 0, 0).size == 0
+    np.testing.assert_array_equal(frozen_index([1.0, 0.0], "index", 2, 2), [1, 0])
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ([0, 1], "2 indices; expected 3"), ([0, 1, 3], r"index 0 \.\. 3; expected 0 \.\. 2"), ([-1, 0, 1], r"index -1"),
+        ([0.5, 1.0, 2.0], "expected whole numbers"), ([np.nan, 0.0, 1.0], "expected whole numbers"),
+        ([np.inf, 0.0, 1.0], "expected whole numbers"), (["a", "b", "c"], "expected whole numbers"),
+    ],
+)  # fmt: skip
+def test_what_is_no_index_is_refused(value: list[object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        frozen_index(value, "index", 3, 3)  # type: ignore[arg-type]
+
+
+def test_ids_are_unique() -> None:
+    require_unique(("a", "b", ""), "file")
+    with pytest.raises(InputError, match="file: the id 'b' twice"):
+        require_unique(("a", "b", "c", "b"), "file")
+
+
+def test_covariances_where_they_are_needed() -> None:
+    lopsided = np.eye(3)
+    lopsided[0, 1] = 1e-3
+    faults = {"zero": np.zeros((3, 3)), "flat": np.diag([1.0, 1.0, 0.0]), "negative": -np.eye(3), "lopsided": lopsided}
+    for fault in faults.values():
+        stack = np.array([np.diag([1e-4, 1.0, 1e6]), fault])
+        require_covariances(stack, np.array([True, False]), ("good", "bad"), "file")
+        with pytest.raises(InputError, match="file, point bad: an a-priori covariance that is not positive definite"):
+            require_covariances(stack, np.array([True, True]), ("good", "bad"), "file")
+    require_covariances(np.zeros((0, 3, 3)), np.zeros(0, dtype=bool), (), "file")

@@ -1,0 +1,143 @@
+"""Rotations: group axioms, SPICE's conventions, and derivatives against central differences."""
+
+import numpy as np
+import pytest
+import spiceypy
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from strategies import along, differences, directions, opk_angles, rotation_vectors
+
+from mgsgraph.geometry import rotation
+
+any_rotation = rotation_vectors().map(rotation.exponential)
+
+
+@given(rotation_vectors(), rotation_vectors())
+def test_products_and_inverses_are_rotations(first: np.ndarray, second: np.ndarray) -> None:
+    product = rotation.exponential(first) @ rotation.exponential(second)
+
+    np.testing.assert_allclose(product @ product.T, np.eye(3), atol=4e-15)
+    assert np.linalg.det(product) == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(rotation.exponential(-first), rotation.exponential(first).T, atol=1e-16)
+
+
+@given(directions, st.floats(-3.0, 3.0), st.floats(-1e-7, 1e-7))
+def test_turns_about_one_axis_add_up(axis: np.ndarray, large: float, small: float) -> None:
+    both = rotation.exponential(axis * large) @ rotation.exponential(axis * small)
+
+    np.testing.assert_allclose(both, rotation.exponential(axis * (large + small)), atol=1e-15)
+
+
+@given(directions, st.floats(-np.pi, np.pi))
+def test_exponential_is_the_turn_of_spice(axis: np.ndarray, angle: float) -> None:
+    """NAIF axisar: the matrix that turns a vector by the angle about the axis."""
+    np.testing.assert_allclose(rotation.exponential(axis * angle), spiceypy.axisar(axis, angle), atol=2e-15)
+
+
+@given(rotation_vectors())
+def test_logarithm_gives_the_vector_back(vector: np.ndarray) -> None:
+    found = rotation.logarithm(rotation.exponential(vector))
+
+    np.testing.assert_allclose(found, vector, rtol=0, atol=3e-15)
+    if np.linalg.norm(vector) < 1e-6:  # no digits lost near the identity
+        np.testing.assert_allclose(found, vector, rtol=0, atol=1e-14 * np.linalg.norm(vector) + 1e-300)
+
+
+@given(directions)
+def test_half_a_turn_has_a_logarithm(axis: np.ndarray) -> None:
+    matrix = 2.0 * np.outer(axis, axis) - np.eye(3)
+    found = rotation.logarithm(matrix)
+
+    assert np.linalg.norm(found) == pytest.approx(np.pi, abs=1e-14)
+    np.testing.assert_allclose(rotation.exponential(found), matrix, atol=4e-15)
+
+
+@given(rotation_vectors(), rotation_vectors(1.0))
+def test_cross_products(vector: np.ndarray, other: np.ndarray) -> None:
+    np.testing.assert_allclose(rotation.skew(vector) @ other, np.cross(vector, other), atol=1e-15)
+    matrix = rotation.exponential(vector)
+    np.testing.assert_allclose(rotation.skew(matrix @ other), matrix @ rotation.skew(other) @ matrix.T, atol=2e-15)
+
+
+@given(rotation_vectors(3.0))
+def test_right_jacobian_against_differences(vector: np.ndarray) -> None:
+    matrix = rotation.exponential(vector)
+    want = differences(lambda v: rotation.logarithm(matrix.T @ rotation.exponential(v)), vector, 1e-3)
+
+    np.testing.assert_allclose(rotation.right_jacobian(vector), want, atol=1e-10)
+
+
+@given(rotation_vectors())
+def test_right_jacobian_turns_its_own_vector_into_itself(vector: np.ndarray) -> None:
+    np.testing.assert_allclose(rotation.right_jacobian(vector) @ vector, vector, atol=1e-15)
+
+
+@given(any_rotation)
+def test_quaternions_are_those_of_spice(matrix: np.ndarray) -> None:
+    quaternion = rotation.from_matrix(matrix)
+    spice = spiceypy.m2q(matrix)
+
+    np.testing.assert_allclose(quaternion * np.sign(quaternion @ spice), spice, atol=2e-15)
+    np.testing.assert_allclose(rotation.to_matrix(quaternion), spiceypy.q2m(quaternion), atol=1e-15)
+    np.testing.assert_allclose(rotation.to_matrix(quaternion), matrix, atol=4e-15)
+
+
+def test_functions_work_over_leading_axes() -> None:
+    vectors = np.random.default_rng(3).uniform(-2.0, 2.0, (4, 5, 3))
+    matrices = rotation.exponential(vectors)
+
+    for function, stack in (
+        (rotation.exponential, vectors), (rotation.right_jacobian, vectors), (rotation.skew, vectors),
+        (rotation.logarithm, matrices), (rotation.from_matrix, matrices), (rotation.omega_phi_kappa, matrices),
+        (rotation.from_omega_phi_kappa, vectors),
+    ):  # fmt: skip
+        np.testing.assert_allclose(function(stack)[2, 3], function(stack[2, 3]), rtol=0, atol=1e-15)
+
+
+@given(opk_angles())
+def test_omega_phi_kappa_is_the_product_of_spice(angles: np.ndarray) -> None:
+    """M' = R3(kappa) R2(phi) R1(omega), each passive as in NAIF eul2m."""
+    omega, phi, kappa = angles
+    matrix = rotation.from_omega_phi_kappa(angles)
+
+    np.testing.assert_allclose(matrix.T, spiceypy.eul2m(kappa, phi, omega, 3, 2, 1), atol=1e-15)
+
+
+@given(opk_angles())
+def test_omega_phi_kappa_come_back(angles: np.ndarray) -> None:
+    found = rotation.omega_phi_kappa(rotation.from_omega_phi_kappa(angles))
+
+    assert found[1] == pytest.approx(angles[1], abs=1e-15)  # an arc sine would be 1e-10 off at the poles
+    np.testing.assert_allclose(found[[0, 2]], angles[[0, 2]], atol=1e-15 / np.cos(angles[1]))
+
+
+@given(any_rotation)
+def test_every_matrix_is_that_of_its_angles(matrix: np.ndarray) -> None:
+    cosine = np.hypot(matrix[0, 0], matrix[0, 1])  # of phi: towards zero, omega and kappa become one
+    assume(cosine > 1e-9)
+
+    back = rotation.from_omega_phi_kappa(rotation.omega_phi_kappa(matrix))
+    np.testing.assert_allclose(back, matrix, atol=4e-15 / cosine)
+
+
+@pytest.mark.parametrize("camera_to_body", [True, False])
+@given(angles=opk_angles())
+def test_angle_axes_against_differences(angles: np.ndarray, camera_to_body: bool) -> None:
+    """d(M d) = [M d]x T da for both products, M from body to camera."""
+
+    def matrix(angles: np.ndarray) -> np.ndarray:
+        made = rotation.from_omega_phi_kappa(angles)
+        return made if camera_to_body else made.T
+
+    axes = rotation.angle_axes(angles, camera_to_body)
+    for k, body_vector in enumerate(np.eye(3)):
+        want = differences(lambda a, d=body_vector: matrix(a) @ d, angles, 1e-3)
+        np.testing.assert_allclose(rotation.skew(matrix(angles)[:, k]) @ axes, want, atol=1e-11)
+
+
+@given(rotation_vectors(3.0), directions)
+def test_differences_would_notice_a_wrong_sign(vector: np.ndarray, axis: np.ndarray) -> None:
+    """The oracle itself: d Exp(t a) v / dt = a x v."""
+    slope = along(lambda t: rotation.exponential(t * axis) @ vector, 1e-3)
+
+    np.testing.assert_allclose(slope, np.cross(axis, vector), atol=1e-11)

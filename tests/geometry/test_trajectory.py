@@ -1,0 +1,325 @@
+"""Trajectories: exact at the tables, rates against differences, and against SPICE at real MGS and LRO kernels."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import spiceypy
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import along, directions, rotation_vectors
+
+from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.trajectory import AttitudeTable, Pose, PositionTable, Trajectory
+from mgsgraph.io.isd import read_isd
+from mgsgraph.simulation.pair import simulate_pair
+from mgsgraph.units import ARCSEC, KM, MM
+
+NODES = np.array([-3.0, -2.2, -0.5, 0.4, 2.0, 3.1])
+"""s, unevenly spaced."""
+IDENTITY = np.tile([1.0, 0.0, 0.0, 0.0], (NODES.size, 1))
+
+
+# --- position tables
+
+cubics = st.lists(st.floats(-10.0, 10.0), min_size=12, max_size=12).map(lambda c: np.reshape(c, (4, 3)))
+
+
+@given(cubics, st.lists(st.floats(-3.5, 3.6), min_size=1, max_size=5))
+def test_hermite_reproduces_cubics(cubic: np.ndarray, times: list[float]) -> None:
+    """Inside the intervals and beyond the ends alike, velocities too."""
+    scale = np.array([3.8e6, 3.4e3, 1.0, 1e-3])[:, None]
+
+    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        c = cubic * scale
+        return t[:, None] ** np.arange(4) @ c, t[:, None] ** np.arange(3) @ (c[1:] * np.arange(1, 4)[:, None])
+
+    position, velocity = PositionTable(NODES, *at(NODES)).at(np.array(times))
+    want = at(np.array(times))
+    np.testing.assert_allclose(position, want[0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(velocity, want[1], rtol=0, atol=1e-6)
+
+
+def test_tables_are_met_at_their_nodes_from_both_sides() -> None:
+    rng = np.random.default_rng(5)
+    table = PositionTable(NODES, rng.normal(size=(6, 3)), rng.normal(size=(6, 3)))
+
+    for shift in (-1e-12, 0.0, 1e-12):
+        position, velocity = table.at(NODES + shift)
+        np.testing.assert_allclose(position, table.positions, atol=1e-11)
+        np.testing.assert_allclose(velocity, table.velocities, atol=1e-10)
+
+
+# --- attitude tables
+
+
+@given(rotation_vectors(), directions, st.floats(-0.5, 0.5), st.floats(-3.2, 3.3), rotation_vectors())
+def test_uniform_turning_is_exact(
+    start: np.ndarray, axis: np.ndarray, rate: float, time: float, mount: np.ndarray
+) -> None:
+    """C(t) = Exp(-w t) C(0): a frame that turns with +w about its own axes."""
+    turning, constant = axis * rate, rotation.exponential(mount)
+    nodes = rotation.exponential(-NODES[:, None] * turning) @ rotation.exponential(start)
+    table = AttitudeTable(NODES, rotation.from_matrix(nodes), constant)
+    matrix, found = table.at(np.array([time]))
+
+    np.testing.assert_allclose(
+        matrix[0], constant @ rotation.exponential(-time * turning) @ rotation.exponential(start), atol=1e-14
+    )
+    np.testing.assert_allclose(found[0], constant @ turning, atol=1e-14)
+
+
+@given(st.lists(rotation_vectors(), min_size=6, max_size=6), st.lists(st.booleans(), min_size=6, max_size=6))
+def test_quaternions_may_change_sign(vectors: list[np.ndarray], flips: list[bool]) -> None:
+    matrices = rotation.exponential(np.array(vectors))
+    quaternions = rotation.from_matrix(matrices) * np.where(flips, -1.0, 1.0)[:, None]
+    table = AttitudeTable(NODES, quaternions, np.eye(3))
+
+    np.testing.assert_allclose(table.at(NODES)[0], matrices, atol=1e-14)
+
+
+# --- both together
+
+
+def assert_rates(trajectory: Trajectory, time: float) -> None:
+    """Velocity and turning against differences of position and matrix within one interval of the tables."""
+    def pose(t: float) -> Pose:
+        return trajectory.pose(np.array([time + t]))
+
+    now = pose(0.0)
+    np.testing.assert_allclose(now.velocity[0], along(lambda t: pose(t).position[0], 0.01), atol=1e-5)
+    turned = along(lambda t: pose(t).matrix[0], 0.01)
+    np.testing.assert_allclose(-rotation.skew(now.turning[0]) @ now.matrix[0], turned, atol=1e-11)
+
+
+@given(st.floats(-0.4, -0.1), rotation_vectors(3.0), rotation_vectors(3.0), rotation_vectors(0.01))
+def test_rates_against_differences(time: float, camera: np.ndarray, body: np.ndarray, turn: np.ndarray) -> None:
+    """Everything turns: camera and body tables, behind constant rotations."""
+    rng = np.random.default_rng(7)
+    times = np.array([-0.5, 0.0, 0.5])
+    position = PositionTable(times, 3.8e6 + 1e3 * rng.normal(size=(3, 3)), 3e3 * rng.normal(size=(3, 3)))
+    steps = times[:, None]
+    to_camera = rotation.from_matrix(rotation.exponential(steps * turn) @ rotation.exponential(camera))
+    to_body = rotation.from_matrix(rotation.exponential(steps * turn[::-1]) @ rotation.exponential(body))
+    trajectory = Trajectory(
+        0.0, position, AttitudeTable(times, to_camera, rotation.exponential(body)),
+        AttitudeTable(times, to_body, rotation.exponential(camera)),
+    )  # fmt: skip
+    assert_rates(trajectory, time)
+
+
+def test_rates_of_the_simulated_and_the_real_images(shared_data: Path) -> None:
+    paths = [shared_data / f"lro_nac_lola/lidarObservationImage{k}.isd" for k in (1, 2)]
+    for image in (*simulate_pair().images, *(read_isd(path, path.stem) for path in paths)):
+        for node in image.trajectory.camera.times[1:-2:5]:
+            assert_rates(image.trajectory, node + 0.03)
+
+
+def test_rates_are_scaled_to_lines() -> None:
+    pose = simulate_pair().images[0].trajectory.pose(np.array([0.0, 0.1]))
+    scaled = pose.scaled(np.array([0.001, 0.002]))
+
+    np.testing.assert_allclose(scaled.velocity, pose.velocity * [[0.001], [0.002]])
+    np.testing.assert_allclose(scaled.turning, pose.turning * [[0.001], [0.002]])
+    np.testing.assert_array_equal(scaled.position, pose.position)
+    np.testing.assert_array_equal(scaled.matrix, pose.matrix)
+
+
+# --- the real LRO tables
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_nodes_of_the_lro_tables(shared_data: Path, number: int) -> None:
+    """Position and attitude at the files' own times, by the files' own quaternions and NAIF q2m, m and rad."""
+    path = shared_data / f"lro_nac_lola/lidarObservationImage{number}.isd"
+    isd, trajectory = json.loads(path.read_text()), read_isd(path, "LRO").trajectory
+    body, pointing, place = isd["body_rotation"], isd["instrument_pointing"], isd["instrument_position"]
+    to_me = np.reshape(body["constant_rotation"], (3, 3))
+
+    ends = np.array(body["ephemeris_times"]) - trajectory.epoch
+    pose = trajectory.pose(ends)
+    for k, row in ((0, 0), (-1, -1)):
+        to_body = to_me @ spiceypy.q2m(body["quaternions"][k])
+        np.testing.assert_allclose(pose.position[k], to_body @ place["positions"][row] * KM, atol=1e-9)
+        camera = spiceypy.q2m(pointing["quaternions"][row])
+        np.testing.assert_allclose(pose.matrix[k], camera @ to_body.T, atol=1e-14)
+        spin = to_me @ spiceypy.q2m(body["quaternions"][k]) @ body["angular_velocities"][k]
+        found = trajectory.body.at(ends[[k]])[1][0]
+        np.testing.assert_allclose(found, spin, atol=2e-3 * np.linalg.norm(spin))
+
+    times = np.array(pointing["ephemeris_times"]) - trajectory.epoch
+    want = np.array([spiceypy.q2m(quaternion) for quaternion in pointing["quaternions"]])
+    np.testing.assert_allclose(trajectory.camera.at(times)[0], want, atol=1e-14)
+    times = np.array(place["ephemeris_times"]) - trajectory.epoch
+    position, velocity = trajectory.position.at(times)
+    np.testing.assert_allclose(position, np.array(place["positions"]) * KM, atol=1e-9)
+    np.testing.assert_allclose(velocity, np.array(place["velocities"]) * KM, atol=1e-9)
+
+
+# --- MGS kernels against SPICE
+
+_KERNELS = (
+    "naif0012.tls", "MGS_SCLKSCET.00061.tsc", "pck00009.tpc", "moc20.ti", "m0402852.ale_1.bsp",
+    "mgs_sc_map2_1_sliced_-94000.bc",
+)  # fmt: skip
+_MGS, _BUS = -94, -94000
+
+
+@pytest.fixture
+def mgs(shared_data: Path) -> Iterator[float]:
+    """ET of MOC-NA image M04/02852, with the kernels around it loaded; the pool is left as found."""
+    with spiceypy.KernelPool([str(shared_data / "mgs_moc_m0402852" / name) for name in _KERNELS]):
+        yield spiceypy.utc2et("1999-08-24T14:12:13.6")
+
+
+def mgs_states(times: np.ndarray) -> np.ndarray:
+    return KM * np.array([spiceypy.spkezr("MGS", t, "J2000", "NONE", "MARS")[0] for t in times])
+
+
+def mgs_attitude(times: np.ndarray) -> np.ndarray:
+    return np.array([spiceypy.ckgp(_BUS, spiceypy.sce2c(_MGS, t), 0.0, "J2000")[0] for t in times])
+
+
+def mars_rotation(times: np.ndarray) -> np.ndarray:
+    return np.array([spiceypy.pxform("J2000", "IAU_MARS", t) for t in times])
+
+
+def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """rad, (n,), between two stacks of matrices."""
+    return np.asarray(np.linalg.norm(rotation.logarithm(first @ np.swapaxes(second, 1, 2)), axis=-1))
+
+
+@pytest.mark.parametrize("step", [0.1, 0.25, 0.5, 1.0])
+def test_interpolated_mgs_positions_and_body_rotation_are_those_of_spice(mgs: float, step: float) -> None:
+    times = np.arange(-10.0, 10.0 + 0.5 * step, step)
+    asked = times[:-1] + 0.4 * step
+    states, want = mgs_states(mgs + times), mgs_states(mgs + asked)
+    position, velocity = PositionTable(times, states[:, :3], states[:, 3:]).at(asked)
+
+    assert np.abs(position - want[:, :3]).max() < 0.01 * MM
+    assert np.abs(velocity - want[:, 3:]).max() < 0.1 * MM
+    table = AttitudeTable(times, rotation.from_matrix(mars_rotation(mgs + times)), np.eye(3))
+    matrix, turning = table.at(asked)
+    assert turned(matrix, mars_rotation(mgs + asked)).max() < 1e-5 * ARCSEC
+    spin = np.array([-spiceypy.xf2rav(spiceypy.sxform("IAU_MARS", "J2000", mgs + t))[1] for t in asked])
+    np.testing.assert_allclose(turning, spin, rtol=0, atol=1e-11)
+
+
+def ck_nodes(path: str, start: float, stop: float) -> tuple[np.ndarray, np.ndarray]:
+    """ET and quaternions of the records of a type 3 CK (NAIF ckgr03) between two times."""
+    handle = spiceypy.dafopr(path)
+    try:
+        spiceypy.dafbfs(handle)
+        assert spiceypy.daffna()
+        segment = spiceypy.dafgs(5)
+        records = np.array([spiceypy.ckgr03(handle, segment, k + 1) for k in range(spiceypy.cknr03(handle, segment))])
+    finally:
+        spiceypy.dafcls(handle)
+    times = np.array([spiceypy.sct2e(_MGS, ticks) for ticks in records[:, 0]])
+    inside = (times > start) & (times < stop)
+    return times[inside], records[inside, 1:5]
+
+
+def test_attitude_between_the_records_of_a_real_ck_is_that_of_spice(mgs: float, shared_data: Path) -> None:
+    """The CK's own records as table, 60 s of them: the same interpolation, to a hundredth of a second of arc."""
+    path = str(shared_data / "mgs_moc_m0402852" / _KERNELS[-1])
+    times, quaternions = ck_nodes(path, mgs - 30.0, mgs + 30.0)
+    assert times.size > 8
+    table = AttitudeTable(times - mgs, quaternions, np.eye(3))
+
+    for share in (0.0, 0.1, 0.5, 0.77):
+        asked = times[:-1] + share * np.diff(times)
+        matrix, turning = table.at(asked - mgs)
+        assert turned(matrix, mgs_attitude(asked)).max() < 0.001 * ARCSEC
+    _, spin, _ = spiceypy.ckgpav(_BUS, spiceypy.sce2c(_MGS, asked[3]), 0.0, "J2000")
+    assert np.linalg.norm(matrix[3].T @ turning[3] - spin) < 0.01 * np.linalg.norm(spin)
+
+
+def test_attitude_sampled_more_finely_than_the_ck(mgs: float) -> None:
+    """Tables of 0.1 .. 1 s: exact but in the few intervals in which the CK itself bends."""
+    for step in (0.1, 0.5, 1.0):
+        times = np.arange(-10.0, 10.0 + 0.5 * step, step)
+        asked = times[:-1] + 0.5 * step
+        table = AttitudeTable(times, rotation.from_matrix(mgs_attitude(mgs + times)), np.eye(3))
+        off = turned(table.at(asked)[0], mgs_attitude(mgs + asked))
+
+        assert np.median(off) < 1e-4 * ARCSEC
+        assert np.count_nonzero(off > 0.01 * ARCSEC) <= 6
+        assert off.max() < 1.0 * ARCSEC
+
+
+# --- refusals
+
+
+def trajectory_of(**times: np.ndarray) -> Trajectory:
+    position, camera, body = (times.get(name, NODES) for name in ("position", "camera", "body"))
+    return Trajectory(
+        1e8, PositionTable(position, np.zeros((6, 3)), np.zeros((6, 3))),
+        AttitudeTable(camera, IDENTITY, np.eye(3)), AttitudeTable(body, IDENTITY, np.eye(3)),
+    )  # fmt: skip
+
+
+def test_coverage_is_what_all_tables_share() -> None:
+    assert trajectory_of(camera=NODES + 1.0, body=NODES - 0.5).coverage == (-2.0, 2.6)
+
+
+def test_a_gap_carries_the_interval() -> None:
+    trajectory = trajectory_of(camera=NODES + 1.0)
+    trajectory.require(np.array([-2.0, 3.1]), "image A")
+    trajectory.require(np.array([-2.4, 3.5]), "image A", slack=0.5)
+
+    for time in (-2.001, 3.2):
+        with pytest.raises(EphemerisGap, match=r"image A: time .* outside the tables; expected a time in") as caught:
+            trajectory.require(np.array([0.0, time]), "image A")
+        gap = caught.value
+        assert (gap.time, gap.start, gap.stop) == (1e8 + time, 1e8 - 2.0, 1e8 + 3.1)
+
+
+def test_a_time_that_is_no_number_lies_in_no_table() -> None:
+    with pytest.raises(EphemerisGap):
+        trajectory_of().require(np.array([0.0, np.nan]), "image A")
+
+
+def test_tables_that_share_no_time_are_refused() -> None:
+    with pytest.raises(InputError, match=r"one table begins 3\.900000 s after another has ended"):
+        trajectory_of(body=NODES + 10.0)
+
+
+def test_an_epoch_is_a_number() -> None:
+    tables = trajectory_of()
+    with pytest.raises(InputError, match="trajectory, epoch: nan"):
+        Trajectory(np.nan, tables.position, tables.camera, tables.body)
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([0.0], "1 samples; expected at least 2"), ([0.0, 1.0, 1.0], "in this order; expected increasing times"),
+        ([0.0, 2.0, 1.0], r"times 2\.000000 s and 1\.000000 s"), ([0.0, np.nan, 2.0], "finite numbers"),
+    ],
+)  # fmt: skip
+def test_times_increase(times: list[float], said: str) -> None:
+    n = len(times)
+    with pytest.raises(InputError, match=said):
+        PositionTable(np.array(times), np.zeros((n, 3)), np.zeros((n, 3)))
+    with pytest.raises(InputError, match=said):
+        AttitudeTable(np.array(times), IDENTITY[:n], np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"quaternions": IDENTITY * 1.001}, r"norm 1\.001000000 at \[0\]; expected unit quaternions"),
+        ({"quaternions": IDENTITY[:4]}, r"shape \(4, 4\); expected shape \(6, 4\)"),
+        ({"constant": np.diag([1.0, 1.0, -1.0])}, "no rotation"),
+        ({"constant": 1.001 * np.eye(3)}, "no rotation"),
+        ({"constant": np.zeros((3, 3))}, "no rotation"),
+    ],
+)
+def test_attitude_tables_hold_rotations(change: dict[str, np.ndarray], said: str) -> None:
+    fields = {"times": NODES, "quaternions": IDENTITY, "constant": np.eye(3)} | change
+    with pytest.raises(InputError, match=said):
+        AttitudeTable(**fields)

@@ -1,0 +1,60 @@
+"""Networks drawn anew, and the adjustment's sigmas judged by them."""
+
+import numpy as np
+import pytest
+from networks import network, pair, with_shift_and_surface
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import InputError
+from mgsgraph.products.truth import nees
+from mgsgraph.simulation.redraw import redraw
+
+
+def test_the_same_seed_draws_the_same() -> None:
+    net = with_shift_and_surface(network(pair()))
+    one, other = (redraw(net, np.random.default_rng(3)) for _ in range(2))
+    np.testing.assert_array_equal(one.network.rays.places, other.network.rays.places)
+    np.testing.assert_array_equal(one.network.ranges.values, other.network.ranges.values)
+    assert not np.array_equal(one.places, redraw(net, np.random.default_rng(4)).places)
+
+
+def test_without_noise_the_truth_fits_exactly() -> None:
+    net = network(pair())
+    draw = redraw(net, np.random.default_rng(0))
+    for j, image in enumerate(net.images):
+        mine = draw.network.rays.image == j
+        exact, _ = image.ground_to_image(draw.places[draw.network.rays.point[mine]], draw.corrections[j])
+        error = (draw.network.rays.places[mine] - exact) / net.rays.sigmas[mine]
+        assert 0.6 < np.sqrt(np.mean(error**2)) < 1.4
+
+
+@pytest.mark.parametrize("extended", [False, True])
+def test_normalised_errors_average_to_one(extended: bool) -> None:
+    net = network(pair(ties=30, shots=12))
+    net = with_shift_and_surface(net) if extended else net
+    shared, points, cost = [], [], []
+    for seed in range(12):
+        draw = redraw(net, np.random.default_rng(seed))
+        solution = adjust_network(draw.network, SolverSettings())
+        truth = [part.coefficients.ravel() for part in draw.corrections] + [draw.shifts.ravel()]
+        found = [part.ravel() for part in solution.coefficients] + [solution.shifts.ravel()]
+        error = np.concatenate(found) - np.concatenate(truth)
+        shared.append(nees(error[None], solution.joint_covariance[None])[0] / error.size)
+        points.append(nees(solution.places - draw.places, solution.covariances).mean() / 3.0)
+        cost.append(2.0 * solution.cost_final / solution.fit.degrees_of_freedom)
+    # 99.9% bands for 12 draws; points of one draw share their orientation, so they scatter more
+    assert 0.8 < np.mean(shared) < 1.25
+    assert 0.65 < np.mean(points) < 1.45
+    assert 0.85 < np.mean(cost) < 1.17
+
+
+def test_an_infinite_sigma_cant_be_drawn_from() -> None:
+    from dataclasses import replace
+
+    from mgsgraph.geometry.orientation import OrientationPrior
+
+    net = network(pair())
+    unknown = OrientationPrior(np.full((3, 6), np.inf))
+    with pytest.raises(InputError, match="infinite"):
+        redraw(replace(net, priors=(unknown, unknown)), np.random.default_rng(0))

@@ -1,0 +1,233 @@
+"""The simulated ground: smooth, the same for the same seed, met by rays where it is, as high as the real sites."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.simulation import relief
+from mgsgraph.simulation.relief import PeriodicSurface
+from mgsgraph.simulation.terrain import SITES, SiteTerrain, grid_shift, make_terrain, terrain_grid
+from mgsgraph.units import DEG
+
+
+@pytest.fixture(scope="module", params=sorted(SITES))
+def site(request: pytest.FixtureRequest) -> SiteTerrain:
+    return make_terrain(request.param, 1)
+
+
+def places(site: SiteTerrain, count: int, seed: int = 0, reach: float = 0.4 * DEG) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return site.centre_lon + rng.uniform(-reach, reach, count), site.centre_lat + rng.uniform(-reach, reach, count)
+
+
+def looks(site: SiteTerrain, count: int, tilt: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Rays from 400 km up that look down within `tilt` rad of nadir at places about the site."""
+    rng = np.random.default_rng(seed)
+    lon, lat = places(site, count, seed)
+    target = from_planetocentric(np.column_stack([lon, lat, np.full(count, 3.39e6)]))
+    outward = target / np.linalg.norm(target, axis=1, keepdims=True)
+    aside = np.cross(outward, rng.standard_normal((count, 3)))
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    angle = rng.uniform(0.0, tilt, (count, 1))
+    away = np.cos(angle) * outward + np.sin(angle) * aside
+    return target + 4e5 * away, -away * rng.uniform(0.5, 2.0, (count, 1))
+
+
+@given(st.integers(0, 1000), st.sampled_from([np.float32, np.float64]))
+@settings(max_examples=20, deadline=None)
+def test_surface_repeats_itself_and_has_the_slopes_it_says(seed: int, kind: type) -> None:
+    rng = np.random.default_rng(seed)
+    surface = PeriodicSurface(3.0, rng.standard_normal((16, 8)).astype(np.float32))
+    east, north = rng.uniform(-100.0, 100.0, (2, 50)).astype(kind)
+    value, by_east, by_north = surface.at(east, north)
+    assert value.dtype == by_east.dtype == kind
+    assert surface.period == (24.0, 48.0)
+    np.testing.assert_allclose(surface.value(east, north), value, atol=1e-5)
+    np.testing.assert_allclose(surface.value(east + kind(24.0), north - kind(96.0)), value, atol=2e-4)
+    step, exact = 1e-4, (east.astype(np.float64), north.astype(np.float64))
+    slope = (surface.value(exact[0] + step, exact[1]) - surface.value(exact[0] - step, exact[1])) / (2.0 * step)
+    np.testing.assert_allclose(by_east, slope, atol=2e-4)
+    slope = (surface.value(exact[0], exact[1] + step) - surface.value(exact[0], exact[1] - step)) / (2.0 * step)
+    np.testing.assert_allclose(by_north, slope, atol=2e-4)
+
+
+def test_slopes_have_no_facets() -> None:
+    """Across a line between cells the slope goes on without a step."""
+    surface = PeriodicSurface(2.0, np.random.default_rng(1).standard_normal((8, 8)).astype(np.float32))
+    north = np.linspace(0.0, 16.0, 50)
+    for line in (1.0, 3.0, 7.0):  # halfway between coefficients, where cells meet
+        before, after = (surface.at(np.full(50, line + off), north) for off in (-1e-9, 1e-9))
+        for left, right in zip(before, after, strict=True):
+            np.testing.assert_allclose(left, right, atol=1e-7)
+
+
+def test_surface_wants_powers_of_two() -> None:
+    with pytest.raises(InputError, match="powers of two"):
+        PeriodicSurface(1.0, np.zeros((8, 12), dtype=np.float32))
+
+
+def test_same_seed_same_ground() -> None:
+    lon, lat = places(make_terrain("gusev", 5), 1000)
+    first = make_terrain("gusev", 5).height(lon, lat)
+    make_terrain.cache_clear()
+    np.testing.assert_array_equal(make_terrain("gusev", 5).height(lon, lat), first)
+    assert np.std(make_terrain("gusev", 6).height(lon, lat) - first) > 5.0
+
+
+def test_unknown_sites_and_seeds_are_refused() -> None:
+    with pytest.raises(InputError, match="site 'hellas'; expected one of eos, gusev, isidis"):
+        make_terrain("hellas", 1)
+    with pytest.raises(InputError, match="seed"):
+        make_terrain("eos", -1)
+
+
+def test_normals_are_those_of_the_ground(site: SiteTerrain) -> None:
+    lon, lat = places(site, 200)
+    step = 1e-9  # 3 mm
+    east = site.on_ground(lon + step, lat) - site.on_ground(lon - step, lat)
+    north = site.on_ground(lon, lat + step) - site.on_ground(lon, lat - step)
+    expected = np.cross(east, north)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(site.normal(1.01 * site.on_ground(lon, lat)), expected, atol=3e-3)
+    np.testing.assert_allclose(np.median(np.abs(site.normal(site.on_ground(lon, lat)) - expected)), 0.0, atol=1e-5)
+
+
+def test_rays_meet_the_ground(site: SiteTerrain) -> None:
+    origins, directions = looks(site, 5000, 25.0 * DEG)
+    points = site.intersect(origins, directions)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), site.radius(points), atol=1e-4)
+    way = points - origins
+    off = np.linalg.norm(np.cross(way, directions), axis=1) / np.linalg.norm(directions, axis=1)
+    assert off.max() < 1e-6
+    assert np.einsum("ni,ni->n", way, directions).min() > 0.0
+
+
+def test_the_place_a_ray_meets_is_the_first(site: SiteTerrain) -> None:
+    """All the way down to it the ray is above the ground."""
+    origins, directions = looks(site, 300, 25.0 * DEG, seed=3)
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    points = site.intersect(origins, directions)
+    for before in np.geomspace(2.0, 2e4, 60):
+        above = points - before * unit
+        assert np.all(np.linalg.norm(above, axis=1) > site.radius(above))
+
+
+def test_a_ray_past_the_body_meets_nothing(site: SiteTerrain) -> None:
+    origins, directions = looks(site, 3, 0.1)
+    directions[1] = -directions[1]
+    points = site.intersect(origins, directions)
+    assert np.isnan(points[1]).all()
+    assert np.isfinite(points[[0, 2]]).all()
+
+
+def test_sites_lie_as_high_as_the_real_ones(site: SiteTerrain, shared_data: Path) -> None:
+    """MOLA grids, 4 posts per degree: radius at the centre, and the areoid as radius minus topography."""
+    grids = [
+        np.fromfile(shared_data / "mola_megdr" / name, ">i2").reshape(720, 1440).astype(np.float64)
+        for name in ("megr90n000cb.img", "megt90n000cb.img")
+    ]
+    row, column = int((90.0 - site.centre_lat / DEG) * 4.0), int(site.centre_lon / DEG * 4.0)
+    patch = (slice(row - 1, row + 2), slice(column - 1, column + 2))
+    radius, areoid = grids[0][patch] + 3396e3, grids[0][patch] - grids[1][patch] + 3396e3
+    lon, lat = np.array([site.centre_lon]), np.array([site.centre_lat])
+    assert radius.min() - 150.0 < site.ground_radius(lon, lat)[0] < radius.max() + 150.0
+    assert abs(site.areoid_radius(lon, lat)[0] - np.median(areoid)) < 150.0
+
+
+def test_relief_is_the_site_s(site: SiteTerrain) -> None:
+    lon, lat = places(site, 20000)
+    low, high = np.quantile(site.height(lon, lat), [0.001, 0.999])
+    upward = np.einsum("ni,ni->n", site.normal(site.on_ground(lon, lat)), _up(lon, lat))
+    slopes = np.degrees(np.arccos(np.clip(upward, -1.0, 1.0)))
+    if site.site == "eos":
+        assert 2500.0 < high - low < 4500.0
+    else:
+        assert 50.0 < high - low < 700.0
+    assert np.quantile(slopes, 0.5) < 12.0
+    assert np.quantile(slopes, 0.9999) < 45.0
+
+
+def _up(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
+    return from_planetocentric(np.column_stack([lon, lat, np.ones(lon.size)]))
+
+
+def test_craters_are_a_fifth_as_deep_as_wide() -> None:
+    """A fresh crater: 0.2 diameters from the rim's crest to the floor, the rim above the plain, ejecta that run out."""
+    profile = relief._crater(np.linspace(0.0, 2.5, 1001)).astype(np.float64)
+    assert profile.max() - profile.min() == pytest.approx(1.0, abs=5e-3)
+    assert np.linspace(0.0, 2.5, 1001)[np.argmax(profile)] == pytest.approx(1.0, abs=5e-3)
+    assert profile[-1] == 0.0
+    field = np.zeros((256, 256), dtype=np.float32)
+    relief.add_craters(field, 10.0, 10.0, (400.0, 500.0), np.random.default_rng(2))
+    assert -2.0 * 0.2 * 500.0 < field.min() < -0.2 * 0.2 * 400.0 * (1.0 - 0.2)  # two of them may fall on one another
+    assert 0.2 * 0.2 * 400.0 * 0.2 < field.max() < 2.0 * 0.2 * 0.2 * 500.0
+
+
+def test_crater_numbers_fall_with_the_square_of_the_diameter(monkeypatch: pytest.MonkeyPatch) -> None:
+    reaches: list[float] = []
+
+    def around(centre: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        reaches.append(reach)
+        return np.array([0]), np.array([0.0])
+
+    monkeypatch.setattr(relief, "_around", around)
+    relief.add_craters(np.zeros((1024, 1024), dtype=np.float32), 10.0, 3.0, (50.0, 800.0), np.random.default_rng(0))
+    diameters = 2.0 * 10.0 * np.array(reaches[::2]) / relief.REACH
+    area = (1024 * 0.01) ** 2
+    assert np.sum(diameters > 100.0) / area == pytest.approx(3.0, rel=0.15)
+    assert np.sum(diameters > 200.0) / area == pytest.approx(0.75, rel=0.25)
+    assert np.all(np.diff(diameters) <= 0.0)
+
+
+def test_grid_is_the_ground_shifted_with_noise() -> None:
+    site = make_terrain("eos", 1)
+    grid = terrain_grid(site, 128)
+    shift = grid_shift(site)
+    assert np.hypot(*shift) == pytest.approx(200.0)
+    assert np.all(np.abs(np.remainder(grid.first_longitude / DEG * 128.0, 1.0) - 0.5) < 1e-6)
+    lon, lat = places(site, 5000, reach=0.25 * DEG)
+    off_lon, off_lat = shift / site.metres_per_radian
+    values, by_lon, by_lat = grid.radius(lon, lat)
+    steep = np.hypot(*np.column_stack([by_lon, by_lat]).T / site.metres_per_radian[:, None]) > 0.1  # the canyon's walls
+    places_of = {"moved": (lon - off_lon, lat - off_lat), "unmoved": (lon, lat), "back": (lon + off_lon, lat + off_lat)}
+    off = {name: np.median(np.abs(values - site.ground_radius(*at))[steep]) for name, at in places_of.items()}
+    assert off["moved"] < 15.0  # 10 m of noise, averaged between posts, and what 460 m posts miss of the relief
+    assert off["back"] > 1.5 * off["unmoved"] > 2.0 * off["moved"]
+
+
+def test_grid_s_noise_is_what_it_says() -> None:
+    site = make_terrain("isidis", 2)
+    grid = terrain_grid(site, 64, reach=(40e3, 40e3))
+    rows, columns = grid.radii.shape
+    lon, lat = np.meshgrid(
+        grid.first_longitude + grid.longitude_step * np.arange(columns),
+        grid.first_latitude - grid.latitude_step * np.arange(rows),
+    )
+    off_lon, off_lat = grid_shift(site) / site.metres_per_radian
+    error = grid.radii.ravel() - site.ground_radius(lon.ravel() - off_lon, lat.ravel() - off_lat)
+    spread = 1.4826 * np.median(np.abs(error - np.median(error)))
+    assert spread == pytest.approx(10.0, rel=0.25)
+    np.testing.assert_array_equal(terrain_grid(site, 64, reach=(40e3, 40e3)).radii, grid.radii)
+
+
+def test_grid_encloses_its_reach() -> None:
+    site = make_terrain("gusev", 1)
+    grid = terrain_grid(site, 16, reach=(10e3, 30e3))
+    for east, north in ((-10e3, -30e3), (10e3, 30e3)):
+        lon, lat = np.array([east, north]) / site.metres_per_radian + (site.centre_lon, site.centre_lat)
+        assert np.isfinite(grid.radius(np.array([lon]), np.array([lat]))[0]).all()
+    with pytest.raises(InputError, match="posts per degree"):
+        terrain_grid(site, 0)
+
+
+def test_chart_turns_with_longitudes_of_any_turn() -> None:
+    site = make_terrain("eos", 1)
+    lon, lat = places(site, 50)
+    np.testing.assert_allclose(site.height(lon - 2.0 * np.pi, lat), site.height(lon, lat), atol=1e-6)
+    point = planetocentric(site.on_ground(lon, lat))
+    np.testing.assert_allclose(point[:, 2], site.ground_radius(lon, lat), atol=1e-8)
