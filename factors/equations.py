@@ -220,30 +220,26 @@ def range_row(rows, q, x, point, by_point):
 
 
 @njit(cache=True)
-def surface_row(rows, point, by_point):
-    """Height (m) of a point above the bilinear patch of the four posts under it, along its normal, and its derivative.
+def surface_row(rows, i, point, by_point):
+    """Height (m) of point i above the bilinear patch of its four posts, along its normal, and its derivative.
 
     F / |grad F| with F = r - R(lon, lat): `geometry.terrain.TerrainGrid.height_above` says the same for arrays. False
-    outside the terrain model and beside missing posts, where there is no row (Ebner et al. 2004).
+    where the point has no patch: off the terrain model, or beside missing posts (Ebner et al. 2004).
     """
+    row, column, right = rows.terrain_cell[i, 0], rows.terrain_cell[i, 1], rows.terrain_cell[i, 2]
+    if row < 0:
+        return 0.0, False
     x, y, z = point[0], point[1], point[2]
     planar = math.sqrt(x * x + y * y)
     radius = math.sqrt(planar * planar + z * z)
     posts, frame = rows.terrain, rows.terrain_frame
-    east = ((math.atan2(y, x) - frame[0]) % (2.0 * math.pi)) / frame[2]
-    south = (frame[1] - math.atan2(z, planar)) / frame[3]
-    last = posts.shape[1] if frame[4] > 0.0 else posts.shape[1] - 1
-    if not (0.0 <= south <= posts.shape[0] - 1 and east <= last):
-        return 0.0, False
-    row, column = min(int(south), posts.shape[0] - 2), min(int(east), last - 1)
-    right = (column + 1) % posts.shape[1]
-    s, e = south - row, east - column
+    turn = math.atan2(y, x) - frame[0] - column * frame[2]
+    e = (turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)) / frame[2]
+    s = (frame[1] - math.atan2(z, planar)) / frame[3] - row
     corner = posts[row, column]
     to_east, to_south = posts[row, right] - corner, posts[row + 1, column] - corner
     twist = posts[row + 1, right] - posts[row + 1, column] - to_east
     value = corner + e * to_east + s * to_south + e * s * twist
-    if math.isnan(value):
-        return 0.0, False
     by_longitude, by_latitude = (to_east + s * twist) / frame[2], -(to_south + e * twist) / frame[3]
     twist = -twist / (frame[2] * frame[3])
     a, b = by_longitude / planar, by_latitude / radius

@@ -88,7 +88,7 @@ def add_prior(rows, i, x, point, normal, gradient):
 @njit(cache=True)
 def add_surface(rows, i, point, by_point, normal, gradient):
     """Add the height of point i above the terrain to its normal equations; its cost is returned."""
-    height, there = surface_row(rows, point, by_point[0])
+    height, there = surface_row(rows, i, point, by_point[0])
     if not there:
         return 0.0
     weight = rows.surface_weight[i] ** 2
@@ -367,3 +367,12 @@ def all_residuals(rows, model, x, points, image_residuals, range_residuals):
                 image_residuals[k, j] = residual[j] / rows.weight[k, j] if front else np.nan
         for q in range(rows.range_first[i], rows.range_first[i + 1]):
             range_residuals[q] = range_row(rows, q, x, points[i], by_point[0]) / rows.range_weight[q]
+
+
+@njit(cache=True)
+def all_heights(rows, points, heights):
+    """Heights (n,) in m above the terrain model of points that have a surface row; NaN for the others."""
+    by_point = np.empty(3)
+    for i in range(points.shape[0]):
+        height, there = surface_row(rows, i, points[i], by_point)
+        heights[i] = height if there and rows.surface_weight[i] > 0.0 else np.nan

@@ -46,7 +46,10 @@ class Rows(NamedTuple):
     terrain: Array
     """(rows, columns) m, radii of the terrain model's posts; (0, 0) without one."""
     terrain_frame: Array
-    """(5,) first longitude and latitude, their steps (rad), and 1.0 where the columns wrap."""
+    """(4,) first longitude and latitude, and their steps (rad)."""
+    terrain_cell: Index
+    """(n, 3) row, left and right column of the four posts that span each point's patch; row -1 for no row. Held during
+    one optimisation, so that the cost is smooth, and renewed between optimisations until they stay."""
     ray_first: Index
     """(n + 1,) rays of point i are ray_first[i] .. ray_first[i + 1]."""
     centre: Array

@@ -10,16 +10,16 @@ from mgsgraph.factors.rows import Rows
 Array = NDArray[np.float64]
 
 
-def surface_factor(key: int, rows: Rows, sigma: float) -> gtsam.CustomFactor:
+def surface_factor(key: int, rows: Rows, point: int, sigma: float) -> gtsam.CustomFactor:
     """Factor of one point on the terrain: residual its height (m) above the bilinear patch under it.
 
-    The patch is found anew at every evaluation. Outside the terrain model, and beside missing posts, there is no row:
-    residual and Jacobian are zero.
+    The patch is that of `rows.terrain_cell[point]`. Where there is none (off the terrain model, beside missing posts)
+    there is no row: residual and Jacobian are zero.
     """
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         by_point = np.zeros(3)
-        height, there = surface_row(rows, values.atPoint3(key), by_point)
+        height, there = surface_row(rows, point, values.atPoint3(key), by_point)
         if jacobians is not None:
             jacobians[0] = np.asfortranarray(by_point[None, :] * there)
         return np.array([height])

@@ -3,7 +3,7 @@
 import importlib.metadata
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import gtsam
@@ -66,6 +66,10 @@ class _Selection:
     out: Mask
     """(n,) points that nothing determines, whatever is rejected."""
 
+    def same(self, other: "_Selection") -> bool:
+        """Whether the same rays and ranges take part."""
+        return np.array_equal(self.rays, other.rays) and np.array_equal(self.ranges, other.ranges)
+
     def rows(self, layout: Layout) -> Rows:
         """The layout's rows that take part; free points that rejection has left with fewer than two rays go too."""
         network = layout.network
@@ -108,7 +112,7 @@ def adjust_network(
     clock.stop("set up")
     solved = _solve_in_passes(layout, settings, selection, progress)
     clock.stop("solve")
-    return _posterior(layout, settings, name, solved, before, clock)
+    return _posterior(settings, name, solved, before, clock)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,6 +165,7 @@ def _before(layout: Layout, selection: _Selection) -> Reduction:
 class _Solved:
     """What the passes leave."""
 
+    layout: Layout
     outcome: Outcome
     history: tuple[Iteration, ...]
     cost_initial: float
@@ -170,26 +175,37 @@ class _Solved:
     selection: _Selection
     explicit: gtsam.NonlinearFactorGraph | None
     passes: int
+    circling: bool = False
 
 
 def _solve_in_passes(layout: Layout, settings: SolverSettings, selection: _Selection, progress: Progress) -> _Solved:
-    """Solve; when blunders are sought, reject and re-admit rows and solve again until the selection comes to rest."""
+    """Solve, and solve again until nothing changes: terrain patches follow their points, and, when blunders are sought,
+    rows are rejected and re-admitted. Where the passes run in a circle (points on the edge of two patches), the best of
+    it counts.
+    """
     orientation, history, initial = np.zeros(layout.columns), tuple[Iteration, ...](), float("nan")
-    limit = _MOST_PASSES if settings.reject > 0.0 else 1
-    for number in range(1, limit + 1):
+    seen: dict[bytes, _Solved] = {}
+    for number in range(1, _MOST_PASSES + 1):
         rows = selection.rows(layout)
         outcome, orientation, points, explicit = _solve(layout, rows, orientation, settings, progress)
         history += outcome.history
         initial = outcome.cost_initial if number == 1 else initial
-        solved = _Solved(outcome, history, initial, orientation, points, rows, selection, explicit, number)
-        if settings.reject == 0.0:
+        solved = _Solved(layout, outcome, history, initial, orientation, points, rows, selection, explicit, number)
+        chosen = _select(layout, solved, settings.reject) if settings.reject > 0.0 else selection
+        followed = layout.following(points)
+        if followed is layout and chosen.same(selection):
             return solved
-        chosen = _select(layout, solved, settings.reject)
-        same = np.array_equal(chosen.rays, selection.rays) and np.array_equal(chosen.ranges, selection.ranges)
-        if same:
-            return solved
-        selection = chosen
-    return solved
+        seen[_state(layout, selection)] = solved
+        layout, selection = followed, chosen
+        if _state(layout, selection) in seen:
+            break
+    best = min(seen.values(), key=lambda one: one.outcome.cost_final)
+    return replace(best, history=history, circling=True)
+
+
+def _state(layout: Layout, selection: _Selection) -> bytes:
+    """What a pass depends on beside its start."""
+    return layout.rows.terrain_cell.tobytes() + selection.rays.tobytes() + selection.ranges.tobytes()
 
 
 def _solve(
@@ -282,11 +298,10 @@ def _within(sizes: Array, limit: float, median_of_unit: float) -> Mask:
     return np.asarray(sizes <= limit * spread)
 
 
-def _posterior(
-    layout: Layout, settings: SolverSettings, name: str, solved: _Solved, before: Reduction, clock: _Clock
-) -> Solution:
+def _posterior(settings: SolverSettings, name: str, solved: _Solved, before: Reduction, clock: _Clock) -> Solution:
     """Covariances, residuals and the record of it all."""
-    network, rows, orientation = layout.network, solved.rows, solved.orientation
+    layout, rows, orientation = solved.layout, solved.rows, solved.orientation
+    network = layout.network
     graph = BundleGraph(layout, rows)
     if solved.explicit is not None:
         joint, covariances = explicit_covariances(layout, solved.explicit, solved.outcome.values)
@@ -309,8 +324,11 @@ def _posterior(
     )
     blank = np.where(determined, 1.0, np.nan)
     message = solved.outcome.message
-    if settings.reject > 0.0:
-        message += f" {solved.passes} blunder passes."
+    if solved.circling:
+        what = _what_changes(settings, network).capitalize()
+        message += f" {what} don't come to rest; the best of the passes is kept."
+    elif solved.passes > 1:
+        message += f" {solved.passes} passes, until {_what_changes(settings, network)} stayed as they were."
     return Solution(
         name=name,
         network=network,
@@ -339,6 +357,13 @@ def _posterior(
         seconds=clock.seconds,
         versions=versions(),
     )
+
+
+def _what_changes(settings: SolverSettings, network: Network) -> str:
+    blunders, patches = "rejected rows", "terrain patches"
+    if settings.reject == 0.0:
+        return patches
+    return f"{blunders} and {patches}" if network.surface else blunders
 
 
 def _places_before(layout: Layout, before: Reduction) -> Array:

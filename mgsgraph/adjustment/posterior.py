@@ -69,8 +69,8 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array) -> Fit:
     owner_of_shift = np.repeat(np.arange(offset.shape[0]), np.diff(rows.shift_first))
     np.subtract.at(offset, owner_of_shift, orientation[rows.shift_column][:, None] * rows.shift_direction)
     ground = np.einsum("nij,nj->ni", rows.point_root[known], offset[known])
-    heights = surface_heights(layout, rows, points) * rows.surface_weight
-    on_surface = np.isfinite(heights) & (rows.surface_weight > 0.0) & (rows.point_kind != OUT)
+    heights = surface_heights(rows, points) * rows.surface_weight
+    on_surface = np.isfinite(heights) & (rows.point_kind != OUT)
     whitened = orientation / layout.sigmas
     parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(ground**2)]
     parts.append(np.sum(heights[on_surface] ** 2))
@@ -83,12 +83,11 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array) -> Fit:
     )
 
 
-def surface_heights(layout: Layout, rows: Rows, points: Array) -> Array:
-    """(n,) m, heights of points above the terrain model along its normal; NaN where it has no posts."""
-    surface = layout.network.surface
-    if surface is None:
-        return np.full(points.shape[0], np.nan)
-    return surface.grid.height_above(points)[0]
+def surface_heights(rows: Rows, points: Array) -> Array:
+    """(n,) m, heights above the terrain model of points that have a surface row; NaN for the others."""
+    heights = np.empty(points.shape[0])
+    kernels.all_heights(rows, points, heights)
+    return heights
 
 
 def _weighted(squares: Array, model: Model) -> float:

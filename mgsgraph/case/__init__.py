@@ -94,7 +94,7 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
         raise InputError(str(path), "neither ties nor ground control nor laser", "at least one of them")
     settings = SolverSettings(**{name: getattr(wanted.solver, name) for name in wanted.solver.__struct_fields__})
     held = np.array([image.held for image in wanted.images])
-    network = parts.network(priors, held, _read_terrain(wanted, folder), _read_areoid(wanted, folder))
+    network = parts.network(priors, held, *_read_terrain(wanted, folder))
     pictures = tuple(folder / image.label if image.label else None for image in wanted.images)
     return Case(wanted.name, path, network, settings, ties, profiles, pictures, fits)
 
@@ -164,24 +164,18 @@ def _read_shots(entry: MolaInput, folder: Path) -> AltimeterShots:
     return read_pedr_text(path, entry.clock_bias_s, entry.version, leap_seconds)
 
 
-def _read_areoid(wanted: CaseInput, folder: Path) -> TerrainGrid | None:
-    """Radius minus topography of two MEGDR grids."""
-    if wanted.areoid is None:
-        return None
-    from mgsgraph.io.megdr import read_megdr
-
-    return areoid_grid(read_megdr(folder / wanted.areoid.radius), read_megdr(folder / wanted.areoid.topography))
-
-
-def _read_terrain(wanted: CaseInput, folder: Path) -> TerrainGrid | None:
-    """Radii of a MEGDR grid or a GeoTIFF."""
+def _read_terrain(wanted: CaseInput, folder: Path) -> tuple[TerrainGrid | None, TerrainGrid | None]:
+    """Radii of a MEGDR grid or a GeoTIFF, where they are control, and the areoid, where there is topography."""
     entry = wanted.terrain
     if entry is None:
-        return None
+        return None, None
     from mgsgraph.io.megdr import read_megdr
     from mgsgraph.io.terrain_file import read_terrain
 
-    path, sigmas = folder / entry.file, (entry.vertical_sigma_m, entry.planimetric_sigma_m)
+    path, sigmas = folder / entry.radius, (entry.vertical_sigma_m, entry.planimetric_sigma_m)
     if path.suffix.lower() in (".img", ".lbl"):
-        return read_megdr(path, *sigmas)
-    return read_terrain(path, entry.reference_radius_m, "radius", *sigmas)
+        radii = read_megdr(path, *sigmas)
+    else:
+        radii = read_terrain(path, entry.reference_radius_m, "radius", *sigmas)
+    areoid = areoid_grid(radii, read_megdr(folder / entry.topography)) if entry.topography else None
+    return radii if entry.control else None, areoid

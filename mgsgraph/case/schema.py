@@ -141,25 +141,20 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A terrain model as control: tie points lie on it."""
+    """A terrain model: control for the tie points, and where their heights above the areoid come from."""
 
-    file: str
+    radius: str
     """MEGDR grid of radii (.img, .lbl) or GeoTIFF."""
+    topography: str | None = None
+    """MEGDR grid of topography with the same posts: radius minus topography is the areoid."""
+    control: bool = True
+    """Tie points lie on it."""
     reference_radius_m: Positive | None = None
     """Sphere above which a GeoTIFF's heights are."""
     vertical_sigma_m: Positive = 10.0
     """Sigma of its heights."""
     planimetric_sigma_m: Positive = 200.0
     """Sigma of its horizontal place; counts where it slopes."""
-
-
-class AreoidInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Two MEGDR grids of the same posts, whose difference is the areoid: heights above it join the points' output."""
-
-    radius: str
-    """MEGDR grid of radii."""
-    topography: str
-    """MEGDR grid of topography."""
 
 
 class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -203,9 +198,7 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     mola: tuple[MolaInput, ...] = ()
     """Laser profiles of MOLA."""
     terrain: TerrainInput | None = None
-    """Terrain model as control."""
-    areoid: AreoidInput | None = None
-    """For heights above the areoid."""
+    """Terrain model."""
     spice: SpiceInput | None = None
     """SPICE kernels."""
     solver: SolverInput = SolverInput()

@@ -116,6 +116,13 @@ class TerrainGrid:
             -twist / (self.longitude_step * self.latitude_step),
         )
 
+    def cells(self, points: Array) -> Index:
+        """(n, 3) row, left and right column of the four posts around points (n, 3) in m; row -1 where one is missing."""
+        longitudes, latitudes, _ = planetocentric(points).T
+        row, left, right, _, _, inside = self._cell(longitudes, latitudes)
+        posts = sum(self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right))
+        return np.stack([np.where(inside & np.isfinite(posts), row, -1), left, right], axis=1)
+
     def radius(self, longitudes: Array, latitudes: Array) -> tuple[Array, Array, Array]:
         """Posts' values between the posts.
 

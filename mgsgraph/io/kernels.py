@@ -102,8 +102,11 @@ def _names() -> list[str]:
     names: list[str] = []
     while True:
         try:
-            names += spiceypy.gnpool("*", len(names), _PAGE, 33)
+            page = spiceypy.gnpool("*", len(names), _PAGE, 33)
         except NotFoundError:
+            return names
+        names += page
+        if len(page) < _PAGE:
             return names
 
 

@@ -211,32 +211,34 @@ def _falls(profile: ProfileRegistration) -> str:
     """How many shots fall in each image."""
     found = profile.found
     seeing = [
-        f"{int(inside.sum())} in {image.name}{', taken at the same time' if np.any(same) else ''}"
+        f"{int(inside.sum())} in {image.name}{' (taken at the same time)' if np.any(same) else ''}"
         for image, inside, same in zip(found.images, found.inside, found.simultaneous, strict=True)
         if np.any(inside | same)
     ]
-    where = "; ".join(seeing) if seeing else "none in any image"
-    return f"{profile.name}: of {many(found.shots.times.size, 'shot')} fall {where}."
+    where = listed(seeing) if seeing else "none in any image"
+    return f"Of {many(found.shots.times.size, 'shot')} of {profile.name} fall {where}."
 
 
 def _contradiction(profile: str, one: Misregistration, state: str) -> str:
     """Mean and rms of a discrepancy along and across the flight, in pixels, metres and spacings."""
     if not one.shots.size:
-        return f"Discrepancy, {state} orientation, {profile}: no footprint falls in {one.against} and {one.image}."
+        return f"Discrepancy, {state} orientation, {profile}: no footprint falls in both {one.against} and {one.image}."
     parts = []
     for k, (way, pixel) in enumerate((("along", "lines"), ("across", "samples"))):
         figures = [
-            f"{_signed(values.mean())} (rms {root_mean_square(values):.{digits}f}) {unit}"
-            for values, digits, unit in (
-                (one.pixels[:, k], 1, pixel), (one.metres[:, k], 1, "m"), (one.spacings[:, k], 2, "MOLA spacings")
+            f"{_short(values.mean(), '+')} (rms {_short(root_mean_square(values))}) {unit}"
+            for values, unit in (
+                (one.pixels[:, k], pixel), (one.metres[:, k], "m"), (one.spacings[:, k], "MOLA spacings")
             )
             if np.all(np.isfinite(values))
         ]
-        parts.append(f"{way} the flight {' = '.join(figures)}")
+        metres = one.metres[:, k]
+        between = f", between {_short(metres.min(), '+')} and {_short(metres.max(), '+')} m" if metres.size > 1 else ""
+        parts.append(f"{way} the flight {' = '.join(figures)}{between}")
     sigmas = one.metre_sigmas.mean(axis=0)
-    known = f"known to {sigmas[0]:.1f} and {sigmas[1]:.1f} m for one footprint" if np.all(np.isfinite(sigmas)) else (
-        "how well it is known can't be told from so few tie points"
-    )
+    known = "how well that is known can't be told from so few tie points"
+    if np.all(np.isfinite(sigmas)):
+        known = f"a footprint's is known to {_short(sigmas[0])} and {_short(sigmas[1])} m"
     return (
         f"Discrepancy, {state} orientation: {one.image} against {one.against} at "
         f"{many(one.shots.size, 'footprint')} of {profile}: {parts[0]}; {parts[1]}; {known}."
@@ -264,9 +266,9 @@ def five_steps_difference(found: Registration, image: int) -> Array:
     return np.asarray(np.nanmax(difference, axis=0)) if np.any(np.isfinite(difference)) else np.zeros(2)
 
 
-def _signed(value: float) -> str:
-    digits = 2 if abs(value) < 1.0 else 1
-    return f"{value:+.{digits}f}"
+def _short(value: float, sign: str = "-") -> str:
+    """One decimal, two below 1."""
+    return f"{value:{sign}.{2 if abs(value) < 1.0 else 1}f}"
 
 
 def root_mean_square(values: Array) -> float:

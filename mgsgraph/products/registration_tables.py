@@ -151,8 +151,8 @@ def registration_csv(registration: CaseRegistration, path: Path) -> None:
             for state, profiles in states:
                 found = profiles[p].found
                 text[f"{state}_inside"] += truths(found.inside[j])
-                row |= columns([f"{state}_isis_line", f"{state}_isis_sample"], found.places[j] + _ISIS)
-                row |= columns([f"{state}_five_steps_isis_{one}" for one in ("line", "sample")], found.linear[j] + _ISIS)
+                for method, places in (("", found.places[j]), ("five_steps_", found.linear[j])):
+                    row |= columns([f"{state}_{method}isis_{one}" for one in ("line", "sample")], places + _ISIS)
             numbers.append(row)
     write_csv(path, text, {name: np.concatenate([row[name] for row in numbers]) for name in numbers[0]})
 

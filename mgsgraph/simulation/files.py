@@ -38,7 +38,7 @@ def write_pair(pair: SimulatedPair, folder: Path) -> Path:
         If the folder can't be written.
     """
     texts = {f"image_{_letter(image)}.isd": _json(_support_data(image)) for image in pair.images}
-    texts["network.pvl"] = _network(pair.ties)
+    texts["network.pvl"] = network_text(pair.ties)
     texts["lidar.json"] = _json({"points": _shots(pair.laser)})
     texts["truth.json"] = _json(_truth(pair))
     texts["case.toml"] = _case(pair)
@@ -128,14 +128,14 @@ def _sun(trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def _network(ties: TiePoints) -> str:
+def network_text(ties: TiePoints, name: str = "simulated_pair") -> str:
     """ISIS control network, version 5, as PVL text; free points, pixels counted from 1."""
     measures: list[list[int]] = [[] for _ in ties.ids]
     for k, point in enumerate(ties.measure_point.tolist()):
         measures[point].append(k)
     text = [
         "Object = ControlNetwork",
-        "  NetworkId    = simulated_pair",
+        f"  NetworkId    = {name}",
         "  TargetName   = MARS",
         "  UserName     = mgsgraph",
         f"  Created      = {_WRITTEN}",

@@ -3,7 +3,7 @@
 import json
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -13,12 +13,12 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.io.megdr import REFERENCE_RADIUS
-from mgsgraph.simulation.files import _network as network_text
+from mgsgraph.simulation.files import network_text
 from mgsgraph.simulation.moc_file import MocImageLabel, write_moc_image
 from mgsgraph.simulation.pedr_file import PedrFrames, write_pedr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import KernelSegment, write_kernels
-from mgsgraph.units import DEG, MRAD
+from mgsgraph.units import ARCMIN, DEG, MRAD
 
 PLACES = 31
 """Places of the pose in the truth, evenly over the image, as the papers sample it."""
@@ -26,10 +26,18 @@ _MOLA_ORBIT = 10_000
 """What MOLA adds to MGS's mapping orbit."""
 _RANGE_SIGMA, _GROUND_SIGMA, _SHIFT_SIGMA = 10.0, 10.0, 100.0
 """m, a-priori sigmas of ranges, of footprints, and of a profile's common shift (Yoon & Shan; Kirk et al. 2002)."""
+_IMAGE_SIGMA, _TREND = 30.0, (1.0, 0.1, 0.01)
+"""pixels, the papers' sigma of back-projected footprints; factors of the orientation's sigmas for each power of u."""
+
+Weighting = Literal["rigorous", "papers"]
+"""Which observations and sigmas a case has: this project's, or Yoon & Shan's (2005) for comparison."""
+CASE_FILES: dict[Weighting, str] = {"rigorous": "case.toml", "papers": "case_papers.toml"}
+_EOS_TREND, _EOS_IMAGE_SIGMA = (1.0, 1.0, 1.0), 125.0
+"""What Table 4 of the papers takes at Eos, where the stated 30 px and slow trends cannot give its sigmas."""
 
 
-def write_site(simulated: SimulatedSite, folder: Path) -> Path:
-    """Write a simulated site, its case file and its truth; returns the path of ``case.toml``.
+def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "rigorous") -> Path:
+    """Write a simulated site, its case files and its truth; returns the path of the case with the weighting asked for.
 
     Parameters
     ----------
@@ -37,18 +45,23 @@ def write_site(simulated: SimulatedSite, folder: Path) -> Path:
         As simulated.
     folder : Path
         Made when absent; files of the same names in it are replaced.
+    weighting : str
+        ``rigorous`` (``case.toml``) or ``papers`` (``case_papers.toml``); both are written.
 
     Raises
     ------
     InputError
-        If the folder can't be written.
+        If the folder can't be written, or there is no such weighting.
     """
+    if weighting not in get_args(Weighting):
+        raise InputError("simulated site, weighting", repr(weighting), " or ".join(CASE_FILES))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         texts = {
-            "network.pvl": network_text(simulated.ties),
+            "network.pvl": network_text(simulated.ties, "simulated_site"),
             "truth.json": json.dumps(_truth(simulated), indent=1, allow_nan=False) + "\n",
-            "case.toml": _case(simulated),
+            CASE_FILES["rigorous"]: _case(simulated),
+            CASE_FILES["papers"]: papers_case(simulated),
         }
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8", newline="\n")
@@ -59,7 +72,7 @@ def write_site(simulated: SimulatedSite, folder: Path) -> Path:
     for image in simulated.images:
         write_moc_image(folder / _image_file(image), _label(image, simulated.settings.title), image.pixels)
         write_pedr(folder / _pedr_file(image), _frames(image))
-    return folder / "case.toml"
+    return folder / CASE_FILES[weighting]
 
 
 def shot_names(image: SimulatedImage) -> tuple[str, ...]:
@@ -262,33 +275,14 @@ def _poses(image: PushbroomImage) -> dict[str, Any]:
     }
 
 
-# --- the case
+# --- the cases
 
 
 def _case(simulated: SimulatedSite) -> str:
-    settings, options = simulated.settings, simulated.options
-    text = ["format = 1", f'name = "{settings.title}"']
-    for image in simulated.images:
-        text += [
-            "",
-            "[[images]]",
-            f'name = "{image.settings.name}"',
-            f'label = "{_image_file(image)}"',
-            'kernels = ["mgs.tm"]',
-            f"orientation = {_prior(image, settings.angle_sigmas, settings.trend)}",
-        ]
-    text += ["", "[orientation]", 'nominal = "polynomial"', "nominal_order = 2"]
-    text += ["", "[ties]", 'network = "network.pvl"', f"sigma_px = {options.tie_noise!r}"]
-    for image in simulated.images:
-        text += [
-            "",
-            "[[mola]]",
-            f'pedr = "{_pedr_file(image)}"',
-            f'image = "{image.settings.name}"',
-            f"range_sigma_m = {_RANGE_SIGMA!r}",
-            f"ground_sigma_m = {_GROUND_SIGMA!r}",
-            f"shift_sigma_m = {_SHIFT_SIGMA!r}",
-        ]
+    """The rigorous case: footprints with their profile's unknown shift, ties on the terrain model."""
+    settings = simulated.settings
+    text = _images_and_ties(simulated, settings.title, settings.angle_sigmas, settings.trend)
+    text += _profiles(simulated, f"shift_sigma_m = {_SHIFT_SIGMA!r}")
     text += [
         "",
         "[terrain]",
@@ -300,8 +294,64 @@ def _case(simulated: SimulatedSite) -> str:
     return "\n".join([*text, ""])
 
 
+def papers_case(simulated: SimulatedSite, stated: bool = False) -> str:
+    """The observations and weights of Yoon & Shan (2005), for reproduction: back-projected footprints, no shifts.
+
+    Parameters
+    ----------
+    simulated : SimulatedSite
+        As simulated.
+    stated : bool
+        True for the weights that the papers state at Eos too, in place of those which its Table 4 takes.
+    """
+    settings = simulated.settings
+    eos = settings.name == "eos" and not stated
+    trend, image_sigma = (_EOS_TREND, _EOS_IMAGE_SIGMA) if eos else (_TREND, _IMAGE_SIGMA)
+    text = _images_and_ties(simulated, f"{settings.title}, papers", (ARCMIN, ARCMIN, ARCMIN), trend)
+    text += _profiles(simulated, 'image_rows = "back-projected"', f"image_sigma_px = {image_sigma!r}")
+    text += ["", "[solver]", 'line = "measured"', 'angles = "opk-paper"']
+    return "\n".join([*text, ""])
+
+
+def _images_and_ties(
+    simulated: SimulatedSite, title: str, angles: tuple[float, float, float], trend: tuple[float, ...]
+) -> list[str]:
+    text = ["format = 1", f'name = "{title}"']
+    for image in simulated.images:
+        text += [
+            "",
+            "[[images]]",
+            f'name = "{image.settings.name}"',
+            f'label = "{_image_file(image)}"',
+            'kernels = ["mgs.tm"]',
+            f"orientation = {_prior(image, angles, trend)}",
+        ]
+    text += ["", "[ties]", 'network = "network.pvl"', f"sigma_px = {simulated.options.tie_noise!r}"]
+    return text
+
+
+def _profiles(simulated: SimulatedSite, *more: str) -> list[str]:
+    text = []
+    for image in simulated.images:
+        text += [
+            "",
+            "[[mola]]",
+            f'pedr = "{_pedr_file(image)}"',
+            f'image = "{image.settings.name}"',
+            f"range_sigma_m = {_RANGE_SIGMA!r}",
+            f"ground_sigma_m = {_GROUND_SIGMA!r}",
+            *more,
+        ]
+    return text
+
+
 def _prior(image: SimulatedImage, angles: tuple[float, float, float], trend: tuple[float, ...]) -> str:
-    """A-priori sigmas, twice as large for a held image (Yoon & Shan: 100 and 200 m, and the angles that match)."""
+    """Polynomials of order 2 as nominal orientation, and a-priori sigmas, twice as large for a held image (Yoon & Shan:
+    100 and 200 m, and the angles that match).
+    """
     factor = 2.0 if image.settings.held else 1.0
     milli = [round(factor * angle / MRAD, 4) for angle in angles]
-    return f"{{ position_sigma_m = {100.0 * factor!r}, angle_sigma_mrad = {milli}, trend = {list(trend)} }}"
+    return (
+        f'{{ nominal = "polynomial", position_sigma_m = {100.0 * factor!r}, angle_sigma_mrad = {milli}, '
+        f"trend = {list(trend)} }}"
+    )

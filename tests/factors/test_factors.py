@@ -123,7 +123,8 @@ def test_surface(seed: int) -> None:
     )
     values = gtsam.Values()
     values.insert(point_key(1), from_planetocentric(place))
-    factor = surface_factor(point_key(1), made.rows, 20.0)
+    rows = made.rows._replace(terrain_cell=grid.cells(from_planetocentric(place)[None]))
+    factor = surface_factor(point_key(1), rows, 0, 20.0)
     assert_jacobians(factor, values, steps(), tolerance=1e-6)
     height, slope = grid.height_above(from_planetocentric(place)[None])
     assert factor.unwhitenedError(values) == pytest.approx(height, abs=1e-6)
@@ -135,7 +136,8 @@ def test_off_the_terrain_model_there_is_no_row() -> None:
     made = lay_out(with_shift_and_surface(network(pair())), SolverSettings())
     values = gtsam.Values()
     values.insert(point_key(1), np.array([0.0, -3.4e6, 1e3]))
-    factor = surface_factor(point_key(1), made.rows, 20.0)
+    cell = made.network.surface.grid.cells(np.array([[0.0, -3.4e6, 1e3]]))
+    factor = surface_factor(point_key(1), made.rows._replace(terrain_cell=cell), 0, 20.0)
     assert factor.error(values) == 0.0
     assert not np.any(gtsam.JacobianFactor(factor.linearize(values)).jacobian()[0])
 

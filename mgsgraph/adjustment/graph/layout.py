@@ -1,7 +1,7 @@
 """The network laid out for the kernel: points sorted by the set of shared unknowns that they touch."""
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,6 +107,19 @@ class Layout:
         """Columns of a group's variables, in the order of its own columns."""
         parts = [np.arange(self.columns)[self.columns_of(v)] for v in self.group_variables[group]]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+
+    def following(self, points: Array) -> "Layout":
+        """The same layout with each point's terrain patch under its present place (n, 3), layout order; itself when all
+        patches are the same.
+        """
+        surface = self.network.surface
+        if surface is None:
+            return self
+        cells = surface.grid.cells(points)
+        held = (self.rows.surface_weight > 0.0) & (self.rows.point_kind != OUT)
+        if np.array_equal(cells[held], self.rows.terrain_cell[held]):
+            return self
+        return replace(self, rows=self.rows._replace(terrain_cell=cells))
 
     def active(self, rays: Mask, ranges: Mask, out: Mask) -> Rows:
         """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't; network order."""

@@ -53,7 +53,7 @@ def lay_out_rows(
     rows = Rows(
         **_point_arrays(network, point_order, starts),
         **_shift_arrays(network, point_order, first, local, group_of_point),
-        **_surface_arrays(network, point_order),
+        **_surface_arrays(network, point_order, starts),
         **_ray_arrays(network, ray_order, place_of, model, first, local, group_of_point, starts),
         **_range_arrays(network, range_order, place_of, first, local, group_of_point),
     )
@@ -88,15 +88,20 @@ def _shift_arrays(network: Network, order: Index, first: Index, local: Index, gr
     }
 
 
-def _surface_arrays(network: Network, order: Index) -> dict[str, Any]:
+def _surface_arrays(network: Network, order: Index, starts: Array) -> dict[str, Any]:
     if network.surface is None:
-        return {"surface_weight": np.zeros(order.size), "terrain": np.zeros((0, 0)), "terrain_frame": np.zeros(5)}
+        return {
+            "surface_weight": np.zeros(order.size),
+            "terrain": np.zeros((0, 0)),
+            "terrain_frame": np.zeros(4),
+            "terrain_cell": np.full((order.size, 3), -1, dtype=np.int64),
+        }
     grid = network.surface.grid
-    frame = [grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step, float(grid.wraps)]
     return {
         "surface_weight": 1.0 / network.surface.sigmas[order],
         "terrain": np.ascontiguousarray(grid.radii, dtype=np.float64),
-        "terrain_frame": np.array(frame),
+        "terrain_frame": np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
+        "terrain_cell": grid.cells(starts[order]),
     }
 
 

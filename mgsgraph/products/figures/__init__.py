@@ -3,17 +3,22 @@
 This package is the only one that imports matplotlib; import it only where figures are wanted.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.io.moc_pixels import Pixels
+from mgsgraph.products.figures.closeups import closeup_sheets
 from mgsgraph.products.figures.content import registration_discrepancy as registration_discrepancy
 from mgsgraph.products.figures.content import registration_offsets as registration_offsets
+from mgsgraph.products.figures.discrepancy import discrepancy_sheets
 from mgsgraph.products.figures.ground_map import map_sheet
 from mgsgraph.products.figures.orientation import orientation_sheets
+from mgsgraph.products.figures.overlay import overlay_sheets, pixels_of
 from mgsgraph.products.figures.registration import registration_sheets
 from mgsgraph.products.figures.residuals import residual_sheets
 from mgsgraph.products.figures.sheet import Sheet, plain_style, save
+from mgsgraph.products.registration import CaseRegistration
 
 
 def write_figures(solution: Solution, folder: Path) -> list[str]:
@@ -43,3 +48,23 @@ def _sheets(solution: Solution) -> Iterator[Sheet]:
     yield from orientation_sheets(solution)
     yield from registration_sheets(solution)
     yield map_sheet(solution)
+
+
+def write_registration_figures(registration: CaseRegistration, folder: Path) -> list[str]:
+    """Draw a registration: numbered footprints on each image with the heights beside it, close-ups of pairs of images,
+    and the discrepancies along the images; returns the names of the files, each sheet as .png and .svg.
+
+    Raises
+    ------
+    InputError
+        If the pixels of an image can't be read.
+    """
+    pixels = [pixels_of(path) for path in registration.pictures]
+    with plain_style():
+        return [name for sheet in _registration_sheets(registration, pixels) for name in save(sheet, folder)]
+
+
+def _registration_sheets(registration: CaseRegistration, pixels: Sequence[Pixels | None]) -> Iterator[Sheet]:
+    yield from overlay_sheets(registration, pixels)
+    yield from closeup_sheets(registration, pixels)
+    yield from discrepancy_sheets(registration)

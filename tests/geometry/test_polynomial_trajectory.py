@@ -1,0 +1,147 @@
+"""Orientation in polynomials: exact where the trajectory is one, rates by differences, misfit said in all units."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mgs import kernels
+from networks import network, pair
+from strategies import along
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
+from mgsgraph.io.moc import read_moc
+from mgsgraph.products.archive import read_solution, write_archive
+from mgsgraph.simulation.pair import simulate_pair
+
+ARCSEC = np.pi / 180.0 / 3600.0
+
+
+def trajectory(seed: int = 0, order: int = 2, kappa: float = 0.5) -> PolynomialTrajectory:
+    """Orbit-like: 4e6 m away, 3 km/s, turning by up to a milliradian per second."""
+    rng = np.random.default_rng(seed)
+    position = np.zeros((order + 1, 3))
+    position[0] = [3.77e6, 0.0, 2e5]
+    position[1:] = rng.normal(0.0, 1.0, (order, 3)) * (1e4 * 1e-3 ** np.arange(order))[:, None]
+    angles = np.zeros((order + 1, 3))
+    angles[0] = [0.2, -1.4, kappa]
+    angles[1:] = rng.normal(0.0, 1e-2, (order, 3)) * (0.1 ** np.arange(order))[:, None]
+    return PolynomialTrajectory(-11224000.0, -4.0, 5.0, position, angles)
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 1000), order=st.integers(1, 4), time=st.floats(-5.0, 6.0))
+def test_rates_are_those_of_differences(seed: int, order: int, time: float) -> None:
+    got = trajectory(seed, order)
+    pose = got.pose(np.array([time]))
+    velocity = along(lambda dt: got.pose(np.array([time + dt])).position[0], 0.01)
+    np.testing.assert_allclose(pose.velocity[0], velocity, rtol=0, atol=1e-4)
+    # dM = -[turning]x M
+    slope = along(lambda dt: got.pose(np.array([time + dt])).matrix[0], 0.01)
+    np.testing.assert_allclose(slope, -rotation.skew(pose.turning[0]) @ pose.matrix[0], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("kappa", [0.5, np.pi - 1e-4])
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_a_fit_of_its_own_order_changes_nothing(order: int, kappa: float) -> None:
+    """Also where kappa goes through pi during the image."""
+    true = trajectory(3, order, kappa)
+    image = replace(simulate_pair().images[0], trajectory=true)
+    exchanged, fit = fit_polynomials(image, order)
+    lines = np.linspace(0.0, image.lines, 7)
+    want, got = image.pose(lines), exchanged.pose(lines)
+    np.testing.assert_allclose(got.position, want.position, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(got.matrix, want.matrix, rtol=0, atol=1e-12)
+    assert fit.between.angle_max.max() < 1e-11
+    assert fit.between.position_max.max() < 1e-6
+
+
+def test_the_fit_gets_better_with_the_order() -> None:
+    image = simulate_pair().images[0]
+    fits = [fit_polynomials(image, order)[1] for order in (0, 1, 2, 3)]
+    for worse, better in pairwise(fits):
+        assert (better.at_samples.position_rms <= worse.at_samples.position_rms).all()
+        assert (better.at_samples.angle_rms <= worse.at_samples.angle_rms + 1e-15).all()
+    assert [fit.order for fit in fits] == [0, 1, 2, 3]
+    second = fits[2].between
+    assert second.position_max.max() < 0.02
+    assert second.pixel_max.max() < 0.02
+    assert (second.position_rms <= second.position_max).all()
+
+
+def test_the_misfit_in_pixels_is_that_on_the_ground() -> None:
+    """What `ground_to_image` itself says of the middle column is what the record says."""
+    image = simulate_pair().images[1]
+    exchanged, fit = fit_polynomials(image, 1)
+    lines = np.array([0.0, 0.5, 1.0]) * image.lines
+    columns = np.full(3, 0.5 * image.samples)
+    seen, _ = exchanged.ground_to_image(image.image_to_ground(lines, columns)[0])
+    moved = np.abs(seen - np.column_stack([lines, columns]))
+    assert (moved <= fit.between.pixel_max + 1e-9).all()
+    assert fit.between.pixel_max[1] == pytest.approx(moved[:, 1].max(), rel=0.05)
+
+
+def test_the_real_image(shared_data: Path) -> None:
+    """M04/02852: a second order follows the CK's records every 4 s to about an arc second, a fifth of a pixel."""
+    folder = shared_data / "mgs_moc_m0402852"
+    image = read_moc(folder / "m0402852_isis.lbl", kernels(shared_data))
+    exchanged, fit = fit_polynomials(image)
+    assert (fit.order, fit.samples) == (2, 31)
+    assert fit.between.position_max.max() < 0.01
+    assert fit.between.angle_max.max() < 2.0 * ARCSEC
+    assert fit.between.pixel_max.max() < 0.3
+    assert exchanged.trajectory.coverage == pytest.approx((-2.9620224, 2.9620224), abs=1e-7)
+    text = str(fit.between)
+    assert "arcsec" in text
+    assert "px" in text
+
+
+def test_times_outside_are_refused() -> None:
+    got = trajectory()
+    got.require(np.array([-4.0, 0.0, 5.0]), "image")
+    got.require(np.array([5.4]), "image", slack=0.5)
+    for time in (5.6, -4.6, np.nan):
+        with pytest.raises(EphemerisGap, match="image X: time") as caught:
+            got.require(np.array([0.0, time]), "image X", slack=0.5)
+        assert (caught.value.start, caught.value.stop) == (-11224004.0, -11223995.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"start": 5.0}, "start before stop"),
+        ({"epoch": np.nan}, "finite"),
+        ({"position": np.zeros((0, 3))}, "no coefficients"),
+        ({"angles": np.zeros((3, 2))}, "angles: an array of shape"),
+        ({"angles": np.full((3, 3), np.inf)}, "finite numbers"),
+    ],
+)
+def test_broken_records_are_refused(changes: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        replace(trajectory(), **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("order", "samples"), [(-1, 31), (5, 5), (2, 0)])
+def test_too_few_samples_are_refused(order: int, samples: int) -> None:
+    with pytest.raises(InputError, match="expected more samples"):
+        fit_polynomials(simulate_pair().images[0], order, samples)
+
+
+def test_a_solution_with_polynomials_is_archived(tmp_path: Path) -> None:
+    net = network(pair())
+    images = (fit_polynomials(net.images[0], 3)[0], net.images[1])
+    solution = adjust_network(replace(net, images=images), SolverSettings())
+    write_archive(solution, tmp_path / "solution.npz")
+    got, want = read_solution(tmp_path).network.images, solution.network.images
+    assert [type(image.trajectory) for image in got] == [type(image.trajectory) for image in want]
+    lines = np.array([0.0, 1000.5])
+    for one, other in zip(got, want, strict=True):
+        np.testing.assert_array_equal(one.pose(lines).matrix, other.pose(lines).matrix)
+        np.testing.assert_array_equal(one.pose(lines).position, other.pose(lines).position)
