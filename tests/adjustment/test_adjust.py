@@ -10,6 +10,7 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.graph import BundleGraph, explicit_graph, lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shared_vector
+from mgsgraph.adjustment.passes import everything, select, solve_in_passes
 from mgsgraph.adjustment.posterior import explicit_covariances, orientation_covariance, point_covariances
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
@@ -180,14 +181,12 @@ def test_planted_blunders_are_rejected_and_others_kept() -> None:
 
 def test_rows_are_admitted_again() -> None:
     """A selection that is judged anew lets clean rows return when the orientation has recovered."""
-    from mgsgraph.adjustment import adjust as room
-
     net = network(pair(ties=40))
     layout = lay_out(net, SolverSettings())
-    everything = room._everything(net)
-    without = replace(everything, rays=np.arange(net.rays.point.size) % 7 != 0)
-    solved = room._solve_in_passes(layout, SolverSettings(), without, lambda _: None)
-    assert np.all(room._select(layout, solved, 6.0).rays)
+    whole = everything(net)
+    without = replace(whole, rays=np.arange(net.rays.point.size) % 7 != 0)
+    solved = solve_in_passes(layout, SolverSettings(), without, lambda _: None)
+    assert np.all(select(layout, solved, 6.0).rays)
 
 
 def test_held_image_does_not_move() -> None:
