@@ -126,7 +126,8 @@ class Parts:
         if not self._rays:
             raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
         back_projected = np.concatenate(self._back_projected)
-        rays = ImageRays(*(np.concatenate(part) for part in zip(*self._rays, strict=True)), back_projected)
+        point, image, places, sigmas = (np.concatenate(part) for part in zip(*self._rays, strict=True))
+        rays = ImageRays(point, image, places, sigmas, back_projected)
         empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
         ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
         shifts = self._profile_shifts() if self._shifts else None

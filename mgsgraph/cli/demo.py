@@ -1,11 +1,12 @@
-"""`mgsgraph demo`: the main job on a simulated pair whose truth is known."""
+"""`mgsgraph demo`: the main job on a simulated site whose truth is known."""
 
 from pathlib import Path
 
 import click
 
 
-@click.command(short_help="Simulate a pair and adjust it.")
+@click.command(short_help="Simulate a study site, adjust it, and compare with the truth.")
+@click.argument("site", default="gusev")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -13,33 +14,41 @@ import click
     show_default=True,
     help="Folder for inputs and results; made anew.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulated errors.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of everything drawn.")
+@click.option("--attitude-time-bias", type=float, help="Seconds by which the nadir image's CK is off, instead of 0.7.")
 @click.option("--no-figures", is_flag=True, help="Write tables only.")
-def demo(out: Path, seed: int, no_figures: bool) -> None:
-    """Simulate a Mars pushbroom pair with laser ranges, write it in the real formats, read it back and adjust it.
+@click.pass_context
+def demo(
+    ctx: click.Context, site: str, out: Path, seed: int, attitude_time_bias: float | None, no_figures: bool
+) -> None:
+    """Simulate SITE (eos, gusev, isidis; or pair: small and synthetic), write it in the formats of the mission's
+    archive, read it back, register its laser profiles, adjust it, and register them again.
 
-    The trajectory in its files is wrong by some 30 m and 20 arcsec, as SPICE may be; the summary says what the
-    adjustment made of it, against the truth.
+    Its kernels are wrong as the papers found them; the closing words say what was wrong before and what is right now,
+    against the truth. Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
+    from mgsgraph.adjustment.solution import Solution
+    from mgsgraph.case import Case
     from mgsgraph.case import adjust as run
-    from mgsgraph.case import read_case
     from mgsgraph.cli.progress import iteration_bar
+    from mgsgraph.cli.stages import stage_bar
     from mgsgraph.products.atomic import fresh_folder
-    from mgsgraph.products.results import write_into
+    from mgsgraph.products.demo import STAGES, site_options
+    from mgsgraph.products.demo_summary import write_demo
     from mgsgraph.products.summary import statements, summary_table
-    from mgsgraph.products.truth import against_truth
-    from mgsgraph.simulation.files import write_pair
-    from mgsgraph.simulation.pair import simulate_pair
 
-    pair = simulate_pair(seed=seed)
-    with fresh_folder(out) as folder:
-        inputs = folder / "inputs"
-        inputs.mkdir()
-        case = read_case(write_pair(pair, inputs))
+    def adjusting(case: Case) -> Solution:
         with iteration_bar(False, case.settings.max_iterations) as bar:
-            solution = run(case, bar)
-        write_into(solution, folder, figures=not no_figures)
+            return run(case, bar)
+
+    options = site_options(site, attitude_time_bias)
+    with fresh_folder(out) as folder, stage_bar(len(STAGES)) as stages:
+        solution, closing = write_demo(site, folder, seed, options, adjusting, stages, figures=not no_figures)
     click.echo(summary_table(solution))
-    for sentence in [*statements(solution), *against_truth(solution, pair)]:
+    for sentence in statements(solution):
+        click.echo(f"- {sentence}")
+    click.echo("\nWhat was wrong, and what is right now")
+    for sentence in closing:
         click.echo(f"- {sentence}")
     click.echo(f"Inputs and results are in {out}")
+    ctx.exit(0 if solution.converged else 1)

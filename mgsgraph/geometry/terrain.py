@@ -117,7 +117,7 @@ class TerrainGrid:
         )
 
     def cells(self, points: Array) -> Index:
-        """(n, 3) row, left and right column of the four posts around points (n, 3) in m; row -1 where one is missing."""
+        """(n, 3) row, left and right column of the posts around points (n, 3) in m; row -1 where one is missing."""
         longitudes, latitudes, _ = planetocentric(points).T
         row, left, right, _, _, inside = self._cell(longitudes, latitudes)
         posts = sum(self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right))

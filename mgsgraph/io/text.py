@@ -12,7 +12,7 @@ def read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise InputError(str(path), "no such file", remedy="check the path, which is relative to the case file") from None
+        raise InputError(str(path), "no such file", remedy="check the path; a case file's are relative to it") from None
     except IsADirectoryError:
         raise InputError(str(path), "a folder", "a file") from None
     except UnicodeDecodeError as error:

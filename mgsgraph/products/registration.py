@@ -142,7 +142,7 @@ def _sharing(found: Registration) -> list[tuple[int, int]]:
 
 def _common_ties(ties: TiePoints, first: PushbroomImage, second: PushbroomImage) -> int:
     names = np.array(ties.measure_image)
-    return np.intersect1d(*(ties.measure_point[names == image.name] for image in (first, second))).size
+    return int(np.intersect1d(*(ties.measure_point[names == image.name] for image in (first, second))).size)
 
 
 def _not_compared(profiles: tuple[ProfileRegistration, ...], ties: TiePoints | None) -> tuple[str, ...]:
@@ -211,12 +211,15 @@ def _falls(profile: ProfileRegistration) -> str:
     """How many shots fall in each image."""
     found = profile.found
     seeing = [
-        f"{int(inside.sum())} in {image.name}{' (taken at the same time)' if np.any(same) else ''}"
+        (int(inside.sum()), f"in {image.name}{' (taken at the same time)' if np.any(same) else ''}")
         for image, inside, same in zip(found.images, found.inside, found.simultaneous, strict=True)
         if np.any(inside | same)
     ]
-    where = listed(seeing) if seeing else "none in any image"
-    return f"Of {many(found.shots.times.size, 'shot')} of {profile.name} fall {where}."
+    if not seeing:
+        return f"None of {many(found.shots.times.size, 'shot')} of {profile.name} falls in an image."
+    (first, place), *others = seeing
+    where = listed([f"{first} fall{'s' * (first == 1)} {place}", *(f"{count} {other}" for count, other in others)])
+    return f"Of {many(found.shots.times.size, 'shot')} of {profile.name}, {where}."
 
 
 def _contradiction(profile: str, one: Misregistration, state: str) -> str:

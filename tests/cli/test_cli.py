@@ -25,7 +25,7 @@ def run(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Completed
     )
 
 
-def refused(done: subprocess.CompletedProcess[str], said: str) -> None:
+def assert_refused(done: subprocess.CompletedProcess[str], said: str) -> None:
     """Exit status 2 and one line that says it."""
     lines = [line for line in done.stderr.splitlines() if line]
     assert done.returncode == 2, done.stderr
@@ -121,9 +121,9 @@ def test_bad_input_leaves_no_folder(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
     text = case_file.read_text(encoding="utf-8")
     case_file.write_text(text.replace("sigma_px = 1.0", "sigma_px = -1.0"), encoding="utf-8")
-    refused(run("adjust", case_file, "--out", out), "sigma_px")
-    refused(run("adjust", tmp_path / "none.toml", "--out", out), "no such file")
-    refused(run("check", tmp_path), "a folder")
+    assert_refused(run("adjust", case_file, "--out", out), "sigma_px")
+    assert_refused(run("adjust", tmp_path / "none.toml", "--out", out), "no such file")
+    assert_refused(run("check", tmp_path), "a folder")
     assert not out.exists()
     assert [path.name for path in tmp_path.iterdir()] == ["case"]
 
@@ -132,7 +132,7 @@ def test_a_foreign_folder_is_not_replaced(case_file: Path, tmp_path: Path) -> No
     precious = tmp_path / "precious"
     precious.mkdir()
     (precious / "thesis.txt").write_text("years of work", encoding="utf-8")
-    refused(run("adjust", case_file, "--out", precious), "not a result of mgsgraph")
+    assert_refused(run("adjust", case_file, "--out", precious), "not a result of mgsgraph")
     assert (precious / "thesis.txt").read_text(encoding="utf-8") == "years of work"
 
 
@@ -143,7 +143,7 @@ def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) ->
     )
     case_file.write_text(text, encoding="utf-8")
     done = run("adjust", case_file, "--out", tmp_path / "result", "--no-laser")
-    refused(done, "too weak")
+    assert_refused(done, "too weak")
     assert "SIM/" in done.stderr
     assert not (tmp_path / "result").exists()
 

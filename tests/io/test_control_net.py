@@ -67,7 +67,7 @@ def read(folder: Path, text: str) -> TiePoints:
     return read_control_network(path)
 
 
-def refusal(folder: Path, text: str) -> str:
+def assert_refused(folder: Path, text: str) -> str:
     with pytest.raises(InputError) as caught:
         read(folder, text)
     message = str(caught.value)
@@ -171,7 +171,7 @@ def test_a_network_cut_short_is_refused(tmp_path: Path, cut: int) -> None:
     whole = SMALL.rindex("End_Object") + len("End_Object")
 
     if cut < whole:
-        refusal(tmp_path, SMALL[:cut])
+        assert_refused(tmp_path, SMALL[:cut])
     else:
         assert read(tmp_path, SMALL[:cut]).ids == ("first", "second")
 
@@ -216,7 +216,7 @@ def test_adjusted_places_are_first_guesses_of_free_points_only(tmp_path: Path) -
     fixed = SMALL.replace("PointType = Free", f"PointType = Fixed\n{adjusted}")
 
     np.testing.assert_array_equal(free.places[1], [1, 2, 3])
-    assert "point second: fixed without an a-priori place" in refusal(tmp_path, fixed)
+    assert "point second: fixed without an a-priori place" in assert_refused(tmp_path, fixed)
 
 
 def test_ignored_points_and_measures_are_left_out(tmp_path: Path) -> None:
@@ -317,7 +317,7 @@ def test_a_fault_is_found_where_it_is(tmp_path: Path, fault: str) -> None:
     old, new, line, said = FAULTS[fault]
     assert old in SMALL
 
-    message = refusal(tmp_path, SMALL.replace(old, new, 1))
+    message = assert_refused(tmp_path, SMALL.replace(old, new, 1))
 
     assert re.match(rf"{re.escape(str(tmp_path))}/network\.pvl, line {line}[,:] ", message), message
     assert said in message
@@ -326,27 +326,27 @@ def test_a_fault_is_found_where_it_is(tmp_path: Path, fault: str) -> None:
 def test_an_image_twice_in_a_point_is_refused(tmp_path: Path) -> None:
     group = SMALL[SMALL.index("    Group") : SMALL.index("    End_Group") + len("    End_Group\n")]
 
-    message = refusal(tmp_path, SMALL.replace(group, group + group))
+    message = assert_refused(tmp_path, SMALL.replace(group, group + group))
 
     assert "line 28, point first, image MGS/561812335:32/MOC-NA: a second measure" in message
 
 
 @pytest.mark.parametrize("correlation", [150.0, -150.0])
 def test_a_covariance_that_is_not_positive_definite_is_refused(tmp_path: Path, correlation: float) -> None:
-    message = refusal(tmp_path, SMALL.replace("(100.0, 1.0", f"(100.0, {correlation}"))
+    message = assert_refused(tmp_path, SMALL.replace("(100.0, 1.0", f"(100.0, {correlation}"))
 
     assert "point first: an a-priori covariance that is not positive definite" in message
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "# a", "End", "lat,lon\n1,2\n", '{"points": []}', "\x00\x01", "A = 1"])
 def test_text_that_is_no_network_is_refused(tmp_path: Path, text: str) -> None:
-    refusal(tmp_path, text)
+    assert_refused(tmp_path, text)
 
 
 def test_a_network_of_ignored_points_is_refused(tmp_path: Path) -> None:
     ignored = SMALL.replace("PointType", "Ignore = True\nPointType")
 
-    assert "no control point, or only ignored ones" in refusal(tmp_path, ignored)
+    assert "no control point, or only ignored ones" in assert_refused(tmp_path, ignored)
 
 
 def test_a_binary_network_is_named_as_such(tmp_path: Path) -> None:

@@ -74,7 +74,7 @@ def read(folder: Path, isd: object, aberration: Aberration | None = None) -> Pus
     return read_isd(path, "M00/00001", aberration)
 
 
-def refusal(folder: Path, isd: object) -> str:
+def assert_refused(folder: Path, isd: object) -> str:
     with pytest.raises(InputError) as caught:
         read(folder, isd)
     message = str(caught.value)
@@ -111,7 +111,7 @@ def test_the_untouched_file_reads(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("keys", [keys for keys in places(ISD) if keys not in OPTIONAL], ids=str)
 def test_what_is_missing_is_named(tmp_path: Path, keys: Keys) -> None:
-    message = refusal(tmp_path, edited(keys, ...))
+    message = assert_refused(tmp_path, edited(keys, ...))
 
     assert any(str(key) in message for key in keys) or "LIGHTTIME_CORRECTION" in message
 
@@ -119,7 +119,7 @@ def test_what_is_missing_is_named(tmp_path: Path, keys: Keys) -> None:
 @pytest.mark.parametrize("value", [None, "x", "", True, [], {"a": 1}, [[]], [None]], ids=repr)
 @pytest.mark.parametrize("keys", [k for k in places(ISD) if k[0] not in ("naif_keywords", "sun_position")], ids=str)
 def test_what_is_of_the_wrong_kind_is_named(tmp_path: Path, keys: Keys, value: object) -> None:
-    message = refusal(tmp_path, edited(keys, value))
+    message = assert_refused(tmp_path, edited(keys, value))
 
     assert str(keys[0]) in message
 
@@ -130,7 +130,7 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path: Path, number: str, co
     text = json.dumps(ISD)
     assert number in text
 
-    refusal(tmp_path, text.replace(number, constant, 1))
+    assert_refused(tmp_path, text.replace(number, constant, 1))
 
 
 WRONG: dict[str, tuple[Keys, object, str]] = {
@@ -166,13 +166,13 @@ WRONG: dict[str, tuple[Keys, object, str]] = {
 def test_what_is_wrong_is_named(tmp_path: Path, fault: str) -> None:
     keys, value, said = WRONG[fault]
 
-    assert said in refusal(tmp_path, edited(keys, value))
+    assert said in assert_refused(tmp_path, edited(keys, value))
 
 
 def test_nobody_says_whether_positions_are_geometric(tmp_path: Path) -> None:
     silent = edited(("naif_keywords",), ...)
 
-    assert "set aberration" in refusal(tmp_path, silent)
+    assert "set aberration" in assert_refused(tmp_path, silent)
     np.testing.assert_array_equal(
         read(tmp_path, silent, Aberration("NONE")).trajectory.position.positions,
         1e3 * np.array(ISD["instrument_position"]["positions"]),
@@ -182,7 +182,7 @@ def test_nobody_says_whether_positions_are_geometric(tmp_path: Path) -> None:
 def test_the_older_layout_is_named_with_its_remedy(tmp_path: Path) -> None:
     older = {key: value for key, value in ISD.items() if not key.startswith("instrument_")} | {"sensor_position": {}}
 
-    assert "isd_generate" in refusal(tmp_path, older)
+    assert "isd_generate" in assert_refused(tmp_path, older)
 
 
 def test_an_image_that_outlasts_its_tables_is_refused(tmp_path: Path) -> None:
@@ -192,23 +192,23 @@ def test_an_image_that_outlasts_its_tables_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("cut", np.linspace(0, len(json.dumps(ISD)) - 1, 60).astype(int).tolist())
 def test_a_file_cut_short_is_refused(tmp_path: Path, cut: int) -> None:
-    refusal(tmp_path, json.dumps(ISD)[:cut])
+    assert_refused(tmp_path, json.dumps(ISD)[:cut])
 
 
 # ---- found by trying to break the reader ---------------------------------------------------------------------------
 
 
 def test_a_number_too_large_for_a_float_is_refused(tmp_path: Path) -> None:
-    refusal(tmp_path, edited(("focal_length_model", "focal_length"), 10**400))
+    assert_refused(tmp_path, edited(("focal_length_model", "focal_length"), 10**400))
 
 
 def test_a_null_correction_says_nothing(tmp_path: Path) -> None:
-    refusal(tmp_path, edited(("naif_keywords", "INS-94031_LIGHTTIME_CORRECTION"), None))
+    assert_refused(tmp_path, edited(("naif_keywords", "INS-94031_LIGHTTIME_CORRECTION"), None))
 
 
 @pytest.mark.parametrize("value", [None, "x", 1, []], ids=repr)
 def test_a_malformed_swap_is_refused(tmp_path: Path, value: object) -> None:
-    refusal(tmp_path, edited(("naif_keywords", "INS-94031_SWAP_OBSERVER_TARGET"), value))
+    assert_refused(tmp_path, edited(("naif_keywords", "INS-94031_SWAP_OBSERVER_TARGET"), value))
 
 
 @pytest.mark.parametrize(
@@ -217,13 +217,13 @@ def test_a_malformed_swap_is_refused(tmp_path: Path, value: object) -> None:
     ids=lambda value: str(value),
 )
 def test_what_a_record_refuses_names_the_file(tmp_path: Path, keys: Keys, value: object) -> None:
-    refusal(tmp_path, edited(keys, value))
+    assert_refused(tmp_path, edited(keys, value))
 
 
 def test_a_camera_inside_the_body_is_refused(tmp_path: Path) -> None:
     metres_called_kilometres = [[3.796, 0.0, 0.003], [3.796, 0.0, 0.0], [3.796, 0.0, -0.003]]
-    refusal(tmp_path, edited(("instrument_position", "positions"), metres_called_kilometres))
+    assert_refused(tmp_path, edited(("instrument_position", "positions"), metres_called_kilometres))
 
 
 def test_the_sun_in_another_frame_is_refused(tmp_path: Path) -> None:
-    refusal(tmp_path, edited(("sun_position", "reference_frame"), 17))
+    assert_refused(tmp_path, edited(("sun_position", "reference_frame"), 17))

@@ -177,7 +177,7 @@ def test_the_same_solution_gives_the_same_bytes(solution: Solution, archive: Pat
 # --- refusals
 
 
-def refused(path: Path, says: str = "") -> str:
+def assert_refused(path: Path, says: str = "") -> str:
     with pytest.raises(InputError, match=says) as caught:
         read_solution(path)
     message = str(caught.value)
@@ -207,23 +207,23 @@ def in_record(archive: Path, path: Path, change: Callable[[dict[str, Any]], None
 def test_no_archive_at_all(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"solution\.npz: no such file"):
         read_solution(tmp_path)
-    refused(tmp_path / "absent.npz", "no such file")
+    assert_refused(tmp_path / "absent.npz", "no such file")
 
 
 @pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04", b"\x93NUMPY\x01\x00", bytes(1000)])
 def test_foreign_files(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.npz").write_bytes(content)
-    refused(tmp_path / "x.npz", "no archive of mgsgraph")
+    assert_refused(tmp_path / "x.npz", "no archive of mgsgraph")
 
 
 def test_foreign_archives(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", places=np.zeros(3))
-    refused(tmp_path / "a.npz", "no archive of mgsgraph")
+    assert_refused(tmp_path / "a.npz", "no archive of mgsgraph")
     np.save(tmp_path / "b.npy", np.zeros(3))
-    refused(tmp_path / "b.npy", "no archive of mgsgraph")
+    assert_refused(tmp_path / "b.npy", "no archive of mgsgraph")
     with zipfile.ZipFile(tmp_path / "c.npz", "w") as empty:
         empty.writestr("format", "1")
-    refused(tmp_path / "c.npz", "format: no NumPy array")
+    assert_refused(tmp_path / "c.npz", "format: no NumPy array")
 
 
 class _Poison:
@@ -241,7 +241,7 @@ def test_no_code_of_an_archive_is_run(archive: Path, tmp_path: Path) -> None:
         parts["places"] = np.array([_Poison(tmp_path / "ran")], dtype=object)
 
     path = edited(archive, tmp_path / "x.npz", poison)
-    refused(path, "allow_pickle=False")
+    assert_refused(path, "allow_pickle=False")
     assert not (tmp_path / "ran").exists()
     with np.load(path, allow_pickle=True) as arrays:  # it would have run
         assert arrays["places"].shape == (1,)
@@ -252,7 +252,7 @@ def test_checksums_are_looked_at_first(archive: Path, tmp_path: Path) -> None:
     content = bytearray(archive.read_bytes())
     content[content.index(b"{'descr': '<f8'")] ^= 1  # NumPy would trip over the header
     (tmp_path / "x.npz").write_bytes(content)
-    refused(tmp_path / "x.npz", "a wrong checksum")
+    assert_refused(tmp_path / "x.npz", "a wrong checksum")
 
 
 @pytest.mark.parametrize("version", [0, 2, 99])
@@ -260,7 +260,7 @@ def test_other_formats_are_refused(archive: Path, tmp_path: Path, version: int) 
     def newer(parts: dict[str, Any]) -> None:
         parts.update(format=np.array(version), record=np.zeros(0, dtype=np.uint8))
 
-    message = refused(edited(archive, tmp_path / "x.npz", newer), f"format: {version}; expected 1")
+    message = assert_refused(edited(archive, tmp_path / "x.npz", newer), f"format: {version}; expected 1")
     assert "the version of mgsgraph that wrote it" in message
 
 
@@ -287,7 +287,7 @@ def test_arrays_that_do_not_fit(archive: Path, tmp_path: Path, name: str, value:
         else:
             parts[name] = value
 
-    refused(edited(archive, tmp_path / "x.npz", change), says)
+    assert_refused(edited(archive, tmp_path / "x.npz", change), says)
 
 
 @pytest.mark.parametrize(
@@ -306,14 +306,14 @@ def test_arrays_that_do_not_fit(archive: Path, tmp_path: Path, name: str, value:
 def test_records_that_do_not_fit(
     archive: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None], says: str
 ) -> None:
-    refused(in_record(archive, tmp_path / "x.npz", change), says)
+    assert_refused(in_record(archive, tmp_path / "x.npz", change), says)
 
 
 def test_record_that_is_no_json(archive: Path, tmp_path: Path) -> None:
     def spoil(parts: dict[str, Any]) -> None:
         parts["record"] = np.frombuffer(b"{" * 10, dtype=np.uint8)
 
-    refused(edited(archive, tmp_path / "x.npz", spoil), "damaged")
+    assert_refused(edited(archive, tmp_path / "x.npz", spoil), "damaged")
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -321,7 +321,7 @@ def test_record_that_is_no_json(archive: Path, tmp_path: Path) -> None:
 def test_truncated_archives(archive: Path, tmp_path: Path, share: float) -> None:
     content = archive.read_bytes()
     (tmp_path / "x.npz").write_bytes(content[: int(share * len(content))])
-    refused(tmp_path / "x.npz", "no archive of mgsgraph, or a damaged one")
+    assert_refused(tmp_path / "x.npz", "no archive of mgsgraph, or a damaged one")
 
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -40,14 +40,14 @@ def test_sigmas_are_the_spread_of_drawn_orientations() -> None:
     _, jacobian = place_jacobian(image, points, OrientationCorrection(np.zeros((3, 6))))
     drawn = np.array([
         image.ground_to_image(points, OrientationCorrection((1e-2 * root @ rng.normal(size=18)).reshape(3, 6)))[0]
-        for _ in range(2000)
+        for _ in range(250)
     ])
-    np.testing.assert_allclose(propagated(jacobian, 1e-4 * root @ root.T), drawn.std(axis=0), rtol=0.08)
+    np.testing.assert_allclose(propagated(jacobian, 1e-4 * root @ root.T), drawn.std(axis=0), rtol=0.2)
 
 
 def test_points_that_are_not_seen_have_no_place_and_no_sigma() -> None:
     pair = networks.pair()
-    behind = -pair.true_ties[:2]
-    places, jacobian = place_jacobian(pair.images[0], behind, OrientationCorrection(np.zeros((1, 6))))
+    above = 2.0 * pair.true_ties[:2]
+    places, jacobian = place_jacobian(pair.images[0], above, OrientationCorrection(np.zeros((1, 6))))
     assert np.all(np.isnan(places))
     assert np.all(np.isnan(jacobian))

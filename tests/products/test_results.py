@@ -45,7 +45,7 @@ def everything(folder: Path) -> dict[str, str]:
     return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()}
 
 
-def refused(path: Path, says: str) -> None:
+def assert_refused(path: Path, says: str) -> None:
     for make in (lambda: require_replaceable(path), lambda: fresh_folder(path).__enter__()):
         with pytest.raises(InputError, match=says) as caught:
             make()
@@ -140,12 +140,12 @@ def test_folders_of_others_are_refused(tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.tex").write_text("years of work")
-    refused(other, "exists and is not a result of mgsgraph; choose another --out")
+    assert_refused(other, "exists and is not a result of mgsgraph; choose another --out")
     for text in ('{"program": "other"}', "[1]", "{", "", '"mgsgraph"'):  # a file of that name may be anybody's
         (other / "solution.json").write_text(text)
-        refused(other, "exists and is not a result of mgsgraph")
+        assert_refused(other, "exists and is not a result of mgsgraph")
     assert (other / "thesis.tex").read_text() == "years of work"
-    refused(other / "thesis.tex", "exists and is a file")
+    assert_refused(other / "thesis.tex", "exists and is a file")
 
 
 def test_a_folder_that_fills_meanwhile_is_left_alone(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_the_working_folder_is_not_pulled_away(tmp_path: Path) -> None:
     inside = make_result(tmp_path / "out") / "inner"
     with working_in(inside):
         for path in (Path(), Path("..")):
-            refused(path, "is the folder you are in")
+            assert_refused(path, "is the folder you are in")
     with working_in(tmp_path):
         require_replaceable(Path("out"))
 

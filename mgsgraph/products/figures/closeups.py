@@ -46,8 +46,8 @@ _SPACINGS = 2.7
 """Half the side of a window in distances between footprints."""
 _UNKNOWN = 900.0
 """m, half the side where that distance is unknown."""
-_SIDE = 2.0
-"""inch."""
+_SIDES = (3.5, 2.7, 2.0)
+"""inch, side of a window when one, two or three places are shown."""
 _CONTRAST = 16
 """Blocks of a window, each way, over which its contrast is taken."""
 _TRANSFERRED = "#F0E442"
@@ -111,12 +111,12 @@ def _closeups(
     caption = (
         f"Footprints of {profile.name} around {_and(chosen + 1)} in {first} and {second}, each window "
         f"{number(2.0 * half / KM)} km wide and high on the ground, lines downward; if the orientation is right, a "
-        "number lies on the same thing in both; yellow squares: where the place in the first image lies in the second one "
+        "number lies on the same thing in both; yellow squares: where the first image's place lies in the second one "
         f"according to the images' tie points; {_lengths(registration, pair)}."
     )
-    columns, rows = 2 * chosen.size, len(states)
+    columns, rows, wide = 2 * chosen.size, len(states), _SIDES[chosen.size - 1]
     sheet = new_sheet(
-        name, 0.3 + columns * (_SIDE + 0.08), rows * (_SIDE + 0.08) + 0.7, f"{first} and {second}: close-ups", caption
+        name, 0.5 + columns * (wide + 0.08), rows * (wide + 0.08) + 0.7, f"{first} and {second}: close-ups", caption
     )
     grid = panels(sheet, rows, columns, left=0.35, across=0.08, down=0.08)
     limits = [stretch(pixels[j]) for j in pair.images]
@@ -127,7 +127,7 @@ def _closeups(
             panel, j = grid[row, c], pair.images[side]
             middle = states[-1][1][pair.profile].found.places[j, k]
             lines, samples = _window(middle, halves[side])
-            picture(panel, pixels[j], limits[side], registration.images[j], lines, samples, _SIDE, _SIDE)
+            picture(panel, pixels[j], limits[side], registration.images[j], lines, samples, wide, wide)
             panel.set(xlim=samples, ylim=lines[::-1], xticks=[], yticks=[])
             _draw(panel, found.places[j], found.inside[j], k, state)
             if side:
@@ -185,7 +185,7 @@ def _contrast(pixels: Pixels, lines: tuple[float, float], samples: tuple[float, 
         return 0.0
     covered = min(1.0, (part.shape[0] * part.shape[1]) / (4.0 * _CONTRAST) ** 2)
     blocks = averaged(part, max(1, part.shape[0] // _CONTRAST), max(1, part.shape[1] // _CONTRAST))
-    return float(blocks.std()) * covered
+    return float(blocks.std() * covered)
 
 
 def _draw(panel: Axes, places: Array, inside: Mask, chosen: int, state: str) -> None:
@@ -239,7 +239,7 @@ def _apart(pair: _Pair, shot: int) -> str:
 def _lengths(registration: CaseRegistration, pair: _Pair) -> str:
     """How far square and mark are apart, in words."""
     parts = [
-        f"{number(float(np.mean(np.hypot(*one.metres.T))))} m {'before' if row == 0 else 'after'}"
+        f"{number(float(np.mean(np.hypot(*one.metres.T))))} m {'apart before' if row == 0 else 'after'} the adjustment"
         for row, one in enumerate(pair.found)
     ]
-    return f"on the average square and mark are {' and '.join(parts)} apart"
+    return f"on the average square and mark are {' and '.join(parts)}"

@@ -1,11 +1,14 @@
 """By how much two images contradict each other about footprints, along the second image, before and after."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
 
+from mgsgraph.geometry.records import Array
 from mgsgraph.products.figures.content import mean, rms
 from mgsgraph.products.figures.overlay import MARKERS, STATE_WORDS
 from mgsgraph.products.figures.sheet import (
@@ -92,9 +95,19 @@ def _spacings(panel: Axes, spacing: float) -> None:
     """The same axis in distances between footprints, on the right."""
     if not np.isfinite(spacing):
         return
-    right = panel.secondary_yaxis("right", functions=(lambda m: m / spacing, lambda s: s * spacing))
+    right = panel.secondary_yaxis("right", functions=(_Scale(1.0 / spacing), _Scale(spacing)))
     right.tick_params(labelsize=7.5)
     right.set_ylabel("MOLA spacings", size=8.0, labelpad=2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """Multiplication, as an axis takes it."""
+
+    factor: float
+
+    def __call__(self, values: ArrayLike) -> Array:
+        return np.asarray(values, dtype=np.float64) * self.factor
 
 
 def _caption(found: Sequence[tuple[str, int, str, Misregistration]], pair: tuple[str, str]) -> str:

@@ -1,6 +1,6 @@
 """Laser footprints on whole images, each with its elevation profile.
 
-The whole image lies on its side (lines to the right), so that its right edge is the upper one. Heights are drawn on that
+The image lies on its side (lines to the right), so that its right edge is the upper one. Heights are drawn on that
 edge, as in Figure 4 of Yoon & Shan (2005).
 """
 
@@ -49,12 +49,16 @@ MARKERS = "o^sDv"
 _WIDTH, _TALL, _HEIGHTS, _BETWEEN = 10.6, 1.45, 0.8, 0.36
 """inch: widest strip, lowest one, elevation panel, gap between strips."""
 _MOST_STRIPS = 4
+_LEAST_RELIEF = 20.0
+"""m, span of the heights that are drawn at least."""
 _MOST_HEIGHT = 7.0
 """inch, of all strips of an image."""
 _PER_INCH = 150
 """pixels drawn; more of them only take time."""
 _ADVANCE, _DIGIT = 0.636, 0.729
 """Width and height of any digit of DejaVu Sans in units of the type's size."""
+_ROOM = 0.19
+"""inch that a number of three digits needs."""
 _GAP = 3.6
 """points between the middle of a mark and its number."""
 _BLANK = "#D9D9D9"
@@ -74,7 +78,7 @@ def pixels_of(path: Path | None) -> Pixels | None:
 def ground_size(image: PushbroomImage) -> Array:
     """(2,) m on the ellipsoid per line and per sample in the image's middle."""
     _, by_pixel = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
-    return np.linalg.norm(by_pixel[0], axis=0)
+    return np.asarray(np.linalg.norm(by_pixel[0], axis=0))
 
 
 def footprint_heights(profile: ProfileRegistration, body_of: PushbroomImage) -> tuple[Array, str]:
@@ -111,7 +115,6 @@ def _overlay(registration: CaseRegistration, j: int, pixels: Pixels | None, name
     grid = panels(sheet, len(ratios), 1, heights=ratios, down=0.0)[:, 0]
     limits = stretch(pixels)
     heights, above = footprint_heights(registration.before[order[0]], image)
-    span = float(np.ptp(heights)) or 1.0
     for k in range(strips):
         lines = image.lines * k / strips, image.lines * (k + 1) / strips
         relief, strip = grid[3 * k], grid[3 * k + 1]
@@ -121,7 +124,7 @@ def _overlay(registration: CaseRegistration, j: int, pixels: Pixels | None, name
         strip.set(xlim=lines, ylim=(0.0, image.samples))
         strip.locator_params(axis="y", nbins=4)
         words(strip, "line (px)" if k == strips - 1 else "", "sample (px)")
-        relief.set(xlim=lines, ylim=(float(heights.min()) - 0.08 * span, float(heights.max()) + 0.12 * span))
+        relief.set_xlim(lines)
         words(relief, "", "height (m)")
         relief.tick_params(labelbottom=False, bottom=False)
         relief.locator_params(axis="y", nbins=4)
@@ -167,15 +170,23 @@ def _marks(
                 mec=STATE_COLOURS[state], mfc=STATE_COLOURS[state] if state == "adjusted" else "none", zorder=4 + first,
             )
             if first:
-                side = "above" if state == "adjusted" or not registration.after else "below"
+                side = "above" if (state == _upper(registration, j, p)) else "below"
                 step = _number_step(places[found.inside[j], 0], lines_per_inch)
                 numbers(panel, places, shown[(shown + 1) % step == 0], STATE_COLOURS[state], side, 6.2)
+
+
+def _upper(registration: CaseRegistration, j: int, p: int) -> str:
+    """Under which orientation a profile lies at higher samples."""
+    middle = {
+        state: float(np.nanmean(profiles[p].found.places[j, :, 1])) for state, profiles in registration.states()
+    }
+    return max(middle, key=lambda state: middle[state])
 
 
 def _number_step(lines: Array, lines_per_inch: float) -> int:
     """Every how many footprints there is room for a number."""
     gap = float(np.median(np.abs(np.diff(np.sort(lines))))) / lines_per_inch if lines.size > 1 else 1.0
-    return next((step for step in (1, 2, 5, 10, 20, 50) if step * gap > 0.17), 100)
+    return next((step for step in (1, 2, 5, 10, 20, 50) if step * gap > _ROOM), 100)
 
 
 def numbers(panel: Axes, places: Array, which: Index, colour: str, side: str, size: float) -> None:
@@ -219,9 +230,18 @@ def _relief(panel: Axes, registration: CaseRegistration, j: int, p: int, heights
     """Heights of a profile over the lines at which it falls, under the best orientation there is."""
     state, profiles = list(registration.states())[-1]
     found = profiles[p].found
-    mine = np.flatnonzero(found.inside[j])
+    orbit = max(found.profiles(j), key=lambda one: (one.inside > 0, one.simultaneous, one.inside))
+    mine = orbit.shots[found.inside[j, orbit.shots]]  # a file may hold several orbits
     mine = mine[np.argsort(found.places[j, mine, 0])]
-    lines = found.places[j, mine, 0]
+    lines, (first, last) = found.places[j, mine, 0], panel.get_xlim()
+    here = heights[mine[(lines >= first) & (lines <= last)]]
+    if not here.size:
+        panel.set_yticks([])
+        return
+    low, high = float(here.min()), float(here.max())
+    lack = 0.5 * max(0.0, _LEAST_RELIEF - (high - low))
+    span = high - low + 2.0 * lack
+    panel.set_ylim(low - lack - 0.08 * span, high + lack + 0.12 * span)
     panel.fill_between(lines, panel.get_ylim()[0], heights[mine], color=STATE_COLOURS[state], alpha=0.18, lw=0.0)
     panel.plot(lines, heights[mine], color=INK, lw=0.8, marker="*", ms=3.6, mew=0.0)
 
@@ -254,7 +274,8 @@ def _overlay_caption(registration: CaseRegistration, j: int, order: Sequence[int
             )
         parts.append(words_of)
     text = "; ".join(parts)
-    text += f"; numbers count the shots of {registration.before[order[0]].name} from its first in the case"
+    first = registration.before[order[0]].name
+    text += f"; numbers count the shots of {first} from its first in the case; heights have a scale for each strip"
     return text if drawn else text + "; the image's pixels are not at hand, and its frame stands for it"
 
 

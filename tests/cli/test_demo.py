@@ -1,0 +1,105 @@
+"""`mgsgraph demo` and `mgsgraph simulate` as a person uses them, in processes of their own."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mgsgraph.products.demo import STAGES
+
+MGSGRAPH = [sys.executable, "-W", "error", "-m", "mgsgraph.cli"]
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*MGSGRAPH, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def refused(done: subprocess.CompletedProcess[str], said: str) -> None:
+    lines = [line for line in done.stderr.splitlines() if line]
+    assert done.returncode == 2, done.stderr
+    assert len(lines) == 1, done.stderr
+    assert said in lines[0]
+
+
+def test_a_site_with_figures(tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    done = run("demo", "isidis", "--out", out)
+    assert done.returncode == 0, done.stderr
+    said = [line for line in done.stderr.splitlines() if line]
+    assert not said or said == [line for line in said if "compiling" in line]
+    for word in ("Put in", "Before", "After", "Truth", "In short", "MOLA spacings", "sigma0"):
+        assert word in done.stdout
+    names = {path.name for path in out.iterdir()}
+    assert {"summary.json", "solution.json", "registration.json", "points.csv", "discrepancy.csv"} <= names
+    assert {"overlay_1.png", "closeups.png", "discrepancy.png", "orientation.png", "map.svg"} <= names
+    assert {"case.toml", "truth.json", "network.pvl", "mgs.tm"} <= {path.name for path in (out / "inputs").iterdir()}
+    record = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    assert tuple(record["seconds"]) == STAGES
+    assert record["converged"]
+    assert [path.name for path in tmp_path.iterdir()] == ["demo"]
+
+
+def test_results_can_be_registered_and_replaced(tmp_path: Path) -> None:
+    """The inputs beside the results serve the other verbs; a second run takes the place of the first."""
+    out = tmp_path / "demo"
+    assert run("demo", "isidis", "--out", out, "--no-figures").returncode == 0
+    done = run(
+        "register", out / "inputs" / "case.toml", "--solution", out, "--out", tmp_path / "again", "--no-figures"
+    )
+    assert done.returncode == 0, done.stderr
+    again, first = (
+        json.loads((folder / "registration.json").read_text(encoding="utf-8")) for folder in (tmp_path / "again", out)
+    )
+    assert again["statements"] == first["statements"]
+    assert "unfinished" not in json.dumps(first)
+    assert b"unfinished" not in (out / "solution.npz").read_bytes()
+    assert (out / first["orientations"]["nominal"][0]["source"]).is_file()
+    assert run("demo", "pair", "--out", out, "--no-figures").returncode == 0
+    assert not (out / "summary.json").exists()
+    assert not list(out.glob("*.png"))
+
+
+def test_the_pair(tmp_path: Path) -> None:
+    done = run("demo", "pair", "--out", tmp_path / "demo", "--no-figures", "--seed", "2")
+    assert done.returncode == 0, done.stderr
+    assert "Truth, orientation: NEES" in done.stdout
+    assert (tmp_path / "demo" / "inputs" / "lidar.json").is_file()
+
+
+@pytest.mark.parametrize("verb", ["demo", "simulate"])
+def test_unknown_sites_are_one_line_with_the_choices(verb: str, tmp_path: Path) -> None:
+    refused(run(verb, "olympus", "--out", tmp_path / "x"), "'olympus'; expected eos, gusev, isidis or pair")
+    refused(run(verb, "pair", "--attitude-time-bias", "1", "--out", tmp_path / "x"), "attitude time bias")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("site", ["isidis", "pair"])
+def test_simulate_gives_the_same_bytes_for_the_same_seed(site: str, tmp_path: Path) -> None:
+    for name, seed in (("one", 4), ("two", 4), ("three", 5)):
+        done = run("simulate", site, "--out", tmp_path / name, "--seed", str(seed), "--no-pictures")
+        assert done.returncode == 0, done.stderr
+        assert str(tmp_path / name / "case.toml") in done.stdout
+        assert not done.stderr
+    one, two, three = (
+        {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("one", "two", "three")
+    )
+    assert one == two
+    assert one["truth.json"] != three["truth.json"]
+
+
+def test_simulate_renders_and_takes_the_option(tmp_path: Path) -> None:
+    done = run("simulate", "isidis", "--out", tmp_path / "x", "--attitude-time-bias", "0.95")
+    assert done.returncode == 0, done.stderr
+    truth = json.loads((tmp_path / "x" / "truth.json").read_text(encoding="utf-8"))
+    assert truth["images"]["E02-02016"]["errors"]["attitude_time_bias_s"] == 0.95
+    assert len(set((tmp_path / "x" / "E0202016.img").read_bytes()[-100_000:])) > 50
+
+
+def test_simulate_replaces_nothing(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work", encoding="utf-8")
+    refused(run("simulate", "pair", "--out", tmp_path), "choose another --out")
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]

@@ -1,0 +1,70 @@
+"""`mgsgraph register` as a person uses it: files, sentences, exit status, and nothing left over after bad input."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import profiles
+import pytest
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300,
+        check=False, env=os.environ | {"COLUMNS": "110"},
+    )
+
+
+@pytest.fixture
+def mola_case(case_file: Path) -> Path:
+    return profiles.with_profile(case_file)
+
+
+def refused(done: subprocess.CompletedProcess[str], said: str, folder: Path, names: list[str]) -> None:
+    """Exit status 2, one line that says it, and the folder as it was."""
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert said in done.stderr
+    assert sorted(path.name for path in folder.iterdir()) == names
+
+
+def test_before_and_after_an_adjustment(mola_case: Path, tmp_path: Path) -> None:
+    result, out = tmp_path / "result", tmp_path / "registration"
+    assert run("adjust", mola_case, "--out", result, "--no-figures").returncode == 0
+    done = run("register", mola_case, "--solution", result, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    record = json.loads((out / "registration.json").read_text(encoding="utf-8"))
+    assert set(record["orientations"]) == {"nominal", "adjusted"}
+    assert [line[2:] for line in done.stdout.splitlines()[:-1]] == record["statements"]
+    assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png", ".svg"}
+    for said in ("fall in SIM/A", "nominal orientation", "adjusted orientation", "along the flight", "five steps"):
+        assert said in done.stdout
+
+    again = run("register", mola_case, "--out", out, "--no-figures")  # an earlier registration is replaced
+    assert again.returncode == 0, again.stderr
+    assert {path.suffix for path in out.iterdir()} == {".json", ".csv"}
+    assert "adjusted" not in again.stdout
+
+    names = sorted(path.name for path in result.iterdir())  # a solution isn't
+    refused(run("register", mola_case, "--solution", result, "--out", result), "solution.json", result, names)
+    names = sorted(path.name for path in out.iterdir())  # nor a registration by an adjustment
+    refused(run("adjust", mola_case, "--out", out), "registration.json", out, names)
+
+
+def test_bad_input_writes_nothing(mola_case: Path, tmp_path: Path) -> None:
+    out = tmp_path / "registration"
+    refused(run("register", tmp_path / "none.toml", "--out", out), "no such file", tmp_path, ["case"])
+    refused(run("register", mola_case, "--solution", tmp_path, "--out", out), "solution.npz", tmp_path, ["case"])
+    text = mola_case.read_text(encoding="utf-8")
+    mola_case.write_text(text[: text.index("[[mola]]")], encoding="utf-8")
+    refused(run("register", mola_case, "--out", out), "no profile of MOLA", tmp_path, ["case"])
+
+
+def test_help_names_the_files() -> None:
+    done = run("register", "--help")
+    assert done.returncode == 0
+    for said in ("--solution", "--out", "registration.csv", "discrepancy.csv"):
+        assert said in done.stdout
