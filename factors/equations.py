@@ -220,8 +220,10 @@ def range_row(rows, q, x, point, by_point):
 
 
 @njit(cache=True)
-def surface_row(rows, i, point, by_point):
+def surface_row(rows, i, x, point, by_point):
     """Height (m) of point i above the bilinear patch of its four posts, along its normal, and its derivative.
+
+    The patch lies where the terrain model's shift puts it; the derivative by the shift is the opposite along its axes.
 
     F / |grad F| with F = r - R(lon, lat): `geometry.terrain.TerrainGrid.height_above` says the same for arrays. False
     where the point has no patch: off the terrain model, or beside missing posts (Ebner et al. 2004).
@@ -229,11 +231,17 @@ def surface_row(rows, i, point, by_point):
     row, column, right = rows.terrain_cell[i, 0], rows.terrain_cell[i, 1], rows.terrain_cell[i, 2]
     if row < 0:
         return 0.0, False
-    x, y, z = point[0], point[1], point[2]
-    planar = math.sqrt(x * x + y * y)
+    x0, y, z = point[0], point[1], point[2]
+    if rows.surface_column[i] >= 0:
+        for k in range(2):
+            moved = x[rows.surface_column[i] + k]
+            x0 -= moved * rows.surface_direction[i, k, 0]
+            y -= moved * rows.surface_direction[i, k, 1]
+            z -= moved * rows.surface_direction[i, k, 2]
+    planar = math.sqrt(x0 * x0 + y * y)
     radius = math.sqrt(planar * planar + z * z)
     posts, frame = rows.terrain, rows.terrain_frame
-    turn = math.atan2(y, x) - frame[0] - column * frame[2]
+    turn = math.atan2(y, x0) - frame[0] - column * frame[2]
     e = (turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)) / frame[2]
     s = (frame[1] - math.atan2(z, planar)) / frame[3] - row
     corner = posts[row, column]
@@ -250,8 +258,8 @@ def surface_row(rows, i, point, by_point):
     along_north = (-by_latitude / norm - share * turn_latitude) / radius
     up = (1.0 / norm + share * (a * a + b * b) / radius) / radius
     sine, cosine = z / radius, planar / radius
-    by_point[0] = -along_east * y / planar - along_north * sine * x / planar + up * x
-    by_point[1] = along_east * x / planar - along_north * sine * y / planar + up * y
+    by_point[0] = -along_east * y / planar - along_north * sine * x0 / planar + up * x0
+    by_point[1] = along_east * x0 / planar - along_north * sine * y / planar + up * y
     by_point[2] = along_north * cosine + up * z
     return (radius - value) / norm, True
 

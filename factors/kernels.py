@@ -86,9 +86,9 @@ def add_prior(rows, i, x, point, normal, gradient):
 
 
 @njit(cache=True)
-def add_surface(rows, i, point, by_point, normal, gradient):
+def add_surface(rows, i, x, point, by_point, normal, gradient):
     """Add the height of point i above the terrain to its normal equations; its cost is returned."""
-    height, there = surface_row(rows, i, point, by_point[0])
+    height, there = surface_row(rows, i, x, point, by_point[0])
     if not there:
         return 0.0
     weight = rows.surface_weight[i] ** 2
@@ -131,7 +131,7 @@ def point_normal(rows, i, model, x, point, scratch, residual, by_pose, by_point,
     if rows.point_kind[i] == PRIOR:
         cost += add_prior(rows, i, x, point, normal, gradient)
     if rows.surface_weight[i] > 0.0:
-        cost += add_surface(rows, i, point, by_point, normal, gradient)
+        cost += add_surface(rows, i, x, point, by_point, normal, gradient)
     return cost, True
 
 
@@ -186,6 +186,27 @@ def eliminate_shift(rows, i, x, point, coupling, block, right):
 
 
 @njit(cache=True)
+def eliminate_surface(rows, i, x, point, by_point, coupling, block, right):
+    """Add what point i's height above the terrain says of the model's own shift to coupling, block and right."""
+    height, there = surface_row(rows, i, x, point, by_point[0])
+    if not there:
+        return
+    weight, first = rows.surface_weight[i] ** 2, rows.surface_local[i]
+    for p in range(2):
+        slope = 0.0
+        for j in range(3):
+            slope -= by_point[0, j] * rows.surface_direction[i, p, j]
+        right[first + p] += weight * slope * height
+        for j in range(3):
+            coupling[first + p, j] += weight * slope * by_point[0, j]
+        for q in range(2):
+            other = 0.0
+            for j in range(3):
+                other -= by_point[0, j] * rows.surface_direction[i, q, j]
+            block[first + p, first + q] += weight * slope * other
+
+
+@njit(cache=True)
 def eliminate(
     rows, i, model, x, point, lower, rest, free, scratch, residual, by_pose, by_point, coupling, block, right
 ):
@@ -233,6 +254,8 @@ def eliminate(
                         block[row0 + a, column0 + b] -= slope * rows.range_pair_value[q] * by_point[0, b]
     if rows.point_kind[i] == PRIOR:
         eliminate_shift(rows, i, x, point, coupling, block, right)
+    if rows.surface_weight[i] > 0.0 and rows.surface_column[i] >= 0:
+        eliminate_surface(rows, i, x, point, by_point, coupling, block, right)
     if not free:
         return
     for a in range(d):
@@ -370,9 +393,9 @@ def all_residuals(rows, model, x, points, image_residuals, range_residuals):
 
 
 @njit(cache=True)
-def all_heights(rows, points, heights):
+def all_heights(rows, x, points, heights):
     """Heights (n,) in m above the terrain model of points that have a surface row; NaN for the others."""
     by_point = np.empty(3)
     for i in range(points.shape[0]):
-        height, there = surface_row(rows, i, points[i], by_point)
+        height, there = surface_row(rows, i, x, points[i], by_point)
         heights[i] = height if there and rows.surface_weight[i] > 0.0 else np.nan

@@ -43,6 +43,12 @@ class Rows(NamedTuple):
     """(s, 3) unit vector, body-fixed, along which the a-priori place moves per metre of the unknown."""
     surface_weight: Array
     """(n,) 1/m: weight of the point's height above the terrain; 0 where it has no such row."""
+    surface_column: Index
+    """(n,) first of the two columns of the terrain model's shift; -1 where the point doesn't feel it."""
+    surface_local: Index
+    """(n,) the same within the point's group."""
+    surface_direction: Array
+    """(n, 2, 3) unit vectors eastward and northward, along which that shift moves the model; (0, 2, 3) without."""
     terrain: Array
     """(rows, columns) m, radii of the terrain model's posts; (0, 0) without one."""
     terrain_frame: Array

@@ -132,6 +132,9 @@ class Surface:
     """Radii."""
     sigmas: Array
     """(n,) m, of each point's height above the terrain; infinite for points without such a row."""
+    shift_sigma: float = 0.0
+    """m, a-priori sigma of the model's own horizontal place, eastward and northward alike: an unknown that all its
+    points share; 0 for none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +214,9 @@ class Network:
             if heights.shape != (n,) or not np.all(heights > 0.0):
                 raise InputError("surface, sigmas", f"shape {heights.shape}", f"{n} positive numbers (inf for no row)")
             heights.flags.writeable = False
-            assign(self, surface=Surface(self.surface.grid, heights))
+            if not (np.isfinite(self.surface.shift_sigma) and self.surface.shift_sigma >= 0.0):
+                raise InputError("surface, shift sigma", f"{self.surface.shift_sigma} m", "a positive number, or 0")
+            assign(self, surface=Surface(self.surface.grid, heights, self.surface.shift_sigma))
 
     def _require_shots_covered(self) -> None:
         for j in np.unique(self.ranges.image):
@@ -233,6 +238,17 @@ class Network:
                 "at least one tie, laser or control point",
                 "take it out of the case or give it measures",
             )
+
+    @property
+    def shift_names(self) -> tuple[str, ...]:
+        """Unknown horizontal shifts: profiles, then the terrain model, where it has one."""
+        profiles = self.shifts.names if self.shifts else ()
+        return (*profiles, "terrain model") if self.terrain_moves else profiles
+
+    @property
+    def terrain_moves(self) -> bool:
+        """Whether the terrain model has an unknown shift of its own."""
+        return self.surface is not None and self.surface.shift_sigma > 0.0
 
     @property
     def ray_counts(self) -> Index:

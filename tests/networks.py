@@ -21,10 +21,10 @@ def pair(ties: int = 12, shots: int = 6, seed: int = 1, noise: NoiseSettings | N
 
 
 def with_shift_and_surface(net: Network, sigma: float = 60.0) -> Network:
-    """The same with an unknown horizontal shift of its laser profile, and its tie points on a rough terrain model."""
+    """The same with an unknown shift of its laser profile, its tie points on a rough terrain model that may shift."""
     laser = net.points.classes == PointClass.LASER
     shifts = ProfileShifts(("profile",), np.where(laser, 0, -1), np.array([sigma]))
-    return replace(net, shifts=shifts, surface=Surface(terrain(net), np.where(laser, np.inf, 25.0)))
+    return replace(net, shifts=shifts, surface=Surface(terrain(net), np.where(laser, np.inf, 25.0), 150.0))
 
 
 def terrain(net: Network) -> TerrainGrid:

@@ -95,7 +95,7 @@ def solve_in_passes(layout: Layout, settings: SolverSettings, selection: Selecti
         initial = outcome.cost_initial if number == 1 else initial
         solved = Solved(layout, outcome, history, initial, orientation, points, rows, selection, explicit, number)
         chosen = select(layout, solved, settings.reject) if settings.reject > 0.0 else selection
-        followed = layout.following(points)
+        followed = layout.following(points, orientation)
         if followed is layout and chosen.same(selection):
             return solved
         seen[_state(layout, selection)] = solved

@@ -69,7 +69,7 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array) -> Fit:
     owner_of_shift = np.repeat(np.arange(offset.shape[0]), np.diff(rows.shift_first))
     np.subtract.at(offset, owner_of_shift, orientation[rows.shift_column][:, None] * rows.shift_direction)
     ground = np.einsum("nij,nj->ni", rows.point_root[known], offset[known])
-    heights = surface_heights(rows, points) * rows.surface_weight
+    heights = surface_heights(rows, orientation, points) * rows.surface_weight
     on_surface = np.isfinite(heights) & (rows.point_kind != OUT)
     whitened = orientation / layout.sigmas
     parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(ground**2)]
@@ -83,10 +83,10 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array) -> Fit:
     )
 
 
-def surface_heights(rows: Rows, points: Array) -> Array:
+def surface_heights(rows: Rows, orientation: Array, points: Array) -> Array:
     """(n,) m, heights above the terrain model of points that have a surface row; NaN for the others."""
     heights = np.empty(points.shape[0])
-    kernels.all_heights(rows, points, heights)
+    kernels.all_heights(rows, orientation, points, heights)
     return heights
 
 
@@ -185,9 +185,8 @@ def _in_words(layout: Layout, direction: Array) -> str:
         variable = max(v for v in layout.variables.adjusted() if layout.columns_of(v).start <= column)
         inside = int(column) - layout.columns_of(variable).start
         if variable >= layout.variables.images:
-            assert layout.network.shifts is not None
-            profile = layout.network.shifts.names[variable - layout.variables.images]
-            names.append(f"{('east', 'north')[inside]} shift of profile {profile}")
+            shifted = layout.network.shift_names[variable - layout.variables.images]
+            names.append(f"{('east', 'north')[inside]} shift of {shifted}")
             continue
         image, (power, component) = variable, divmod(inside, 6)
         term = terms[power] if power < len(terms) else f"u^{power}"

@@ -41,7 +41,7 @@ class Solution:
     first_column: Index
     """(images,) first column of each image in the joint covariance; -1 when held."""
     shifts: Array
-    """(p, 2) m, east and north, horizontal shifts of the laser profiles that have one (network.shifts)."""
+    """(p, 2) m, east and north, horizontal shifts of laser profiles and of the terrain model (network.shift_names)."""
     joint_covariance: Array
     """(columns, columns) of all orientation coefficients, and after them the shifts, m and rad, for sigma0 = 1."""
     places_before: Array
@@ -99,7 +99,7 @@ class Solution:
         return self.joint_covariance[first : first + size, first : first + size]
 
     def shift_covariance(self, profile: int) -> Array:
-        """Covariance (2, 2) in m^2 of one profile's horizontal shift, for sigma0 = 1."""
+        """Covariance (2, 2) in m^2 of one horizontal shift, for sigma0 = 1."""
         first = self.joint_covariance.shape[0] - self.shifts.size + 2 * profile
         return self.joint_covariance[first : first + 2, first : first + 2]
 

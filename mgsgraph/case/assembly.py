@@ -151,18 +151,18 @@ class Parts:
         return ProfileShifts(tuple(names), profile, np.array(sigmas))
 
     def _surface(self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid) -> Surface:
-        """Tie points on the terrain: sigma of its heights, and of its horizontal place where it slopes."""
+        """Tie points on the terrain model, whose horizontal place is one unknown for all of them."""
         sigmas = np.full(len(points), np.inf)
         members, first_rays = np.unique(rays.point, return_index=True)
         longitude, latitude, _ = planetocentric(self._ground(rays)[first_rays]).T
-        sideways = (terrain.planimetric_sigma or 0.0) * np.tan(terrain.slope(longitude, latitude))
-        usable = np.isfinite(sideways) & (points.classes[members] == PointClass.TIE)
-        sigmas[members[usable]] = np.hypot(terrain.vertical_sigma or 0.0, sideways[usable])
+        there = np.isfinite(terrain.radius(longitude, latitude)[0])
+        usable = there & (points.classes[members] == PointClass.TIE)
+        sigmas[members[usable]] = terrain.vertical_sigma or 0.0
         if not np.any(np.isfinite(sigmas)):
             raise InputError(
                 terrain.source, "no tie point lies over the terrain model", "a model of the images' ground"
             )
-        return Surface(terrain, sigmas)
+        return Surface(terrain, sigmas, terrain.planimetric_sigma or 0.0)
 
     def _claim(self, ids: tuple[str, ...], source: str) -> int:
         """Take the ids in; the index of the first."""

@@ -154,7 +154,7 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     vertical_sigma_m: Positive = 10.0
     """Sigma of its heights."""
     planimetric_sigma_m: Positive = 200.0
-    """Sigma of its horizontal place; counts where it slopes."""
+    """Sigma of its horizontal place as a whole, which becomes an unknown."""
 
 
 class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -212,7 +212,7 @@ def _require_shapes(solution: Solution) -> None:
     network = solution.network
     n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size
     sizes = [prior.sigmas.size for prior, held in zip(network.priors, network.held, strict=True) if not held]
-    shifts = 0 if network.shifts is None else len(network.shifts.names)
+    shifts = len(network.shift_names)
     columns = sum(sizes) + 2 * shifts
     first = np.where(network.held, -1, 0)
     first[~network.held] = np.cumsum([0, *sizes])[:-1]

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 
 
@@ -14,17 +15,29 @@ def surface_heights(solution: Solution) -> tuple[Array, Array]:
     if surface is None:
         return np.zeros(0), np.zeros(0)
     mine = np.isfinite(surface.sigmas) & solution.determined
-    before, after = (surface.grid.height_above(places[mine])[0] for places in (solution.places_before, solution.places))
+    before, _ = surface.grid.height_above(solution.places_before[mine])
+    places = solution.places[mine]
+    if solution.network.terrain_moves:
+        places = places - horizontal(places, solution.shifts[-1])
+    after, _ = surface.grid.height_above(places)
     there = np.isfinite(before) & np.isfinite(after)
     return before[there], after[there]
+
+
+def horizontal(places: Array, east_north: Array) -> Array:
+    """Vectors (n, 3) in m of a shift eastward and northward (2,) at places (n, 3)."""
+    longitude, latitude, _ = planetocentric(places).T
+    (sl, cl), (sb, cb) = (np.sin(longitude), np.cos(longitude)), (np.sin(latitude), np.cos(latitude))
+    east, north = np.stack([-sl, cl, np.zeros_like(sl)], axis=1), np.stack([-sb * cl, -sb * sl, cb], axis=1)
+    return np.asarray(east_north[0] * east + east_north[1] * north)
 
 
 def control_json(solution: Solution) -> dict[str, Any]:
     """Profile shifts, terrain heights and back-projected rays, for solution.json; units in the keys."""
     before, after = surface_heights(solution)
-    names = solution.network.shifts.names if solution.network.shifts else ()
+    names = solution.network.shift_names
     return {
-        "profile_shifts": [
+        "shifts": [
             {
                 "name": name,
                 "east_north_m": solution.shifts[p].tolist(),
@@ -45,13 +58,13 @@ def control_json(solution: Solution) -> dict[str, Any]:
 def control_statements(solution: Solution) -> list[str]:
     """Sentences about the same."""
     sentences = []
-    if solution.network.shifts:
-        for p, name in enumerate(solution.network.shifts.names):
-            (east, north), sigma = solution.shifts[p], np.sqrt(np.diag(solution.shift_covariance(p)))
-            sentences.append(
-                f"Profile {name}: its footprints moved together by {east:+.1f} m east and {north:+.1f} m north "
-                f"(sigmas {sigma[0]:.1f} and {sigma[1]:.1f} m)."
-            )
+    for p, name in enumerate(solution.network.shift_names):
+        (east, north), sigma = solution.shifts[p], np.sqrt(np.diag(solution.shift_covariance(p)))
+        who = "The terrain model" if name == "terrain model" else f"Profile {name}: its footprints"
+        sentences.append(
+            f"{who} moved as a whole by {east:+.1f} m east and {north:+.1f} m north "
+            f"(sigmas {sigma[0]:.1f} and {sigma[1]:.1f} m)."
+        )
     before, after = surface_heights(solution)
     if after.size:
         sentences.append(

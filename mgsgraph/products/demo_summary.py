@@ -170,8 +170,8 @@ def _in_short(truth: AgainstTruth) -> str:
     sigma = np.linalg.norm(_pooled([pair.after for pair in truth.orientation], "metre_sigmas").mean(axis=0))
     return (
         f"In short: along the flight the images now agree to {_pixels(after, 0)} instead of {_pixels(before, 0)} "
-        f"pixels. Together they lie {now:.0f} m from their true place on Mars (before {was:.0f} m; predicted sigma "
-        f"{sigma:.0f} m)."
+        f"pixels. On the average of both they lie {now:.0f} m from their true place on Mars (before {was:.0f} m; "
+        f"predicted sigma {sigma:.0f} m)."
     )
 
 
@@ -191,24 +191,23 @@ def largest_sigmas_off(pairs: Sequence[BeforeAfter]) -> tuple[float, float]:
 
 def _shifts(demo: Demonstration) -> list[str]:
     return [
-        f"Truth, profile {name}: its footprints lie {true[0]:+.0f} m east and {true[1]:+.0f} m north of their place; "
+        f"Truth, {name}: it has to move by {true[0]:+.0f} m east and {true[1]:+.0f} m north; "
         f"found {found[0]:+.0f} and {found[1]:+.0f} m, predicted sigma {sigma[0]:.0f} and {sigma[1]:.0f} m."
-        for name, true, found, sigma in _profile_shifts(demo)
+        for name, true, found, sigma in _shift_truths(demo)
     ]
 
 
-def _profile_shifts(demo: Demonstration) -> list[tuple[str, Array, Array, Array]]:
-    """Name, true and found shift and its sigma, each (2,) m east and north, of the profiles that have one.
+def _shift_truths(demo: Demonstration) -> list[tuple[str, Array, Array, Array]]:
+    """Name, true and found shift and its sigma, each (2,) m east and north, of profiles and terrain model.
 
-    A shift is what is added to the true places to get the archived ones.
+    A shift is what is to be added to the archived places to get the true ones.
     """
-    shifts, solution = demo.solution.network.shifts, demo.solution
-    if shifts is None:
-        return []
-    true = {image.settings.profile: image.profile.shift for image in demo.simulated.images}
+    solution = demo.solution
+    true = {image.settings.profile: -np.asarray(image.profile.shift) for image in demo.simulated.images}
+    true["terrain model"] = -np.asarray(grid_shift(demo.simulated.terrain))
     return [
         (name, true[name], solution.shifts[p], np.sqrt(np.diagonal(solution.shift_covariance(p))))
-        for p, name in enumerate(shifts.names)
+        for p, name in enumerate(solution.network.shift_names)
     ]
 
 
@@ -282,10 +281,10 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
         },
         "orientation": [_orientation(demo, j) for j in range(len(solution.network.images))],
         "terrain_shift_east_north_m": grid_shift(demo.simulated.terrain),
-        "profile_shifts": [
-            {"profile": name, "true_east_north_m": true, "found_east_north_m": found, "sigma_m": sigma,
+        "shifts": [
+            {"name": name, "true_east_north_m": true, "found_east_north_m": found, "sigma_m": sigma,
              "sigmas_off": (found - true) / sigma}
-            for name, true, found, sigma in _profile_shifts(demo)
+            for name, true, found, sigma in _shift_truths(demo)
         ],
         "points": {
             point_class.name.lower(): _point_errors(demo, point_class)

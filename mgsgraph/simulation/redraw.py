@@ -27,7 +27,8 @@ class Draw:
     corrections: tuple[OrientationCorrection, ...]
     """True orientation of each image; none for a held one."""
     shifts: Array
-    """(p, 2) m, east and north: what the a-priori places of each profile lack of the truth."""
+    """(p, 2) m, east and north: what the a-priori places of each profile lack of the truth, and last, where it has a
+    shift of its own, the terrain model."""
     places: Array
     """(n, 3) m, true ground points."""
 
@@ -53,8 +54,10 @@ def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera"
         _drawn_correction(prior.sigmas * (not held), rng, angles)
         for prior, held in zip(network.priors, network.held, strict=True)
     )
-    truth = _true_places(network, rng)
+    terrain = rng.standard_normal((1, 2)) * network.surface.shift_sigma if network.surface else np.zeros((0, 2))
+    truth = _true_places(network, terrain, rng)
     shifts, points = _drawn_points(network, truth, rng)
+    shifts = np.concatenate([shifts, terrain]) if network.terrain_moves else shifts
     rays = _drawn_rays(network, truth, points, corrections, rng)
     ranges = _drawn_ranges(network, truth, corrections, rng)
     return Draw(replace(network, points=points, rays=rays, ranges=ranges), corrections, shifts, truth)
@@ -66,7 +69,7 @@ def _drawn_correction(sigmas: Array, rng: np.random.Generator, angles: Angles) -
     return OrientationCorrection(rng.standard_normal(sigmas.shape) * sigmas, angles)
 
 
-def _true_places(network: Network, rng: np.random.Generator) -> Array:
+def _true_places(network: Network, terrain: Array, rng: np.random.Generator) -> Array:
     """(n, 3) m: a-priori places, or where the nominal rays meet; on the terrain model, but for a drawn height."""
     rays = network.rays
     origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
@@ -84,7 +87,8 @@ def _true_places(network: Network, rng: np.random.Generator) -> Array:
         np.isfinite(network.surface.sigmas), network.surface.sigmas, 0.0
     )
     for _ in range(_HEIGHT_STEPS):
-        above, normal = network.surface.grid.height_above(places)
+        east, north = horizontal_axes(places)
+        above, normal = network.surface.grid.height_above(places - terrain[0, 0] * east - terrain[0, 1] * north)
         move = np.where(np.isfinite(network.surface.sigmas) & np.isfinite(above), heights - above, 0.0)
         up = places / np.linalg.norm(places, axis=1, keepdims=True)
         places = places + (move / np.where(move == 0.0, 1.0, np.einsum("ni,ni->n", normal, up)))[:, None] * up

@@ -52,7 +52,7 @@ def test_forms_agree_with_shift_and_surface(held: tuple[bool, bool]) -> None:
     bundle = adjust_network(net, SolverSettings(**TIGHT))
     explicit = adjust_network(net, SolverSettings(form="explicit", **TIGHT))
     assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
-    assert bundle.fit.observations == explicit.fit.observations == 2 * 36 + 6 + 18 + 2 + 12 + 36 * (not held[0])
+    assert bundle.fit.observations == explicit.fit.observations == 2 * 36 + 6 + 18 + 4 + 12 + 36 * (not held[0])
     assert bundle.fit.squares == pytest.approx(2.0 * bundle.cost_final, rel=1e-9)
     np.testing.assert_allclose(bundle.shifts, explicit.shifts, atol=1e-4)
     np.testing.assert_allclose(bundle.shift_covariance(0), explicit.shift_covariance(0), rtol=1e-5)

@@ -121,15 +121,19 @@ def test_surface(seed: int) -> None:
             grid.radii[40, 40] + rng.normal(0.0, 200.0),
         ]
     )
+    shift = rng.normal(0.0, 100.0, 2)
     values = gtsam.Values()
-    values.insert(point_key(1), from_planetocentric(place))
-    rows = made.rows._replace(terrain_cell=grid.cells(from_planetocentric(place)[None]))
-    factor = surface_factor(point_key(1), rows, 0, 20.0)
-    assert_jacobians(factor, values, steps(), tolerance=1e-6)
-    height, slope = grid.height_above(from_planetocentric(place)[None])
+    values.insert(shift_key(0), shift)
+    axes = made.rows.surface_direction[0]
+    moved = from_planetocentric(place)
+    values.insert(point_key(1), moved + shift @ axes)
+    rows = made.rows._replace(terrain_cell=np.tile(grid.cells(moved[None]), (18, 1)))
+    factor = surface_factor(point_key(1), shift_key(0), rows, 0, 20.0)
+    assert_jacobians(factor, values, steps() | {shift_key(0): np.ones(2)}, tolerance=1e-6)
+    height, slope = grid.height_above(moved[None])
     assert factor.unwhitenedError(values) == pytest.approx(height, abs=1e-6)
     jacobian, _ = gtsam.JacobianFactor(factor.linearize(values)).jacobian()
-    np.testing.assert_allclose(jacobian * 20.0, slope, atol=1e-9)
+    np.testing.assert_allclose(jacobian[:, :3] * 20.0, slope, atol=1e-9)
 
 
 def test_off_the_terrain_model_there_is_no_row() -> None:
@@ -137,7 +141,7 @@ def test_off_the_terrain_model_there_is_no_row() -> None:
     values = gtsam.Values()
     values.insert(point_key(1), np.array([0.0, -3.4e6, 1e3]))
     cell = made.network.surface.grid.cells(np.array([[0.0, -3.4e6, 1e3]]))
-    factor = surface_factor(point_key(1), made.rows._replace(terrain_cell=cell), 0, 20.0)
+    factor = surface_factor(point_key(1), None, made.rows._replace(terrain_cell=cell), 0, 20.0)
     assert factor.error(values) == 0.0
     assert not np.any(gtsam.JacobianFactor(factor.linearize(values)).jacobian()[0])
 

@@ -15,14 +15,16 @@ from mgsgraph.products.tables import solution_json
 def test_shifts_and_heights_are_told() -> None:
     solution = adjust_network(with_shift_and_surface(network(pair())), SolverSettings())
     record = control_json(solution)
-    (shift,) = record["profile_shifts"]
+    shift, terrain = record["shifts"]
+    assert terrain["name"] == "terrain model"
     assert shift["east_north_m"] == solution.shifts[0].tolist()
-    assert shift["sigma_east_north_m"] == pytest.approx(np.sqrt(np.diag(solution.joint_covariance)[-2:]).tolist())
+    assert shift["sigma_east_north_m"] == pytest.approx(np.sqrt(np.diag(solution.joint_covariance)[-4:-2]).tolist())
     before, after = surface_heights(solution)
     assert record["surface"]["count"] == after.size == 12
     assert record["surface"]["rms_height_before_m"] == pytest.approx(np.sqrt(np.mean(before**2)))
     words = " ".join(control_statements(solution))
     assert "Profile profile" in words
+    assert "The terrain model moved" in words
     assert "12 tie points were held to the terrain model" in words
     assert "back-projections" not in words
     assert solution_json(solution)["control"] == record

@@ -90,9 +90,9 @@ def test_summary_holds_the_figures(demo: Demonstration) -> None:
     assert set(STAGES[:-1]) <= set(record["seconds"])
     assert "largest_sigmas_along" in record["truth"]["orientation"][0]
     assert "largest_sigmas_along" not in record["truth"]["footprints"][0]  # nothing is predicted there
-    shifts = {one["profile"]: one["true_east_north_m"] for one in record["profile_shifts"]}
+    shifts = {one["name"]: one["true_east_north_m"] for one in record["shifts"]}
     for image in demo.simulated.images:
-        assert shifts[image.settings.profile] == image.profile.shift.tolist()
+        assert shifts[image.settings.profile] == (-image.profile.shift).tolist()
     for one, image in zip(record["orientation"], demo.simulated.images, strict=True):
         assert one["image"] == image.true.name
         left = np.array(one["error_before_mean_m"]) + one["correction_mean_m"]

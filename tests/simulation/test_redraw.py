@@ -43,9 +43,10 @@ def test_normalised_errors_average_to_one(extended: bool) -> None:
         shared.append(nees(error[None], solution.joint_covariance[None])[0] / error.size)
         points.append(nees(solution.places - draw.places, solution.covariances).mean() / 3.0)
         cost.append(2.0 * solution.cost_final / solution.fit.degrees_of_freedom)
-    # 99.9% bands for 12 draws; points of one draw share their orientation, so they scatter more
+    # 99.9% bands for 12 draws. Points of one draw share orientation and shifts: at worst they err all together, and the
+    # band is that of one point per draw (chi-square with 36 degrees of freedom)
     assert 0.8 < np.mean(shared) < 1.25
-    assert 0.65 < np.mean(points) < 1.45
+    assert 0.41 < np.mean(points) < 1.96
     assert 0.85 < np.mean(cost) < 1.17
 
 

@@ -21,7 +21,7 @@ def point_key(point: int) -> int:
 
 
 def shift_key(profile: int) -> int:
-    """GTSAM key of a laser profile's horizontal shift."""
+    """GTSAM key of the horizontal shift of a laser profile (or, after them, of the terrain model)."""
     return int(gtsam.symbol("s", profile))
 
 

@@ -64,7 +64,8 @@ def explicit_graph(
             if kind == PRIOR:
                 graph.add(_prior(layout, rows, i))
             if rows.surface_weight[i] > 0.0:
-                graph.add(surface_factor(place, rows, i, 1.0 / rows.surface_weight[i]))
+                terrain = shift_key(len(network.shift_names) - 1) if rows.surface_column[i] >= 0 else None
+                graph.add(surface_factor(place, terrain, rows, i, 1.0 / rows.surface_weight[i]))
         for k in range(rows.ray_first[i], rows.ray_first[i + 1]):
             if rows.weight[k, 0] > 0.0:
                 image = int(network.rays.image[layout.ray_order[k]])

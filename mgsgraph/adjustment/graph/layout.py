@@ -34,9 +34,10 @@ _CHUNK = 1024
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variables:
-    """Unknowns that points share: the orientation coefficients of images, then the horizontal shifts of profiles.
+    """Unknowns that points share: orientation coefficients of images, horizontal shifts of profiles and of the terrain.
 
-    Variable j is image j, variable `images` + p is profile p. A held image has no columns.
+    Variable j is image j, variable `images` + p is profile p, and the last one may be the terrain model. A held image
+    has no columns.
     """
 
     images: int
@@ -108,13 +109,15 @@ class Layout:
         parts = [np.arange(self.columns)[self.columns_of(v)] for v in self.group_variables[group]]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
-    def following(self, points: Array) -> "Layout":
-        """The same layout with each point's terrain patch under its present place (n, 3), layout order; itself when all
-        patches are the same.
+    def following(self, points: Array, shared: Array) -> "Layout":
+        """The same layout with each point's terrain patch under its present place (n, 3), layout order, by the present
+        shared unknowns (columns,); itself when all patches are the same.
         """
         surface = self.network.surface
         if surface is None:
             return self
+        if self.network.terrain_moves:
+            points = points - np.einsum("k,nkj->nj", shared[-2:], self.rows.surface_direction)
         cells = surface.grid.cells(points)
         held = (self.rows.surface_weight > 0.0) & (self.rows.point_kind != OUT)
         if np.array_equal(cells[held], self.rows.terrain_cell[held]):
@@ -154,6 +157,8 @@ def lay_out(network: Network, settings: SolverSettings) -> Layout:
 def _variables(network: Network) -> Variables:
     sigmas = [prior.sigmas.ravel() for prior in network.priors]
     shifts = np.zeros(0) if network.shifts is None else network.shifts.sigmas
+    if network.surface is not None and network.terrain_moves:
+        shifts = np.append(shifts, network.surface.shift_sigma)
     sigmas += [np.full(2, sigma) for sigma in shifts]
     width = np.array([part.size for part in sigmas], dtype=np.int64)
     adjusted = np.concatenate([~network.held, np.ones(shifts.size, dtype=bool)])
@@ -181,6 +186,9 @@ def _group_points(network: Network, variables: Variables) -> tuple[tuple[tuple[i
     if network.shifts is not None:
         shifted = np.flatnonzero(network.shifts.profile >= 0)
         pairs.append(np.stack([shifted, network.shifts.profile[shifted] + variables.images], axis=1))
+    if network.surface is not None and network.terrain_moves:
+        on_terrain = np.flatnonzero(np.isfinite(network.surface.sigmas))
+        pairs.append(np.stack([on_terrain, np.full(on_terrain.size, variables.first.size - 1)], axis=1))
     touched = np.unique(np.concatenate(pairs), axis=0)
     touched = touched[variables.first[touched[:, 1]] >= 0]
     marks = np.random.default_rng(0).integers(1, 2**62, variables.first.size, dtype=np.uint64)

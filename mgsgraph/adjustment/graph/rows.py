@@ -53,7 +53,7 @@ def lay_out_rows(
     rows = Rows(
         **_point_arrays(network, point_order, starts),
         **_shift_arrays(network, point_order, first, local, group_of_point),
-        **_surface_arrays(network, point_order, starts),
+        **_surface_arrays(network, point_order, starts, first, local, group_of_point),
         **_ray_arrays(network, ray_order, place_of, model, first, local, group_of_point, starts),
         **_range_arrays(network, range_order, place_of, first, local, group_of_point),
     )
@@ -73,32 +73,43 @@ def _shift_arrays(network: Network, order: Index, first: Index, local: Index, gr
     profile = network.shifts.profile[order]
     moved = profile >= 0
     variable = profile[moved] + len(network.images)
-    longitude, latitude, _ = planetocentric(network.points.places[order[moved]]).T
-    zero = np.zeros_like(longitude)
-    east = np.stack([-np.sin(longitude), np.cos(longitude), zero], axis=1)
-    north = np.stack(
-        [-np.sin(latitude) * np.cos(longitude), -np.sin(latitude) * np.sin(longitude), np.cos(latitude)], axis=1
-    )
     column, inside = first[variable], local[group_of_point[order[moved]], variable]
     return {
         "shift_first": np.concatenate([[0], np.cumsum(2 * moved)]).astype(np.int64),
         "shift_column": np.stack([column, column + 1], axis=1).ravel(),
         "shift_local": np.stack([inside, inside + 1], axis=1).ravel(),
-        "shift_direction": np.stack([east, north], axis=1).reshape(-1, 3),
+        "shift_direction": _horizontal_axes(network.points.places[order[moved]]).reshape(-1, 3),
     }
 
 
-def _surface_arrays(network: Network, order: Index, starts: Array) -> dict[str, Any]:
+def _horizontal_axes(places: Array) -> Array:
+    """(n, 2, 3) unit vectors eastward and northward at places (n, 3); of no use at places (0, 0, 0)."""
+    longitude, latitude, _ = planetocentric(places).T
+    (sl, cl), (sb, cb) = (np.sin(longitude), np.cos(longitude)), (np.sin(latitude), np.cos(latitude))
+    east = np.stack([-sl, cl, np.zeros_like(sl)], axis=1)
+    return np.stack([east, np.stack([-sb * cl, -sb * sl, cb], axis=1)], axis=1)
+
+
+def _surface_arrays(
+    network: Network, order: Index, starts: Array, first: Index, local: Index, group_of_point: Index
+) -> dict[str, Any]:
     if network.surface is None:
         return {
             "surface_weight": np.zeros(order.size),
+            "surface_column": np.full(order.size, -1, dtype=np.int64),
+            "surface_local": np.full(order.size, -1, dtype=np.int64),
+            "surface_direction": np.zeros((0, 2, 3)),
             "terrain": np.zeros((0, 0)),
             "terrain_frame": np.zeros(4),
             "terrain_cell": np.full((order.size, 3), -1, dtype=np.int64),
         }
     grid = network.surface.grid
+    felt = np.isfinite(network.surface.sigmas[order]) & network.terrain_moves
     return {
         "surface_weight": 1.0 / network.surface.sigmas[order],
+        "surface_column": np.where(felt, first[-1], -1),
+        "surface_local": np.where(felt, local[group_of_point[order], -1], -1),
+        "surface_direction": _horizontal_axes(starts[order]),
         "terrain": np.ascontiguousarray(grid.radii, dtype=np.float64),
         "terrain_frame": np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
         "terrain_cell": grid.cells(starts[order]),

@@ -1,0 +1,167 @@
+"""The campaigns in scripts/: the papers' case and its tables, and the NEES of drawn networks; fast smoke tests only."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+if not SCRIPTS.is_dir():
+    pytest.skip("the scripts are not beside the tests", allow_module_level=True)
+sys.path.append(str(SCRIPTS))
+
+import nees  # noqa: E402
+import papers_eos  # noqa: E402
+import papers_tables as tables  # noqa: E402
+import published  # noqa: E402
+import reproduce_papers  # noqa: E402
+
+from mgsgraph.case import read_case  # noqa: E402
+from mgsgraph.errors import InputError  # noqa: E402
+from mgsgraph.network import PointClass  # noqa: E402
+from mgsgraph.simulation.site import SimulationOptions, simulate_site  # noqa: E402
+from mgsgraph.simulation.site_files import papers_case, write_site  # noqa: E402
+
+PLAIN = SimulationOptions(pictures=False)
+
+
+@pytest.fixture(scope="module")
+def isidis(tmp_path_factory: pytest.TempPathFactory) -> tables.Result:
+    return reproduce_papers.reproduced("isidis", 1, tmp_path_factory.mktemp("isidis"), PLAIN)
+
+
+@pytest.fixture(scope="module")
+def gusev(tmp_path_factory: pytest.TempPathFactory) -> tables.Result:
+    return reproduce_papers.reproduced("gusev", 1, tmp_path_factory.mktemp("gusev"), PLAIN)
+
+
+def test_the_papers_case_has_the_papers_rows(gusev: tables.Result) -> None:
+    network, settings = gusev.case.network, gusev.case.settings
+    assert network.shifts is None
+    assert network.surface is None
+    assert (settings.line, settings.angles) == ("measured", "opk-paper")
+    laser = network.points.classes[network.rays.point] == PointClass.LASER
+    assert network.rays.back_projected is not None
+    np.testing.assert_array_equal(network.rays.back_projected, laser)
+    assert set(network.rays.sigmas[laser].ravel()) == {30.0}
+    assert set(network.ranges.sigmas) == {10.0}
+    nadir, held = (prior.sigmas for prior in network.priors)
+    np.testing.assert_allclose(held, 2.0 * nadir, rtol=1e-3)
+    np.testing.assert_allclose(nadir[:, 0], [100.0, 10.0, 1.0])
+    for fit in gusev.case.fits:  # polynomials of order 2, as theirs
+        assert (fit.order, fit.samples) == (2, 31)
+    assert len(gusev.case.fits) == 2
+
+
+def test_both_cases_are_written_and_the_one_asked_for_is_returned(tmp_path: Path) -> None:
+    site = simulate_site("isidis", 1, PLAIN)
+    rigorous, papers = write_site(site, tmp_path), write_site(site, tmp_path, "papers")
+    assert (rigorous.name, papers.name) == ("case.toml", "case_papers.toml")
+    assert "back-projected" not in rigorous.read_text(encoding="utf-8")
+    assert "[terrain]" not in papers.read_text(encoding="utf-8")
+    assert len(read_case(rigorous).fits) == 2
+    with pytest.raises(InputError, match="weighting"):
+        write_site(site, tmp_path, "equal")  # type: ignore[arg-type]
+
+
+def test_only_eos_departs_from_the_stated_weights() -> None:
+    eos, isidis = (simulate_site(name, 1, PLAIN) for name in ("eos", "isidis"))
+    assert papers_case(isidis) == papers_case(isidis, stated=True)
+    assert "image_sigma_px = 125.0" in papers_case(eos)
+    assert "image_sigma_px = 30.0" in papers_case(eos, stated=True)
+
+
+def test_table_4_is_met_but_for_one_tie_sigma_at_gusev(gusev: tables.Result, isidis: tables.Result) -> None:
+    for one, tie_factor in ((gusev, 1.9), (isidis, 1.8)):  # wanted: 1.8; Y is 1.86, see docs/papers.md
+        found, wanted = tables.sigmas_of(one.solution), published.TABLE_4["PE&RS"][one.site]
+        assert max(tables.factors(found.mola, wanted.mola)) < 1.1
+        assert max(tables.factors(found.tie, wanted.tie)) < tie_factor
+
+
+def test_corrections_at_gusev_are_opposite(gusev: tables.Result) -> None:
+    left, _, right, _ = tables.image_scatter(gusev.solution, PointClass.LASER, -1.0).mean
+    assert -28.0 < left < -20.0
+    assert 20.0 < right < 30.0
+    injected = tables.along_flight(gusev)
+    assert abs(abs(injected[0] - injected[1]) - 229.0) < 3.0
+
+
+def test_corrections_lead_from_the_back_projected_to_the_adjusted_place(gusev: tables.Result) -> None:
+    solution, rays = gusev.solution, gusev.solution.network.rays
+    found = tables.image_scatter(solution, PointClass.LASER, -1.0).mean
+    for j, image in enumerate(solution.network.images):
+        mine = (rays.image == j) & (solution.network.points.classes[rays.point] == PointClass.LASER)
+        places, _ = image.ground_to_image(solution.places[rays.point[mine]], solution.correction(j))
+        np.testing.assert_allclose((places - rays.places[mine]).mean(axis=0), found[2 * j : 2 * j + 2], atol=0.2)
+
+
+def test_truth_minus_spice_is_what_was_injected(gusev: tables.Result) -> None:
+    _, true = tables.differences(gusev)
+    for image, off in zip(gusev.simulated.images, true, strict=True):
+        eye = image.true.pose(np.linspace(0.0, float(image.true.lines), tables.PLACES)).position
+        up = eye / np.linalg.norm(eye, axis=1, keepdims=True)
+        np.testing.assert_allclose(np.einsum("ni,ni->n", off[:, :3], up), -image.errors.position[0], atol=0.5)
+        assert np.abs(np.linalg.norm(off[:, :3], axis=1) - np.linalg.norm(image.errors.position)).max() < 0.1
+
+
+def test_table_5_implies_the_shift_of_the_plan() -> None:
+    for site, shift in (("gusev", 229.0), ("isidis", 225.0)):
+        assert abs(tables.opposite_shift(published.TABLE_5[site], site) - shift) < 1.0
+
+
+def test_footprints_published_for_eos_have_no_heights() -> None:
+    from mgsgraph.geometry.body import geodetic
+
+    heights = geodetic(1e3 * np.array(published.EOS_FOOTPRINTS), papers_eos.OLD_ELLIPSOID)[:, 2]
+    assert np.abs(heights + 1.1).max() < 0.5
+
+
+def test_the_page_holds_every_table(isidis: tables.Result, tmp_path: Path) -> None:
+    text = "\n".join(reproduce_papers.page([isidis], 1, tmp_path, figures=False))
+    for part in ("Table 1", "Table 2", "Table 3", "Table 4", "Table 5", "Range", "shift", "halved", "required"):
+        assert part in text
+    assert "nan" not in text
+
+
+def test_scatter_is_about_the_mean() -> None:
+    found = tables.scatter(np.array([[1.0, 5.0], [3.0, 5.0]]))
+    assert found == published.Scatter((2.0, 5.0), (1.0, 0.0))
+
+
+def test_reweighting_changes_its_own_rows_alone(isidis: tables.Result) -> None:
+    network = isidis.case.network
+    for group in tables.GROUPS:
+        other = tables.reweighted(network, group, 4.0)
+        laser = network.points.classes[network.rays.point] == PointClass.LASER
+        changed = {
+            "ties": not np.array_equal(other.rays.sigmas[~laser], network.rays.sigmas[~laser]),
+            "MOLA image points": not np.array_equal(other.rays.sigmas[laser], network.rays.sigmas[laser]),
+            "ranges": not np.array_equal(other.ranges.sigmas, network.ranges.sigmas),
+            "MOLA ground points": not np.array_equal(other.points.covariances, network.points.covariances),
+            "positions": not np.array_equal(other.priors[0].sigmas[:, :3], network.priors[0].sigmas[:, :3]),
+            "angles": not np.array_equal(other.priors[0].sigmas[:, 3:], network.priors[0].sigmas[:, 3:]),
+        }
+        assert [name for name, is_so in changed.items() if is_so] == [group]
+    np.testing.assert_allclose(tables.reweighted(network, "ranges", 4.0).ranges.sigmas, 5.0)
+
+
+def test_normalised_errors_without_terrain_lie_in_their_band(isidis: tables.Result) -> None:
+    from dataclasses import replace
+
+    case = read_case(isidis.case.path.with_name("case.toml"))
+    found = nees.campaign("isidis", "no-terrain", replace(case.network, surface=None), case.settings, 10)
+    assert found.failures == 0
+    means = found.values.mean(axis=0)
+    for mean, (low, high) in zip(means, nees.bands(found), strict=True):
+        assert low < mean < high
+    assert means.min() > 0.5  # bands of points scale with what they judge
+    assert means.max() < 1.8
+
+
+def test_bands_are_those_of_tables() -> None:
+    low, high = nees.chi_square_band(100)
+    assert abs(100.0 * low - 67.328) < 0.05  # chi-square, 100 degrees: 0.005 and 0.995 quantiles
+    assert abs(100.0 * high - 140.169) < 0.05
+    assert abs(nees.student99(9) - 3.250) < 0.03
+    assert abs(nees.student99(99) - 2.626) < 0.001
