@@ -6,8 +6,11 @@ This package is the only one that imports matplotlib; import it only where figur
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.io.moc_pixels import Pixels
+from mgsgraph.network import PointClass
 from mgsgraph.products.figures.closeups import closeup_sheets
 from mgsgraph.products.figures.content import registration_discrepancy as registration_discrepancy
 from mgsgraph.products.figures.content import registration_offsets as registration_offsets
@@ -34,8 +37,8 @@ def write_figures(solution: Solution, folder: Path) -> list[str]:
     Returns
     -------
     list of str
-        Names of the files in the folder: residuals, orientation, registration (where there are laser points) and map,
-        each as .png and .svg, numbered (residuals_1, ...) where a kind takes several sheets.
+        Names of the files in the folder: residuals, orientation, registration (where laser points are measured in
+        images) and map, each as .png and .svg, numbered (residuals_1, ...) where a kind takes several sheets.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with plain_style():
@@ -46,7 +49,9 @@ def _sheets(solution: Solution) -> Iterator[Sheet]:
     """One after another, so that no more than one is in memory."""
     yield from residual_sheets(solution)
     yield from orientation_sheets(solution)
-    yield from registration_sheets(solution)
+    rays = solution.network.rays
+    if np.any(solution.network.points.classes[rays.point] == PointClass.LASER):
+        yield from registration_sheets(solution)
     yield map_sheet(solution)
 
 
