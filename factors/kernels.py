@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit, prange
 
 from mgsgraph.factors.equations import image_row, range_row, robust, surface_row
-from mgsgraph.factors.rows import FIXED, OUT, PRIOR
+from mgsgraph.factors.rows import FIXED, NO_LOSS, OUT, PRIOR, Model
 
 GOOD, BEHIND, WEAK = 0, 1, 2
 """State of a point after its inner solve: solved, behind a camera, not determined by its rows."""
@@ -136,17 +136,8 @@ def point_normal(rows, i, model, x, point, scratch, residual, by_pose, by_point,
 
 
 @njit(cache=True)
-def solve_point(rows, i, model, x, point, scratch, residual, by_pose, by_point, normal, gradient):
-    """Best place of point i with the orientation held (Gauss-Newton to a fixed tolerance); its cost and state.
-
-    Afterwards `normal` holds the lower Cholesky factor L of the normal matrix at the solution, and `gradient` what is
-    left of the gradient, as L^-1 g.
-    """
-    for j in range(3):
-        point[j] = rows.point_start[i, j]
-    if rows.point_kind[i] == FIXED:
-        cost, front = point_normal(rows, i, model, x, point, scratch, residual, by_pose, by_point, normal, gradient)
-        return cost, GOOD if front else BEHIND
+def descend(rows, i, model, x, point, scratch, residual, by_pose, by_point, normal, gradient):
+    """Gauss-Newton from the place where `point` is; cost and state as in `solve_point`."""
     cost = 0.0
     for _ in range(_INNER_STEPS):
         cost, front = point_normal(rows, i, model, x, point, scratch, residual, by_pose, by_point, normal, gradient)
@@ -162,6 +153,26 @@ def solve_point(rows, i, model, x, point, scratch, residual, by_pose, by_point, 
         for j in range(3):
             point[j] -= gradient[j]
     return cost, GOOD
+
+
+@njit(cache=True)
+def solve_point(rows, i, model, x, point, scratch, residual, by_pose, by_point, normal, gradient):
+    """Best place of point i with the orientation held (Gauss-Newton to a fixed tolerance); its cost and state.
+
+    Afterwards `normal` holds the lower Cholesky factor L of the normal matrix at the solution, and `gradient` what is
+    left of the gradient, as L^-1 g.
+    """
+    for j in range(3):
+        point[j] = rows.point_start[i, j]
+    if rows.point_kind[i] == FIXED:
+        cost, front = point_normal(rows, i, model, x, point, scratch, residual, by_pose, by_point, normal, gradient)
+        return cost, GOOD if front else BEHIND
+    if model.loss != NO_LOSS:  # where a robust loss is flat it leads nowhere: begin where plain squares end
+        plain = Model(model.line, model.angles, NO_LOSS, model.width)
+        _, state = descend(rows, i, plain, x, point, scratch, residual, by_pose, by_point, normal, gradient)
+        if state != GOOD:
+            return np.inf, state
+    return descend(rows, i, model, x, point, scratch, residual, by_pose, by_point, normal, gradient)
 
 
 @njit(cache=True)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from mgsgraph.case import Case as Case
     from mgsgraph.case import adjust as adjust
     from mgsgraph.case import read_case as read_case
+    from mgsgraph.errors import InputError as InputError
+    from mgsgraph.errors import MgsgraphError as MgsgraphError
     from mgsgraph.network import Network as Network
     from mgsgraph.products.archive import read_solution as read_solution
     from mgsgraph.products.results import write_results as write_results
@@ -23,6 +25,8 @@ _HOME = {
     "adjust": "mgsgraph.case",
     "adjust_network": "mgsgraph.adjustment.adjust",
     "Case": "mgsgraph.case",
+    "InputError": "mgsgraph.errors",
+    "MgsgraphError": "mgsgraph.errors",
     "Network": "mgsgraph.network",
     "orientation_profile": "mgsgraph.adjustment.solution",
     "read_case": "mgsgraph.case",

@@ -54,13 +54,13 @@ class PointBehindCamera(InputError):
 class WeakNetwork(MgsgraphError, ArithmeticError):
     """A network whose datum is not determined; names the weak directions and the images that share them."""
 
-    def __init__(self, directions: Sequence[str]) -> None:
+    def __init__(self, directions: Sequence[str], count: int) -> None:
+        others = f" (and {count - len(directions)} more directions)" if count > len(directions) else ""
         super().__init__(
-            "the network is too weak to solve: nothing determines "
-            + "; ".join(directions)
-            + "; give these a prior sigma, ground control or laser rows"
+            f"the network is too weak to solve: nothing determines {'; or '.join(directions)}{others}; "
+            "give these a finite a-priori sigma, or give ground control or laser rows"
         )
-        self.directions = tuple(directions)
+        self.directions, self.count = tuple(directions), count
 
 
 class SolverError(MgsgraphError, ArithmeticError):

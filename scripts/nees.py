@@ -29,8 +29,8 @@ from mgsgraph.simulation.sites import SITE_NAMES
 
 Z99 = 2.5758293035489004
 """Quantile of the normal distribution, 99% two-sided."""
-COLUMNS = ("unknowns", "ties", "laser", "squares")
-"""Orientation coefficients and profile shifts; tie points; footprints; weighted squares of all rows."""
+COLUMNS = ("orientation", "shifts", "ties", "laser", "squares")
+"""Orientation coefficients; shifts of profiles and terrain; tie points; footprints; weighted squares of all rows."""
 CASES: dict[str, Weighting] = {"rigorous": "rigorous", "no-terrain": "rigorous", "papers": "papers"}
 """no-terrain is the rigorous case without its surface rows: what is left if these are at fault."""
 OUT = Path(__file__).resolve().parents[1] / "docs" / "nees.md"
@@ -41,8 +41,8 @@ orientation coefficient, profile shift, footprint, image measure, range and terr
 adjusts, and normalises the errors by the stated covariances (for sigma0 = 1). Per degree of freedom the mean is 1 if
 they are honest. Made by `scripts/nees.py`; seeds 0 .. N-1.
 
-* *unknowns*: all orientation coefficients and profile shifts jointly. Band: chi-square with N times their number of
-  degrees of freedom.
+* *orientation*: all orientation coefficients jointly; *shifts*: those of the profiles and of the terrain model,
+  jointly. Band: chi-square with N times their number of degrees of freedom.
 * *ties*, *laser*: mean over the points of (error' C^-1 error) / 3. Points of one draw share its orientation, so that
   they are not independent; the draws are: 1 +- Student's 99% quantile times the scatter over the draws / sqrt(N).
 * *squares*: weighted squares of all rows over the degrees of freedom. Band: chi-square.
@@ -51,12 +51,12 @@ they are honest. Made by `scripts/nees.py`; seeds 0 .. N-1.
 """
 READING = """
 Where *rigorous* lies outside its band and *no-terrain* inside, the surface rows are the cause. A tie's height above the
-grid says something of its horizontal place only by the patch's slope, and patches (463 m) differ from one another: over
-the tens of metres to which the horizontal place is known, the cost has several minima of nearly equal depth. The
-covariance is that of one of them and knows nothing of the others. (Tried once at Isidis, 40 draws, not part of this
-script: started from the truth, the adjustment ended in another minimum in 20, with a higher cost in 14, a lower in 6.)
+grid says something of the horizontal place only by the patch's slope, and patches (463 m) differ from one another: over
+the hundred metres to which that place is known, the cost has several minima of nearly equal depth. The covariance is
+that of one of them and knows nothing of the others; a few draws in the wrong one dominate the mean of the *shifts*,
+whose median is below one. The terrain model's shift is therefore less certain than it says, and most so at Eos.
 A band that reaches below zero says that a few draws dominate: it tells nothing.
-Where *no-terrain* lies outside as well, as Eos' unknowns do, the orientation's priors are too wide for linear error
+Where *no-terrain* lies outside as well, as Eos' orientation does, its priors are too wide for linear error
 propagation: 3', 6' and 10' (twice that for the held image), equally wide along the image. (Tried once, 60 draws without
 terrain: 1.33 with these sigmas, 1.01 with half of them, 0.97 with a tenth.) The points are honest there.
 """
@@ -65,7 +65,7 @@ PAPERS = """
 what the orientation's prior says, some hundred times over, as if each were a measurement of its own with a sigma of
 30 px (125 px at Eos). The adjustment believes them: it states sigmas of the orientation far below the prior's, around
 an orientation that is still nothing but the nominal one, from which the truth is as far as the prior says. Hence the
-large NEES of the unknowns and the tie points. Footprints are held by their own 10 m and hardly move: theirs is about
+large NEES of the orientation and the tie points. Footprints are held by their own 10 m and hardly move: theirs is about
 one. The squares are small for the same reason: back-projected rows fit without noise.
 """
 
@@ -77,7 +77,7 @@ class Campaign:
     site: str
     case: str
     values: Array
-    """(draws, 4), see COLUMNS."""
+    """(draws, 5), see COLUMNS."""
     degrees: tuple[int, ...]
     """Degrees of freedom of each column in one draw."""
     failures: int
@@ -105,12 +105,20 @@ def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[lis
     found = [one.ravel() for one in solution.coefficients] + [solution.shifts.ravel()]
     adjusted = np.repeat([*~network.held, True], [part.size for part in truth])
     error = (np.concatenate(found) - np.concatenate(truth))[adjusted]
-    shared = float(nees(error[None], solution.joint_covariance[None])[0])
+    orientation = error.size - draw.shifts.size
+    blocks = [slice(0, orientation), slice(orientation, error.size)]
+    shared = [shared_nees(error[block], solution.joint_covariance[block, block]) for block in blocks]
     members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
     points = [nees((solution.places - draw.places)[one], solution.covariances[one]) for one in members]
     freedom = solution.fit.degrees_of_freedom
-    values = [shared / error.size, *(float(one.mean()) / 3.0 for one in points), solution.fit.squares / freedom]
-    return values, (error.size, *(3 * one.size for one in points), freedom), solution.converged
+    values = [*shared, *(float(one.mean()) / 3.0 for one in points), solution.fit.squares / freedom]
+    degrees = (orientation, draw.shifts.size, *(3 * one.size for one in points), freedom)
+    return values, degrees, solution.converged
+
+
+def shared_nees(error: Array, covariance: Array) -> float:
+    """Normalised error of shared unknowns per degree of freedom; NaN where there are none."""
+    return float(nees(error[None], covariance[None])[0]) / error.size if error.size else float("nan")
 
 
 def bands(found: Campaign) -> list[tuple[float, float]]:
@@ -118,7 +126,7 @@ def bands(found: Campaign) -> list[tuple[float, float]]:
     draws = found.values.shape[0]
     result = []
     for k, name in enumerate(COLUMNS):
-        if name in ("unknowns", "squares"):
+        if name in ("orientation", "shifts", "squares") and found.degrees[k]:
             result.append(chi_square_band(draws * found.degrees[k]))
         else:
             half = student99(draws - 1) * found.values[:, k].std(ddof=1) / np.sqrt(draws)
@@ -156,6 +164,8 @@ def table(found: list[Campaign]) -> list[str]:
 
 def cell(mean: float, band: tuple[float, float]) -> str:
     """Mean, band, and a word where it falls outside."""
+    if np.isnan(mean):
+        return "-"
     low, high = band
     return f"{mean:.3f} ({low:.3f} .. {high:.3f}){'' if low <= mean <= high else ' **outside**'}"
 

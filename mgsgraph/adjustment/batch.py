@@ -22,7 +22,7 @@ _MOST_DAMPING = 1e8
 _EASE, _TIGHTEN = 0.1, 10.0
 _ROUNDING = 1e-11
 """Share of the cost by which it may seem to rise: body-fixed metres leave that much rounding in the residuals."""
-_REMEDY = "look for blunders, or use a robust loss"
+_REMEDY = "look for blunders (reject), or try another loss"
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
 
 

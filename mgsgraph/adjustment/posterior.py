@@ -114,7 +114,7 @@ def orientation_covariance(graph: BundleGraph, orientation: Array) -> Array:
     except RuntimeError as error:
         if "Indeterminate" not in str(error):
             raise
-        raise WeakNetwork(weak_directions(layout, graph.reduction(orientation), _POORLY)) from None
+        raise WeakNetwork(*weak_directions(layout, graph.reduction(orientation), _POORLY)) from None
     keys = [variable_key(layout, v) for v in adjusted]
     joint = marginals.jointMarginalCovariance(keys).fullMatrix()
     return np.asarray(0.5 * (joint + joint.T))
@@ -155,14 +155,15 @@ def require_strength(layout: Layout, reduction: Reduction) -> None:
     Only needed where some coefficient has no prior: a prior on each determines all of them.
     """
     if np.any(np.isinf(layout.sigmas)):
-        weak = weak_directions(layout, reduction, _WEAK)
-        if weak:
-            raise WeakNetwork(weak)
+        weak, count = weak_directions(layout, reduction, _WEAK)
+        if count:
+            raise WeakNetwork(weak, count)
 
 
-def weak_directions(layout: Layout, reduction: Reduction, limit: float) -> list[str]:
-    """The weakest directions of the orientation in words (three at most): those whose eigenvalue of the normal matrix,
-    in units of `Layout.scales`, is below `limit` of the largest.
+def weak_directions(layout: Layout, reduction: Reduction, limit: float) -> tuple[list[str], int]:
+    """The weakest directions of the orientation in words (two at most), and how many there are.
+
+    Weak is what has an eigenvalue of the normal matrix, in units of `Layout.scales`, below `limit` of the largest.
     """
     scales = layout.scales
     normal = np.diag(np.where(np.isinf(layout.sigmas), 0.0, 1.0))
@@ -171,7 +172,7 @@ def weak_directions(layout: Layout, reduction: Reduction, limit: float) -> list[
         normal[np.ix_(columns, columns)] += block * scales[columns][:, None] * scales[columns]
     values, vectors = np.linalg.eigh(normal)
     weak = vectors[:, values < limit * max(values[-1], 1.0)]
-    return [_in_words(layout, weak[:, k]) for k in range(min(weak.shape[1], 3))]
+    return [_in_words(layout, weak[:, k]) for k in range(min(weak.shape[1], 2))], weak.shape[1]
 
 
 def _in_words(layout: Layout, direction: Array) -> str:
@@ -179,7 +180,7 @@ def _in_words(layout: Layout, direction: Array) -> str:
     terms = ("constant", "linear", "quadratic", "cubic")
     share = direction**2 / np.sum(direction**2)
     names: list[str] = []
-    for column in np.argsort(-share)[:6]:
+    for column in np.argsort(-share)[:3]:
         if share[column] < _NAMED and names:
             break
         variable = max(v for v in layout.variables.adjusted() if layout.columns_of(v).start <= column)

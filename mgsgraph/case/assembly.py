@@ -17,6 +17,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.registration import footprints_in_images
 from mgsgraph.ties import PointKind, TiePoints
+from mgsgraph.units import KM
 
 
 class Parts:
@@ -155,7 +156,17 @@ class Parts:
         sigmas = np.full(len(points), np.inf)
         members, first_rays = np.unique(rays.point, return_index=True)
         longitude, latitude, _ = planetocentric(self._ground(rays)[first_rays]).T
-        there = np.isfinite(terrain.radius(longitude, latitude)[0])
+        radius, _, _ = terrain.radius(longitude, latitude)
+        there = np.isfinite(radius)
+        body = self._images[0].body
+        if np.any(np.abs(radius[there] - body.equatorial) > 0.05 * body.equatorial):
+            found = f"radii about {np.median(radius[there]) / KM:.0f} km"
+            raise InputError(
+                terrain.source,
+                found,
+                f"those of a body of {body.equatorial / KM:.0f} km",
+                "give the terrain model of the images' body",
+            )
         usable = there & (points.classes[members] == PointClass.TIE)
         sigmas[members[usable]] = terrain.vertical_sigma or 0.0
         if not np.any(np.isfinite(sigmas)):

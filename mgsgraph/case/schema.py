@@ -18,6 +18,8 @@ from mgsgraph.units import MRAD
 
 FORMAT = 1
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Sigma = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]
+"""Standard deviations that mean something: a micropixel or a micrometre to a million kilometres."""
 FORMAT = 1
 
 
@@ -48,8 +50,9 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 def _three_sigmas(value: float | list[float], where: str) -> Array:
     """One sigma for all three directions, or three. (A union with a fixed-length tuple crashes msgspec 0.22.)"""
     sigmas = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    if sigmas.size not in (1, 3) or not np.all(sigmas > 0.0):
-        raise InputError(where, f"{value}", "one positive number or three (inf for unknown)")
+    sound = ((sigmas >= 1e-9) & (sigmas <= 1e9)) | np.isposinf(sigmas)
+    if sigmas.size not in (1, 3) or not np.all(sound):
+        raise InputError(where, f"{value}", "one number from 1e-9 to 1e9, or three (inf for unknown)")
     return np.broadcast_to(sigmas, 3)
 
 
@@ -87,7 +90,7 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     network: str
     """ISIS control network, PVL."""
-    sigma_px: Positive = 1.0
+    sigma_px: Sigma = 1.0
     """Sigma of line and sample where the network doesn't say."""
 
 
@@ -103,11 +106,11 @@ class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     file: str
     """ISIS lidar JSON."""
-    image_sigma_px: Positive = 30.0
+    image_sigma_px: Sigma = 30.0
     """Sigma of the shots' image coordinates."""
-    range_sigma_m: Positive | None = None
+    range_sigma_m: Sigma | None = None
     """Sigma of the ranges; the file's own when absent."""
-    ground_sigma_m: Positive | None = None
+    ground_sigma_m: Sigma | None = None
     """Sigma of the footprints in each direction; the file's covariances when absent."""
     ranges: bool = True
     """Use the ranges."""
@@ -120,15 +123,15 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """PEDR binary file, PEDR2TAB table, or CSV of the Orbital Data Explorer."""
     image: str | None = None
     """Image taken along with it, whose orientation carries the ranges; found by time when absent."""
-    range_sigma_m: Positive = 10.0
+    range_sigma_m: Sigma = 10.0
     """Sigma of the ranges."""
-    ground_sigma_m: Positive = 10.0
+    ground_sigma_m: Sigma = 10.0
     """Sigma of each footprint in each direction."""
-    shift_sigma_m: Positive | None = None
+    shift_sigma_m: Sigma | None = None
     """Sigma of the profile's common horizontal error, which becomes an unknown; absent: none."""
     image_rows: Literal["none", "back-projected"] = "none"
     """Image coordinates of the footprints: none, or their projections with the nominal orientation (the papers')."""
-    image_sigma_px: Positive = 30.0
+    image_sigma_px: Sigma = 30.0
     """Sigma of these."""
     ranges: bool = True
     """Use the ranges."""
@@ -151,9 +154,9 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Tie points lie on it."""
     reference_radius_m: Positive | None = None
     """Sphere above which a GeoTIFF's heights are."""
-    vertical_sigma_m: Positive = 10.0
+    vertical_sigma_m: Sigma = 10.0
     """Sigma of its heights."""
-    planimetric_sigma_m: Positive = 200.0
+    planimetric_sigma_m: Sigma = 200.0
     """Sigma of its horizontal place as a whole, which becomes an unknown."""
 
 

@@ -1,7 +1,10 @@
 """The command line: one thin verb each; nothing here computes. Verbs are imported when they are called."""
 
+import os
+import signal
 import sys
 from importlib import import_module
+from typing import NoReturn
 
 import click
 
@@ -48,20 +51,40 @@ def group() -> None:
 
 def main() -> None:
     """Entry point: bad input is one line on standard error and exit status 2."""
+    interrupted = False
+
+    def interrupt(number: int, frame: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    signal.signal(signal.SIGTERM, interrupt)  # so that nothing half-written stays behind
     try:
         status = group(standalone_mode=False)
+        sys.stdout.flush()
     except click.ClickException as error:
         error.show()
         sys.exit(2)
-    except click.exceptions.Abort:
-        click.echo("mgsgraph: interrupted; nothing was written", err=True)
-        sys.exit(130)
     except MgsgraphError as error:
-        click.echo(f"mgsgraph: error: {error}", err=True)
-        sys.exit(2)
+        _leave(f"error: {error}", 2)
     except MemoryError:
-        click.echo("mgsgraph: error: out of memory; give the machine more or leave images out", err=True)
-        sys.exit(2)
+        _leave("error: out of memory; give the machine more or leave images out", 2)
     except BrokenPipeError:
-        sys.exit(1)
+        os._exit(1)  # whoever read our output has gone; a second attempt to flush it would complain
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        _leave("interrupted; nothing was written", 130)
+    except OSError as error:
+        _leave(f"error: standard output can't be written ({error.strerror})", 2)
+    except Exception:
+        if not interrupted:
+            raise
+        _leave("interrupted; nothing was written", 130)  # a library that was being imported makes its own error of it
     sys.exit(status or 0)
+
+
+def _leave(message: str, status: int) -> NoReturn:
+    """One line on standard error, and out, without another look at standard output."""
+    click.echo(f"mgsgraph: {message}", err=True)
+    sys.stderr.flush()
+    os._exit(status)

@@ -10,7 +10,7 @@ from mgsgraph.errors import InputError
 def read_text(path: Path) -> str:
     """The whole of a UTF-8 text file; InputError when it is missing, unreadable or not text."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(str(path), "no such file", remedy="check the path; a case file's are relative to it") from None
     except IsADirectoryError:

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterator
@@ -18,6 +19,11 @@ RECORD = "solution.json"
 REGISTRATION = "registration.json"
 """File that makes a folder without a solution a registration by this program."""
 
+_OURS = re.compile(
+    r"solution\.(json|npz)|summary\.json|inputs|registration\.(json|csv)|(points|orientation|residuals|discrepancy)\.csv"
+    r"|(residuals|orientation|registration|map|overlay|closeups|discrepancy)(_\d+)?\.(png|svg)"
+)
+"""Names of what results hold; a folder with anything else in it is not replaced."""
 _REMEDIES = {
     errno.ENOSPC: "free some space, or choose another --out",
     errno.EDQUOT: "free some of your quota, or choose another --out",
@@ -79,6 +85,9 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
         if any(target.iterdir()) and (kept := _kind(target)) != record:
             found = f"not a result of {PROGRAM}" if kept is None else f"another kind of result ({kept})"
             raise InputError(shown, f"exists and is {found}", remedy="choose another --out")
+        for other in sorted(entry.name for entry in target.iterdir() if not _OURS.fullmatch(entry.name))[:1]:
+            found = f"an earlier result that holds {other!r}, too, which would be lost"
+            raise InputError(shown, found, remedy="move that away, or choose another --out")
     except OSError as error:
         raise _refusal(shown, error) from None
 

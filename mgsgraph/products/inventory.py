@@ -1,12 +1,16 @@
 """What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mgsgraph.adjustment.adjust import Prediction, predict
 from mgsgraph.case import Case
+from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind
@@ -18,6 +22,8 @@ _SHORT = 0.5
 """Points over less than this share of the lines leave the polynomials to extrapolate."""
 _NARROW = 5.0 * DEG
 """Convergence below which heights are poor."""
+_WILD = 30.0
+"""Sigmas from the median of their kind beyond which ranges are named."""
 _NAMED = 5
 """How many of a kind are named."""
 
@@ -25,16 +31,28 @@ _NAMED = 5
 def inventory(case: Case) -> str:
     """Images and their coverage, points, shots, connectivity, and expected weak spots; several lines of text."""
     network = case.network
-    prediction = predict(network, case.settings)
+    weak: list[str] = []
+    try:
+        prediction = predict(network, case.settings)
+    except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
+        weak.append(str(error))
+        prediction = predict(_with_priors(network), case.settings)
     parts = [
         f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
         f"measurements, {network.ranges.point.size} ranges",
         _images(network),
         _points(network, prediction),
         _connections(network),
-        "Weak spots\n" + "\n".join(f"  - {line}" for line in _weak_spots(network, prediction) or ["none seen"]),
+        "Weak spots\n" + "\n".join(f"  - {line}" for line in weak + _weak_spots(network, prediction) or ["none seen"]),
     ]
     return "\n\n".join(parts)
+
+
+def _with_priors(network: Network) -> Network:
+    """The same network with wide sigmas, 1 km and 10 mrad, in place of infinite ones."""
+    wide = np.repeat([1e3, 1e-2], 3)
+    priors = tuple(OrientationPrior(np.where(np.isinf(prior.sigmas), wide, prior.sigmas)) for prior in network.priors)
+    return replace(network, priors=priors)
 
 
 def _images(network: Network) -> str:
@@ -155,11 +173,28 @@ def _weak_spots(network: Network, prediction: Prediction) -> list[str]:
             f"{_NARROW / DEG:.0f} deg (least {angle.min() / DEG:.2f} deg): "
             "expect their sigma along the line of sight to be large"
         )
+    found += _doubtful_observations(network, prediction)
     held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
     if not held_down:
         found.append(
             "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"
         )
+    return found
+
+
+def _doubtful_observations(network: Network, prediction: Prediction) -> list[str]:
+    """Ranges far from what the nominal orientation says, and laser points without any."""
+    found = []
+    values = prediction.range_residuals
+    middle = np.median(values) if values.size else 0.0
+    wild = np.flatnonzero(np.abs(values - middle) > _WILD * network.ranges.sigmas)
+    if wild.size:
+        names = _some(network, network.ranges.point[wild])
+        found.append(f"{wild.size} ranges lie more than {_WILD:.0f} sigmas from the others: {names}")
+    laser = np.flatnonzero(network.points.classes == PointClass.LASER)
+    bare = np.setdiff1d(laser, network.ranges.point)
+    if network.ranges.point.size and bare.size:
+        found.append(f"{bare.size} laser points have no range (no simultaneous image): {_some(network, bare)}")
     return found
 
 

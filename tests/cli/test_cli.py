@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -164,3 +166,49 @@ def test_not_converged_is_exit_status_one(case_file: Path, tmp_path: Path) -> No
     done = run("adjust", case_file, "--out", tmp_path / "result", "--no-figures")
     assert done.returncode == 1
     assert "max_iterations" in done.stdout
+
+
+def test_files_of_the_users_own_are_not_lost(case_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "result"
+    assert run("adjust", case_file, "--out", out, "--no-figures").returncode == 0
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    assert_refused(run("adjust", case_file, "--out", out, "--no-figures"), "notes.txt")
+    assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
+
+
+def test_check_tells_the_rest_of_a_weak_network(case_file: Path) -> None:
+    text = case_file.read_text(encoding="utf-8")
+    text = text.replace("position_sigma_m = 30.0", "position_sigma_m = inf").replace(
+        "angle_sigma_mrad = 0.1", "angle_sigma_mrad = inf"
+    )
+    case_file.write_text(text, encoding="utf-8")
+    done = run("check", case_file, "--no-laser")
+    assert done.returncode == 0, done.stderr
+    assert "20 tie points" in done.stdout
+    assert "too weak to solve" in done.stdout
+
+
+def test_a_full_standard_output(case_file: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*MGSGRAPH, "check", case_file], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert_refused(done, "standard output")
+
+
+@pytest.mark.parametrize("wait", [0.3, 1.0, 2.0])
+def test_an_interrupt_leaves_nothing(case_file: Path, tmp_path: Path, wait: float) -> None:
+    command = [*MGSGRAPH, "adjust", str(case_file), "--out", str(tmp_path / "result")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(wait)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=120)
+    assert "Traceback" not in errors
+    if process.returncode != 0:
+        assert process.returncode in (130, -signal.SIGINT)
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["case"]
+
+
+def test_a_loss_that_forgets_blunders_converges(case_file: Path, tmp_path: Path) -> None:
+    done = run("adjust", case_file, "--out", tmp_path / "result", "--no-figures", "--loss", "tukey")
+    assert done.returncode == 0, done.stdout

@@ -1,0 +1,5 @@
+"""`python -m mgsgraph`."""
+
+from mgsgraph.cli import main
+
+main()
