@@ -11,7 +11,7 @@ import numpy as np
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import point_key, shared_values, variable_key
 from mgsgraph.errors import WeakNetwork
-from mgsgraph.factors import kernels
+from mgsgraph.factors import evaluation, kernels
 from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
 from mgsgraph.geometry.orientation import COMPONENTS
@@ -51,7 +51,7 @@ def residuals(layout: Layout, orientation: Array, points: Array) -> tuple[Array,
     """Residuals of all rows, taking part or not: (k, 2) pixels and (r,) m, measured minus predicted, layout order."""
     rows = layout.rows
     image, ranges = np.empty((rows.focal.size, 2)), np.empty(rows.range_value.size)
-    kernels.all_residuals(rows, layout.model, orientation, points, image, ranges)
+    evaluation.all_residuals(rows, layout.model, orientation, points, image, ranges)
     return image, ranges
 
 
@@ -86,7 +86,7 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array) -> Fit:
 def surface_heights(rows: Rows, orientation: Array, points: Array) -> Array:
     """(n,) m, heights above the terrain model of points that have a surface row; NaN for the others."""
     heights = np.empty(points.shape[0])
-    kernels.all_heights(rows, orientation, points, heights)
+    evaluation.all_heights(rows, orientation, points, heights)
     return heights
 
 
