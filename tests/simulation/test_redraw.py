@@ -1,14 +1,20 @@
 """Networks drawn anew, and the adjustment's sigmas judged by them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.case import read_case
 from mgsgraph.errors import InputError
+from mgsgraph.network import PointClass
 from mgsgraph.products.truth import nees
 from mgsgraph.simulation.redraw import redraw
+from mgsgraph.simulation.site import SimulationOptions, simulate_site
+from mgsgraph.simulation.site_files import write_site
 
 
 def test_the_same_seed_draws_the_same() -> None:
@@ -59,3 +65,28 @@ def test_an_infinite_sigma_cant_be_drawn_from() -> None:
     unknown = OrientationPrior(np.full((3, 6), np.inf))
     with pytest.raises(InputError, match="infinite"):
         redraw(replace(net, priors=(unknown, unknown)), np.random.default_rng(0))
+
+
+def test_a_sites_rigorous_case_is_honest(tmp_path: Path) -> None:
+    """Ten draws of Gusev, read through its files; scripts/nees.py does a hundred of every site (docs/nees.md)."""
+    case = read_case(write_site(simulate_site("gusev", options=SimulationOptions(pictures=False)), tmp_path))
+    orientation, ties, laser = [], [], []
+    for seed in range(10):
+        draw = redraw(case.network, np.random.default_rng(seed))
+        solution = adjust_network(draw.network, case.settings)
+        error = np.concatenate(
+            [
+                (found - true.coefficients).ravel()
+                for found, true in zip(solution.coefficients, draw.corrections, strict=True)
+            ]
+        )
+        covariance = solution.joint_covariance[: error.size, : error.size]
+        orientation.append(nees(error[None], covariance[None])[0] / error.size)
+        off = solution.places - draw.places
+        for found, kind in ((ties, PointClass.TIE), (laser, PointClass.LASER)):
+            members = solution.members(kind)
+            found.append(nees(off[members], solution.covariances[members]).mean() / 3.0)
+    # 99.9% bands: chi-square with 360 degrees of freedom; points at worst as one point per draw, with 30
+    assert 0.77 < np.mean(orientation) < 1.27
+    assert 0.36 < np.mean(ties) < 2.07
+    assert 0.36 < np.mean(laser) < 2.07
