@@ -246,7 +246,7 @@ def test_the_record_is_strict_json_and_agrees_with_the_table(written: tuple[Case
 
 def test_only_an_earlier_registration_is_replaced(case: Case, written: tuple[CaseRegistration, Path]) -> None:
     found, folder = written
-    (folder / "old.txt").write_text("old")
+    (folder / "overlay_9.png").write_text("old")
     write_registration(found, folder, figures=False)
     assert sorted(path.name for path in folder.iterdir()) == sorted(OTHERS)
     for record in ("solution.json", "registration.json"):  # a solution beside it makes it more than a registration

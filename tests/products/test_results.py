@@ -35,8 +35,8 @@ def solution(tmp_path_factory: pytest.TempPathFactory) -> Solution:
 def make_result(folder: Path, text: str = "old") -> Path:
     folder.mkdir()
     (folder / "solution.json").write_text(json.dumps({"program": "mgsgraph", "text": text}))
-    (folder / "inner").mkdir()
-    (folder / "inner" / "file").write_text(text)
+    (folder / "inputs").mkdir()
+    (folder / "inputs" / "file").write_text(text)
     return folder
 
 
@@ -161,7 +161,7 @@ def test_a_folder_that_fills_meanwhile_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_the_working_folder_is_not_pulled_away(tmp_path: Path) -> None:
-    inside = make_result(tmp_path / "out") / "inner"
+    inside = make_result(tmp_path / "out") / "inputs"
     with working_in(inside):
         for path in (Path(), Path("..")):
             assert_refused(path, "is the folder you are in")
