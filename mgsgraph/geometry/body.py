@@ -50,6 +50,14 @@ def planetocentric_jacobian(places: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def east_north(points: Array) -> Array:
+    """(n, 2, 3) unit vectors eastward and northward, body-fixed, on the sphere at points (n, 3) in m."""
+    longitude, latitude, _ = planetocentric(points).T
+    (sl, cl), (sb, cb) = (np.sin(longitude), np.cos(longitude)), (np.sin(latitude), np.cos(latitude))
+    east = np.stack([-sl, cl, np.zeros_like(sl)], axis=1)
+    return np.stack([east, np.stack([-sb * cl, -sb * sl, cb], axis=1)], axis=1)
+
+
 def geodetic(points: Array, ellipsoid: Ellipsoid) -> Array:
     """Longitude, geodetic latitude (rad) and height above the ellipsoid (m) of points (..., 3); (..., 3).
 

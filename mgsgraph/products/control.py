@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 
 
@@ -18,18 +18,10 @@ def surface_heights(solution: Solution) -> tuple[Array, Array]:
     before, _ = surface.grid.height_above(solution.places_before[mine])
     places = solution.places[mine]
     if solution.network.terrain_moves:
-        places = places - horizontal(places, solution.shifts[-1])
+        places = places - solution.shifts[-1] @ east_north(places)
     after, _ = surface.grid.height_above(places)
     there = np.isfinite(before) & np.isfinite(after)
     return before[there], after[there]
-
-
-def horizontal(places: Array, east_north: Array) -> Array:
-    """Vectors (n, 3) in m of a shift eastward and northward (2,) at places (n, 3)."""
-    longitude, latitude, _ = planetocentric(places).T
-    (sl, cl), (sb, cb) = (np.sin(longitude), np.cos(longitude)), (np.sin(latitude), np.cos(latitude))
-    east, north = np.stack([-sl, cl, np.zeros_like(sl)], axis=1), np.stack([-sb * cl, -sb * sl, cb], axis=1)
-    return np.asarray(east_north[0] * east + east_north[1] * north)
 
 
 def control_json(solution: Solution) -> dict[str, Any]:

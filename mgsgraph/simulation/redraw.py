@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
@@ -87,8 +88,7 @@ def _true_places(network: Network, terrain: Array, rng: np.random.Generator) -> 
         np.isfinite(network.surface.sigmas), network.surface.sigmas, 0.0
     )
     for _ in range(_HEIGHT_STEPS):
-        east, north = horizontal_axes(places)
-        above, normal = network.surface.grid.height_above(places - terrain[0, 0] * east - terrain[0, 1] * north)
+        above, normal = network.surface.grid.height_above(places - terrain[0] @ east_north(places))
         move = np.where(np.isfinite(network.surface.sigmas) & np.isfinite(above), heights - above, 0.0)
         up = places / np.linalg.norm(places, axis=1, keepdims=True)
         places = places + (move / np.where(move == 0.0, 1.0, np.einsum("ni,ni->n", normal, up)))[:, None] * up
@@ -106,18 +106,8 @@ def _drawn_points(network: Network, truth: Array, rng: np.random.Generator) -> t
     if network.shifts is not None:
         shifts = rng.standard_normal((network.shifts.sigmas.size, 2)) * network.shifts.sigmas[:, None]
         mine = network.shifts.profile >= 0
-        east, north = horizontal_axes(truth[mine])
-        of_point = shifts[network.shifts.profile[mine]]
-        places[mine] -= of_point[:, :1] * east + of_point[:, 1:] * north
+        places[mine] -= np.einsum("nk,nkj->nj", shifts[network.shifts.profile[mine]], east_north(truth[mine]))
     return shifts, replace(points, places=places)
-
-
-def horizontal_axes(places: Array) -> tuple[Array, Array]:
-    """Unit vectors (n, 3) eastward and northward at places (n, 3)."""
-    up = places / np.linalg.norm(places, axis=1, keepdims=True)
-    east = np.cross([0.0, 0.0, 1.0], up)
-    east /= np.linalg.norm(east, axis=1, keepdims=True)
-    return east, np.cross(up, east)
 
 
 def _drawn_rays(

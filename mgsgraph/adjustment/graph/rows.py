@@ -11,7 +11,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.factors.rows import CAMERA, FIXED, FREE, OPK_PAPER, OUT, PRIOR, Model, Rows
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
@@ -78,16 +78,8 @@ def _shift_arrays(network: Network, order: Index, first: Index, local: Index, gr
         "shift_first": np.concatenate([[0], np.cumsum(2 * moved)]).astype(np.int64),
         "shift_column": np.stack([column, column + 1], axis=1).ravel(),
         "shift_local": np.stack([inside, inside + 1], axis=1).ravel(),
-        "shift_direction": _horizontal_axes(network.points.places[order[moved]]).reshape(-1, 3),
+        "shift_direction": east_north(network.points.places[order[moved]]).reshape(-1, 3),
     }
-
-
-def _horizontal_axes(places: Array) -> Array:
-    """(n, 2, 3) unit vectors eastward and northward at places (n, 3); of no use at places (0, 0, 0)."""
-    longitude, latitude, _ = planetocentric(places).T
-    (sl, cl), (sb, cb) = (np.sin(longitude), np.cos(longitude)), (np.sin(latitude), np.cos(latitude))
-    east = np.stack([-sl, cl, np.zeros_like(sl)], axis=1)
-    return np.stack([east, np.stack([-sb * cl, -sb * sl, cb], axis=1)], axis=1)
 
 
 def _surface_arrays(
@@ -109,7 +101,7 @@ def _surface_arrays(
         "surface_weight": 1.0 / network.surface.sigmas[order],
         "surface_column": np.where(felt, first[-1], -1),
         "surface_local": np.where(felt, local[group_of_point[order], -1], -1),
-        "surface_direction": _horizontal_axes(starts[order]),
+        "surface_direction": east_north(starts[order]),
         "terrain": np.ascontiguousarray(grid.radii, dtype=np.float64),
         "terrain_frame": np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
         "terrain_cell": grid.cells(starts[order]),
