@@ -13,10 +13,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.factors import kernels
-from mgsgraph.factors.rows import Groups, Model, Rows
+from mgsgraph.factors.rows import NO_LOSS, Groups, Model, Rows, Target
+from mgsgraph.factors.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, sweep_all
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 _ROUNDING = 1e-16
 """Eigenvalues below this share of the largest, times the dimension, are rounding."""
@@ -30,36 +31,63 @@ class Reduction:
     """(columns,) orientation vector it was made at."""
     cost: float
     """Half the weighted sum of squares of all point rows; infinite when a point is behind a camera."""
-    group_cost: Array
-    """(g,) the same by group."""
-    blocks: list[Array]
-    """Reduced normal matrix (d, d) of each group; empty unless asked for."""
-    rights: list[Array]
-    """Reduced gradient (d,) of each group."""
+    piece_cost: Array
+    """(m,) the same by piece."""
+    blocks: Array | None
+    """Reduced normal matrix in the blocks of a `Target`; None unless asked for."""
+    gradient: Array
+    """Reduced gradient, likewise."""
     points: Array
     """(n, 3) m, solved places in the layout's order."""
-    states: NDArray[np.int64]
-    """(n,) kernels.GOOD, BEHIND or WEAK."""
+    states: NDArray[np.int8]
+    """(n,) rows.GOOD, BEHIND or WEAK."""
 
 
-def reduce(rows: Rows, groups: Groups, model: Model, orientation: Array, system: bool = True) -> Reduction:
-    """Solve all points for an orientation and, if `system`, eliminate them: one pass of the kernel."""
-    chunks, width = groups.chunk.shape[0], int(groups.dimension.max(initial=0))
-    points, states = rows.point_start.copy(), np.zeros(rows.point_kind.size, dtype=np.int64)
-    costs = np.zeros(chunks)
-    blocks = np.empty((chunks, width, width) if system else (chunks, 0, 0))
-    rights = np.empty((chunks, width) if system else (chunks, 0))
-    kernels.reduce_points(rows, groups, model, orientation, system, points, states, costs, blocks, rights)
-    owner = groups.chunk[:, 0]
-    group_cost = np.bincount(owner, costs, groups.dimension.size).astype(np.float64)
-    block_sum: list[Array] = []
-    right_sum: list[Array] = []
-    for group, d in enumerate(groups.dimension if system else ()):
-        mine = slice(*np.searchsorted(owner, [group, group + 1]))
-        upper = np.triu(blocks[mine, :d, :d].sum(axis=0))
-        block_sum.append(upper + np.triu(upper, 1).T)
-        right_sum.append(rights[mine, :d].sum(axis=0))
-    return Reduction(orientation.copy(), float(costs.sum()), group_cost, block_sum, right_sum, points, states)
+def reduce(
+    rows: Rows,
+    groups: Groups,
+    target: Target,
+    model: Model,
+    orientation: Array,
+    system: bool = True,
+    points: Array | None = None,
+) -> Reduction:
+    """Solve all points for an orientation and, if `system`, eliminate them: one pass of the kernel.
+
+    The inner solve begins at `points` (n, 3), where an earlier call ended (with a robust loss, and without them, at
+    `rows.start`): that saves steps; the result is the same to the tolerance of that solve.
+    """
+    places = (rows.start if points is None else points).copy()
+    states, costs = np.empty(rows.kind.size, dtype=np.int8), np.empty(rows.piece.shape[0])
+    task = SYSTEM if system else COSTS
+    blocks, gradient = sweep_all(rows, groups, target, model, orientation, task, places, states, costs)
+    return Reduction(
+        orientation.copy(), float(costs.sum()), costs, blocks if system else None, gradient, places, states
+    )
+
+
+def point_covariances(
+    rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, joint: Array, points: Array
+) -> Array:
+    """Covariances (n, 3, 3) in m^2 of points (n, 3) for sigma0 = 1; zero for known ones and those left out.
+
+    `joint` holds the covariance of the shared unknowns in the blocks of `target`.
+    """
+    values = np.zeros((points.shape[0], 3, 3))
+    sweep_all(rows, groups, target, model, orientation, COVARIANCES, points, joint=joint, values=values)
+    return values
+
+
+def all_residuals(rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, points: Array) -> Array:
+    """Residuals (t, 2) of all sights with points at (n, 3), measured minus predicted, of rows in and out alike.
+
+    An image ray's in pixels, a range's in m and a point's height above the terrain in m, the latter two in the first
+    column; NaN for a ray whose point is behind the camera, and where there is no terrain. `rows` need full weights.
+    """
+    values = np.zeros((rows.weight.shape[1], 2, 1))
+    plain = model._replace(loss=NO_LOSS)
+    sweep_all(rows, groups, target, plain, orientation, RESIDUALS, points, values=values)
+    return values[:, :, 0]
 
 
 def square_root(block: Array, right: Array, cost: float, sigmas: Array) -> tuple[Array, Array]:
@@ -101,8 +129,8 @@ class Bundles:
 
     Parameters
     ----------
-    rows, groups, model
-        Points and their rows, see `rows`.
+    rows, groups, target, model
+        Points and their rows, see `rows`; the target keeps each group's blocks by themselves.
     keys : sequence of sequence of int
         GTSAM keys of each group's variables, in the order of its columns.
     columns : sequence of sequence of slice
@@ -115,12 +143,13 @@ class Bundles:
         self,
         rows: Rows,
         groups: Groups,
+        target: Target,
         model: Model,
         keys: Sequence[Sequence[int]],
         columns: Sequence[Sequence[slice]],
         sigmas: Array,
     ) -> None:
-        self.rows, self.groups, self.model, self.sigmas = rows, groups, model, sigmas
+        self.rows, self.groups, self.target, self.model, self.sigmas = rows, groups, target, model, sigmas
         self._keys, self._columns = keys, columns
         pairs = (pair for group in zip(keys, columns, strict=True) for pair in zip(*group, strict=True))
         self._of_key = dict(pairs)
@@ -129,28 +158,49 @@ class Bundles:
     def at(self, orientation: Array, system: bool = True) -> Reduction:
         """Reduction at an orientation; the last one is kept, so that the factors of one iteration share it."""
         last = self._last
-        if last is None or (system and not last.blocks) or not np.array_equal(last.orientation, orientation):
-            self._last = last = reduce(self.rows, self.groups, self.model, orientation, system)
+        if last is None or (system and last.blocks is None) or not np.array_equal(last.orientation, orientation):
+            points = None if last is None or not np.isfinite(last.cost) else last.points
+            self._last = last = reduce(self.rows, self.groups, self.target, self.model, orientation, system, points)
         return last
+
+    def group_cost(self, reduction: Reduction) -> Array:
+        """(g,) cost of each group's points."""
+        group = self.rows.pattern_group[self.rows.piece[:, 0]]
+        return np.bincount(group, reduction.piece_cost, len(self._keys)).astype(np.float64)
 
     def factor(self, group: int) -> gtsam.CustomFactor:
         """The bundle factor of one group on its orientation variables; unit noise, its error is the group's cost."""
-        d = int(self.groups.dimension[group])
-        own = np.concatenate([np.arange(s.start, s.stop) for s in self._columns[group]])
         edges = np.cumsum([0] + [s.stop - s.start for s in self._columns[group]])
+        own = np.concatenate([np.arange(s.start, s.stop) for s in self._columns[group]])
+        d = own.size
 
         def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
             reduction = self.at(self._orientation(values), system=jacobians is not None)
+            cost = float(self.group_cost(reduction)[group])
             if jacobians is None:
-                return np.append(np.zeros(d), np.sqrt(2.0 * reduction.group_cost[group]))
-            jacobian, residual = square_root(
-                reduction.blocks[group], reduction.rights[group], reduction.group_cost[group], self.sigmas[own]
-            )
+                return np.append(np.zeros(d), np.sqrt(2.0 * cost))
+            jacobian, residual = square_root(*self.dense(reduction, group), cost, self.sigmas[own])
             for k in range(edges.size - 1):
                 jacobians[k] = np.asfortranarray(jacobian[:, edges[k] : edges[k + 1]])
             return residual
 
         return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(d + 1), list(self._keys[group]), error)
+
+    def dense(self, reduction: Reduction, group: int) -> tuple[Array, Array]:
+        """Reduced normal matrix (d, d) and gradient (d,) of a group."""
+        assert reduction.blocks is not None
+        first, last = self.groups.member_first[group : group + 2]
+        widths = self.groups.member_width[first:last]
+        ends = np.concatenate([[0], np.cumsum(widths)])
+        block, start = np.zeros((ends[-1], ends[-1])), self.groups.pair_first[group]
+        for i in range(widths.size):
+            for j in range(i, widths.size):
+                at = self.target.pair[start + i * widths.size + j]
+                own = reduction.blocks[at : at + widths[i] * widths[j]].reshape(widths[i], widths[j])
+                block[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] = own
+                block[ends[j] : ends[j + 1], ends[i] : ends[i + 1]] = own.T
+        at = self.target.right[first] if last > first else 0
+        return block, reduction.gradient[at : at + ends[-1]]
 
     def _orientation(self, values: gtsam.Values) -> Array:
         """Orientation vector of GTSAM values; variables that aren't among them keep the last orientation."""

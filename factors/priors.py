@@ -1,13 +1,37 @@
-"""A-priori knowledge: of shared unknowns (zero mean) and of ground points. Yoon & Shan 2005, Eq. 4.
-
-Plain ones are GTSAM's own prior factors; what is decided here is their noise.
-"""
+"""A-priori knowledge: of ground points, moved by their profile's shift (Yoon & Shan 2005, Eq. 4), and of the unknowns."""
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.factors.lanes import ACTIVE, BY_POINT, BY_STATE, CENTRE, DELTA, LANES, PLACE, RESIDUAL, ROOT, lane
+from mgsgraph.factors.pose import correct
+
 Array = NDArray[np.float64]
+
+
+@lane
+def ground_rows(rows, sight, x, n, w, s):
+    """RESIDUAL, BY_POINT and BY_STATE (3: shift of the a-priori place, m) of ground priors: U (P - P0 - shift)."""
+    correct(rows, sight, x, n, w, s, 3, False)
+    place = 0
+    for row in range(3):
+        for l in range(n):
+            w[s + RESIDUAL + row * LANES + l] = 0.0
+        for j in range(3):
+            point, state = s + BY_POINT + (3 * row + j) * LANES, s + BY_STATE + (7 * row + j) * LANES
+            if j < row:
+                for l in range(n):
+                    w[point + l] = 0.0
+                    w[state + l] = 0.0
+                continue
+            for l in range(n):
+                root = w[s + ROOT + place * LANES + l] * w[ACTIVE + l]
+                offset = w[PLACE + j * LANES + l] - w[s + CENTRE + j * LANES + l] - w[DELTA + j * LANES + l]
+                w[s + RESIDUAL + row * LANES + l] += root * offset
+                w[point + l] = root
+                w[state + l] = -root
+            place += 1
 
 
 def zero_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:
@@ -17,24 +41,3 @@ def zero_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:
     """
     precisions = np.where(np.isinf(sigmas), 0.0, 1.0 / sigmas**2)
     return gtsam.PriorFactorVector(key, np.zeros(sigmas.size), gtsam.noiseModel.Diagonal.Precisions(precisions))
-
-
-def ground_prior(key: int, place: Array, root: Array) -> gtsam.NonlinearFactor:
-    """Prior on a ground point: place (3,) in m, and upper triangular square root (3, 3) of its information, 1/m."""
-    return gtsam.PriorFactorPoint3(key, place, gtsam.noiseModel.Gaussian.SqrtInformation(root))
-
-
-def shifted_ground_prior(key: int, shift_key: int, place: Array, root: Array, directions: Array) -> gtsam.CustomFactor:
-    """Prior on a footprint whose a-priori place moves with its profile: residual U (P - P0 - D' s).
-
-    `directions` (2, 3) are the unit vectors, body-fixed, along which the two shift unknowns (m) move it.
-    """
-
-    def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        if jacobians is not None:
-            jacobians[0] = np.asfortranarray(root)
-            jacobians[1] = np.asfortranarray(-root @ directions.T)
-        offset = values.atPoint3(key) - place - values.atVector(shift_key) @ directions
-        return np.asarray(root @ offset)
-
-    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(3), [key, shift_key], error)

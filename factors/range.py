@@ -1,58 +1,36 @@
-"""Laser range: one row on (orientation of the simultaneous image, footprint). Yoon & Shan 2005, Eq. 3."""
+"""Laser range: one row on the instrument's place and the footprint. Yoon & Shan 2005, Eq. 3."""
 
-import gtsam
-import numpy as np
-from numpy.typing import NDArray
+import math
 
-from mgsgraph.factors.equations import range_row
-from mgsgraph.factors.rows import Rows
+from mgsgraph.factors.lanes import (
+    ACTIVE,
+    BY_POINT,
+    BY_STATE,
+    CENTRE,
+    DELTA,
+    DISTANCE,
+    LANES,
+    PLACE,
+    RESIDUAL,
+    WEIGHT,
+    lane,
+)
+from mgsgraph.factors.pose import correct
 
-Array = NDArray[np.float64]
 
-
-def range_factor(
-    orientation_key: int | None, point_key: int | Array, rows: Rows, shot: int, noise: gtsam.noiseModel.Base
-) -> gtsam.CustomFactor:
-    """Factor of one range: residual measured minus predicted, m.
-
-    Parameters
-    ----------
-    orientation_key : int or None
-        Variable of the image's coefficients (6 (degree + 1),) in m and rad; None when the image is held.
-    point_key : int or (3,)
-        Variable of the footprint (Point3, m), or the place of a known one.
-    rows, shot
-        The range's constants.
-    noise : gtsam.noiseModel.Base
-        One row in m, robust if wanted.
-    """
-    first, last = rows.range_pair_first[shot], rows.range_pair_first[shot + 1]
-    size = 0 if orientation_key is None else 6 * int(last - first)
-    local = rows._replace(
-        range_centre=rows.range_centre[shot : shot + 1],
-        range_value=rows.range_value[shot : shot + 1],
-        range_weight=np.ones(1),
-        range_pair_first=np.array([0, last - first]),
-        range_pair_column=6 * np.arange(last - first),
-        range_pair_value=rows.range_pair_value[first:last],
-    )
-    keys = [key for key in (orientation_key, point_key) if isinstance(key, int)]
-
-    def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        x = np.zeros(0) if orientation_key is None else values.atVector(orientation_key)
-        point = values.atPoint3(point_key) if isinstance(point_key, int) else point_key
-        by_point = np.empty(3)
-        residual = range_row(local, 0, x, point, by_point)
-        if jacobians is not None:
-            blocks = []
-            if size:
-                by_orientation = np.zeros((1, size))
-                by_orientation.reshape(-1, 6)[:, :3] = -local.range_pair_value[:, None] * by_point
-                blocks.append(by_orientation)
-            if isinstance(point_key, int):
-                blocks.append(by_point[None, :])
-            for k, block in enumerate(blocks):
-                jacobians[k] = np.asfortranarray(block)
-        return np.array([residual])
-
-    return gtsam.CustomFactor(noise, keys, error)
+@lane
+def range_rows(rows, sight, x, n, w, s, width):
+    """RESIDUAL, BY_POINT and BY_STATE (`width` 3: the instrument's place; 4: and the range bias) of a range."""
+    correct(rows, sight, x, n, w, s, width, False)
+    for l in range(n):
+        d0 = w[PLACE + l] - w[s + CENTRE + l] - w[DELTA + l]
+        d1 = w[PLACE + LANES + l] - w[s + CENTRE + LANES + l] - w[DELTA + LANES + l]
+        d2 = w[PLACE + 2 * LANES + l] - w[s + CENTRE + 2 * LANES + l] - w[DELTA + 2 * LANES + l]
+        bias = w[DELTA + 3 * LANES + l]
+        length = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+        weight = w[s + WEIGHT + l] * w[ACTIVE + l]
+        w[s + RESIDUAL + l] = weight * (w[s + DISTANCE + l] - length - bias)
+        p0, p1, p2 = -weight * d0 / length, -weight * d1 / length, -weight * d2 / length
+        w[s + BY_POINT + l], w[s + BY_POINT + LANES + l], w[s + BY_POINT + 2 * LANES + l] = p0, p1, p2
+        w[s + BY_STATE + l], w[s + BY_STATE + LANES + l], w[s + BY_STATE + 2 * LANES + l] = -p0, -p1, -p2
+        w[s + BY_STATE + 3 * LANES + l] = -weight

@@ -1,18 +1,25 @@
 """The rows of the adjustment as plain arrays: everything about an observation that doesn't change between iterations.
 
-Sorted by point; `mgsgraph.adjustment.graph` fills them from a network. The kernels take the tuple as it stands.
+What a point sees is a list of *sights*: image rays, ranges, its a-priori place, the terrain under it. Points with the
+same list share a *pattern* and lie side by side in *pieces* of at most `PIECE` points; a piece's numbers are stored
+sight by sight and component by component, contiguous over its points, so that the kernel reads them as SIMD vectors.
+`mgsgraph.adjustment.graph` fills the arrays from a network; the kernels take the tuples as they stand.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Small = NDArray[np.int8]
 
 FREE, PRIOR, FIXED, OUT = 0, 1, 2, 3
 """What a point is: unknown; unknown with an a-priori place; known; not determined and left out."""
+
+IMAGE, RANGE, GROUND, SURFACE = 0, 1, 2, 3
+"""What a sight is: an image ray, a laser range, the a-priori place, the height above the terrain model."""
 
 PREDICTED, MEASURED = 0, 1
 """Line at which the pose is taken: the predicted one (strict form), or the measured one (the papers' form)."""
@@ -23,81 +30,59 @@ CAMERA, OPK_PAPER, OPK_PEER = 0, 1, 2
 NO_LOSS, HUBER, CAUCHY, TUKEY = 0, 1, 2, 3
 """Robust loss on the norm of an image row pair and on each range."""
 
+GOOD, BEHIND, WEAK = 0, 1, 2
+"""State of a point after its inner solve: solved, behind a camera, not determined by its rows."""
+
+PIECE = 2048
+"""Most points of a piece: what a thread takes at a time, and what a cluster's worker may get."""
+
 
 class Rows(NamedTuple):
-    """Points, image rows and range rows; n points, k rays, r ranges, m (orientation column, basis value) pairs."""
+    """n points, m pieces, q patterns, s sights of patterns, e entries: unknowns that a sight feels."""
 
-    point_kind: Index
+    kind: Small
     """(n,) FREE, PRIOR, FIXED or OUT."""
-    point_start: Array
+    start: Array
     """(n, 3) m: a-priori place, place of a fixed point, or where the inner solve begins."""
-    point_root: Array
-    """(n, 3, 3) 1/m: upper triangular square root U of the prior information, |U (P - P0)|^2; zero when FREE."""
-    shift_first: Index
-    """(n + 1,) shared unknowns that move point i's a-priori place (its profile's horizontal shift)."""
-    shift_column: Index
-    """(s,) column of the orientation vector."""
-    shift_local: Index
-    """(s,) the same within the point's group."""
-    shift_direction: Array
-    """(s, 3) unit vector, body-fixed, along which the a-priori place moves per metre of the unknown."""
-    surface_weight: Array
-    """(n,) 1/m: weight of the point's height above the terrain; 0 where it has no such row."""
-    surface_column: Index
-    """(n,) first of the two columns of the terrain model's shift; -1 where the point doesn't feel it."""
-    surface_local: Index
-    """(n,) the same within the point's group."""
-    surface_direction: Array
-    """(n, 2, 3) unit vectors eastward and northward, along which that shift moves the model; (0, 2, 3) without."""
+    data: Array
+    """Constants of all sights, in the order in which `tile.load` takes them."""
+    weight: Array
+    """(2, t) 1/sigma per line and per sample (an image ray), 1/m in the first row (range, surface); 0 leaves it out."""
+    piece: Index
+    """(m, 5) pattern, first point, number of points, where its constants begin in `data`, and its sights among all t
+    of them (sight by sight, contiguous over its points)."""
+    pattern_sight: Index
+    """(q + 1,) first sight of each pattern."""
+    pattern_group: Index
+    """(q,) group: set of unknowns."""
+    pattern_fixed: Index
+    """(q,) 1 where the points are known."""
+    sight_kind: Index
+    """(s,) IMAGE, RANGE, GROUND or SURFACE."""
+    sight_width: Index
+    """(s,) components of its state that are felt: 6 (7 with the focal length) of an image, 3 (4 with the bias) of a
+    range, 3 of a ground prior or a surface row."""
+    sight_terms: Index
+    """(s,) number of basis terms, each of six columns."""
+    sight_shared: Index
+    """(s,) number of single columns, each with a direction in the sight's state."""
+    sight_entry: Index
+    """(s,) first of its entries: terms, then single columns."""
+    sight_focal: Array
+    """(s,) m, nominal focal length."""
+    entry_column: Index
+    """(e,) column of the orientation vector: the first of six, or the single one."""
+    entry_member: Index
+    """(e,) place of its variable among those of the group."""
+    entry_inside: Index
+    """(e,) the same column within that variable."""
     terrain: Array
     """(rows, columns) m, radii of the terrain model's posts; (0, 0) without one."""
     terrain_frame: Array
     """(4,) first longitude and latitude, and their steps (rad)."""
     terrain_cell: Index
-    """(n, 3) row, left and right column of the four posts that span each point's patch; row -1 for no row. Held during
-    one optimisation, so that the cost is smooth, and renewed between optimisations until they stay."""
-    ray_first: Index
-    """(n + 1,) rays of point i are ray_first[i] .. ray_first[i + 1]."""
-    centre: Array
-    """(k, 2, 3) nominal perspective centre, m body-fixed, and its rate in m/line, at the measured line."""
-    matrix: Array
-    """(k, 3, 3) nominal body-fixed to camera rotation at the measured line."""
-    turning: Array
-    """(k, 3) rad/line, nominal angular velocity in camera axes."""
-    angles: Array
-    """(k, 2, 3) nominal omega, phi, kappa in rad and their rates per line; (0, 2, 3) unless angles are used."""
-    detector: Array
-    """(k, 2, 2) undistorted focal-plane place (x0, y0) of the measured sample, m, and its slope, m/sample."""
-    focal: Array
-    """(k,) m."""
-    to_pixels: Array
-    """(k, 2, 2) focal-plane m to (lines, samples), frozen from the nominal; used by the measured-line form alone."""
-    weight: Array
-    """(k, 2) 1/sigma per line and per sample; 0 for a row that is left out."""
-    pair_first: Index
-    """(k + 1,) pairs of ray k."""
-    pair_column: Index
-    """(m,) first of six columns of the orientation vector."""
-    pair_local: Index
-    """(m,) the same within the point's group of orientation variables."""
-    pair_value: Array
-    """(m, 2) basis value B(u) and its rate per line."""
-    range_first: Index
-    """(n + 1,) ranges of point i."""
-    range_centre: Array
-    """(r, 3) m, nominal place of the instrument at the shot's time."""
-    range_value: Array
-    """(r,) m."""
-    range_weight: Array
-    """(r,) 1/m; 0 for a row that is left out."""
-    range_pair_first: Index
-    """(r + 1,) pairs of range r."""
-    range_pair_column: Index
-    """(q,) first of six columns, of which a range uses the first three."""
-    range_pair_local: Index
-    """(q,) the same within the group."""
-    range_pair_value: Array
-    """(q,) basis value at the shot's time."""
+    """(n, 3) row, left and right column of the four posts that span each point's patch, row -1 for none; (0, 3) without
+    a terrain model. Held during one optimisation, so that the cost is smooth, and renewed between optimisations."""
 
 
 class Model(NamedTuple):
@@ -114,16 +99,91 @@ class Model(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """Points seen by the same orientation variables, contiguous in `Rows`; g groups, c chunks of work."""
+    """Sets of unknowns that the points of some patterns share; g groups, b members of them together."""
 
-    dimension: Index
-    """(g,) columns of the group's variables together."""
-    offset: Index
-    """(g + 1,) where the group's dimension x dimension block begins in a flat array of them all."""
-    chunk: Index
-    """(c, 3) group, first point, last point + 1."""
+    member_first: Index
+    """(g + 1,) first member of each group."""
+    member_variable: Index
+    """(b,) variable, ascending within a group."""
+    member_width: Index
+    """(b,) its columns."""
+    pair_first: Index
+    """(g + 1,) first place of the group's table of pairs (members x members) in `Target.pair`."""
 
 
-def replaced(rows: Rows, **arrays: Any) -> Rows:
-    """The same rows with some arrays exchanged (weights of a blunder pass, say)."""
-    return rows._replace(**arrays)
+class Target(NamedTuple):
+    """Where a reduced system is summed: dense blocks of variable pairs in one flat array, and a flat gradient."""
+
+    pair: Index
+    """For each group its members x members table of first places; used for first member <= second member."""
+    right: Index
+    """(b,) first place of each member's gradient."""
+    size: int
+    """Length of the flat array of blocks."""
+    columns: int
+    """Length of the gradient."""
+
+
+def components(model: Model, kind: int, width: int, terms: int, shared: int) -> int:
+    """Numbers per point that a sight stores in `Rows.data`, in the order of `tile.load_constants`."""
+    rates = model.line == PREDICTED
+    singles = width * shared
+    if kind == IMAGE:
+        attitude, rest = (4 if model.angles == CAMERA else 3), (8 if rates else 4)
+        return 3 + attitude + 2 + rest + terms * (2 if rates else 1) + singles
+    own = {RANGE: 3 + 1, GROUND: 3 + 6, SURFACE: 0}
+    return own[kind] + terms + singles
+
+
+def one_sight(rows: Rows, groups: Groups, model: Model, point: int, sight: int) -> Rows:
+    """Rows of a single point (place in the layout) with a single one of its sights, at weight 1.
+
+    Its columns are counted through the variables that the sight feels, in the order of the group.
+    """
+    piece = int(np.searchsorted(rows.piece[:, 1], point, side="right")) - 1
+    pattern, first, count, start, _ = rows.piece[piece]
+    begin = int(rows.pattern_sight[pattern])
+    tables = (rows.sight_kind, rows.sight_width, rows.sight_terms, rows.sight_shared)
+    sizes = [components(model, *(int(t[i]) for t in tables)) for i in range(begin, begin + sight + 1)]
+    at = start + sum(sizes[:-1]) * count + (point - first)
+    i = begin + sight
+    entries = slice(rows.sight_entry[i], rows.sight_entry[i] + rows.sight_terms[i] + rows.sight_shared[i])
+    felt, place = np.unique(rows.entry_member[entries], return_inverse=True)
+    width = groups.member_width[groups.member_first[rows.pattern_group[pattern]] + felt]
+    return rows._replace(
+        kind=np.zeros(1, dtype=np.int8),
+        start=rows.start[point : point + 1],
+        data=np.ascontiguousarray(rows.data[at : at + sizes[-1] * count : count]),
+        weight=np.ones((2, 1)),
+        piece=np.array([[0, 0, 1, 0, 0]]),
+        pattern_sight=np.array([0, 1]),
+        pattern_group=np.zeros(1, dtype=np.int64),
+        pattern_fixed=np.zeros(1, dtype=np.int64),
+        **{f"sight_{name}": getattr(rows, f"sight_{name}")[i : i + 1] for name in ("kind", "width", "terms", "shared")},
+        sight_entry=np.zeros(1, dtype=np.int64),
+        sight_focal=rows.sight_focal[i : i + 1],
+        entry_column=(np.cumsum(width) - width)[place.reshape(-1)] + rows.entry_inside[entries],
+        entry_member=place.reshape(-1).astype(np.int64),
+        entry_inside=rows.entry_inside[entries],
+        terrain_cell=rows.terrain_cell[point : point + 1],
+    )
+
+
+def partition(rows: Rows, first_piece: int, last_piece: int) -> Rows:
+    """Rows of the points of some neighbouring pieces, first_piece .. last_piece - 1, by themselves.
+
+    Reduced systems of partitions that together hold all pieces add up to the whole's: tables of patterns, sights,
+    entries and the terrain model stay as they are, so that variables, groups and columns keep their places.
+    """
+    ends = np.array([0, rows.kind.size, 0, rows.data.size, rows.weight.shape[1]])
+    edges = np.vstack([rows.piece, ends])
+    (_, point, _, number, sight), (_, last_point, _, last_number, last_sight) = edges[[first_piece, last_piece]]
+    points, sights = slice(point, last_point), slice(sight, last_sight)
+    return rows._replace(
+        kind=rows.kind[points],
+        start=rows.start[points],
+        data=rows.data[number:last_number],
+        weight=np.ascontiguousarray(rows.weight[:, sights]),
+        piece=rows.piece[first_piece:last_piece] - np.array([0, point, 0, number, sight]),
+        terrain_cell=rows.terrain_cell[points],
+    )

@@ -1,36 +1,69 @@
 """Terrain as control: the height of a point above the terrain model, along the local normal (Ebner et al. 2004)."""
 
-import gtsam
+import math
+
 import numpy as np
-from numpy.typing import NDArray
 
-from mgsgraph.factors.equations import surface_row
-from mgsgraph.factors.rows import Rows
-
-Array = NDArray[np.float64]
+from mgsgraph.factors.lanes import ACTIVE, BY_POINT, BY_STATE, DELTA, LANES, PLACE, RESIDUAL, WEIGHT, lane
+from mgsgraph.factors.pose import correct
 
 
-def surface_factor(key: int, shift_key: int | None, rows: Rows, point: int, sigma: float) -> gtsam.CustomFactor:
-    """Factor of one point on the terrain: residual its height (m) above the bilinear patch under it.
+@lane
+def surface_rows(rows, sight, x, first, n, w, s):
+    """RESIDUAL, BY_POINT and BY_STATE (3: the terrain model's own place) of n points' heights above it.
 
-    The patch is that of `rows.terrain_cell[point]`, moved by the terrain model's unknown shift (2,) in m, if any.
-    Where there is no patch (off the terrain model, beside missing posts) residual and Jacobian are zero.
+    Nothing where a point has no patch: off the terrain model, or beside missing posts.
     """
-    local = rows._replace(
-        terrain_cell=rows.terrain_cell[point : point + 1],
-        surface_column=np.array([-1 if shift_key is None else 0]),
-        surface_direction=rows.surface_direction[point : point + 1],
-    )
+    correct(rows, sight, x, n, w, s, 3, False)
+    by_place = np.empty(3)
+    for l in range(n):
+        weight = w[s + WEIGHT + l] * w[ACTIVE + l]
+        height, there = height_above(
+            rows,
+            first + l,
+            w[PLACE + l] - w[DELTA + l],
+            w[PLACE + LANES + l] - w[DELTA + LANES + l],
+            w[PLACE + 2 * LANES + l] - w[DELTA + 2 * LANES + l],
+            by_place,
+        )
+        w[s + RESIDUAL + l] = weight * height if there else 0.0
+        for j in range(3):
+            slope = weight * by_place[j] if there else 0.0
+            w[s + BY_POINT + j * LANES + l] = slope
+            w[s + BY_STATE + j * LANES + l] = -slope
 
-    def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        shift = np.zeros(0) if shift_key is None else values.atVector(shift_key)
-        by_point = np.zeros(3)
-        height, there = surface_row(local, 0, shift, values.atPoint3(key), by_point)
-        if jacobians is not None:
-            jacobians[0] = np.asfortranarray(by_point[None, :] * there)
-            if shift_key is not None:
-                jacobians[1] = np.asfortranarray(-jacobians[0] @ local.surface_direction[0].T)
-        return np.array([height])
 
-    keys = [key] if shift_key is None else [key, shift_key]
-    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(1, sigma), keys, error)
+@lane
+def height_above(rows, i, x, y, z, by_place):
+    """Height (m) of a place over the bilinear patch of point i's four posts, along its normal, and its derivative.
+
+    F / |grad F| with F = r - R(lon, lat): `geometry.terrain.TerrainGrid.height_above` says the same for arrays. False
+    where the point has no patch (Ebner et al. 2004).
+    """
+    row, column, right = rows.terrain_cell[i, 0], rows.terrain_cell[i, 1], rows.terrain_cell[i, 2]
+    if row < 0:
+        return 0.0, False
+    planar = math.sqrt(x * x + y * y)
+    radius = math.sqrt(planar * planar + z * z)
+    posts, frame = rows.terrain, rows.terrain_frame
+    turn = math.atan2(y, x) - frame[0] - column * frame[2]
+    e = (turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)) / frame[2]
+    s = (frame[1] - math.atan2(z, planar)) / frame[3] - row
+    corner = posts[row, column]
+    to_east, to_south = posts[row, right] - corner, posts[row + 1, column] - corner
+    twist = posts[row + 1, right] - posts[row + 1, column] - to_east
+    value = corner + e * to_east + s * to_south + e * s * twist
+    by_longitude, by_latitude = (to_east + s * twist) / frame[2], -(to_south + e * twist) / frame[3]
+    twist = -twist / (frame[2] * frame[3])
+    a, b = by_longitude / planar, by_latitude / radius
+    norm = math.sqrt(1.0 + a * a + b * b)
+    share = (radius - value) / norm**3
+    turn_longitude, turn_latitude = b * twist / radius, a * (twist / planar + a * z / planar)
+    along_east = (-by_longitude / norm - share * turn_longitude) / planar
+    along_north = (-by_latitude / norm - share * turn_latitude) / radius
+    up = (1.0 / norm + share * (a * a + b * b) / radius) / radius
+    sine, cosine = z / radius, planar / radius
+    by_place[0] = -along_east * y / planar - along_north * sine * x / planar + up * x
+    by_place[1] = along_east * x / planar - along_north * sine * y / planar + up * y
+    by_place[2] = along_north * cosine + up * z
+    return (radius - value) / norm, True

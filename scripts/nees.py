@@ -106,8 +106,12 @@ def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[lis
     adjusted = np.repeat([*~network.held, True], [part.size for part in truth])
     error = (np.concatenate(found) - np.concatenate(truth))[adjusted]
     orientation = error.size - draw.shifts.size
-    blocks = [slice(0, orientation), slice(orientation, error.size)]
-    shared = [shared_nees(error[block], solution.joint_covariance[block, block]) for block in blocks]
+    joint, variables = solution.joint_covariance, solution.joint_covariance.adjusted
+    of_images = variables < len(network.images)
+    shared = [
+        shared_nees(error[:orientation], joint.of(variables[of_images])),
+        shared_nees(error[orientation:], joint.of(variables[~of_images])),
+    ]
     members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
     points = [nees((solution.places - draw.places)[one], solution.covariances[one]) for one in members]
     freedom = solution.fit.degrees_of_freedom

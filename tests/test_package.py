@@ -14,6 +14,7 @@ TABLE = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 FOLDERS = {"mgsgraph": ROOT / "mgsgraph", "mgsgraph.factors": ROOT / "factors"}
 STOREYS = [
     ("mgsgraph.cli",),
+    ("mgsgraph.campaign",),
     ("mgsgraph.products",),
     ("mgsgraph.case",),
     ("mgsgraph.adjustment",),
@@ -31,7 +32,9 @@ ONLY_IN = {
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),
     "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.products"),
-    "msgspec": ("mgsgraph.case", "mgsgraph.products"),
+    "msgspec": ("mgsgraph.campaign", "mgsgraph.case", "mgsgraph.products"),
+    "dask": ("mgsgraph.adjustment.cluster",),
+    "distributed": ("mgsgraph.adjustment.cluster",),
 }
 
 
@@ -112,6 +115,15 @@ def test_no_file_outgrows_its_room() -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     code = "import sys, mgsgraph.cli; print([m for m in ('numpy', 'numba', 'gtsam', 'matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_dask_is_imported_only_when_it_is_asked_for() -> None:
+    code = (
+        "import sys, mgsgraph.campaign, mgsgraph.campaign.report, mgsgraph.adjustment.cluster;"
+        "print([m for m in ('dask', 'distributed') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

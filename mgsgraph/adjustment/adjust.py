@@ -2,13 +2,16 @@
 
 import importlib.metadata
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mgsgraph.adjustment.cluster import Connection
+from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.passes import (
     Progress,
     Selection,
@@ -31,12 +34,9 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, PointBehindCamera
 from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.kernels import BEHIND, WEAK
-from mgsgraph.factors.rows import FIXED, PRIOR
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.factors.rows import BEHIND, FIXED, PRIOR, WEAK
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, PointClass
-
-_Kind = TypeVar("_Kind", np.float64, np.bool_)
 
 
 @dataclass(slots=True)
@@ -54,7 +54,11 @@ class _Clock:
 
 
 def adjust_network(
-    network: Network, settings: SolverSettings, name: str = "adjustment", progress: Progress = lambda _: None
+    network: Network,
+    settings: SolverSettings,
+    name: str = "adjustment",
+    progress: Progress = lambda _: None,
+    cluster: Connection | None = None,
 ) -> Solution:
     """Adjust a network.
 
@@ -66,6 +70,8 @@ def adjust_network(
         What to call it in reports.
     progress : callable
         Called with every iteration.
+    cluster : Connection, optional
+        Whose workers hold the points, in partitions (`cluster.open_cluster`); this process when absent.
 
     Returns
     -------
@@ -78,17 +84,33 @@ def adjust_network(
         A point lies behind a camera that has seen it, with the nominal orientation.
     WeakNetwork
         Nothing determines some direction of the orientation.
+    InputError
+        The explicit form, or one of GTSAM's optimisers, on a cluster; a partition that is too large for its worker.
+    SolverError
+        The cluster has gone.
     """
     clock = _Clock()
+    if cluster is not None:
+        require_bundles(settings, cluster.where)
     layout = lay_out(network, settings)
-    selection = everything(network)
-    before = _before(layout, selection)
-    selection = _without_weak(layout, before, selection)
-    require_strength(layout, before)
     clock.stop("set up")
-    solved = solve_in_passes(layout, settings, selection, progress)
-    clock.stop("solve")
-    return _posterior(settings, name, solved, before, clock)
+    with _sweeper(layout, cluster) as sweeper:
+        if cluster is not None:
+            clock.stop("send to workers")
+        selection, before = _nominal(layout, sweeper)
+        solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
+        clock.stop("solve")
+        return _posterior(settings, name, solved, before, clock, sweeper)
+
+
+@contextmanager
+def _sweeper(layout: Layout, cluster: Connection | None) -> Iterator[Sweeper]:
+    """Who goes over the points."""
+    if cluster is None:
+        yield IN_PROCESS
+        return
+    with Partitions(cluster, layout) as partitions:
+        yield partitions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,27 +130,34 @@ class Prediction:
 def predict(network: Network, settings: SolverSettings) -> Prediction:
     """Covariances that an adjustment of the network will have; raises what `adjust_network` raises before solving."""
     layout = lay_out(network, settings)
-    selection = everything(network)
-    before = _before(layout, selection)
-    selection = _without_weak(layout, before, selection)
-    require_strength(layout, before)
+    selection, before = _nominal(layout)
     rows, nominal = selection.rows(layout), np.zeros(layout.columns)
-    joint = orientation_covariance(BundleGraph(layout, rows), nominal)
+    joint = orientation_covariance(BundleGraph(layout, rows), before)
     covariances = point_covariances(layout, rows, nominal, before.points, joint)
     places = _places_before(layout, before)
-    image, ranges = residuals(layout, nominal, places)
-    blank = np.where(determined_points(rows), 1.0, np.nan)
+    found = residuals(layout, nominal, places)
+    blank = layout.network_order(np.where(determined_points(rows), 1.0, np.nan))
     return Prediction(
-        _unsorted(places * blank[:, None], layout.point_order),
-        _unsorted(covariances * blank[:, None, None], layout.point_order),
-        _unsorted(image * np.repeat(blank, np.diff(rows.ray_first))[:, None], layout.ray_order),
-        _unsorted(ranges, layout.range_order),
+        layout.network_order(places) * blank[:, None],
+        layout.network_order(covariances) * blank[:, None, None],
+        found.image * blank[network.rays.point][:, None],
+        found.ranges,
     )
 
 
-def _before(layout: Layout, selection: Selection) -> Reduction:
-    """All points solved and eliminated with the nominal orientation."""
-    return BundleGraph(layout, selection.rows(layout)).reduction(np.zeros(layout.columns))
+def _nominal(layout: Layout, sweeper: Sweeper = IN_PROCESS) -> tuple[Selection, Reduction]:
+    """All points that are determined, and their reduction with the nominal orientation.
+
+    Raises PointBehindCamera, and WeakNetwork where nothing determines some direction of the orientation.
+    """
+    selection = everything(layout.network)
+    nominal = np.zeros(layout.columns)
+    before = BundleGraph(layout, selection.rows(layout), sweeper).reduction(nominal)
+    strong = _without_weak(layout, before, selection)
+    if not np.array_equal(strong.out, selection.out):
+        selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
+    require_strength(layout, before)
+    return selection, before
 
 
 def _without_weak(layout: Layout, reduction: Reduction, selection: Selection) -> Selection:
@@ -164,31 +193,36 @@ def _behind(layout: Layout, place: int, point: Array) -> PointBehindCamera:
     )
 
 
-def _posterior(settings: SolverSettings, name: str, solved: Solved, before: Reduction, clock: _Clock) -> Solution:
+def _posterior(
+    settings: SolverSettings, name: str, solved: Solved, before: Reduction, clock: _Clock, sweeper: Sweeper
+) -> Solution:
     """Covariances, residuals and the record of it all."""
     layout, rows, orientation = solved.layout, solved.rows, solved.orientation
     network = layout.network
-    graph = BundleGraph(layout, rows)
-    if solved.explicit is not None:
-        joint, covariances = explicit_covariances(layout, solved.explicit, solved.outcome.values)
-    else:
-        joint = orientation_covariance(graph, orientation)
-        covariances = point_covariances(layout, rows, orientation, solved.points, joint)
-    without_laser = _sigmas_without_laser(layout, solved)
-    clock.stop("covariance")
-    image, ranges = residuals(layout, orientation, places_of_all(layout, solved))
+    without_laser = _sigmas_without_laser(layout, solved, sweeper)
+    clock.stop("without laser")
+    determined = layout.network_order(determined_points(rows))
+    found = residuals(layout, orientation, solved.points, sweeper)
+    merit = fit(layout, rows, orientation, solved.points, found)
+    if settings.reject > 0.0:  # points whose rays were rejected are shown where all their rays put them
+        found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
     places_before = _places_before(layout, before)
-    image_before, ranges_before = residuals(layout, np.zeros(layout.columns), places_before)
-    determined = determined_points(rows)
-    owner = np.repeat(np.arange(determined.size), np.diff(rows.ray_first))
-    never = solved.selection.out[layout.point_order][owner]
-    image[never] = image_before[never] = np.nan
+    found_before = residuals(layout, np.zeros(layout.columns), places_before, sweeper)
+    never = solved.selection.out[network.rays.point]
+    found.image[never] = found_before.image[never] = np.nan
+    clock.stop("residuals")
+    if solved.explicit is not None:
+        joint, covariances = explicit_covariances(layout, solved.explicit, solved.outcome.state)
+    else:
+        assert solved.reduction is not None
+        joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
+        covariances = point_covariances(layout, rows, orientation, solved.points, joint, sweeper)
+    clock.stop("covariance")
     profiles = range(len(network.images), layout.variables.first.size)
     coefficients = tuple(
         np.zeros_like(prior.sigmas) if network.held[j] else orientation[layout.columns_of(j)].reshape(-1, 6)
         for j, prior in enumerate(network.priors)
     )
-    blank = np.where(determined, 1.0, np.nan)
     message = solved.outcome.message
     if solved.circling:
         what = what_changes(settings, network).capitalize()
@@ -204,40 +238,39 @@ def _posterior(settings: SolverSettings, name: str, solved: Solved, before: Redu
         history=solved.history,
         cost_initial=solved.cost_initial,
         cost_final=solved.outcome.cost_final,
-        fit=fit(layout, rows, orientation, solved.points),
+        fit=merit,
         coefficients=coefficients,
-        first_column=layout.variables.first[: len(network.images)],
         shifts=np.array([orientation[layout.columns_of(v)] for v in profiles]).reshape(-1, 2),
         joint_covariance=joint,
-        places_before=_unsorted(places_before * blank[:, None], layout.point_order),
-        places=_unsorted(solved.points * blank[:, None], layout.point_order),
-        covariances=_unsorted(covariances * blank[:, None, None], layout.point_order),
-        determined=_unsorted(determined, layout.point_order),
-        rays_used=_unsorted((rows.weight[:, 0] > 0.0) & determined[owner], layout.ray_order),
-        ranges_used=_unsorted(rows.range_weight > 0.0, layout.range_order),
-        residuals=_unsorted(image, layout.ray_order),
-        residuals_before=_unsorted(image_before, layout.ray_order),
-        range_residuals=_unsorted(ranges, layout.range_order),
-        range_residuals_before=_unsorted(ranges_before, layout.range_order),
+        places_before=_blanked(layout, places_before, determined),
+        places=_blanked(layout, solved.points, determined),
+        covariances=_blanked(layout, covariances, determined),
+        determined=determined,
+        rays_used=(rows.weight[0, layout.places.rays] > 0.0) & determined[network.rays.point],
+        ranges_used=rows.weight[0, layout.places.ranges] > 0.0,
+        residuals=found.image,
+        residuals_before=found_before.image,
+        range_residuals=found.ranges,
+        range_residuals_before=found_before.ranges,
         sigmas_without_laser=without_laser,
         seconds=clock.seconds,
         versions=versions(),
     )
 
 
+def _blanked(layout: Layout, values: Array, determined: Mask) -> Array:
+    """Values (n, ...) in the network's order, NaN for undetermined points; done in place, a component at a time."""
+    for column in values.reshape(values.shape[0], -1).T:
+        column[:] = np.where(determined, layout.network_order(column), np.nan)
+    return values
+
+
 def _places_before(layout: Layout, before: Reduction) -> Array:
     """(n, 3) m, layout order: a-priori places; for free points the intersection with the nominal orientation."""
-    return np.where((layout.rows.point_kind == PRIOR)[:, None], layout.rows.point_start, before.points)
+    return np.where((layout.rows.kind == PRIOR)[:, None], layout.rows.start, before.points)
 
 
-def _unsorted(values: NDArray[_Kind], order: Index) -> NDArray[_Kind]:
-    """Values in the layout's order, back in the network's."""
-    result = np.empty_like(values)
-    result[order] = values
-    return result
-
-
-def _sigmas_without_laser(layout: Layout, solved: Solved) -> Array | None:
+def _sigmas_without_laser(layout: Layout, solved: Solved, sweeper: Sweeper) -> Array | None:
     """(3,) m mean sigmas of the tie points, had there been no laser rows: covariance needs no observed values."""
     classes = layout.network.points.classes
     ties = classes == PointClass.TIE
@@ -249,10 +282,13 @@ def _sigmas_without_laser(layout: Layout, solved: Solved) -> Array | None:
     )
     if np.any(np.isinf(layout.sigmas)):
         return None  # without the laser nothing may hold the datum
-    joint = orientation_covariance(BundleGraph(layout, rows), solved.orientation)
-    covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint)
-    mine = ties[layout.point_order] & (rows.point_kind != FIXED) & determined_points(rows)
-    return np.sqrt(np.diagonal(covariances[mine], axis1=1, axis2=2)).mean(axis=0) if np.any(mine) else None
+    graph = BundleGraph(layout, rows, sweeper)
+    reduction = graph.reduction(solved.orientation, points=solved.points)
+    joint = orientation_covariance(graph, reduction)
+    covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
+    mine = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
+    variances = np.diagonal(covariances, axis1=1, axis2=2)[mine]
+    return np.sqrt(variances).mean(axis=0) if np.any(mine) else None
 
 
 def versions() -> dict[str, str]:

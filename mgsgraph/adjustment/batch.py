@@ -1,13 +1,15 @@
 """Levenberg-Marquardt over a factor graph of either form; GTSAM holds the factors and does the elimination.
 
 The damping is Levenberg's in whitened units: a weak extra prior on the step, in the variables' own scales (a-priori
-sigmas), so that metres and radians are treated alike. A trial step costs one evaluation of the error; the loop is
-Python, the work is in the kernel and in GTSAM.
+sigmas), so that metres and radians are treated alike. A trial step costs one sweep of the kernel, which brings the
+next linear system with it; after a rejected step the cost alone. The loop is Python, the work is in the kernel and in
+GTSAM.
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
 import gtsam
 import numpy as np
@@ -16,12 +18,16 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array
 
+State = TypeVar("State")
+
 _FIRST_DAMPING = 1e-8
 _LEAST_DAMPING = 1e-12
 _MOST_DAMPING = 1e8
 _EASE, _TIGHTEN = 0.1, 10.0
 _ROUNDING = 1e-11
 """Share of the cost by which it may seem to rise: body-fixed metres leave that much rounding in the residuals."""
+_NEAR = 1e-8
+"""Share up to which a rise may come from where the inner solves began, and is looked at again."""
 _REMEDY = "look for blunders (reject), or try another loss"
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
 
@@ -46,11 +52,11 @@ class Iteration:
     """Whether the step was taken."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
+@dataclass(frozen=True, eq=False)
+class Outcome(Generic[State]):
     """How an optimisation ended."""
 
-    values: gtsam.Values
+    state: State
     """The optimum."""
     cost_initial: float
     """Cost of the start."""
@@ -64,74 +70,100 @@ class Outcome:
     """Every step tried."""
 
 
+class Problem(Protocol[State]):
+    """What is minimised: a cost, and a linear system at a state."""
+
+    scales: Mapping[int, Array]
+    """Scale of each variable's components, by GTSAM key."""
+
+    def cost(self, state: State, system: bool) -> float:
+        """Full cost; `system` says that the linear system will probably be wanted next."""
+        ...
+
+    def exact_cost(self, state: State) -> float:
+        """The same without any help from earlier calls."""
+        ...
+
+    def linear(self, state: State) -> gtsam.GaussianFactorGraph:
+        """Linear system at the state whose cost was asked for last."""
+        ...
+
+    def moved(self, state: State, step: gtsam.VectorValues) -> State:
+        """The state after a step."""
+        ...
+
+
 def levenberg_marquardt(
-    graph: gtsam.NonlinearFactorGraph,
-    start: gtsam.Values,
-    scales: Mapping[int, Array],
-    settings: SolverSettings,
-    progress: Callable[[Iteration], None] = lambda _: None,
-    constant: float = 0.0,
-) -> Outcome:
-    """Minimise a graph's error.
+    problem: Problem[State], start: State, settings: SolverSettings, progress: Callable[[Iteration], None]
+) -> Outcome[State]:
+    """Minimise a problem's cost.
 
     Parameters
     ----------
-    graph, start
-        Factors and first values.
-    scales : mapping of int to (d,)
-        Scale of each variable's components, by key.
+    problem : Problem
+    start
+        Where to begin.
     settings : SolverSettings
         Tolerances and the most iterations.
     progress : callable
         Called after every step tried.
-    constant : float
-        Cost that belongs to the problem but to no factor.
 
     Raises
     ------
     SolverError
         When the start has no finite cost or the linear system can't be solved at any damping.
     """
-    values, cost = start, graph.error(start) + constant
+    state, cost = start, problem.cost(start, True)
     initial, history = cost, list[Iteration]()
     if not math.isfinite(cost):
         raise SolverError("the starting values have no finite cost; check that all points lie before their cameras")
-    if start.size() == 0:
-        return Outcome(values, cost, cost, True, "Nothing to adjust: every image is held.", ())
+    if not problem.scales:
+        return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
     damping, rejected = _FIRST_DAMPING, 0
-    linear = graph.linearize(values)
+    linear = problem.linear(state)
     ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
     while len(history) < settings.max_iterations:
-        step = _damped_step(linear, ordering, damping, scales)
+        step = _damped_step(linear, ordering, damping, problem.scales)
         if step is None:
             damping *= _TIGHTEN**2
             if damping > _MOST_DAMPING:
                 raise SolverError("the normal equations can't be solved at any damping; the network is too weak")
             continue
-        trial = values.retract(step)
-        new = graph.error(trial) + constant
+        trial = problem.moved(state, step)
+        new = problem.cost(trial, rejected == 0)
         predicted = linear.error(gtsam.VectorValues.Zero(step)) - linear.error(step)
         length = math.sqrt(max(-linear.gradientAtZero().dot(step), 0.0))
-        accepted = math.isfinite(new) and new <= cost * (1.0 + _ROUNDING)
+        accepted = _lower(problem, state, trial, cost, new)
         now = Iteration(len(history) + 1, new, cost - new, predicted, length, damping, accepted)
         history.append(now)
         progress(now)
         last = length < settings.step_tolerance or min(predicted, abs(cost - new)) <= settings.cost_tolerance * cost
         if accepted:
-            values, cost, rejected = trial, new, 0
+            state, cost = trial, new
         if last:
-            return Outcome(values, initial, cost, True, _converged(now, settings), tuple(history))
+            return Outcome(state, initial, cost, True, _converged(now, settings), tuple(history))
         if accepted:
-            damping = max(damping * _EASE, _LEAST_DAMPING)
-            linear = graph.linearize(values)
+            if rejected:
+                problem.cost(state, True)
+            damping, rejected = max(damping * _EASE, _LEAST_DAMPING), 0
+            linear = problem.linear(state)
         else:
             rejected += 1
             damping *= _TIGHTEN**rejected
             if damping > _MOST_DAMPING:
-                return Outcome(values, initial, cost, False, _STUCK, tuple(history))
+                return Outcome(state, initial, cost, False, _STUCK, tuple(history))
     limit = settings.max_iterations
     message = f"Stopped after {limit} iterations without converging; raise max_iterations or {_REMEDY}."
-    return Outcome(values, initial, cost, False, message, tuple(history))
+    return Outcome(state, initial, cost, False, message, tuple(history))
+
+
+def _lower(problem: Problem[State], state: State, trial: State, cost: float, new: float) -> bool:
+    """Whether a trial's cost is no higher; a near miss is looked at again, exactly."""
+    if not math.isfinite(new) or new > cost * (1.0 + _NEAR):
+        return False
+    if new <= cost * (1.0 + _ROUNDING):
+        return True
+    return problem.exact_cost(trial) <= problem.exact_cost(state) * (1.0 + _ROUNDING)
 
 
 def _converged(last: Iteration, settings: SolverSettings) -> str:
@@ -144,7 +176,8 @@ def _damped_step(
     linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, damping: float, scales: Mapping[int, Array]
 ) -> gtsam.VectorValues | None:
     """Solution of the damped normal equations; None when they are not positive definite."""
-    damped = linear.clone()
+    damped = gtsam.GaussianFactorGraph()
+    damped.push_back(linear)  # the factors themselves, not copies
     for key, scale in scales.items():
         root = np.diag(math.sqrt(damping) / scale)
         damped.add(gtsam.JacobianFactor(key, root, np.zeros(scale.size), gtsam.noiseModel.Unit.Create(scale.size)))

@@ -2,15 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt
-from mgsgraph.adjustment.graph import BundleGraph, Layout, explicit_graph
-from mgsgraph.adjustment.graph.bundle import point_key, shared_vector, variable_key
+from mgsgraph.adjustment.batch import Iteration, Outcome
+from mgsgraph.adjustment.graph import BundleGraph, Layout
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.rows import OUT, Rows
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, PointClass
@@ -19,8 +22,6 @@ from mgsgraph.ties import PointKind
 Progress = Callable[[Iteration], None]
 
 _MOST_PASSES = 10
-_POINT_SCALE = 100.0
-"""m, unit of a point's step in the damping of the explicit form."""
 _FLOOR = 0.1
 """A-priori sigmas below which a class's spread is not taken at its word when blunders are sought."""
 
@@ -59,7 +60,7 @@ class Solved:
 
     layout: Layout
     """Rows, with the terrain patches of the last pass."""
-    outcome: Outcome
+    outcome: Outcome[Any]
     """How the last pass ended."""
     history: tuple[Iteration, ...]
     """Every step tried, over all passes."""
@@ -73,6 +74,8 @@ class Solved:
     """Rows that took part in the last pass."""
     selection: Selection
     """The same in network order."""
+    reduction: Reduction | None
+    """Points eliminated at the end; None for the explicit form."""
     explicit: gtsam.NonlinearFactorGraph | None
     """The explicit graph, where that form was asked for."""
     passes: int
@@ -81,25 +84,34 @@ class Solved:
     """Whether they ran in a circle."""
 
 
-def solve_in_passes(layout: Layout, settings: SolverSettings, selection: Selection, progress: Progress) -> Solved:
+def solve_in_passes(
+    layout: Layout,
+    settings: SolverSettings,
+    selection: Selection,
+    before: Reduction,
+    progress: Progress,
+    sweeper: Sweeper = IN_PROCESS,
+) -> Solved:
     """Solve, and solve again until nothing changes: terrain patches follow their points, and, when blunders are sought,
     rows are rejected and re-admitted. Where the passes run in a circle (points on the edge of two patches), the best of
-    it counts.
+    it counts. `before` is the reduction of these rows at the nominal orientation.
     """
-    orientation, history, initial = np.zeros(layout.columns), tuple[Iteration, ...](), float("nan")
+    history, initial = tuple[Iteration, ...](), float("nan")
     seen: dict[bytes, Solved] = {}
+    rows, orientation = selection.rows(layout), np.zeros(layout.columns)
+    known: Reduction | None = before
     for number in range(1, _MOST_PASSES + 1):
-        rows = selection.rows(layout)
-        outcome, orientation, points, explicit = _solve(layout, rows, orientation, settings, progress)
-        history += outcome.history
-        initial = outcome.cost_initial if number == 1 else initial
-        solved = Solved(layout, outcome, history, initial, orientation, points, rows, selection, explicit, number)
-        chosen = select(layout, solved, settings.reject) if settings.reject > 0.0 else selection
-        followed = layout.following(points, orientation)
+        solved = _solve(BundleGraph(layout, rows, sweeper), selection, orientation, known, settings, progress)
+        history += solved.history
+        initial = solved.outcome.cost_initial if number == 1 else initial
+        solved = replace(solved, history=history, cost_initial=initial, passes=number)
+        chosen = select(layout, solved, settings.reject, sweeper) if settings.reject > 0.0 else selection
+        followed = layout.following(solved.points, solved.orientation)
         if followed is layout and chosen.same(selection):
             return solved
         seen[_state(layout, selection)] = solved
-        layout, selection = followed, chosen
+        layout, selection, orientation, known = followed, chosen, solved.orientation, None
+        rows = selection.rows(layout)
         if _state(layout, selection) in seen:
             break
     best = min(seen.values(), key=lambda one: one.outcome.cost_final)
@@ -112,39 +124,57 @@ def _state(layout: Layout, selection: Selection) -> bytes:
 
 
 def _solve(
-    layout: Layout, rows: Rows, orientation: Array, settings: SolverSettings, progress: Progress
-) -> tuple[Outcome, Array, Array, gtsam.NonlinearFactorGraph | None]:
-    """One optimisation in the form that was asked for."""
-    bundle = BundleGraph(layout, rows)
-    scales = {variable_key(layout, v): layout.scales[layout.columns_of(v)] for v in layout.variables.adjusted()}
+    graph: BundleGraph,
+    selection: Selection,
+    orientation: Array,
+    known: Reduction | None,
+    settings: SolverSettings,
+    progress: Progress,
+) -> Solved:
+    """One optimisation in the form that was asked for; `known` is a reduction at its start."""
     if settings.form == "bundle":
-        start = bundle.values(orientation)
-        outcome = levenberg_marquardt(bundle.graph, start, scales, settings, progress, bundle.constant_cost)
-        result = shared_vector(layout, outcome.values)
-        return outcome, result, bundle.reduction(result).points, None
-    points = bundle.reduction(orientation).points
-    graph, start = explicit_graph(layout, rows, orientation, points)
-    for i in range(points.shape[0]):
-        if start.exists(point_key(i)):
-            scales[point_key(i)] = np.full(3, _POINT_SCALE)
-    outcome = levenberg_marquardt(graph, start, scales, settings, progress)
-    for i in range(points.shape[0]):
-        if outcome.values.exists(point_key(i)):
-            points[i] = outcome.values.atPoint3(point_key(i))
-    return outcome, shared_vector(layout, outcome.values), points, graph
+        outcome, reduction = solve_bundle(graph, orientation, known, settings, progress)
+        return _solved(graph, selection, outcome, outcome.state, reduction.points, reduction=reduction)
+    points = (known or graph.reduction(orientation, system=False)).points
+    found, vector, points, explicit = solve_explicit(graph, orientation, points, settings, progress)
+    return _solved(graph, selection, found, vector, points, explicit=explicit)
 
 
-def select(layout: Layout, solved: Solved, limit: float) -> Selection:
+def _solved(
+    graph: BundleGraph,
+    selection: Selection,
+    outcome: Outcome[Any],
+    orientation: Array,
+    points: Array,
+    reduction: Reduction | None = None,
+    explicit: gtsam.NonlinearFactorGraph | None = None,
+) -> Solved:
+    """The record of a first pass."""
+    return Solved(
+        graph.layout,
+        outcome,
+        outcome.history,
+        outcome.cost_initial,
+        orientation,
+        points,
+        graph.rows,
+        selection,
+        reduction,
+        explicit,
+        passes=1,
+    )
+
+
+def select(layout: Layout, solved: Solved, limit: float, sweeper: Sweeper = IN_PROCESS) -> Selection:
     """Rows within `limit` robust standard deviations of their class; all are judged anew, so rejected ones may return.
 
     The spread of a class is estimated from its median (median of a Rayleigh-distributed norm: 1.1774 sigma; of a normal
     modulus: 0.6745 sigma), but not below a tenth of the a-priori sigma.
     """
-    network, points = layout.network, places_of_all(layout, solved)
-    image, ranges = residuals(layout, solved.orientation, points)
-    rays, shots = np.empty(solved.selection.rays.size), np.empty(solved.selection.ranges.size)
-    rays[layout.ray_order] = np.linalg.norm(image * layout.rows.weight, axis=1)
-    shots[layout.range_order] = np.abs(ranges * layout.rows.range_weight)
+    network, points = layout.network, places_of_all(layout, solved, sweeper)
+    found = residuals(layout, solved.orientation, points, sweeper)
+    rays = np.linalg.norm(found.image / network.rays.sigmas, axis=1)
+    shots = np.abs(found.ranges / network.ranges.sigmas)
     class_of_ray = network.points.classes[network.rays.point]
     keep = np.ones_like(solved.selection.rays)
     for point_class in PointClass:
@@ -153,11 +183,11 @@ def select(layout: Layout, solved: Solved, limit: float) -> Selection:
     return Selection(keep, _within(shots, limit, 0.6745), solved.selection.out)
 
 
-def places_of_all(layout: Layout, solved: Solved) -> Array:
+def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS) -> Array:
     """(n, 3) m, layout order: solved places; for points whose rays were rejected, the place that all its rays give."""
     selection = solved.selection
     whole = Selection(np.ones_like(selection.rays), np.ones_like(selection.ranges), selection.out)
-    by_all = BundleGraph(layout, whole.rows(layout)).reduction(solved.orientation, system=False).points
+    by_all = BundleGraph(layout, whole.rows(layout), sweeper).reduction(solved.orientation, False).points
     return np.where(determined_points(solved.rows)[:, None], solved.points, by_all)
 
 
@@ -178,4 +208,4 @@ def what_changes(settings: SolverSettings, network: Network) -> str:
 
 def determined_points(rows: Rows) -> Mask:
     """(n,) points that take part, layout order."""
-    return np.asarray(rows.point_kind != OUT)
+    return np.asarray(rows.kind != OUT)

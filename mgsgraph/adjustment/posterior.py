@@ -9,13 +9,14 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.bundle import point_key, shared_values, variable_key
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, point_key, variable_key
+from mgsgraph.adjustment.marginals import JointCovariance, marginals
 from mgsgraph.errors import WeakNetwork
-from mgsgraph.factors import evaluation, kernels
 from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import COMPONENTS
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 
 _WEAK = 1e-13
 """Eigenvalue of the scaled normal matrix, relative to the largest, below which a direction isn't determined."""
@@ -47,35 +48,45 @@ class Fit:
         return float(np.sqrt(self.squares / self.degrees_of_freedom)) if self.degrees_of_freedom > 0 else float("nan")
 
 
-def residuals(layout: Layout, orientation: Array, points: Array) -> tuple[Array, Array]:
-    """Residuals of all rows, taking part or not: (k, 2) pixels and (r,) m, measured minus predicted, layout order."""
-    rows = layout.rows
-    image, ranges = np.empty((rows.focal.size, 2)), np.empty(rows.range_value.size)
-    evaluation.all_residuals(rows, layout.model, orientation, points, image, ranges)
-    return image, ranges
+@dataclass(frozen=True, slots=True, eq=False)
+class Residuals:
+    """Residuals of all rows, taking part or not, measured minus predicted; network order."""
+
+    image: Array
+    """(k, 2) pixels."""
+    ranges: Array
+    """(r,) m."""
+    heights: Array
+    """(n,) m above the terrain model; NaN for points without such a row, or without terrain."""
 
 
-def fit(layout: Layout, rows: Rows, orientation: Array, points: Array) -> Fit:
+def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweeper = IN_PROCESS) -> Residuals:
+    """Residuals with the shared unknowns (columns,) and points (n, 3), layout order."""
+    places = layout.places
+    values = sweeper.residuals(layout, layout.rows, orientation, points)
+    heights = np.full(points.shape[0], np.nan)
+    heights[places.on_terrain] = values[places.heights, 0]
+    return Residuals(values[places.rays], values[places.ranges, 0], heights)
+
+
+def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals) -> Fit:
     """Weighted squares (robust weights included), observations and unknowns of the rows that take part."""
-    image, ranges = residuals(layout, orientation, points)
-    owner = np.repeat(np.arange(rows.point_kind.size), np.diff(rows.ray_first))
-    range_owner = np.repeat(np.arange(rows.point_kind.size), np.diff(rows.range_first))
-    used = (rows.weight[:, 0] > 0.0) & (rows.point_kind[owner] != OUT)
-    range_used = (rows.range_weight > 0.0) & (rows.point_kind[range_owner] != OUT)
-    image_squares = np.einsum("ki,ki->k", image * rows.weight, image * rows.weight)[used]
-    range_squares = ((ranges * rows.range_weight) ** 2)[range_used]
-    known = rows.point_kind == PRIOR
-    offset = points - rows.point_start
-    owner_of_shift = np.repeat(np.arange(offset.shape[0]), np.diff(rows.shift_first))
-    np.subtract.at(offset, owner_of_shift, orientation[rows.shift_column][:, None] * rows.shift_direction)
-    ground = np.einsum("nij,nj->ni", rows.point_root[known], offset[known])
-    heights = surface_heights(rows, orientation, points) * rows.surface_weight
-    on_surface = np.isfinite(heights) & (rows.point_kind != OUT)
-    whitened = orientation / layout.sigmas
-    parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(ground**2)]
-    parts.append(np.sum(heights[on_surface] ** 2))
-    priors = int(np.count_nonzero(np.isfinite(layout.sigmas))) + 3 * int(known.sum())
-    free = int(np.count_nonzero((rows.point_kind != OUT) & (rows.point_kind != FIXED)))
+    network, places, kind = layout.network, layout.places, layout.network_order(rows.kind)
+    used = (rows.weight[0, places.rays] > 0.0) & (kind[network.rays.point] != OUT)
+    range_used = (rows.weight[0, places.ranges] > 0.0) & (kind[network.ranges.point] != OUT)
+    whitened = found.image / network.rays.sigmas
+    image_squares = np.einsum("ki,ki->k", whitened, whitened)[used]
+    range_squares = (found.ranges[range_used] / network.ranges.sigmas[range_used]) ** 2
+    known = np.flatnonzero(kind == PRIOR)
+    offset = layout.network_order(points)[known] - network.points.places[known] - _shifts(layout, orientation, known)
+    ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
+    on_surface = np.isfinite(found.heights) & (kind != OUT)
+    sigmas = network.surface.sigmas[on_surface] if network.surface is not None else np.zeros(0)
+    whitened = orientation / layout.sigmas  # (the rays' are done with)
+    parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(offset * ground)]
+    parts.append(np.sum((found.heights[on_surface] / sigmas) ** 2))
+    priors = int(np.count_nonzero(np.isfinite(layout.sigmas))) + 3 * known.size
+    free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
         squares=float(sum(parts) + whitened @ whitened),
         observations=2 * int(used.sum()) + int(range_used.sum()) + int(on_surface.sum()) + priors,
@@ -83,11 +94,17 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array) -> Fit:
     )
 
 
-def surface_heights(rows: Rows, orientation: Array, points: Array) -> Array:
-    """(n,) m, heights above the terrain model of points that have a surface row; NaN for the others."""
-    heights = np.empty(points.shape[0])
-    evaluation.all_heights(rows, orientation, points, heights)
-    return heights
+def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
+    """(p, 3) m: how far the a-priori places of network points are moved by their profiles' shifts."""
+    network, shift = layout.network, np.zeros((points.size, 3))
+    if network.shifts is None:
+        return shift
+    profile = network.shifts.profile[points]
+    moved = profile >= 0
+    first = layout.variables.first[len(network.images) + profile[moved]]
+    both = orientation[np.stack([first, first + 1], axis=1)]
+    shift[moved] = np.einsum("pk,pkj->pj", both, east_north(network.points.places[points[moved]]))
+    return shift
 
 
 def _weighted(squares: Array, model: Model) -> float:
@@ -102,51 +119,52 @@ def _weighted(squares: Array, model: Model) -> float:
     return float((squares * np.maximum(1.0 - ratio, 0.0) ** 2).sum())
 
 
-def orientation_covariance(graph: BundleGraph, orientation: Array) -> Array:
-    """(columns, columns) joint covariance of all orientation coefficients, m and rad, by GTSAM's elimination."""
-    layout = graph.layout
-    adjusted = layout.variables.adjusted()
-    if not adjusted:
-        return np.zeros((0, 0))
-    values = shared_values(layout, orientation)
+def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCovariance:
+    """Joint covariance of all orientation coefficients, m and rad, by GTSAM's elimination of a reduced system."""
     try:
-        marginals = gtsam.Marginals(graph.graph.linearize(values), values)
+        return _marginals(graph.layout, graph.linear(reduction))
     except RuntimeError as error:
         if "Indeterminate" not in str(error):
             raise
-        raise WeakNetwork(*weak_directions(layout, graph.reduction(orientation), _POORLY)) from None
-    keys = [variable_key(layout, v) for v in adjusted]
-    joint = marginals.jointMarginalCovariance(keys).fullMatrix()
-    return np.asarray(0.5 * (joint + joint.T))
+        raise WeakNetwork(*weak_directions(graph.layout, reduction, _POORLY)) from None
 
 
-def point_covariances(layout: Layout, rows: Rows, orientation: Array, points: Array, joint: Array) -> Array:
+def _marginals(layout: Layout, linear: gtsam.GaussianFactorGraph) -> JointCovariance:
+    """Joint covariance of a linear system of the shared unknowns."""
+    first, width = layout.variables.first.tolist(), layout.variables.width.tolist()
+    return marginals(linear, [variable_key(layout, v) if start >= 0 else None for v, start in enumerate(first)], width)
+
+
+def point_covariances(
+    layout: Layout,
+    rows: Rows,
+    orientation: Array,
+    points: Array,
+    joint: JointCovariance,
+    sweeper: Sweeper = IN_PROCESS,
+) -> Array:
     """(n, 3, 3) m^2 covariances of points, layout order, by back-substitution in the kernel; zero when fixed or out.
 
     S_p = V^-1 + V^-1 W' S_eo W V^-1 with the joint covariance S_eo of the orientation variables that see the point.
     """
-    blocks = []
-    for group in range(len(layout.group_variables)):
-        columns = layout.group_columns(group)
-        blocks.append(joint[np.ix_(columns, columns)].ravel())
-    covariances = np.zeros((points.shape[0], 3, 3))
-    flat = np.concatenate(blocks) if blocks else np.zeros(0)
-    kernels.point_covariances(rows, layout.groups, layout.model, orientation, flat, points, covariances)
-    return covariances
+    blocks = layout.blocks
+    pairs = joint.pairs(blocks.first, blocks.second, blocks.offset)
+    return sweeper.covariances(layout, rows, orientation, pairs, points)
 
 
 def explicit_covariances(
     layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[Array, Array]:
-    """The same two, (columns, columns) and (n, 3, 3), from GTSAM's marginals of the explicit graph."""
-    marginals = gtsam.Marginals(graph.linearize(values), values)
-    keys = [variable_key(layout, v) for v in layout.variables.adjusted()]
-    joint = np.asarray(marginals.jointMarginalCovariance(keys).fullMatrix()) if keys else np.zeros((0, 0))
-    covariances = np.zeros((layout.rows.point_kind.size, 3, 3))
+) -> tuple[JointCovariance, Array]:
+    """The same two from the explicit graph: GTSAM eliminates its points, and gives their marginals (n, 3, 3)."""
+    linear, first_points = graph.linearize(values), gtsam.Ordering()
+    covariances = np.zeros((layout.rows.kind.size, 3, 3))
+    found = gtsam.Marginals(linear, values)
     for i in range(covariances.shape[0]):
         if values.exists(point_key(i)):
-            covariances[i] = marginals.marginalCovariance(point_key(i))
-    return joint, covariances
+            covariances[i] = found.marginalCovariance(point_key(i))
+            first_points.push_back(point_key(i))
+    _, reduced = linear.eliminatePartialMultifrontal(first_points)
+    return _marginals(layout, reduced), covariances
 
 
 def require_strength(layout: Layout, reduction: Reduction) -> None:
@@ -167,9 +185,14 @@ def weak_directions(layout: Layout, reduction: Reduction, limit: float) -> tuple
     """
     scales = layout.scales
     normal = np.diag(np.where(np.isinf(layout.sigmas), 0.0, 1.0))
-    for group, block in enumerate(reduction.blocks):
-        columns = layout.group_columns(group)
-        normal[np.ix_(columns, columns)] += block * scales[columns][:, None] * scales[columns]
+    assert reduction.blocks is not None
+    blocks, width = layout.blocks, layout.variables.width
+    for v, w, at in zip(blocks.first.tolist(), blocks.second.tolist(), blocks.offset.tolist(), strict=True):
+        rows, columns = layout.columns_of(v), layout.columns_of(w)
+        block = reduction.blocks[at : at + width[v] * width[w]].reshape(width[v], width[w])
+        normal[rows, columns] += block * scales[rows][:, None] * scales[columns]
+        if v != w:
+            normal[columns, rows] = normal[rows, columns].T
     values, vectors = np.linalg.eigh(normal)
     weak = vectors[:, values < limit * max(values[-1], 1.0)]
     return [_in_words(layout, weak[:, k]) for k in range(min(weak.shape[1], 2))], weak.shape[1]

@@ -9,6 +9,7 @@ from mgsgraph.geometry.orientation import Angles as Angles
 
 Form = Literal["bundle", "explicit"]
 Line = Literal["predicted", "measured"]
+Method = Literal["levenberg-marquardt", "gauss-newton", "dogleg"]
 Loss = Literal["none", "huber", "cauchy", "tukey"]
 
 LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
@@ -21,6 +22,8 @@ class SolverSettings:
 
     form: Form = "bundle"
     """bundle: points eliminated inside their factors; explicit: one factor per row set, points are variables."""
+    method: Method = "levenberg-marquardt"
+    """Our own optimiser, or one of GTSAM's by name."""
     line: Line = "predicted"
     """predicted: pose at the predicted line (strict); measured: pose at the measured line (the papers' form)."""
     angles: Angles = "camera"
@@ -39,7 +42,7 @@ class SolverSettings:
     """Stop when the step is shorter than this many posterior sigmas."""
 
     def __post_init__(self) -> None:
-        for name, kind in (("form", Form), ("line", Line), ("angles", Angles), ("loss", Loss)):
+        for name, kind in (("form", Form), ("method", Method), ("line", Line), ("angles", Angles), ("loss", Loss)):
             if getattr(self, name) not in get_args(kind):
                 choices = ", ".join(repr(choice) for choice in get_args(kind))
                 raise InputError(f"solver, {name}", repr(getattr(self, name)), f"one of {choices}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
@@ -38,12 +39,10 @@ class Solution:
     """sigma0 and degrees of freedom."""
     coefficients: tuple[Array, ...]
     """Per image (degree + 1, 6) in m and rad; zero for a held one."""
-    first_column: Index
-    """(images,) first column of each image in the joint covariance; -1 when held."""
     shifts: Array
     """(p, 2) m, east and north, horizontal shifts of laser profiles and of the terrain model (network.shift_names)."""
-    joint_covariance: Array
-    """(columns, columns) of all orientation coefficients, and after them the shifts, m and rad, for sigma0 = 1."""
+    joint_covariance: JointCovariance
+    """Of all orientation coefficients (variable j is image j), and after them the shifts, m and rad, for sigma0 = 1."""
     places_before: Array
     """(n, 3) m: a-priori places, and for free points the intersection of their rays with the nominal orientation."""
     places: Array
@@ -93,15 +92,12 @@ class Solution:
 
     def image_covariance(self, image: int) -> Array:
         """Covariance (6 (degree + 1), 6 (degree + 1)) of one image's coefficients, m and rad; zero when held."""
-        size, first = self.coefficients[image].size, int(self.first_column[image])
-        if first < 0:
-            return np.zeros((size, size))
-        return self.joint_covariance[first : first + size, first : first + size]
+        return self.joint_covariance.block(image, image)
 
     def shift_covariance(self, profile: int) -> Array:
         """Covariance (2, 2) in m^2 of one horizontal shift, for sigma0 = 1."""
-        first = self.joint_covariance.shape[0] - self.shifts.size + 2 * profile
-        return self.joint_covariance[first : first + 2, first : first + 2]
+        variable = len(self.coefficients) + profile
+        return self.joint_covariance.block(variable, variable)
 
     def members(self, point_class: PointClass) -> Index:
         """Determined points of one class."""

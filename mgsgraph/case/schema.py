@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.settings import Angles, Form, Line, Loss
+from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
@@ -173,6 +173,7 @@ class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Choices of the solver; see SolverSettings."""
 
     form: Form = "bundle"
+    method: Method = "levenberg-marquardt"
     line: Line = "predicted"
     angles: Angles = "camera"
     loss: Loss = "none"

@@ -13,6 +13,7 @@ from mgsgraph.errors import MgsgraphError
 _VERBS = {
     "adjust": "Adjust a case: orientation, ground points and their sigmas.",
     "check": "Read and validate a case, say what is in it, solve nothing.",
+    "campaign": "Adjust many cases, here or on a cluster, with a record of what is done.",
     "demo": "Simulate a study site, adjust it, and say what was wrong and what is right now.",
     "register": "Project laser footprints into the images, and say by how much the images contradict.",
     "simulate": "Write the files of a simulated study site, in the formats of the mission's archive.",

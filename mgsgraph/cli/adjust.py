@@ -1,6 +1,7 @@
 """`mgsgraph adjust`: from a case file to a folder of results."""
 
 import dataclasses
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ _LOSSES = click.Choice(["none", "huber", "cauchy", "tukey"])
 @click.command(short_help="Adjust a case.")
 @click.argument("case", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the results; made anew.")
+@click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
 @click.option("--form", type=_FORMS, help="Points eliminated inside their factors, or as variables of the graph.")
 @click.option("--loss", type=_LOSSES, help="Robust loss on image coordinates and ranges.")
 @click.option("--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none.")
@@ -24,6 +26,7 @@ def adjust(
     ctx: click.Context,
     case: Path,
     out: Path,
+    cluster: str | None,
     form: str | None,
     loss: str | None,
     reject: float | None,
@@ -33,9 +36,12 @@ def adjust(
 ) -> None:
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
-    Options overrule the case file. Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
+    Options overrule the case file. With --cluster the points lie with the workers, in partitions.
+
+    Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
-    from mgsgraph.case import adjust as run
+    from mgsgraph.adjustment.adjust import adjust_network
+    from mgsgraph.adjustment.cluster import open_cluster, parse_cluster
     from mgsgraph.case import read_case
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.products.atomic import require_replaceable
@@ -43,11 +49,14 @@ def adjust(
     from mgsgraph.products.summary import statements, summary_table
 
     require_replaceable(out)
+    if cluster is not None:
+        parse_cluster(cluster)
     read = read_case(case, laser=not no_laser)
     chosen: dict[str, Any] = {"form": form, "loss": loss, "reject": reject}
     settings = dataclasses.replace(read.settings, **{key: value for key, value in chosen.items() if value is not None})
-    with iteration_bar(verbose, settings.max_iterations) as bar:
-        solution = run(dataclasses.replace(read, settings=settings), bar)
+    hands = open_cluster(cluster) if cluster is not None else nullcontext()
+    with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:
+        solution = adjust_network(read.network, settings, read.name, bar, workers)
     write_results(solution, out, figures=not no_figures)
     click.echo(summary_table(solution))
     for sentence in statements(solution):

@@ -4,6 +4,59 @@ import numpy as np
 
 from mgsgraph.geometry.records import Array, Index
 
+_AT_ONCE = 1 << 16
+"""Points that are solved for at a time."""
+_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+class RaySums:
+    """Normal equations of the places nearest to the rays of m points, which come in any order and number.
+
+    Places count from a point's first origin: body-fixed numbers would cost six digits.
+    """
+
+    def __init__(self, points: int) -> None:
+        self._count = np.zeros(points, dtype=np.int64)
+        self._reference = np.zeros((points, 3))
+        self._normal, self._right = np.zeros((points, 6)), np.zeros((points, 3))
+
+    def add(self, point_of_ray: Index, origins: Array, directions: Array) -> None:
+        """Add rays: which point each belongs to (n,), origins (n, 3) in m and directions (n, 3) of any length."""
+        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        first, begin = np.unique(point_of_ray, return_index=True)
+        new = self._count[first] == 0
+        self._reference[first[new]] = origins[begin[new]]
+        shifted = origins - self._reference[point_of_ray]
+        across = shifted - np.einsum("ni,ni->n", unit, shifted)[:, None] * unit
+        terms = np.column_stack([(i == j) - unit[:, i] * unit[:, j] for i, j in _TRIANGLE])
+        if first.size == point_of_ray.size:  # each point once
+            self._normal[point_of_ray] += terms
+            self._right[point_of_ray] += across
+            self._count[point_of_ray] += 1
+        else:
+            np.add.at(self._normal, point_of_ray, terms)
+            np.add.at(self._right, point_of_ray, across)
+            np.add.at(self._count, point_of_ray, 1)
+
+    def places(self) -> tuple[Array, Array]:
+        """Places (m, 3) in m, NaN for fewer than two rays or parallel ones; and (m,) the angle in rad between the
+        outermost rays, about (of two rays less than 90 deg apart exactly): twice the arc sine of the spread of unit
+        directions, zero where the place is NaN.
+        """
+        found, angle = np.full_like(self._reference, np.nan), np.zeros(self._count.size)
+        for begin in range(0, self._count.size, _AT_ONCE):
+            some = slice(begin, begin + _AT_ONCE)
+            normal = np.empty((self._count[some].size, 3, 3))
+            for k, (i, j) in enumerate(_TRIANGLE):
+                normal[:, i, j] = normal[:, j, i] = self._normal[some, k]
+            weakest = np.linalg.eigvalsh(normal)[:, 0] / np.maximum(self._count[some], 1)
+            good = (self._count[some] >= 2) & (weakest > 1e-14)
+            normal[~good] = np.eye(3)
+            solved = np.linalg.solve(normal, self._right[some, :, None])[:, :, 0] + self._reference[some]
+            found[some] = np.where(good[:, None], solved, np.nan)
+            angle[some] = 2.0 * np.arcsin(np.sqrt(np.where(good, weakest, 0.0)))
+        return found, angle
+
 
 def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, points: int) -> tuple[Array, Array, Array]:
     """Least-squares intersection of the rays of many points at once.
@@ -24,26 +77,15 @@ def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, point
     skew : (m,)
         m, root mean square distance of the point from its rays; NaN where the place is.
     angle : (m,)
-        rad, about the angle between the outermost rays (exactly, of two rays less than 90 deg apart): twice the arc
-        sine of the spread of unit directions; zero where the place is NaN.
+        rad, see `RaySums.places`.
     """
+    sums = RaySums(points)
+    sums.add(point_of_ray, origins, directions)
+    places, angle = sums.places()
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
-    reference = np.zeros((points, 3))
+    offset = places[point_of_ray] - origins
+    across = offset - np.einsum("ni,ni->n", unit, offset)[:, None] * unit
+    square = np.bincount(point_of_ray, np.einsum("ni,ni->n", across, across), points)
     count = np.bincount(point_of_ray, minlength=points)
-    for axis in range(3):  # work relative to the mean origin: body-fixed numbers would cost six digits
-        reference[:, axis] = np.bincount(point_of_ray, origins[:, axis], points) / np.maximum(count, 1)
-    shifted = origins - reference[point_of_ray]
-    normal, right = np.zeros((points, 3, 3)), np.zeros((points, 3))
-    np.add.at(normal, point_of_ray, across)
-    np.add.at(right, point_of_ray, np.einsum("nij,nj->ni", across, shifted))
-    weakest = np.linalg.eigvalsh(normal)[:, 0] / np.maximum(count, 1)
-    good = (count >= 2) & (weakest > 1e-14)
-    normal[~good] = np.eye(3)
-    places = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-    distance = np.einsum("nij,nj->ni", across, places[point_of_ray] - shifted)
-    square = np.bincount(point_of_ray, np.einsum("ni,ni->n", distance, distance), points)
-    skew: Array = np.where(good, np.sqrt(square / np.maximum(count, 1)), np.nan)
-    nearest: Array = np.where(good[:, None], places + reference, np.nan)
-    angle = 2.0 * np.arcsin(np.sqrt(np.where(good, weakest, 0.0)))
-    return nearest, skew, angle
+    skew: Array = np.where(np.isfinite(places[:, 0]), np.sqrt(square / np.maximum(count, 1)), np.nan)
+    return places, skew, angle

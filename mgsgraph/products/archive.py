@@ -1,7 +1,8 @@
 """The solution as one file, solution.npz, from which it is read back bit for bit.
 
-Every array of the record lies under its own path (`network.points.places`, `joint_covariance`), so that plain NumPy
-reads it too; everything else is a JSON text under `record`. Nothing is pickled: reading an archive runs no code of its.
+Every array of the record lies under its own path (`network.points.places`, `joint_covariance.blocks`), so that plain
+NumPy reads it too; everything else is a JSON text under `record`. Nothing is pickled: reading an archive runs no code
+of its.
 """
 
 import json
@@ -27,8 +28,8 @@ from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import assign
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 
-FORMAT = 1
-"""Version of the layout; raised whenever an older reader would misread it."""
+FORMAT = 2
+"""Version of the layout, raised whenever an older reader would misread it: 2 holds the joint covariance by blocks."""
 ARCHIVE = "solution.npz"
 """Name of the file in a result folder."""
 
@@ -47,6 +48,7 @@ _BROKEN = (
 )  # fmt: skip
 """What zipfile, NumPy and json raise on files that are damaged or no archives."""
 _NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
+_OLDER = "adjust the case again, or read it with the older version of mgsgraph that wrote it"
 _ANEW = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
 
 
@@ -89,7 +91,7 @@ def read_solution(path: str | Path) -> Solution:
     except _BROKEN as error:
         reason = " ".join(str(error).split())[:100] or type(error).__name__
         raise InputError(str(path), f"no archive of mgsgraph, or a damaged one ({reason})", remedy=_ANEW) from None
-    raise InputError(f"{path}, format", f"{version}", f"{FORMAT}", _NEWER)
+    raise InputError(f"{path}, format", f"{version}", f"{FORMAT}", _NEWER if version > FORMAT else _OLDER)
 
 
 def _members(path: Path) -> dict[str, np.ndarray]:
@@ -211,13 +213,12 @@ def _require_shapes(solution: Solution) -> None:
     """Raise InputError unless the arrays of a solution fit its network, so that no later table stumbles over them."""
     network = solution.network
     n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size
-    sizes = [prior.sigmas.size for prior, held in zip(network.priors, network.held, strict=True) if not held]
     shifts = len(network.shift_names)
-    columns = sum(sizes) + 2 * shifts
-    first = np.where(network.held, -1, 0)
-    first[~network.held] = np.cumsum([0, *sizes])[:-1]
+    width = np.array([prior.sigmas.size for prior in network.priors] + [2] * shifts)
+    adjusted = np.append(~network.held, np.ones(shifts, dtype=bool))
+    first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     expected: dict[str, tuple[int, ...]] = {
-        "joint_covariance": (columns, columns), "shifts": (shifts, 2),
+        "shifts": (shifts, 2),
         "places_before": (n, 3), "places": (n, 3), "covariances": (n, 3, 3),
         "determined": (n,), "rays_used": (k,), "ranges_used": (r,), "residuals": (k, 2), "residuals_before": (k, 2),
         "range_residuals": (r,), "range_residuals_before": (r,),
@@ -225,8 +226,13 @@ def _require_shapes(solution: Solution) -> None:
     for name, shape in expected.items():
         if (found := getattr(solution, name).shape) != shape:
             raise InputError(name, f"shape {found}", f"{shape}", _ANEW)
-    if not np.array_equal(solution.first_column, first):
-        raise InputError("first_column", f"{solution.first_column.tolist()[:10]}", f"{first.tolist()[:10]}", _ANEW)
+    root = solution.joint_covariance.square_root
+    for name, found, right in (
+        ("joint_covariance.square_root.first", root.first, first),
+        ("joint_covariance.square_root.width", root.width, width),
+    ):
+        if not np.array_equal(found, right):
+            raise InputError(name, f"{found.tolist()[:10]}", f"{right.tolist()[:10]}", _ANEW)
     shapes = [part.shape for part in solution.coefficients]
     if shapes != [prior.sigmas.shape for prior in network.priors]:
         raise InputError("coefficients", f"shapes {shapes[:5]}", "those of the priors", _ANEW)

@@ -311,12 +311,7 @@ def _between(
     nominal = OrientationCorrection(np.zeros((1, 6)))
     before, _, _ = contradiction((nominal, nominal))
     after, jacobian, metres = contradiction(corrections)
-    columns = np.concatenate([
-        start + np.arange(correction.coefficients.size)
-        for start, correction in zip(solution.first_column, corrections, strict=True)
-    ])
-    joint = solution.joint_covariance[np.ix_(columns, columns)]
-    return BeforeAfter(profile, before, _with_sigmas(after, jacobian, joint, metres))
+    return BeforeAfter(profile, before, _with_sigmas(after, jacobian, solution.joint_covariance.of((0, 1)), metres))
 
 
 def _contradiction(

@@ -38,7 +38,7 @@ def against_truth(solution: Solution, pair: SimulatedPair) -> list[str]:
             for estimate, true in zip(solution.coefficients, pair.true_corrections, strict=True)
         ]
     )
-    whitened = nees(errors[None], solution.joint_covariance[None])[0]
+    whitened = nees(errors[None], solution.joint_covariance.of(range(len(solution.coefficients)))[None])[0]
     sentences.append(
         f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size})."
     )

@@ -166,7 +166,7 @@ def test_plain_numpy_reads_it_without_pickle(solution: Solution, archive: Path) 
         assert not any(arrays[name].dtype.hasobject for name in arrays.files)
         assert arrays["network.points.ids"].tolist() == list(solution.network.points.ids)
         np.testing.assert_array_equal(arrays["places"], solution.places)
-        np.testing.assert_array_equal(arrays["joint_covariance"], solution.joint_covariance)
+        np.testing.assert_array_equal(arrays["joint_covariance.blocks"], solution.joint_covariance.blocks)
 
 
 def test_the_same_solution_gives_the_same_bytes(solution: Solution, archive: Path, tmp_path: Path) -> None:
@@ -255,13 +255,17 @@ def test_checksums_are_looked_at_first(archive: Path, tmp_path: Path) -> None:
     assert_refused(tmp_path / "x.npz", "a wrong checksum")
 
 
-@pytest.mark.parametrize("version", [0, 2, 99])
-def test_other_formats_are_refused(archive: Path, tmp_path: Path, version: int) -> None:
-    def newer(parts: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("version", "remedy"),
+    [(0, "adjust the case again"), (1, "adjust the case again"), (3, "or a newer one"), (99, "or a newer one")],
+)
+def test_other_formats_are_refused(archive: Path, tmp_path: Path, version: int, remedy: str) -> None:
+    def other(parts: dict[str, Any]) -> None:
         parts.update(format=np.array(version), record=np.zeros(0, dtype=np.uint8))
 
-    message = assert_refused(edited(archive, tmp_path / "x.npz", newer), f"format: {version}; expected 1")
-    assert "the version of mgsgraph that wrote it" in message
+    message = assert_refused(edited(archive, tmp_path / "x.npz", other), f"format: {version}; expected 2")
+    assert "version of mgsgraph that wrote it" in message
+    assert remedy in message
 
 
 @pytest.mark.parametrize(
@@ -271,8 +275,11 @@ def test_other_formats_are_refused(archive: Path, tmp_path: Path, version: int) 
         ("places", np.zeros((3, 3)), r"places: shape \(3, 3\); expected \(28, 3\)"),
         ("places", np.zeros((28, 3), dtype=np.int64), "places: an array of int64; expected of float64"),
         ("rays_used", np.zeros(56), "rays_used: an array of float64"),
-        ("first_column", np.array([18, 0]), "first_column"),
-        ("joint_covariance", np.zeros((35, 36)), "joint_covariance: shape"),
+        ("joint_covariance.square_root.first", np.array([18, 0]), "square root"),
+        ("joint_covariance.blocks", np.zeros(35), r"joint covariance: shape \(35,\); expected \(1296,\)"),
+        ("joint_covariance.square_root.rows", np.zeros(35), "square root: cliques, variables and rows that contradict"),
+        ("joint_covariance.square_root.members", np.array([0, 0]), "square root"),
+        ("joint_covariance.square_root.width", np.array([12, 24]), "square root"),
         ("coefficients.0", np.zeros((2, 6)), "coefficients: shapes"),
         ("network.points.ids", np.array(["a"] * 28), "the id 'a' twice"),
         ("network.rays.point", np.full(56, 28), r"rays, points: index 28 .. 28; expected 0 .. 27"),
@@ -288,6 +295,12 @@ def test_arrays_that_do_not_fit(archive: Path, tmp_path: Path, name: str, value:
             parts[name] = value
 
     assert_refused(edited(archive, tmp_path / "x.npz", change), says)
+
+
+def test_joint_covariance_of_another_network(case: Case, solution: Solution, tmp_path: Path) -> None:
+    held = adjust_network(replace(case.network, held=np.array([True, False])), case.settings)
+    write_archive(replace(solution, joint_covariance=held.joint_covariance), tmp_path / "x.npz")
+    assert_refused(tmp_path / "x.npz", r"joint_covariance.square_root.first: \[-1, 0\]; expected \[0, 18\]")
 
 
 @pytest.mark.parametrize(

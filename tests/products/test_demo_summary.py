@@ -58,7 +58,7 @@ def test_predicted_sigmas_are_the_spread_of_drawn_orientations(demo: Demonstrati
     chosen = np.isin(profile.true_places[:, 1, 0], pair.after.lines)
     points, places = profile.true_footprints[chosen], profile.true_places[chosen]
     size = solution.coefficients[0].size
-    root = np.linalg.cholesky(solution.joint_covariance[: 2 * size, : 2 * size])
+    root = np.linalg.cholesky(solution.joint_covariance.of((0, 1)))
     drawn = []
     for _ in range(60):
         step = root @ rng.normal(size=2 * size)

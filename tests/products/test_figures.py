@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 import mgsgraph
+from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.products.figures import registration_discrepancy, registration_offsets, write_figures
 from mgsgraph.products.figures.content import centre_of, east_north, footprint, image_residuals
@@ -279,6 +281,16 @@ def test_undetermined_points_and_rejected_rays(solution: Solution, tmp_path: Pat
     assert "points that nothing determines are left out (1)" in (tmp_path / "map.svg").read_text()
 
 
+def repeated_joint(joint: JointCovariance, sets: int) -> JointCovariance:
+    """Joint covariance of as many pairs, which have nothing in common."""
+    root, at = joint.square_root, np.arange(sets)[:, None]
+    one = SquareRoot(
+        (root.first + joint.columns * at).ravel(), np.tile(root.width, sets), (root.members + 2 * at).ravel(),
+        np.tile(root.sizes, sets), np.tile(root.frontals, sets), np.tile(root.rows, sets),
+    )
+    return JointCovariance(one, np.tile(joint.blocks, sets))
+
+
 def repeated(solution: Solution, images: int, copies: int) -> Solution:
     """A block made of the pair's images again and again, and of its points `copies` times (only for drawing)."""
     network, points, rays = solution.network, solution.network.points, solution.network.rays
@@ -308,7 +320,7 @@ def repeated(solution: Solution, images: int, copies: int) -> Solution:
     none = np.zeros(0)
     return replace(
         solution, network=big, coefficients=solution.coefficients * sets,
-        first_column=np.where(np.arange(2 * sets) % 2, solution.first_column[1], solution.first_column[0]),
+        joint_covariance=repeated_joint(solution.joint_covariance, sets),
         range_residuals=none, range_residuals_before=none, ranges_used=np.zeros(0, dtype=bool), **many,
     )
 

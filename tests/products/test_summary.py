@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.case import Case, adjust, read_case
 from mgsgraph.network import ImageRays, Network, PointClass, Ranges
 from mgsgraph.products.summary import statements, summary_table
@@ -186,11 +188,14 @@ def test_many_images_are_only_counted(solution: Solution) -> None:
     images = tuple(replace(solution.network.images[0], name=f"IMAGE{k:03d}") for k in range(30))
     network, n = solution.network, solution.network.rays.point.size
     rays = replace(network.rays, image=np.arange(n) % 30)
+    none = np.zeros(0, dtype=np.int64)
     block = replace(
         solution,
         network=replace(network, images=images, priors=network.priors[:1] * 30, held=np.ones(30, bool), rays=rays),
         coefficients=(np.zeros((3, 6)),) * 30,
-        first_column=np.full(30, -1),
+        joint_covariance=JointCovariance(
+            SquareRoot(np.full(30, -1), np.full(30, 18), none, none, none, np.zeros(0)), np.zeros(0)
+        ),
     )
     text = summary_table(block)
     assert "IMAGE023" in text

@@ -1,10 +1,18 @@
-"""The bundle form: orientation variables, their priors, and one bundle factor per set of them."""
+"""The bundle form: orientation variables and their priors, points solved and eliminated inside.
+
+For the batch engine the reduced system goes to GTSAM as Hessian factors of variable pairs (`BundleGraph.linear`); as
+bundle factors, one per set of variables, it fits any GTSAM graph (`BundleGraph.graph`).
+"""
+
+from functools import cached_property
+from typing import Protocol
 
 import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.factors.bundle import Bundles, Reduction
+from mgsgraph.adjustment.graph.patterns import group_blocks
+from mgsgraph.factors.bundle import Bundles, Reduction, all_residuals, point_covariances, reduce
 from mgsgraph.factors.priors import zero_prior
 from mgsgraph.factors.rows import Rows
 from mgsgraph.geometry.records import Array
@@ -47,6 +55,46 @@ def shared_vector(layout: Layout, values: gtsam.Values) -> Array:
     return vector
 
 
+class Sweeper(Protocol):
+    """Who goes over all points: this process, or the workers of a cluster. Rows are a layout's, or made of them."""
+
+    def reduction(
+        self, layout: Layout, rows: Rows, orientation: Array, system: bool, points: Array | Reduction | None
+    ) -> Reduction:
+        """All points solved (and eliminated), see `factors.bundle.reduce`; `points` as in `BundleGraph.reduction`."""
+        ...
+
+    def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """(n, 3, 3) m^2, see `factors.bundle.point_covariances`."""
+        ...
+
+    def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
+        """(t, 2), see `factors.bundle.all_residuals`."""
+        ...
+
+
+class InProcess:
+    """Sweeps by this process's threads."""
+
+    def reduction(
+        self, layout: Layout, rows: Rows, orientation: Array, system: bool, points: Array | Reduction | None
+    ) -> Reduction:
+        """All points solved (and eliminated)."""
+        begin = points.points if isinstance(points, Reduction) else points
+        return reduce(rows, layout.groups, layout.blocks.target, layout.model, orientation, system, begin)
+
+    def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """(n, 3, 3) m^2."""
+        return point_covariances(rows, layout.groups, layout.blocks.target, layout.model, orientation, joint, points)
+
+    def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
+        """(t, 2)."""
+        return all_residuals(rows, layout.groups, layout.blocks.target, layout.model, orientation, points)
+
+
+IN_PROCESS = InProcess()
+
+
 class BundleGraph:
     """Factor graph on orientation variables alone; points are solved inside.
 
@@ -55,25 +103,80 @@ class BundleGraph:
     layout : Layout
     rows : Rows, optional
         The layout's rows with some left out (`Layout.active`); all of them when absent.
+    sweeper : Sweeper
+        Who goes over the points; bundle factors (`graph`) are always this process's.
     """
 
-    def __init__(self, layout: Layout, rows: Rows | None = None) -> None:
-        self.layout = layout
+    def __init__(self, layout: Layout, rows: Rows | None = None, sweeper: Sweeper = IN_PROCESS) -> None:
+        self.layout, self.sweeper = layout, sweeper
+        self.rows = layout.rows if rows is None else rows
+        self._keys = {v: variable_key(layout, v) for v in layout.variables.adjusted()}
+
+    def reduction(self, orientation: Array, system: bool = True, points: Array | Reduction | None = None) -> Reduction:
+        """All points solved (and eliminated) at an orientation vector (columns,), beginning at `points` (n, 3), or
+        where an earlier reduction ended.
+        """
+        return self.sweeper.reduction(self.layout, self.rows, orientation, system, points)
+
+    def cost(self, reduction: Reduction) -> float:
+        """Full cost: of all points, and of the priors on the shared unknowns."""
+        whitened = reduction.orientation / self.layout.sigmas
+        return reduction.cost + 0.5 * float(whitened @ whitened)
+
+    def gradient(self, reduction: Reduction) -> Array:
+        """(columns,) of the full cost, per m and rad."""
+        return reduction.gradient + reduction.orientation / self.layout.sigmas**2
+
+    def linear(self, reduction: Reduction) -> gtsam.GaussianFactorGraph:
+        """The full linear system at a reduction: one Hessian factor per variable (its prior in it) and per pair.
+
+        Single factors of pairs are indefinite; only their sum is a normal matrix.
+        """
+        assert reduction.blocks is not None
+        layout, gradient = self.layout, self.gradient(reduction)
+        precision, blocks = 1.0 / layout.sigmas**2, layout.blocks
+        graph, width = gtsam.GaussianFactorGraph(), layout.variables.width
+        for v, w, at in zip(blocks.first.tolist(), blocks.second.tolist(), blocks.offset.tolist(), strict=True):
+            block = reduction.blocks[at : at + width[v] * width[w]].reshape(width[v], width[w])
+            if v == w:
+                own = layout.columns_of(v)
+                graph.push_back(
+                    gtsam.HessianFactor(self._keys[v], block + np.diag(precision[own]), -gradient[own], 0.0)
+                )
+            else:
+                graph.push_back(self._pair(v, w, block))
+        return graph
+
+    def _pair(self, v: int, w: int, block: Array) -> gtsam.HessianFactor:
+        """Factor of a block off the diagonal."""
+        none, other = np.zeros((block.shape[0],) * 2), np.zeros((block.shape[1],) * 2)
+        zero, zeros = np.zeros(block.shape[0]), np.zeros(block.shape[1])
+        return gtsam.HessianFactor(self._keys[v], self._keys[w], none, block, zero, other, zeros, 0.0)
+
+    @cached_property
+    def _bundles(self) -> Bundles:
+        layout = self.layout
         groups = layout.group_variables
-        self._bundles = Bundles(
-            layout.rows if rows is None else rows,
+        return Bundles(
+            self.rows,
             layout.groups,
+            group_blocks(layout.groups),
             layout.model,
-            [[variable_key(layout, v) for v in group] for group in groups],
+            [[self._keys[v] for v in group] for group in groups],
             [[layout.columns_of(v) for v in group] for group in groups],
             layout.scales,
         )
-        self.graph = gtsam.NonlinearFactorGraph()
-        for v in layout.variables.adjusted():
-            self.graph.add(zero_prior(variable_key(layout, v), layout.sigmas[layout.columns_of(v)]))
-        for group in range(len(groups)):
-            if groups[group]:
-                self.graph.add(self._bundles.factor(group))
+
+    @cached_property
+    def graph(self) -> gtsam.NonlinearFactorGraph:
+        """Priors and bundle factors, for GTSAM's own optimisers and for iSAM2."""
+        graph = gtsam.NonlinearFactorGraph()
+        for v, key in self._keys.items():
+            graph.add(zero_prior(key, self.layout.sigmas[self.layout.columns_of(v)]))
+        for group, members in enumerate(self.layout.group_variables):
+            if members:
+                graph.add(self._bundles.factor(group))
+        return graph
 
     def values(self, orientation: Array) -> gtsam.Values:
         """GTSAM values of an orientation vector (columns,)."""
@@ -81,11 +184,8 @@ class BundleGraph:
 
     @property
     def constant_cost(self) -> float:
-        """Cost of points that only held images see: no variable, so no factor carries it."""
-        reduction = self._bundles.at(np.zeros(self.layout.columns), system=False)
+        """Cost of points that only held images see: no variable, so no bundle factor carries it."""
+        reduction = self.reduction(np.zeros(self.layout.columns), system=False)
         alone = [group for group, members in enumerate(self.layout.group_variables) if not members]
-        return float(reduction.group_cost[alone].sum())
-
-    def reduction(self, orientation: Array, system: bool = True) -> Reduction:
-        """All points solved (and eliminated) at an orientation vector (columns,)."""
-        return self._bundles.at(orientation, system)
+        owner = self.rows.pattern_group[self.rows.piece[:, 0]]
+        return float(reduction.piece_cost[np.isin(owner, alone)].sum())

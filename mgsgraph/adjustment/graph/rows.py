@@ -1,268 +1,346 @@
 """What of an observation doesn't change during an adjustment, worked out once.
 
 Nominal pose at the measured line and its rates, basis values, the undistorted focal-plane place, the a-priori places
-and the axes along which shifts move them.
+and the axes along which shifts move them: the constants that the kernel reads, in the order in which it loads them.
 """
 
-from typing import Any
+import math
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mgsgraph.adjustment.graph.patterns import Patterns, Variables
 from mgsgraph.errors import InputError
-from mgsgraph.factors.rows import CAMERA, FIXED, FREE, OPK_PAPER, OUT, PRIOR, Model, Rows
+from mgsgraph.factors.rows import (
+    CAMERA,
+    FIXED,
+    FREE,
+    IMAGE,
+    MEASURED,
+    OPK_PAPER,
+    OPK_PEER,
+    OUT,
+    PRIOR,
+    Model,
+    Rows,
+    components,
+)
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import RaySums
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.network import ImageRays, Network, Ranges
+from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 _PARALLEL = 1e-12
 """rad: rays closer to parallel than this start on the ellipsoid instead of at their intersection."""
 
 
-def lay_out_rows(
-    network: Network, model: Model, first: Index, local: Index, group_of_point: Index, point_order: Index
-) -> tuple[Index, Index, Rows]:
-    """Rows of a network in the kernel's order.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Store:
+    """Where the constants of each point's sights go; n points in network order."""
 
-    Parameters
-    ----------
-    network : Network
-    model : Model
-    first : (v,)
-        First column of each variable (see layout.Variables).
-    local : (groups, v)
-        The same within each group's own columns.
-    group_of_point, point_order : (n,)
-        Group of each network point, and the order that sorts them by it.
+    patterns: Patterns
+    """Points by pattern."""
+    before: Index
+    """(q, j) numbers per point that a pattern's sights before the j-th store."""
+    piece: Index
+    """(m, 5) as in Rows."""
+    data: Array
+    """What is being filled."""
 
-    Returns
-    -------
-    ray_order, range_order : (k,), (r,)
-        Network ray and range at each place of the layout.
-    rows : Rows
-    """
-    place_of = np.empty_like(point_order)
-    place_of[point_order] = np.arange(point_order.size)
-    ray_order = np.lexsort((network.rays.image, place_of[network.rays.point]))
-    range_order = np.argsort(place_of[network.ranges.point], kind="stable")
+    def place(self, points: Index, slots: Index) -> tuple[Index, Index, Index]:
+        """For the `slots`-th sights of network `points`: first place in `data`, step to the next component, and place
+        among all sights.
+        """
+        at = self.patterns.point_place[points]
+        piece = np.searchsorted(self.patterns.piece_first, at, side="right") - 1
+        pattern, first, stride, start, sights = self.piece[piece].T
+        inside = at - first
+        return start + stride * self.before[pattern, slots] + inside, stride, sights + slots * stride + inside
+
+    def put(self, place: Index, stride: Index, component: int, values: Array) -> int:
+        """Store components from `component` on, (k,) or (k, c) or (k, c, d) values; which component comes next."""
+        flat = values.reshape(place.size, math.prod(values.shape[1:]))
+        for c in range(flat.shape[1]):
+            self.data[place + (component + c) * stride] = flat[:, c]
+        return component + flat.shape[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SightPlaces:
+    """Where a network's rows are among all t sights."""
+
+    rays: Index
+    """(k,) of each network ray."""
+    ranges: Index
+    """(r,) of each network range."""
+    heights: Index
+    """(h,) of the heights above the terrain."""
+    on_terrain: Index
+    """(h,) network points that they belong to."""
+
+
+def lay_out_rows(network: Network, model: Model, variables: Variables, patterns: Patterns) -> tuple[SightPlaces, Rows]:
+    """Rows of a network in the kernel's order, and where each is."""
+    terms = [0 if variables.first[j] < 0 else prior.degree + 1 for j, prior in enumerate(network.priors)]
+    store = _make_store(network, model, patterns, terms)
     starts = _starting_places(network)
+    weight = np.zeros((2, int(sum(len(patterns.sights[q]) * n for q, n in store.piece[:, [0, 2]]))))
+    rays = _fill_rays(network, model, store, terms, starts, weight)
+    ranges = _fill_ranges(network, store, terms, weight)
+    _fill_ground(network, store, weight)
+    places = SightPlaces(rays, ranges, *_fill_surface(network, store, starts, weight))
+    order, surface = patterns.point_order, network.surface
+    kinds = np.array([FREE, PRIOR, FIXED], dtype=np.int8)[network.points.kinds]
+    kinds[network.undetermined] = OUT
+    grid = None if surface is None else surface.grid
     rows = Rows(
-        **_point_arrays(network, point_order, starts),
-        **_shift_arrays(network, point_order, first, local, group_of_point),
-        **_surface_arrays(network, point_order, starts, first, local, group_of_point),
-        **_ray_arrays(network, ray_order, place_of, model, first, local, group_of_point, starts),
-        **_range_arrays(network, range_order, place_of, first, local, group_of_point),
+        kind=kinds[order],
+        start=starts[order],
+        data=store.data,
+        weight=weight,
+        piece=store.piece,
+        **_sight_tables(network, variables, patterns, terms),
+        terrain=_posts(grid),
+        terrain_frame=np.zeros(4)
+        if grid is None
+        else np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
+        terrain_cell=np.zeros((0, 3), dtype=np.int64) if grid is None else grid.cells(starts[order]),
     )
-    return ray_order, range_order, rows
+    return places, rows
 
 
-def _shift_arrays(network: Network, order: Index, first: Index, local: Index, group_of_point: Index) -> dict[str, Any]:
-    """East and north at each footprint, along which its profile's two unknowns move the a-priori place."""
-    if network.shifts is None:
-        none = np.zeros(0, dtype=np.int64)
-        return {
-            "shift_first": np.zeros(order.size + 1, dtype=np.int64),
-            "shift_column": none,
-            "shift_local": none,
-            "shift_direction": np.zeros((0, 3)),
-        }
-    profile = network.shifts.profile[order]
-    moved = profile >= 0
-    variable = profile[moved] + len(network.images)
-    column, inside = first[variable], local[group_of_point[order[moved]], variable]
+def _posts(grid: TerrainGrid | None) -> Array:
+    """Radii of the terrain model's posts; read-only with or without one, for the kernel is compiled for one kind."""
+    posts = np.zeros((0, 0)) if grid is None else np.ascontiguousarray(grid.radii, dtype=np.float64)
+    posts.flags.writeable = False
+    return posts
+
+
+def _make_store(network: Network, model: Model, patterns: Patterns, terms: list[int]) -> _Store:
+    """Room for everything."""
+    widest = max(len(sights) for sights in patterns.sights)
+    stored = np.zeros((len(patterns.sights), widest), dtype=np.int64)
+    for q, sights in enumerate(patterns.sights):
+        for j, sight in enumerate(sights):
+            bases = terms[sight.image] if sight.image >= 0 else 0
+            stored[q, j] = components(model, sight.kind, sight.width, bases, sight.shared)
+    ends = np.cumsum(stored, axis=1)
+    pattern, count = patterns.piece_pattern, np.diff(patterns.piece_first)
+    numbers = count * (ends[:, -1][pattern] if widest else 0)
+    sights_of = count * np.array([len(mine) for mine in patterns.sights], dtype=np.int64)[pattern]
+    first = patterns.piece_first[:-1]
+    piece = np.stack([pattern, first, count, np.cumsum(numbers) - numbers, np.cumsum(sights_of) - sights_of], axis=1)
+    return _Store(patterns, ends - stored, np.ascontiguousarray(piece, dtype=np.int64), np.empty(int(numbers.sum())))
+
+
+def _sight_tables(
+    network: Network, variables: Variables, patterns: Patterns, terms: list[int]
+) -> dict[str, NDArray[np.int64] | Array]:
+    """What the patterns' sights feel of the unknowns."""
+    table: list[tuple[int, int, int, int, int]] = []
+    focal: list[float] = []
+    entries: list[tuple[int, int, int]] = []
+    for q, sights in enumerate(patterns.sights):
+        members = patterns.group_variables[patterns.group[q]]
+        for sight in sights:
+            bases = terms[sight.image] if sight.image >= 0 else 0
+            table.append((sight.kind, sight.width, bases, sight.shared, len(entries)))
+            focal.append(network.images[sight.image].interior.focal_length if sight.kind == IMAGE else 0.0)
+            inside = [6 * t for t in range(bases)] + list(range(sight.shared))
+            if inside:
+                column, member = int(variables.first[sight.variable]), members.index(sight.variable)
+                entries += [(column + step, member, step) for step in inside]
+    columns = np.array(table, dtype=np.int64).reshape(-1, 5).T
+    column, member, inside_of = np.array(entries, dtype=np.int64).reshape(-1, 3).T
+    sizes = [len(sights) for sights in patterns.sights]
     return {
-        "shift_first": np.concatenate([[0], np.cumsum(2 * moved)]).astype(np.int64),
-        "shift_column": np.stack([column, column + 1], axis=1).ravel(),
-        "shift_local": np.stack([inside, inside + 1], axis=1).ravel(),
-        "shift_direction": east_north(network.points.places[order[moved]]).reshape(-1, 3),
+        "pattern_sight": np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        "pattern_group": patterns.group,
+        "pattern_fixed": patterns.fixed.astype(np.int64),
+        **{
+            f"sight_{name}": np.ascontiguousarray(values)
+            for name, values in zip(("kind", "width", "terms", "shared", "entry"), columns, strict=True)
+        },
+        "sight_focal": np.array(focal),
+        "entry_column": np.ascontiguousarray(column),
+        "entry_member": np.ascontiguousarray(member),
+        "entry_inside": np.ascontiguousarray(inside_of),
     }
 
 
-def _surface_arrays(
-    network: Network, order: Index, starts: Array, first: Index, local: Index, group_of_point: Index
-) -> dict[str, Any]:
+def _ranks(points: Index, images: Index) -> Index:
+    """Rank of each row among its point's, by image (and as given, for the same image)."""
+    order = np.lexsort((images, points))
+    ordered = points[order]
+    begins = np.flatnonzero(np.diff(ordered, prepend=-1))
+    rank = np.empty_like(order)
+    rank[order] = np.arange(order.size) - np.repeat(begins, np.diff(np.append(begins, order.size)))
+    return rank
+
+
+def _by_image(images: Index, count: int) -> list[Index]:
+    """Rows of each image."""
+    order = np.argsort(images, kind="stable")
+    return np.split(order, np.searchsorted(images[order], np.arange(1, count)))
+
+
+def _fill_rays(network: Network, model: Model, store: _Store, terms: list[int], starts: Array, weight: Array) -> Index:
+    """Constants of the image rays; the place of each among all sights."""
+    rays = network.rays
+    slots = _ranks(rays.point, rays.image)
+    place_among = np.empty(rays.point.size, dtype=np.int64)
+    for j, mine in enumerate(_by_image(rays.image, len(network.images))):
+        image, (lines, samples) = network.images[j], rays.places[mine].T
+        place, stride, place_among[mine] = store.place(rays.point[mine], slots[mine])
+        pose = image.pose(lines)
+        detector, slope = image.interior.focal_plane(samples)
+        attitude, turning = _attitude(pose, model.angles)
+        at = store.put(place, stride, 0, pose.position)
+        at = store.put(place, stride, at, attitude)
+        at = store.put(place, stride, at, detector)
+        if model.line == MEASURED:
+            at = store.put(place, stride, at, _frozen_scale(image, pose, starts[rays.point[mine]], slope, model))
+        else:
+            for values in (pose.velocity, turning, slope):
+                at = store.put(place, stride, at, values)
+        if terms[j]:
+            basis, rate = polynomial(image.normalised(lines), terms[j] - 1)
+            both = np.concatenate([basis, rate * image.normalised_rate], axis=1)
+            store.put(place, stride, at, basis if model.line == MEASURED else both)
+    weight[:, place_among] = 1.0 / rays.sigmas.T
+    return place_among
+
+
+def _fill_ranges(network: Network, store: _Store, terms: list[int], weight: Array) -> Index:
+    """Constants of the ranges; the instrument is where the camera is at the shot's time."""
+    ranges = network.ranges
+    slots = _ranks(ranges.point, ranges.image) + network.ray_counts[ranges.point]
+    place_among = np.empty(ranges.point.size, dtype=np.int64)
+    for j, mine in enumerate(_by_image(ranges.image, len(network.images))):
+        if mine.size == 0:
+            continue
+        image = network.images[j]
+        since = ranges.times[mine] - image.trajectory.epoch
+        place, stride, place_among[mine] = store.place(ranges.point[mine], slots[mine])
+        at = store.put(place, stride, 0, image.trajectory.pose(since).position)
+        at = store.put(place, stride, at, ranges.values[mine])
+        if terms[j]:
+            store.put(place, stride, at, polynomial(image.normalised(image.timing.lines(since)), terms[j] - 1)[0])
+    weight[0, place_among] = 1.0 / ranges.sigmas
+    return place_among
+
+
+def _sights_before(network: Network) -> Index:
+    """(n,) rays and ranges of each point."""
+    return network.ray_counts + np.bincount(network.ranges.point, minlength=len(network.points))
+
+
+def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
+    """A-priori places: upper triangular square root U of their information, |U (P - P0)|^2, and where shifts go."""
+    known = np.flatnonzero(network.points.kinds == PointKind.CONSTRAINED)
+    if known.size == 0:
+        return
+    information = np.linalg.solve(network.points.covariances[known], np.eye(3))
+    root = np.swapaxes(np.linalg.cholesky(0.5 * (information + np.swapaxes(information, 1, 2))), 1, 2)
+    place, stride, among = store.place(known, _sights_before(network)[known])
+    store.put(place, stride, 0, network.points.places[known])
+    store.put(place, stride, 3, root[:, *np.triu_indices(3)])
+    weight[0, among] = 1.0
+    if network.shifts is not None:
+        moved = network.shifts.profile[known] >= 0
+        store.put(place[moved], stride[moved], 9, east_north(network.points.places[known[moved]]))
+
+
+def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array) -> tuple[Index, Index]:
+    """Heights above the terrain model: their weights, and the axes along which its shift moves it.
+
+    Returned are their places among all sights, and the points that they belong to.
+    """
     if network.surface is None:
-        return {
-            "surface_weight": np.zeros(order.size),
-            "surface_column": np.full(order.size, -1, dtype=np.int64),
-            "surface_local": np.full(order.size, -1, dtype=np.int64),
-            "surface_direction": np.zeros((0, 2, 3)),
-            "terrain": np.zeros((0, 0)),
-            "terrain_frame": np.zeros(4),
-            "terrain_cell": np.full((order.size, 3), -1, dtype=np.int64),
-        }
-    grid = network.surface.grid
-    felt = np.isfinite(network.surface.sigmas[order]) & network.terrain_moves
-    return {
-        "surface_weight": 1.0 / network.surface.sigmas[order],
-        "surface_column": np.where(felt, first[-1], -1),
-        "surface_local": np.where(felt, local[group_of_point[order], -1], -1),
-        "surface_direction": east_north(starts[order]),
-        "terrain": np.ascontiguousarray(grid.radii, dtype=np.float64),
-        "terrain_frame": np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
-        "terrain_cell": grid.cells(starts[order]),
-    }
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    mine = np.flatnonzero(np.isfinite(network.surface.sigmas))
+    slots = _sights_before(network) + (network.points.kinds == PointKind.CONSTRAINED)
+    place, stride, among = store.place(mine, slots[mine])
+    weight[0, among] = 1.0 / network.surface.sigmas[mine]
+    if network.terrain_moves:
+        store.put(place, stride, 0, east_north(starts[mine]))
+    return among, mine
 
 
 def _starting_places(network: Network) -> Array:
     """(n, 3) m: where each point's inner solve begins: its a-priori place, or the intersection of its nominal rays."""
-    starts = network.points.places.copy()
-    rays = network.rays
-    origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
-    ground = np.empty((rays.point.size, 3))
-    for j, image in enumerate(network.images):
-        mine = rays.image == j
-        origins[mine], directions[mine], _, _ = image.rays(rays.places[mine, 0], rays.places[mine, 1])
-        ground[mine], _ = image.image_to_ground(rays.places[mine, 0], rays.places[mine, 1])
-    crossing, _, angle = intersect_rays(origins, directions, rays.point, len(network.points))
-    with np.errstate(invalid="ignore"):
-        distant = np.einsum("ki,ki->k", crossing[rays.point] - origins, directions) <= 0.0
+    starts, rays = network.points.places.copy(), network.rays
+    sums, images = RaySums(starts.shape[0]), _by_image(rays.image, len(network.images))
+    for image, mine in zip(network.images, images, strict=True):
+        sums.add(rays.point[mine], *_looks(image, rays.places[mine]))
+    crossing, angle = sums.places()
     usable = np.all(np.isfinite(crossing), axis=1) & (angle > _PARALLEL)
-    usable[rays.point[distant]] = False
+    for image, mine in zip(network.images, images, strict=True):  # rays that part meet behind their cameras
+        origins, directions = _looks(image, rays.places[mine])
+        ahead = np.einsum("ki,ki->k", crossing[rays.point[mine]] - origins, directions) > 0.0
+        usable[rays.point[mine[~ahead]]] = False
     free = (network.points.kinds == PointKind.FREE) & ~network.undetermined
     starts[free & usable] = crossing[free & usable]
-    missing = free & ~np.all(np.isfinite(starts), axis=1)
-    _, first_ray = np.unique(rays.point, return_index=True)
-    first_of = np.full(len(network.points), -1, dtype=np.int64)
-    first_of[rays.point[first_ray]] = first_ray
-    starts[missing] = ground[first_of[missing]]
-    for i in np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))[:1]:
-        image = network.images[rays.image[first_of[i]]].name
-        raise InputError(
-            f"point {network.points.ids[i]}",
-            f"its ray in image {image} misses the body",
-            "image places on the body",
-            "check the image's orientation or leave the point out",
-        )
+    missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
+    if missing.size:
+        _start_on_the_ground(network, missing, starts)
     starts[network.undetermined] = 0.0
     return starts
 
 
-def _point_arrays(network: Network, order: Index, starts: Array) -> dict[str, Any]:
-    kinds = np.array([FREE, PRIOR, FIXED])[network.points.kinds]
-    kinds[network.undetermined] = OUT
-    roots = np.zeros((len(network.points), 3, 3))
-    known = network.points.kinds == PointKind.CONSTRAINED
-    if np.any(known):
-        information = np.linalg.solve(network.points.covariances[known], np.eye(3))
-        roots[known] = np.swapaxes(np.linalg.cholesky(0.5 * (information + np.swapaxes(information, 1, 2))), 1, 2)
-    return {"point_kind": kinds[order].astype(np.int64), "point_start": starts[order], "point_root": roots[order]}
+def _looks(image: PushbroomImage, places: Array) -> tuple[Array, Array]:
+    """Origins (k, 3) in m and directions (k, 3) of the nominal rays of image places (k, 2)."""
+    pose = image.pose(places[:, 0])
+    look = np.column_stack([image.interior.focal_plane(places[:, 1])[0], np.full(pose.position.shape[0], 1.0)])
+    look[:, 2] *= image.interior.focal_length
+    return pose.position, np.einsum("kji,kj->ki", pose.matrix, look)
 
 
-def _ray_arrays(
-    network: Network,
-    order: Index,
-    place_of: Index,
-    model: Model,
-    first_column: Index,
-    local: Index,
-    group_of_point: Index,
-    starts: Array,
-) -> dict[str, Any]:
-    """Everything of the rays, in layout order."""
-    rays = ImageRays(*(getattr(network.rays, name)[order] for name in ("point", "image", "places", "sigmas")))
-    k = order.size
-    centre, matrix, turning = np.empty((k, 2, 3)), np.empty((k, 3, 3)), np.empty((k, 3))
-    detector, focal, to_pixels = np.empty((k, 2, 2)), np.empty(k), np.empty((k, 2, 2))
-    angles = np.zeros((0 if model.angles == CAMERA else k, 2, 3))
-    for j, image in enumerate(network.images):
-        mine = rays.image == j
-        lines, samples = rays.places[mine].T
-        pose = image.pose(lines)
-        centre[mine, 0], centre[mine, 1] = pose.position, pose.velocity
-        matrix[mine], turning[mine] = pose.matrix, pose.turning
-        detector[mine, 0], detector[mine, 1] = image.interior.focal_plane(samples)
-        focal[mine] = image.interior.focal_length
-        to_pixels[mine] = _frozen_scale(pose, image.interior.focal_length, starts[rays.point[mine]], detector[mine, 1])
-        if angles.size:
-            angles[mine] = _nominal_angles(pose, model.angles)
-    pairs = _pairs(network, rays.image, rays.places[:, 0], first_column, local, group_of_point[rays.point])
-    return {
-        "ray_first": _first_of(place_of[rays.point], len(network.points)),
-        "centre": centre,
-        "matrix": matrix,
-        "turning": turning,
-        "angles": angles,
-        "detector": detector,
-        "focal": focal,
-        "to_pixels": to_pixels,
-        "weight": 1.0 / rays.sigmas,
-        "pair_first": pairs[0],
-        "pair_column": pairs[1],
-        "pair_local": pairs[2],
-        "pair_value": np.stack([pairs[3], pairs[4]], axis=1),
-    }
+def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> None:
+    """Where nothing else says where a point is (parallel rays): where its first ray meets the ellipsoid."""
+    with_rays, first = np.unique(network.rays.point, return_index=True)
+    for i in missing:
+        k = first[np.searchsorted(with_rays, i)]
+        image = network.images[network.rays.image[k]]
+        starts[i] = image.image_to_ground(*network.rays.places[[k]].T)[0][0]
+        if not np.all(np.isfinite(starts[i])):
+            raise InputError(
+                f"point {network.points.ids[i]}",
+                f"its ray in image {image.name} misses the body",
+                "image places on the body",
+                "check the image's orientation or leave the point out",
+            )
 
 
-def _range_arrays(
-    network: Network, order: Index, place_of: Index, first_column: Index, local: Index, group_of_point: Index
-) -> dict[str, Any]:
-    """Everything of the ranges, in layout order; the instrument is where the camera is at the shot's time."""
-    names = ("point", "image", "times", "values", "sigmas")
-    ranges = Ranges(*(getattr(network.ranges, name)[order] for name in names))
-    centre, lines = np.empty((order.size, 3)), np.empty(order.size)
-    for j in np.unique(ranges.image):
-        mine, image = ranges.image == j, network.images[j]
-        since = ranges.times[mine] - image.trajectory.epoch
-        centre[mine] = image.trajectory.pose(since).position
-        lines[mine] = image.timing.lines(since)
-    pairs = _pairs(network, ranges.image, lines, first_column, local, group_of_point[ranges.point])
-    return {
-        "range_first": _first_of(place_of[ranges.point], len(network.points)),
-        "range_centre": centre,
-        "range_value": ranges.values,
-        "range_weight": 1.0 / ranges.sigmas,
-        "range_pair_first": pairs[0],
-        "range_pair_column": pairs[1],
-        "range_pair_local": pairs[2],
-        "range_pair_value": pairs[3],
-    }
+def _attitude(pose: Pose, angles: int) -> tuple[Array, Array]:
+    """Attitude (k, 4) as a quaternion of the body-fixed to camera matrix, or (k, 3) omega, phi, kappa in the papers'
+    or the peer's product; and its rate per line: angular velocity in camera axes, or rates of the angles.
+    """
+    if angles == CAMERA:
+        return rotation.from_matrix(pose.matrix), pose.turning
+    paper = angles == OPK_PAPER
+    found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
+    chain = rotation.angle_axes(found, camera_to_body=paper)
+    return found, np.linalg.solve(chain, pose.turning[:, :, None])[:, :, 0]
 
 
-def _first_of(places: Index, points: int) -> Index:
-    """(points + 1,) where each point's rows begin, rows being sorted by point."""
-    return np.searchsorted(places, np.arange(points + 1)).astype(np.int64)
+def _frozen_scale(image: PushbroomImage, pose: Pose, points: Array, slope: Array, model: Model) -> Array:
+    """(k, 2, 2) focal-plane m to (lines, samples): image motion per line, from the nominal, and detector slope.
 
-
-def _pairs(
-    network: Network, images: Index, lines: Array, first_column: Index, local: Index, groups: Index
-) -> tuple[Index, Index, Index, Array, Array]:
-    """(Orientation column, basis value) pairs of rows: first pair of each row, global and local column, value, rate."""
-    terms = np.array([prior.degree + 1 for prior in network.priors])
-    counts = np.where(first_column[images] >= 0, terms[images], 0)
-    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    column, inside = np.empty(first[-1], dtype=np.int64), np.empty(first[-1], dtype=np.int64)
-    value, rate = np.empty(first[-1]), np.empty(first[-1])
-    for j in np.unique(images):
-        if first_column[j] < 0:
-            continue
-        mine, image = np.flatnonzero(images == j), network.images[j]
-        basis, slope = polynomial(image.normalised(lines[mine]), network.priors[j].degree)
-        for term in range(terms[j]):
-            place = first[mine] + term
-            column[place] = first_column[j] + 6 * term
-            inside[place] = local[groups[mine], j] + 6 * term
-            value[place], rate[place] = basis[:, term], slope[:, term] * image.normalised_rate
-    return first, column, inside, value, rate
-
-
-def _frozen_scale(pose: Pose, focal_length: float, points: Array, slope: Array) -> Array:
-    """(k, 2, 2) focal-plane m to (lines, samples): image motion per line, from the nominal, and detector slope."""
+    In the peer's convention both are pixels of the detector's size, along and across it.
+    """
+    if model.angles == OPK_PEER:
+        square = np.einsum("ki,ki->k", slope, slope)[:, None]
+        return np.stack([np.stack([slope[:, 1], -slope[:, 0]], axis=1) / square, slope / square], axis=1)
     ray = np.einsum("kij,kj->ki", pose.matrix, points - pose.position)
     rate = -np.cross(pose.turning, ray) - np.einsum("kij,kj->ki", pose.matrix, pose.velocity)
-    motion = focal_length * (rate[:, :2] - ray[:, :2] / ray[:, 2:] * rate[:, 2:]) / ray[:, 2:]
+    motion = image.interior.focal_length * (rate[:, :2] - ray[:, :2] / ray[:, 2:] * rate[:, 2:]) / ray[:, 2:]
     turned = np.stack([slope[:, ::-1], motion[:, ::-1]], axis=1) * np.array([[1.0, -1.0], [-1.0, 1.0]])
     return np.asarray(turned / (motion[:, 0] * slope[:, 1] - motion[:, 1] * slope[:, 0])[:, None, None])
-
-
-def _nominal_angles(pose: Pose, convention: int) -> Array:
-    """(k, 2, 3) omega, phi, kappa and their rates per line, in the papers' or the peer's product."""
-    paper = convention == OPK_PAPER
-    angles = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
-    chain = rotation.angle_axes(angles, camera_to_body=paper)
-    rates = np.linalg.solve(chain, pose.turning[:, :, None])[:, :, 0]
-    return np.stack([angles, rates], axis=1)

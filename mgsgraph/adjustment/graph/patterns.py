@@ -1,0 +1,216 @@
+"""Points sorted by pattern: which sights they have, in pieces that the kernel takes one after the other."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.factors.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import Network
+from mgsgraph.ties import PointKind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variables:
+    """Unknowns that points share: orientation coefficients of images, horizontal shifts of profiles and of the terrain.
+
+    Variable j is image j, variable `images` + p is profile p, and the last one may be the terrain model. A held image
+    has no columns.
+    """
+
+    images: int
+    """Number of images."""
+    first: Index
+    """(v,) first column of each variable in the orientation vector; -1 for a held image."""
+    width: Index
+    """(v,) number of its columns."""
+    sigmas: Array
+    """(columns,) a-priori sigmas, m and rad; infinite where nothing is known."""
+    angular: Mask
+    """(columns,) True for a column in rad."""
+
+    def columns_of(self, variable: int) -> slice:
+        """Columns of one variable."""
+        first = int(self.first[variable])
+        return slice(first, first + int(self.width[variable]))
+
+    def adjusted(self) -> list[int]:
+        """Variables that have columns."""
+        return [int(v) for v in np.flatnonzero(self.first >= 0)]
+
+
+class Sight(NamedTuple):
+    """One sight of a pattern."""
+
+    kind: int
+    """IMAGE, RANGE, GROUND or SURFACE."""
+    image: int
+    """Image that carries it; -1 for none."""
+    variable: int
+    """Variable that it feels; -1 for none (a held image, a prior that doesn't move)."""
+
+    @property
+    def width(self) -> int:
+        """Components of its state."""
+        return 6 if self.kind == IMAGE else 3
+
+    @property
+    def shared(self) -> int:
+        """Single columns that it feels: a shift eastward and northward."""
+        return 2 if self.kind in (GROUND, SURFACE) and self.variable >= 0 else 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patterns:
+    """Points sorted by pattern; n points, q patterns, m pieces."""
+
+    sights: tuple[tuple[Sight, ...], ...]
+    """Sights of each pattern: rays by image, ranges by image, a-priori place, terrain."""
+    fixed: Mask
+    """(q,) whether the points are known."""
+    group: Index
+    """(q,) group of each pattern, ascending."""
+    group_variables: tuple[tuple[int, ...], ...]
+    """Variables of each group, ascending."""
+    point_order: Index
+    """(n,) network point at each place of the layout."""
+    point_place: Index
+    """(n,) the way back: place of each network point."""
+    piece_pattern: Index
+    """(m,) pattern of each piece."""
+    piece_first: Index
+    """(m + 1,) first point of each piece."""
+
+
+def sort_points(network: Network, variables: Variables) -> Patterns:
+    """Find the patterns of a network's points.
+
+    Patterns are told apart by sums of 64-bit random numbers, one per sight: one pass, no Python per point.
+    """
+    signature = _signatures(network, len(variables.first))
+    _, example, pattern = np.unique(signature, return_index=True, return_inverse=True)
+    sights = _sights(network, variables, example)
+    sets = [tuple(sorted({sight.variable for sight in mine if sight.variable >= 0})) for mine in sights]
+    group_variables = tuple(sorted(set(sets)))
+    number = {members: g for g, members in enumerate(group_variables)}
+    group = np.array([number[members] for members in sets], dtype=np.int64)
+    order = np.argsort(group, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(order.size)
+    pattern = rank[pattern.reshape(-1)]
+    point_order = np.argsort(pattern, kind="stable")
+    point_place = np.empty_like(point_order)
+    point_place[point_order] = np.arange(point_order.size)
+    count = np.bincount(pattern, minlength=order.size)
+    pieces = -(-count // PIECE)
+    inside = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    first = np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE
+    return Patterns(
+        tuple(sights[q] for q in order),
+        network.points.kinds[example[order]] == PointKind.FIXED,
+        group[order],
+        group_variables,
+        point_order,
+        point_place,
+        np.repeat(np.arange(order.size), pieces),
+        np.append(first, pattern.size),
+    )
+
+
+def _signatures(network: Network, variables: int) -> Index:
+    """(n,) a number per point that two points share if, and only if, they have the same sights."""
+    marks = np.random.default_rng(0).integers(0, 2**64, (3, variables), dtype=np.uint64)
+    plain = np.random.default_rng(1).integers(0, 2**64, 3, dtype=np.uint64)
+    signature = np.zeros(len(network.points), dtype=np.uint64)
+    np.add.at(signature, network.rays.point, marks[0, network.rays.image])
+    np.add.at(signature, network.ranges.point, marks[1, network.ranges.image])
+    signature += plain[0] * (network.points.kinds == PointKind.FIXED)
+    signature += plain[1] * (network.points.kinds == PointKind.CONSTRAINED)
+    if network.shifts is not None:
+        moved = network.shifts.profile >= 0
+        signature[moved] += marks[2, len(network.images) + network.shifts.profile[moved]]
+    if network.surface is not None:
+        signature += plain[2] * np.isfinite(network.surface.sigmas)
+    return signature.view(np.int64)
+
+
+def _sights(network: Network, variables: Variables, example: Index) -> list[tuple[Sight, ...]]:
+    """Sights of the example points, one per pattern."""
+    position = np.full(len(network.points), -1, dtype=np.int64)
+    position[example] = np.arange(example.size)
+    sights: list[list[Sight]] = [[] for _ in range(example.size)]
+    for kind, table in ((IMAGE, network.rays), (RANGE, network.ranges)):
+        mine = np.flatnonzero(position[table.point] >= 0)
+        for k in mine[np.argsort(table.image[mine], kind="stable")]:
+            image = int(table.image[k])
+            variable = image if variables.first[image] >= 0 else -1
+            sights[position[table.point[k]]].append(Sight(kind, image, variable))
+    surface, shifts = network.surface, network.shifts
+    terrain = variables.first.size - 1 if network.terrain_moves else -1
+    for q, i in enumerate(example):
+        if network.points.kinds[i] == PointKind.CONSTRAINED:
+            profile = -1 if shifts is None else int(shifts.profile[i])
+            sights[q].append(Sight(GROUND, -1, profile + variables.images if profile >= 0 else -1))
+        if surface is not None and np.isfinite(surface.sigmas[i]):
+            sights[q].append(Sight(SURFACE, -1, terrain))
+    return [tuple(mine) for mine in sights]
+
+
+def make_groups(variables: Variables, group_variables: tuple[tuple[int, ...], ...]) -> Groups:
+    """The kernel's record of the groups."""
+    sizes = np.array([len(members) for members in group_variables], dtype=np.int64)
+    member = np.array([v for members in group_variables for v in members], dtype=np.int64)
+    ends = np.concatenate([[0], np.cumsum(sizes)])
+    return Groups(
+        ends.astype(np.int64),
+        member,
+        variables.width[member],
+        np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairBlocks:
+    """The sparse normal matrix: dense blocks of variable pairs that share points, in one flat array; p pairs."""
+
+    first: Index
+    """(p,) first variable of each pair."""
+    second: Index
+    """(p,) second variable, not before the first."""
+    offset: Index
+    """(p,) where its block begins, first variable's columns down, second's across."""
+    target: Target
+    """The same, as the kernel wants it."""
+
+
+def pair_blocks(variables: Variables, groups: Groups) -> PairBlocks:
+    """Blocks of all pairs of variables that some group holds, and each adjusted variable's own."""
+    count = variables.first.size
+    place, member = groups.pair_first, groups.member_variable
+    pairs = [v * count + v for v in variables.adjusted()]
+    table = np.zeros(int(place[-1]), dtype=np.int64)
+    for g in range(place.size - 1):
+        mine = member[groups.member_first[g] : groups.member_first[g + 1]]
+        table[place[g] : place[g + 1]] = (np.minimum.outer(mine, mine) * count + np.maximum.outer(mine, mine)).ravel()
+    unique = np.unique(np.concatenate([table, np.array(pairs, dtype=np.int64)]))
+    first, second = unique // count, unique % count
+    sizes = variables.width[first] * variables.width[second]
+    offset = np.cumsum(sizes) - sizes
+    target = Target(
+        offset[np.searchsorted(unique, table)], variables.first[member], int(sizes.sum()), int(variables.sigmas.size)
+    )
+    return PairBlocks(first, second, offset, target)
+
+
+def group_blocks(groups: Groups) -> Target:
+    """Blocks of each group by itself, not shared with others: what a bundle factor of its own needs."""
+    pair = np.zeros(int(groups.pair_first[-1]), dtype=np.int64)
+    at = 0
+    for g in range(groups.pair_first.size - 1):
+        width = groups.member_width[groups.member_first[g] : groups.member_first[g + 1]]
+        sizes = np.multiply.outer(width, width).ravel()
+        pair[groups.pair_first[g] : groups.pair_first[g + 1]] = at + np.cumsum(sizes) - sizes
+        at += int(sizes.sum())
+    right = np.cumsum(groups.member_width) - groups.member_width
+    return Target(pair, right.astype(np.int64), at, int(groups.member_width.sum()))

@@ -1,0 +1,107 @@
+"""`mgsgraph campaign`: many cases, each into a folder of its own."""
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.settings import Form, Loss
+    from mgsgraph.campaign import Entry
+
+_PATIENCE = 20.0
+"""s after which the silence is explained."""
+_FORMS = click.Choice(["bundle", "explicit"])
+_LOSSES = click.Choice(["none", "huber", "cauchy", "tukey"])
+
+
+@click.command(short_help="Adjust many cases.")
+@click.argument("cases", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="CASE|FOLDER...")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for all results and the record.")
+@click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
+@click.option("--retry", is_flag=True, help="Do those again that have failed or not converged, though nothing changed.")
+@click.option("--form", type=_FORMS, help="As in `mgsgraph adjust`, for all cases; so are the next ones.")
+@click.option("--loss", type=_LOSSES, help="Robust loss on image coordinates and ranges.")
+@click.option("--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none.")
+@click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
+@click.option("--no-figures", is_flag=True, help="Write tables only.")
+@click.option("-v", "--verbose", is_flag=True, help="One line per case.")
+@click.pass_context
+def campaign(
+    ctx: click.Context,
+    cases: tuple[Path, ...],
+    out: Path,
+    cluster: str | None,
+    retry: bool,
+    form: "Form | None",
+    loss: "Loss | None",
+    reject: float | None,
+    no_laser: bool,
+    no_figures: bool,
+    verbose: bool,
+) -> None:
+    """Adjust each CASE (a TOML file; of a FOLDER, every *.toml at any depth) into a folder of its own in OUT.
+
+    OUT/campaign.jsonl records each case that is over. The same command again does what is new, what has changed and
+    what was interrupted, and leaves the rest. Exit status: 0 all done, 1 some failed or did not converge, 2 bad input.
+    """
+    from mgsgraph.campaign import Wishes, run_campaign
+    from mgsgraph.campaign.report import summary
+
+    wishes = Wishes(form, loss, reject, not no_laser, not no_figures)
+    bar = _CaseBar(verbose)
+    try:
+        done = run_campaign(cases, out, wishes, cluster, retry, bar)
+    except KeyboardInterrupt:
+        bar.close()
+        click.echo(f"mgsgraph: interrupted; {bar.state()}; the same command goes on", err=True)
+        ctx.exit(130)
+    finally:
+        bar.close()
+    click.echo(summary(done))
+    click.echo(f"Results are in {out}")
+    ctx.exit(0 if done.well else 1)
+
+
+class _CaseBar:
+    """Progress over the cases that are due, on standard error where that is a terminal; a line each when verbose."""
+
+    def __init__(self, verbose: bool) -> None:
+        self._verbose, self._over, self._due, self._failed = verbose, 0, 0, 0
+        self._bar: tqdm[None] | None = None
+        self._timer = threading.Timer(_PATIENCE, self.explain)
+        self._timer.daemon = True
+
+    def __call__(self, over: int, due: int, entry: "Entry | None") -> None:
+        """Show that a case is over."""
+        from mgsgraph.campaign.report import line
+
+        self._over, self._due = over, due
+        if self._bar is None:
+            self._bar = tqdm(total=due, desc="adjusting", unit="case", leave=False, disable=None)
+            self._timer.start()
+        if entry is None:
+            return
+        self._failed += entry.status == "failed"
+        if self._verbose:
+            tqdm.write(line(entry))
+        if self._failed:
+            self._bar.set_postfix_str(f"{self._failed} failed")
+        self._bar.update()
+
+    def state(self) -> str:
+        """How far it is."""
+        return f"{self._over} of {self._due} cases are over and recorded" if self._due else "nothing was begun"
+
+    def explain(self) -> None:
+        """Say why nothing has moved yet."""
+        if self._over == 0 and self._due:
+            click.echo("no case is over yet; the kernel may have to be compiled first: about a minute, once", err=True)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._timer.cancel()
+        if self._bar is not None:
+            self._bar.close()

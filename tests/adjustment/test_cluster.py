@@ -1,0 +1,351 @@
+"""Workers, local and elsewhere: found or refused with their reason, tasks that outlive them, nothing left behind."""
+
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, parse_cluster, workers
+from mgsgraph.adjustment.cluster.place import cores, threads_of_each
+from mgsgraph.errors import InputError, SolverError
+
+distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
+
+
+# --- the place
+
+
+@given(st.integers(1, 1024))
+def test_workers_of_our_own(count: int) -> None:
+    place = parse_cluster(f"local:{count}")
+    assert place.local
+    assert place.workers == count
+    assert threads_of_each(count) == 1 or count * threads_of_each(count) <= cores()
+
+
+@given(
+    st.sampled_from(["tcp", "tls"]), st.sampled_from(["127.0.0.1", "node-3.cluster", "[::1]"]), st.integers(1, 65535)
+)
+def test_a_scheduler_elsewhere(protocol: str, host: str, port: int) -> None:
+    place = parse_cluster(f"{protocol}://{host}:{port}")
+    assert not place.local
+    assert place.address == f"{protocol}://{host}:{port}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "locals", "local:", "local:0", "local:-2", "local:x", "local:99999", "LOCAL", "127.0.0.1:8786", "tcp://host",
+     "tcp://:8786", "tcp://host:0", "tcp://host:70000", "tcp://host:port", "tcp://host:8786/x", "http://host:8786"],
+)  # fmt: skip
+def test_other_places_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"^--cluster .*expected .*(local:N|1 to)"):
+        parse_cluster(text)
+
+
+def test_numba_num_threads_is_shared_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "12")
+    assert [threads_of_each(count) for count in (1, 2, 5, 12, 40)] == [12, 6, 2, 1, 1]
+    assert parse_cluster("local").workers == 12
+
+
+# --- workers of our own
+
+
+@pytest.fixture(scope="module")
+def two() -> Iterator[Connection]:
+    with open_cluster("local:2") as cluster:
+        yield cluster
+
+
+def test_two_workers_share_the_machine(two: Connection) -> None:
+    def threads() -> str | None:
+        import os
+
+        return os.environ.get("NUMBA_NUM_THREADS")
+
+    processes = {worker.process for worker in two.workers}
+    assert len(processes) == 2
+    assert os.getpid() not in processes
+    assert all(worker.threads == 1 for worker in two.workers)
+    assert sum(worker.memory_limit for worker in two.workers) <= distributed.system.MEMORY_LIMIT
+    assert set(two.client.run(threads).values()) == {str(threads_of_each(2))}
+
+
+def test_results_belong_to_their_items(two: Connection) -> None:
+    items = list(range(-5, 6))
+    assert dict(two.each(abs, items)) == dict(enumerate(map(abs, items)))
+    assert not list(two.each(abs, []))
+
+
+def test_both_workers_work(two: Connection) -> None:
+    began = time.monotonic()
+    assert len(list(two.each(time.sleep, [0.6] * 4))) == 4
+    assert 1.1 < time.monotonic() - began < 2.2
+
+
+def test_a_task_that_fails_is_told_and_the_others_go_on(two: Connection) -> None:
+    results = dict(two.each(int, ["1", "x", "3"]))
+    assert results[0] == 1
+    assert results[2] == 3
+    assert isinstance(results[1], Lost)
+    assert "ValueError" in results[1].message
+    assert "'x'" in results[1].message
+
+
+def test_a_killed_worker_loses_nothing(two: Connection) -> None:
+    before = {worker.process for worker in two.workers}
+    victim = min(before)
+    killing = threading.Timer(0.5, os.kill, (victim, signal.SIGKILL))
+    killing.start()
+    results = dict(two.each(time.sleep, [1.0, 1.01, 1.02, 1.03]))
+    killing.join()
+    assert results == dict.fromkeys(range(4))
+    assert victim not in {worker.process for worker in two.workers}
+
+
+def test_a_task_that_brings_workers_down_is_lost(two: Connection) -> None:
+    (lost,) = dict(two.each(os._exit, [7])).values()
+    assert isinstance(lost, Lost)
+    assert "4 workers that tried it died (memory limit" in lost.message
+    assert dict(two.each(abs, [-1, -2])) == {0: 1, 1: 2}
+
+
+def test_a_memory_limit_that_is_exceeded_is_named_with_its_figures(two: Connection) -> None:
+    two.require_memory(1e6, "a partition of 10 points", "")
+    needed = 4.0 * distributed.system.MEMORY_LIMIT
+    with pytest.raises(
+        InputError, match=r"worker tcp://.* memory limit of .* GB.* at least .* GB for a part.*; more"
+    ) as told:
+        two.require_memory(needed, "a partition of 10 points", "more partitions")
+    assert f"{needed / 1e9:.2f} GB" in str(told.value)
+
+
+def test_files_that_workers_see_and_do_not(two: Connection, tmp_path: Path) -> None:
+    path = tmp_path / "record"
+    path.write_text("here", encoding="utf-8")
+    two.require_sight(path)
+    for answer in ("No such file or directory", "0" * 64):
+        with pytest.raises(InputError, match=r"worker tcp://far: it does not see .*record"):
+            workers.require_sight(_Far(answer), path, "--cluster tcp://far", 0.0)
+
+
+class _Far:
+    """A client whose one worker sees other files."""
+
+    def __init__(self, answer: str) -> None:
+        self._answer = answer
+
+    def run(self, *_: object, **__: object) -> dict[str, str]:
+        return {"tcp://far": self._answer}
+
+
+def test_nothing_is_left_behind() -> None:
+    environment, handlers = dict(os.environ), {h: h.level for h in logging.getLogger("distributed").handlers}
+    with open_cluster("local:1") as cluster:
+        processes = [worker.process for worker in cluster.workers]
+        os.environ["OF_THE_USERS_OWN"] = "kept"
+    assert os.environ.pop("OF_THE_USERS_OWN") == "kept"
+    assert dict(os.environ) == environment
+    assert {h: h.level for h in logging.getLogger("distributed").handlers} == handlers
+    assert not [process for process in processes if Path(f"/proc/{process}").exists()]
+
+
+def test_too_many_workers_for_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(distributed.system, "MEMORY_LIMIT", int(1e9))
+    with (
+        pytest.raises(InputError, match=r"local:4: 0\.25 GB of memory for each of 4 workers; .*local:2"),
+        open_cluster("local:4"),
+    ):
+        pass
+
+
+def test_no_more_workers_than_work() -> None:
+    with open_cluster("local:3", most=1) as cluster:
+        assert len(cluster.workers) == 1
+
+
+def test_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "find_spec", lambda name: None)
+    with (
+        pytest.raises(
+            InputError, match=r'local: dask\.distributed is not installed; pip install "mgsgraph\[cluster\]"'
+        ),
+        open_cluster("local"),
+    ):
+        pass
+
+
+def test_one_task_at_a_time_in_a_process() -> None:
+    running, most = [0], [0]
+
+    def task(_: int) -> None:
+        running[0] += 1
+        most[0] = max(most[0], running[0])
+        time.sleep(0.02)
+        running[0] -= 1
+
+    threads = [threading.Thread(target=connection._by_itself, args=(task, k)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == [1]
+
+
+# --- a scheduler elsewhere
+
+_WORKER = """
+import importlib.metadata, sys
+{disguise}
+from distributed.cli.dask_worker import main
+sys.argv = ["dask worker", {address!r}, "--no-nanny", "--nthreads", "2", "--no-dashboard", "--memory-limit", {memory!r},
+            "--host", "127.0.0.1", "--local-directory", {folder!r}]
+main()
+"""
+_ABSENT = """
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "mgsgraph":
+            raise ModuleNotFoundError("No module named 'mgsgraph'")
+sys.meta_path.insert(0, Absent())
+true_version = importlib.metadata.version
+def version(name):
+    if name == "mgsgraph":
+        raise importlib.metadata.PackageNotFoundError(name)
+    return true_version(name)
+importlib.metadata.version = version
+"""
+_BROKEN = """
+class Broken:
+    def find_spec(self, name, path=None, target=None):
+        if name == "gtsam":
+            raise ImportError("libboost_serialization.so.1.83.0: cannot open shared object file")
+sys.meta_path.insert(0, Broken())
+"""
+_OLDER = """
+true_version = importlib.metadata.version
+importlib.metadata.version = lambda name: "0.0.1" if name == "mgsgraph" else true_version(name)
+"""
+
+
+class _Elsewhere:
+    """A scheduler in a process of its own, and workers."""
+
+    def __init__(self, folder: Path) -> None:
+        self.processes: list[subprocess.Popen[bytes]] = []
+        self._folder, file = folder, folder / "scheduler.json"
+        self.start("-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+                   "--scheduler-file", str(file))  # fmt: skip
+        deadline = time.monotonic() + 60.0
+        while not (file.exists() and file.read_text(encoding="utf-8").endswith("}")) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        import json
+
+        self.address = str(json.loads(file.read_text(encoding="utf-8"))["address"])
+
+    def start(self, *arguments: str) -> subprocess.Popen[bytes]:
+        quiet = subprocess.DEVNULL
+        process = subprocess.Popen([sys.executable, *arguments], stdout=quiet, stderr=quiet, cwd=self._folder)
+        self.processes.append(process)
+        return process
+
+    def worker(self, disguise: str = "", memory: str = "2GB") -> subprocess.Popen[bytes]:
+        values = {"disguise": disguise, "address": self.address, "memory": memory, "folder": str(self._folder)}
+        return self.start("-c", _WORKER.format(**values))
+
+
+@contextmanager
+def elsewhere(folder: Path) -> Iterator[_Elsewhere]:
+    there = _Elsewhere(folder)
+    try:
+        yield there
+    finally:
+        for process in reversed(there.processes):
+            process.kill()
+            process.wait()
+
+
+def refusal(address: str, patience: float = 20.0) -> str:
+    """What is said of a cluster that can't be used."""
+    with pytest.raises(InputError) as told, open_cluster(address, patience):
+        pass
+    assert "\n" not in str(told.value)
+    return str(told.value)
+
+
+def test_workers_elsewhere(tmp_path: Path) -> None:
+    with elsewhere(tmp_path) as there:
+        there.worker()
+        with open_cluster(there.address, 30.0) as cluster:
+            assert dict(cluster.each(abs, [-1, 2, -3])) == {0: 1, 1: 2, 2: 3}
+            assert [worker.memory_limit for worker in cluster.workers] == [2_000_000_000]
+        assert all(process.poll() is None for process in there.processes)  # not ours to stop
+
+
+@pytest.mark.parametrize(
+    ("disguise", "memory", "said"),
+    [
+        (_ABSENT, "2GB", "no package mgsgraph; expected mgsgraph"),
+        (_OLDER, "2GB", "mgsgraph 0.0.1; expected mgsgraph"),
+        (_BROKEN, "2GB", "gtsam can't be imported (ImportError: libboost"),
+        ("", "0.25GB", "memory limit of 0.25 GB; expected at least 0.40 GB for the program alone"),
+    ],
+)
+def test_a_worker_that_is_not_fit_is_named(disguise: str, memory: str, said: str, tmp_path: Path) -> None:
+    with elsewhere(tmp_path) as there:
+        there.worker(disguise, memory)
+        message = refusal(there.address)
+        assert message.startswith(f"--cluster {there.address}, worker tcp://127.0.0.1:")
+        assert said in message
+
+
+def test_a_scheduler_without_workers(tmp_path: Path) -> None:
+    with elsewhere(tmp_path) as there:
+        assert f"a scheduler without workers; start some (dask worker {there.address})" in refusal(there.address, 1.0)
+
+
+def test_nobody_there() -> None:
+    began = time.monotonic()
+    assert refusal("tcp://127.0.0.1:9", 0.5).startswith(
+        "--cluster tcp://127.0.0.1:9: no scheduler answers there within 0.5 s"
+    )
+    assert time.monotonic() - began < 5.0
+
+
+def test_somebody_else_there() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        assert "no scheduler answers" in refusal(f"tcp://127.0.0.1:{mute.getsockname()[1]}", 0.5)
+
+
+def test_tls_without_certificates() -> None:
+    assert "no certificates for tls" in refusal("tls://127.0.0.1:8786", 0.5)
+
+
+@pytest.mark.parametrize(("which", "said"), [(0, "the scheduler has gone"), (1, "no worker is left")])
+def test_a_cluster_that_goes_is_told(which: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "_RETURN", 2.0)
+    with elsewhere(tmp_path) as there:
+        there.worker()
+        with open_cluster(there.address, 20.0) as cluster:
+            over: list[Any] = []
+
+            def work() -> None:
+                for result in cluster.each(time.sleep, [0.1, 30.0]):
+                    over.append(result)
+                    there.processes[which].kill()
+
+            with pytest.raises(SolverError, match=said):
+                work()
+            assert over == [(0, None)]

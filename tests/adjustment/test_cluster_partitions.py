@@ -1,0 +1,442 @@
+"""One adjustment whose points lie with workers: the same answer as one process's, whoever comes and goes meanwhile."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from networks import network, pair, with_shift_and_surface
+
+from mgsgraph.adjustment import cluster
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.cluster import Connection, Lost, connection, held, open_cluster
+from mgsgraph.adjustment.cluster.held import CHANGING, NOT_HELD, PLACES, Answer, Order, Source, carry_out
+from mgsgraph.adjustment.cluster.partitions import Partitions, _own_blocks
+from mgsgraph.adjustment.cluster.workers import Worker
+from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
+from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_blocks
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError, SolverError
+from mgsgraph.factors import bundle
+from mgsgraph.factors.bundle import all_residuals, point_covariances, reduce
+from mgsgraph.factors.rows import partition
+from mgsgraph.factors.sweep import COSTS, SYSTEM
+from mgsgraph.network import Network
+
+TIES = 2100
+"""Two pieces of ties."""
+
+
+@cache
+def many() -> Network:
+    """Ties on a terrain model, a shifted laser profile; some blunders among the ties."""
+    net = with_shift_and_surface(network(pair(TIES, 30)))
+    places = net.rays.places.copy()
+    places[50:90:5] += 60.0
+    return replace(net, rays=replace(net.rays, places=places))
+
+
+# --- partitions of the rows
+
+
+@pytest.fixture(scope="module")
+def layout() -> Layout:
+    return lay_out(many(), SolverSettings())
+
+
+def test_partitions_add_up_to_the_whole(layout: Layout) -> None:
+    rows, constants = layout.rows, (layout.groups, layout.blocks.target, layout.model)
+    x = np.zeros(layout.columns)
+    whole = reduce(rows, *constants, x)
+    found = all_residuals(rows, *constants, x, whole.points)
+    joint = np.random.default_rng(0).normal(size=layout.blocks.target.size)
+    spread = point_covariances(rows, *constants, x, joint, whole.points)
+    pieces = rows.piece.shape[0]
+    assert pieces >= 3
+    for cuts in [range(pieces + 1), *([0, k, pieces] for k in range(1, pieces))]:
+        mine = [partition(rows, first, last) for first, last in pairwise(cuts)]
+        parts = [reduce(part, *constants, x) for part in mine]
+        for name in ("blocks", "gradient"):
+            total = getattr(whole, name)
+            summed = sum(getattr(part, name) for part in parts)
+            np.testing.assert_allclose(summed, total, rtol=1e-13, atol=1e-13 * scale(total))
+        assert sum(part.cost for part in parts) == pytest.approx(whole.cost, rel=1e-13)
+        for name in ("points", "states", "piece_cost"):
+            np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in parts]), getattr(whole, name))
+        again = [all_residuals(one, *constants, x, part.points) for one, part in zip(mine, parts, strict=True)]
+        np.testing.assert_array_equal(np.concatenate(again), found)
+        again = [point_covariances(one, *constants, x, joint, p.points) for one, p in zip(mine, parts, strict=True)]
+        np.testing.assert_array_equal(np.concatenate(again), spread)
+
+
+def scale(values: np.ndarray) -> float:
+    return float(np.abs(values).max())
+
+
+@given(st.data())
+def test_blocks_of_some_groups_keep_their_places(data: st.DataObject) -> None:
+    widths = np.array(data.draw(st.lists(st.sampled_from([2, 6, 18]), min_size=1, max_size=6)), dtype=np.int64)
+    count = widths.size
+    member = st.sets(st.integers(0, count - 1), max_size=count).map(lambda one: tuple(sorted(one)))
+    sets = tuple(sorted(data.draw(st.sets(member, min_size=1, max_size=8))))
+    first, columns = np.cumsum(widths) - widths, int(widths.sum())
+    variables = Variables(count, first, widths, np.ones(columns), np.zeros(columns, dtype=bool))
+    groups = make_groups(variables, sets)
+    whole = pair_blocks(variables, groups).target
+    used = np.array(sorted(data.draw(st.sets(st.integers(0, len(sets) - 1), min_size=1))))
+    place, mine = _own_blocks(groups, whole, used)
+    assert np.unique(place).size == place.size == mine.size <= whole.size
+    for one in used:
+        width = groups.member_width[groups.member_first[one] : groups.member_first[one + 1]]
+        table = slice(groups.pair_first[one], groups.pair_first[one + 1])
+        for here, there, size in zip(mine.pair[table], whole.pair[table], np.outer(width, width).ravel(), strict=True):
+            np.testing.assert_array_equal(place[here : here + size], np.arange(there, there + size))
+
+
+# --- one adjustment on two workers
+
+distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
+
+
+@pytest.fixture(scope="module")
+def two() -> Iterator[Connection]:
+    with open_cluster("local:2") as opened:
+        yield opened
+
+
+def assert_the_same(one: Solution, other: Solution) -> None:
+    """To 1e-9: of the cost, of sigmas, of a metre, of the largest covariance, of a pixel."""
+    assert other.converged == one.converged
+    assert other.cost_final == pytest.approx(one.cost_final, rel=1e-9)
+    assert other.cost_initial == pytest.approx(one.cost_initial, rel=1e-9)
+    assert other.fit.squares == pytest.approx(one.fit.squares, rel=1e-9)
+    assert other.fit.observations == one.fit.observations
+    for j, (first, second) in enumerate(zip(one.coefficients, other.coefficients, strict=True)):
+        sigmas = np.sqrt(np.diagonal(one.image_covariance(j))).reshape(first.shape)
+        assert np.all(np.abs(first - second) <= 1e-9 * sigmas)
+        np.testing.assert_allclose(
+            other.image_covariance(j), one.image_covariance(j), rtol=1e-7, atol=1e-9 * scale(one.image_covariance(j))
+        )
+    np.testing.assert_allclose(other.shifts, one.shifts, atol=1e-9)
+    np.testing.assert_array_equal(other.determined, one.determined)
+    np.testing.assert_array_equal(other.rays_used, one.rays_used)
+    np.testing.assert_allclose(other.places, one.places, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(other.places_before, one.places_before, rtol=0.0, atol=1e-6)
+    largest = np.nanmax(np.abs(one.covariances))
+    np.testing.assert_allclose(other.covariances, one.covariances, rtol=0.0, atol=1e-9 * largest)
+    np.testing.assert_allclose(other.residuals, one.residuals, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(other.residuals_before, one.residuals_before, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(other.range_residuals, one.range_residuals, rtol=0.0, atol=1e-6)
+    if one.sigmas_without_laser is not None:
+        np.testing.assert_allclose(other.sigmas_without_laser, one.sigmas_without_laser, rtol=1e-9)
+
+
+def nobody(*_: object, **__: object) -> None:
+    raise AssertionError("a sweep in this process")
+
+
+@pytest.mark.parametrize(
+    "how", [{}, {"reject": 4.0}, {"loss": "huber"}], ids=["terrain patches follow", "blunder passes", "robust"]
+)
+def test_the_same_answer(two: Connection, how: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = adjust_network(many(), SolverSettings(**how))
+    monkeypatch.setattr(bundle, "sweep_all", nobody)
+    spread = adjust_network(many(), SolverSettings(**how), cluster=two)
+    assert_the_same(alone, spread)
+    if how.get("reject"):
+        assert not np.all(spread.rays_used)
+        assert "passes" in spread.message
+
+
+def test_a_cost_is_repeatable(two: Connection) -> None:
+    first, second = (adjust_network(many(), SolverSettings(), cluster=two) for _ in range(2))
+    assert first.cost_final == second.cost_final
+    np.testing.assert_array_equal(first.places, second.places)
+
+
+def test_a_network_of_few_pieces(two: Connection) -> None:
+    net = network(pair())
+    assert_the_same(adjust_network(net, SolverSettings()), adjust_network(net, SolverSettings(), cluster=two))
+
+
+def test_workers_killed_in_mid_solve_lose_nothing(two: Connection) -> None:
+    alone = adjust_network(many(), SolverSettings(reject=4.0))
+    victims: list[int] = []
+
+    def kill(_: object) -> None:
+        if len(victims) < 2:
+            victims.append(min(worker.process for worker in two.workers))
+            os.kill(victims[-1], signal.SIGKILL)
+
+    assert_the_same(alone, adjust_network(many(), SolverSettings(reject=4.0), progress=kill, cluster=two))
+    assert len(set(victims)) == 2
+    assert not {worker.process for worker in two.workers} & set(victims)
+
+
+def test_a_worker_killed_in_mid_sweep_is_told(two: Connection) -> None:
+    deadline = time.monotonic() + 30.0
+    while len(two.workers) < 2 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    first, second = two.workers
+    orders = {0: (first.address, ("exit", 7)), 1: (second.address, ("sleep", 0.2)), 2: (second.address, ("int", "x"))}
+    began, do = time.monotonic(), _doing()
+    answers = dict(two.at_workers(do, orders))
+    assert answers[0] is None
+    assert answers[1] is None  # what time.sleep returns
+    assert isinstance(answers[2], Lost)
+    assert "ValueError" in answers[2].message
+    assert dict(two.at_workers(do, {5: (first.address, ("int", "5"))})) == {5: None}  # nobody there any more
+    assert dict(two.at_workers(do, {6: (second.address, ("int", "6"))})) == {6: 6}
+    assert time.monotonic() - began < 15.0
+
+
+def _doing() -> Callable[[tuple[str, Any]], Any]:
+    """A function that dask sends as code: workers don't know this file."""
+
+    def do(what: tuple[str, Any]) -> Any:
+        import os
+        import time
+
+        return {"exit": os._exit, "sleep": time.sleep, "int": int}[what[0]](what[1])
+
+    return do
+
+
+def test_points_are_let_go_at_the_end(two: Connection) -> None:
+    def kept() -> int:
+        from mgsgraph.adjustment.cluster import held
+
+        return len(held._partitions)
+
+    adjust_network(network(pair()), SolverSettings(), cluster=two)
+    assert set(two.client.run(kept).values()) == {0}
+
+
+# --- workers that come and go, without dask
+
+
+class _Village:
+    """A cluster in this process: workers are memories that can be wiped out."""
+
+    where = "--cluster village"
+
+    def __init__(self, count: int, fate: Callable[[int], list[str]] = lambda _: [], limit: int = 0) -> None:
+        self.memories: dict[str, dict[str, Any]] = {f"w{k}": {} for k in range(count)}
+        self.orders: list[Order] = []
+        self._fate, self._limit, self._born, self._sweeps = fate, limit, count, 0
+
+    @property
+    def workers(self) -> tuple[Worker, ...]:
+        return tuple(Worker(address, "here", 1, 1, self._limit) for address in self.memories)
+
+    def require_memory(self, needed: float, what: str, remedy: str) -> None:
+        connection.require_memory(self.workers, needed, what, self.where, remedy)
+
+    def patiently(self) -> Iterator[frozenset[str]]:
+        for _ in range(3):
+            yield frozenset(self.memories)
+        raise SolverError("too few")
+
+    def tell(self, function: Callable[[Any], None], item: Any) -> None:
+        pass
+
+    def at_workers(
+        self, function: Callable[[Order], Answer], orders: Mapping[int, tuple[str, Order]]
+    ) -> Iterator[tuple[int, Answer | Lost | None]]:
+        dying = self._fate(self._sweeps)
+        self._sweeps += 1
+        for number, (address, order) in orders.items():
+            assert address in self.memories
+            self.orders.append(order)
+            if address in dying:
+                yield number, None
+                continue
+            held._partitions.clear()
+            held._partitions.update(self.memories[address])
+            yield number, function(order)
+            self.memories[address] = dict(held._partitions)
+        for address in sorted(set(dying) & set(self.memories)):
+            del self.memories[address]
+            self.memories[f"w{self._born}"] = {}
+            self._born += 1
+
+
+def adjusted(village: _Village, how: SolverSettings) -> Solution:
+    return adjust_network(many(), how, cluster=village)  # type: ignore[arg-type]
+
+
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(1, 5), st.dictionaries(st.integers(0, 30), st.sets(st.integers(0, 12)), max_size=6))
+def test_whoever_goes_the_answer_is_the_same(workers: int, fates: dict[int, set[int]]) -> None:
+    how = SolverSettings(reject=4.0)
+    village = _Village(workers, lambda sweep: [f"w{k}" for k in fates.get(sweep, set())])
+    assert_the_same(_alone(how), adjusted(village, how))
+
+
+_known: dict[SolverSettings, Solution] = {}
+
+
+def _alone(how: SolverSettings) -> Solution:
+    if how not in _known:
+        _known[how] = adjust_network(many(), how)
+    return _known[how]
+
+
+def test_constants_go_out_once_and_iterations_carry_the_orientation_alone() -> None:
+    village, inside = _Village(2), [0]
+
+    def begin(_: object) -> None:
+        inside.append(len(village.orders))
+
+    solution = adjust_network(many(), SolverSettings(reject=4.0), progress=begin, cluster=village)  # type: ignore[arg-type]
+    assert solution.history[0].accepted
+    assert sum(order.source is not None for order in village.orders) == 2
+    assert {name for order in village.orders for name in order.changes} == set(CHANGING)
+    for order in village.orders[inside[1] : inside[2]]:  # between two iterations
+        assert order.task in (SYSTEM, COSTS)
+        assert order.points is None
+        assert not order.changes
+        assert order.after is not None  # where the last sweep ended
+
+
+def test_the_load_is_spread_again_when_a_worker_returns(layout: Layout) -> None:
+    village = _Village(4, lambda sweep: ["w1", "w2"] if sweep == 1 else [])
+    with Partitions(village, layout) as parts:  # type: ignore[arg-type]
+        graph = BundleGraph(layout, sweeper=parts)
+        for _ in range(3):
+            graph.reduction(np.zeros(layout.columns))
+        owners = [part.owner for part in parts._parts]
+        assert len(set(owners)) == len(owners) >= 2
+        assert set(owners) <= set(village.memories)
+
+
+def test_a_partition_that_brings_every_worker_down() -> None:
+    village = _Village(2, lambda sweep: [f"w{k}" for k in range(20)], limit=int(4e9))
+    with pytest.raises(SolverError, match=r"each of the 4 workers that tried a .* died \(memory limit 4\.00 GB\); t"):
+        adjusted(village, SolverSettings())
+
+
+def test_a_memory_limit_below_a_partition() -> None:
+    message = r"worker w0 .*limit of 0\.40 GB; expected at least 0\.4\d GB for a partition of \d+ points \(0\.00"
+    with pytest.raises(InputError, match=message):
+        adjusted(_Village(2, limit=int(0.4e9)), SolverSettings())
+
+
+def test_no_room_for_a_second_partition(layout: Layout) -> None:
+    village = _Village(2, lambda sweep: ["w1"] if sweep == 1 else [])
+    with Partitions(village, layout) as parts:  # type: ignore[arg-type]
+        need = max(part.need for part in parts._parts)
+        village._limit = int(connection.LEAST_MEMORY + need)
+        graph = BundleGraph(layout, sweeper=parts)
+        graph.reduction(np.zeros(layout.columns))
+        del village.memories["w2"]  # which had come for the one that went
+        with pytest.raises(SolverError, match="too few"):
+            graph.reduction(np.zeros(layout.columns))
+
+
+# --- a worker by itself
+
+
+@pytest.fixture
+def source(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> Source:
+    monkeypatch.setattr(held, "_partitions", {})
+    return Source(layout.rows, layout.groups, layout.blocks.target, layout.model)
+
+
+def test_what_is_not_held_is_answered_with_nothing(source: Source, layout: Layout) -> None:
+    x = np.zeros(layout.columns)
+    assert carry_out(Order("a", SYSTEM, x)) == NOT_HELD
+    assert carry_out(Order("a", SYSTEM, x, source)) != NOT_HELD
+    assert carry_out(Order("a", SYSTEM, x)) != NOT_HELD
+    held.forget(["a"])
+    assert carry_out(Order("a", SYSTEM, x)) == NOT_HELD
+
+
+def test_places_of_sweeps_that_are_still_wanted(source: Source, layout: Layout) -> None:
+    x = np.zeros(layout.columns)
+    carry_out(Order("a", SYSTEM, x, source, number=1))
+    carry_out(Order("a", COSTS, x, number=2, after=1, kept=frozenset({1})))
+    assert set(held._partitions["a"].ends) == {1, 2}
+    carry_out(Order("a", COSTS, x, number=3, after=2, kept=frozenset({2})))
+    assert set(held._partitions["a"].ends) == {2, 3}
+    lost, states = carry_out(Order("a", PLACES, x, number=1))  # made again
+    np.testing.assert_allclose(lost, reduce(*source, x).points, atol=1e-6)
+    assert states is not None
+
+
+def test_what_nobody_asks_for_makes_room(source: Source, layout: Layout, monkeypatch: pytest.MonkeyPatch) -> None:
+    x = np.zeros(layout.columns)
+    carry_out(Order("a", COSTS, x, source))
+    monkeypatch.setattr(held, "_KEPT", -1.0)
+    carry_out(Order("b", COSTS, x, source))
+    assert set(held._partitions) == {"b"}
+
+
+def test_what_comes_over_the_wire_is_what_the_kernel_was_compiled_for(source: Source, layout: Layout) -> None:
+    """A read-only array would be another type to numba: a minute of compiling on every worker."""
+    x = np.zeros(layout.columns)
+    for values in (x, *(one for one in source.rows if isinstance(one, np.ndarray))):
+        values.flags.writeable = False
+    try:
+        began = time.monotonic()
+        assert carry_out(Order("a", SYSTEM, x, source)) != NOT_HELD
+        assert time.monotonic() - began < 5.0
+        assert all(one.flags.writeable for one in held._partitions["a"].source.rows)
+    finally:
+        for values in source.rows:
+            values.flags.writeable = values.base is None
+
+
+# --- the command line
+
+
+@pytest.fixture
+def at_hand(two: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`local:2` is there already."""
+
+    @contextmanager
+    def reached(where: str) -> Iterator[Connection]:
+        assert where == "local:2"
+        yield two
+
+    monkeypatch.setattr(cluster, "open_cluster", reached)
+
+
+@pytest.mark.usefixtures("at_hand")
+def test_the_command_line_writes_the_same_tables(case_file: Path, tmp_path: Path) -> None:
+    alone, spread = tmp_path / "alone", tmp_path / "spread"
+    for out, where in ((alone, []), (spread, ["--cluster", "local:2"])):
+        told = CliRunner().invoke(group, ["adjust", str(case_file), "--no-figures", "--out", str(out), *where])
+        assert told.exit_code == 0, told.output
+    tables = sorted(path.name for path in alone.glob("*.csv"))
+    assert tables
+    for name in tables:
+        first, second = ((out / name).read_text(encoding="utf-8") for out in (alone, spread))
+        assert first == second
+
+
+@pytest.mark.usefixtures("at_hand")
+def test_what_needs_all_points_in_one_process_is_refused(case_file: Path, tmp_path: Path) -> None:
+    arguments = ["adjust", str(case_file), "--out", str(tmp_path / "o"), "--cluster", "local:2", "--form", "explicit"]
+    told = CliRunner().invoke(group, arguments)
+    assert isinstance(told.exception, InputError)
+    assert str(told.exception).startswith("--cluster local:2: solver, form 'explicit'; expected 'bundle' on a cluster")
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_place_that_is_none_is_told_before_anything_is_read(tmp_path: Path) -> None:
+    told = CliRunner().invoke(group, ["adjust", "absent.toml", "--out", str(tmp_path / "o"), "--cluster", "nowhere"])
+    assert str(told.exception).startswith("--cluster nowhere: no place for the work")

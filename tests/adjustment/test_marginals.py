@@ -1,0 +1,341 @@
+"""Blocks of the joint covariance against gtsam.Marginals and the dense inverse, in sigmas."""
+
+import itertools
+import pickle
+import tracemalloc
+from collections.abc import Sequence, Set
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from networks import network, pair, with_shift_and_surface
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.marginals import JointCovariance, marginals
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.square_root import SquareRoot, product
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+
+UNITS = np.array([100.0, 100.0, 100.0, 3e-4, 3e-4, 3e-4])
+"""What the columns are measured in: m and rad."""
+PATTERNS = ("alone", "chain", "second neighbours", "star", "grid", "all")
+
+
+@dataclass
+class System:
+    """A linear system with its dense covariance."""
+
+    linear: gtsam.GaussianFactorGraph
+    keys: list[int | None]
+    widths: list[int]
+    links: list[tuple[int, int]]
+    authority: Array
+
+    @property
+    def slices(self) -> list[slice]:
+        """Columns of each variable; none for a held one."""
+        taken = [0 if key is None else width for key, width in zip(self.keys, self.widths, strict=True)]
+        ends = np.cumsum(taken).tolist()
+        return [slice(end - width, end) for width, end in zip(taken, ends, strict=True)]
+
+    @property
+    def joint(self) -> JointCovariance:
+        return marginals(self.linear, self.keys, self.widths)
+
+    def of(self, variables: Sequence[int]) -> Array:
+        """The authority's joint covariance of adjusted variables."""
+        columns = np.concatenate([np.arange(self.authority.shape[0])[self.slices[v]] for v in variables])
+        return self.authority[np.ix_(columns, columns)]
+
+
+def links_of(pattern: str, n: int) -> list[tuple[int, int]]:
+    rows = max(int(np.sqrt(n)), 1)
+    tests = {
+        "alone": lambda i, j: False,
+        "chain": lambda i, j: j - i == 1,
+        "second neighbours": lambda i, j: j - i <= 2,
+        "star": lambda i, j: j == n - 1,
+        "grid": lambda i, j: max(abs(i // rows - j // rows), abs(i % rows - j % rows)) == 1,
+        "all": lambda i, j: True,
+    }
+    return [(i, j) for i, j in itertools.combinations(range(n), 2) if tests[pattern](i, j)]
+
+
+def system(
+    pattern: str, widths: list[int], held: Set[int] = frozenset(), seed: int = 0, by_pairs: bool = False
+) -> System:
+    """Random factors on linked variables, too few rows each to determine them, and a weak prior on each variable.
+
+    Keys are no small numbers, and not in the order of the variables.
+    """
+    rng, n = np.random.default_rng(seed), len(widths)
+    turn = rng.permutation(n).tolist()
+    keys = [None if v in held else int(gtsam.symbol("os"[turn[v] % 2], turn[v])) for v in range(n)]
+    links = [link for link in links_of(pattern, n) if not held & set(link)]
+    made = System(gtsam.GaussianFactorGraph(), keys, widths, links, np.zeros((0, 0)))
+    normal = np.zeros((made.slices[-1].stop,) * 2)
+    for v in (v for v in range(n) if v not in held):
+        root = np.eye(widths[v]) / np.resize(UNITS, widths[v])
+        made.linear.push_back(gtsam.JacobianFactor(keys[v], root, rng.normal(size=widths[v]), unit(widths[v])))
+        normal[made.slices[v], made.slices[v]] = root**2
+    for i, j in links:
+        a, b = (rng.normal(size=(4, widths[v])) / np.resize(UNITS, widths[v]) for v in (i, j))
+        if by_pairs:
+            add_normal_equations(made.linear, keys[i], keys[j], a, b)
+        else:
+            made.linear.push_back(gtsam.JacobianFactor(keys[i], a, keys[j], b, rng.normal(size=4), unit(4)))
+        for (v, left), (w, right) in itertools.product(((i, a), (j, b)), repeat=2):
+            normal[made.slices[v], made.slices[w]] += left.T @ right
+    scale = np.sqrt(np.diag(normal))
+    made.authority = np.linalg.inv(normal / scale[:, None] / scale) / scale[:, None] / scale
+    return made
+
+
+def unit(size: int) -> gtsam.noiseModel.Unit:
+    return gtsam.noiseModel.Unit.Create(size)
+
+
+def add_normal_equations(linear: gtsam.GaussianFactorGraph, i: int | None, j: int | None, a: Array, b: Array) -> None:
+    """Add the rows [a b] as normal equations; what is off the diagonal, in a factor of its own, which is indefinite."""
+    for key, part in ((i, a), (j, b)):
+        linear.push_back(gtsam.HessianFactor(key, part.T @ part, np.zeros(part.shape[1]), 1.0))
+    blank = [np.zeros((part.shape[1],) * 2) for part in (a, b)]
+    linear.push_back(gtsam.HessianFactor(i, j, blank[0], a.T @ b, blank[0][0], blank[1], blank[1][0], 0.0))
+
+
+@st.composite
+def systems(draw: st.DrawFn) -> System:
+    widths = draw(st.lists(st.sampled_from([2, 6, 18]), min_size=1, max_size=9))
+    held = draw(st.sets(st.integers(0, len(widths) - 1), max_size=len(widths) - 1))
+    return system(draw(st.sampled_from(PATTERNS)), widths, held, draw(st.integers(0, 99)), draw(st.booleans()))
+
+
+def in_sigmas(found: Array, authority: Array) -> float:
+    """Largest difference in units of the sigmas; of the two, the authority's."""
+    sigmas = np.sqrt(np.diag(authority))
+    return float(np.abs((found - authority) / sigmas[:, None] / sigmas).max(initial=0.0))
+
+
+# --- what it says
+
+
+@settings(max_examples=60, deadline=None)
+@given(systems())
+def test_equals_gtsam_marginals_and_the_dense_inverse(made: System) -> None:
+    values = gtsam.Values()
+    taken = [(key, width) for key, width in zip(made.keys, made.widths, strict=True) if key is not None]
+    for key, width in taken:
+        values.insert(key, np.zeros(width))
+    theirs = gtsam.Marginals(made.linear, values)
+    joint = made.joint
+    for authority in (made.authority, theirs.jointMarginalCovariance([key for key, _ in taken]).fullMatrix()):
+        assert in_sigmas(joint.dense(), authority) < 1e-10
+        np.testing.assert_allclose(joint.sigmas, np.sqrt(np.diag(authority)), rtol=1e-10)
+
+
+@settings(max_examples=60, deadline=None)
+@given(systems(), st.integers(0, 99))
+def test_all_ways_to_ask_agree(made: System, seed: int) -> None:
+    joint, rng = made.joint, np.random.default_rng(seed)
+    adjusted = [v for v, key in enumerate(made.keys) if key is not None]
+    assert joint.adjusted.tolist() == adjusted
+    sets = [rng.permutation(adjusted)[: rng.integers(1, len(adjusted) + 1)].tolist() for _ in range(4)] + [[]]
+    each, begin = joint.of_each(sets), 0
+    for members in sets:
+        block = joint.of(members)
+        found = each[begin : begin + block.size].reshape(block.shape)
+        begin += block.size
+        np.testing.assert_array_equal(block, block.T)
+        assert not members or max(in_sigmas(block, made.of(members)), in_sigmas(found, made.of(members))) < 1e-10
+    assert begin == each.size
+    first, second = (np.array(part) for part in zip(*itertools.product(adjusted, adjusted), strict=True))
+    width = joint.square_root.width
+    size = width[first] * width[second]
+    offset = np.cumsum(size + 3) - size
+    flat, whole = joint.pairs(first, second, offset), np.zeros_like(made.authority)
+    for v, w, start, length in zip(first, second, offset, size, strict=True):
+        whole[made.slices[v], made.slices[w]] = flat[start : start + length].reshape(width[v], width[w])
+        flat[start : start + length] = 0.0
+        block = made.authority.copy()
+        block[made.slices[v], made.slices[w]] = joint.block(v, w)
+        assert in_sigmas(block, made.authority) < 1e-10
+    assert in_sigmas(whole, made.authority) < 1e-10
+    assert not flat.any()
+
+
+@settings(max_examples=40, deadline=None)
+@given(systems())
+def test_the_square_root_is_one_of_the_information(made: System) -> None:
+    root = made.joint.square_root
+    rows = np.zeros((0, root.columns))
+    for clique, columns in enumerate(root.columns_of):
+        part = np.zeros((root.rows_of(clique).shape[0], root.columns))
+        part[:, columns] = root.rows_of(clique)
+        rows = np.vstack([rows, part])
+    identity = rows @ made.authority @ rows.T
+    np.testing.assert_allclose(identity, np.eye(root.columns), atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(systems())
+def test_solving_gives_what_the_recursion_gave(made: System) -> None:
+    joint = made.joint
+    variables = joint.adjusted
+    cross = joint.square_root.cross(variables, variables[::-1])
+    turned = np.concatenate([np.arange(joint.columns)[made.slices[v]] for v in variables[::-1]])
+    back = np.empty_like(cross)
+    back[:, turned] = cross
+    assert in_sigmas(back, made.authority) < 1e-10
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+@pytest.mark.parametrize("held", [set(), {0, 5, 13}])
+def test_linked_pairs_need_no_solving(pattern: str, held: set[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    made = system(pattern, [18, 2, 6, 18] * 4, held)
+    joint, authority = made.joint, made.authority
+
+    def refuse(*_: object) -> Array:
+        raise AssertionError("solved for")
+
+    monkeypatch.setattr(SquareRoot, "cross", refuse)
+    linked = made.links + [(v, v) for v in joint.adjusted.tolist()]
+    for v, w in linked + [(w, v) for v, w in linked]:
+        np.testing.assert_allclose(
+            joint.block(v, w) / np.outer(joint.sigmas[made.slices[v]], joint.sigmas[made.slices[w]]),
+            authority[made.slices[v], made.slices[w]]
+            / np.sqrt(np.outer(np.diag(authority)[made.slices[v]], np.diag(authority)[made.slices[w]])),
+            atol=1e-10,
+        )
+    if pattern == "chain":
+        with pytest.raises(AssertionError, match="solved for"):
+            joint.block(1, 12)
+
+
+def test_held_variables_have_zero_blocks() -> None:
+    joint = system("chain", [6, 18, 6], {1}).joint
+    assert joint.block(1, 1).shape == (18, 18)
+    assert joint.block(0, 1).shape == (6, 18)
+    assert not joint.block(0, 1).any()
+    assert not joint.block(1, 1).any()
+    of_all = joint.of((2, 1, 0))
+    assert not of_all[6:24].any()
+    np.testing.assert_array_equal(of_all[:6, :6], joint.block(2, 2))
+
+
+def test_nothing_at_all() -> None:
+    held = marginals(gtsam.GaussianFactorGraph(), [None, None], [18, 2])
+    assert held.columns == 0
+    assert held.sigmas.shape == (0,)
+    assert held.dense().shape == (0, 0)
+    assert held.block(0, 1).shape == (18, 2)
+    some = system("chain", [6, 6]).joint
+    assert some.of(()).shape == (0, 0)
+    assert some.of_each([]).shape == some.of_each([[], []]).shape == (0,)
+    none = np.zeros(0, dtype=np.int64)
+    assert some.pairs(none, none, none).shape == (0,)
+
+
+def test_any_two_of_many_at_a_fraction_of_the_memory() -> None:
+    """No array of all columns by all columns on the way, nor in store."""
+    made = system("second neighbours", [18] * 60)
+    tracemalloc.start()
+    joint = made.joint
+    far = joint.of((3, 50))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < made.authority.nbytes / 4
+    assert joint.blocks.nbytes + joint.square_root.rows.nbytes < made.authority.nbytes / 8
+    assert in_sigmas(far, made.of((3, 50))) < 1e-10
+
+
+def test_wide_grid_crosses_the_pieces() -> None:
+    """Products and copies large enough to be cut into pieces; pairs solved for in more than one go."""
+    made = system("grid", [18] * 64)
+    joint = made.joint
+    assert joint.square_root.shapes[1].max() > 120  # then 18 x 120 x 120 has to be cut
+    assert in_sigmas(joint.dense(), made.authority) < 1e-10
+
+
+def test_pieces_of_a_product() -> None:
+    rng = np.random.default_rng(0)
+    for rows, inner, columns in ((0, 3, 2), (5, 0, 2), (900, 700, 18), (700, 18, 900), (40, 900, 900)):
+        left, right = rng.normal(size=(rows, inner)), rng.normal(size=(inner, columns))
+        np.testing.assert_allclose(product(left, right), left @ right, atol=1e-11)
+
+
+def test_a_solution_tells_the_covariance_of_images_and_shifts() -> None:
+    solution = adjust_network(with_shift_and_surface(network(pair())), SolverSettings())
+    whole = solution.joint_covariance.dense()
+    assert whole.shape == (40, 40)
+    np.testing.assert_array_equal(solution.image_covariance(1), whole[18:36, 18:36])
+    np.testing.assert_array_equal(solution.shift_covariance(1), whole[38:, 38:])
+    held = adjust_network(network(pair(), (True, False)), SolverSettings())
+    assert not held.image_covariance(0).any()
+    np.testing.assert_array_equal(held.image_covariance(1), held.joint_covariance.dense())
+
+
+# --- what it refuses
+
+
+def test_what_nothing_determines_is_said_as_gtsam_says_it() -> None:
+    made = system("chain", [6, 6])
+    weak = gtsam.GaussianFactorGraph()
+    for k in range(made.linear.size()):
+        if k != 1:
+            weak.push_back(made.linear.at(k))
+    with pytest.raises(RuntimeError, match="Indeterminate"):
+        marginals(weak, made.keys, made.widths)
+    with pytest.raises(RuntimeError, match="no factor on variable 2"):
+        marginals(made.linear, [*made.keys, 77], [*made.widths, 6])
+    with pytest.raises(ValueError, match="no adjusted variable"):
+        marginals(made.linear, [made.keys[0], None], made.widths)
+
+
+def test_the_record_is_read_only_and_travels() -> None:
+    joint = system("grid", [6] * 9).joint
+    for array in (joint.blocks, joint.square_root.rows, joint.square_root.members):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    joint.block(0, 8)
+    back = pickle.loads(pickle.dumps(joint))
+    np.testing.assert_array_equal(back.dense(), joint.dense())
+    assert repr(joint) == f"JointCovariance(54 columns, {joint.blocks.size} numbers stored)"
+
+
+def spoilt(values: Index, place: int, value: int) -> Index:
+    changed = values.copy()
+    changed[place] = value
+    return changed
+
+
+def test_arrays_that_contradict_each_other_are_refused() -> None:
+    joint = system("second neighbours", [6] * 5, {2}).joint
+    root = joint.square_root
+    assert root.frontals.tolist() == [2, 1, 1]
+    at = root.first_member.tolist()
+    cliques = [root.members[a:b] for a, b in itertools.pairwise(at)]
+    wrong = {
+        "first": [root.first[:3], spoilt(root.first, 1, 5), spoilt(root.first, 2, 3)],
+        "width": [spoilt(root.width, 0, 7), spoilt(root.width, 2, 0)],
+        "members": [
+            root.members[1:],
+            np.roll(root.members, 1),
+            spoilt(root.members, 0, 9),
+            spoilt(root.members, 0, 2),  # a held one
+            spoilt(root.members, at[1] + 1, 2),
+            np.concatenate([cliques[0], cliques[2], cliques[1]]),  # a child before its parent
+        ],
+        "sizes": [root.sizes[:-1], spoilt(root.sizes, 0, 3)],
+        "frontals": [spoilt(root.frontals, 0, 0), spoilt(root.frontals, -1, 9)],
+        "rows": [root.rows[1:], root.rows[None]],
+    }
+    for name, values in wrong.items():
+        for value in values:
+            with pytest.raises(InputError, match="contradict each other"):
+                replace(root, **{name: value})
+    with pytest.raises(InputError, match="joint covariance: shape"):
+        replace(joint, blocks=joint.blocks[1:])

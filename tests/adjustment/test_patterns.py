@@ -1,0 +1,244 @@
+"""The layout of random networks: every point once, every constant from where it belongs, blocks that don't overlap."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from networks import network, pair
+from normals import HandSight, take_apart
+from odd_networks import random_network
+from strategies import along
+
+from mgsgraph.adjustment.graph import Layout, lay_out, patterns
+from mgsgraph.adjustment.graph.patterns import group_blocks
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.factors.rows import FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import east_north
+from mgsgraph.network import Network
+from mgsgraph.ties import PointKind
+
+SEEDS = st.integers(0, 2**32 - 1)
+Name = tuple[int, int, int]
+"""Kind of a sight, its image, its variable."""
+
+
+def expected_sights(net: Network) -> list[Counter[Name]]:
+    """Sights of each point, straight from the network's tables."""
+    shifts = 0 if net.shifts is None else len(net.shifts.names)
+    found = [Counter[Name]() for _ in range(len(net.points))]
+    for kind, table in ((IMAGE, net.rays), (RANGE, net.ranges)):
+        for p, j in zip(table.point.tolist(), table.image.tolist(), strict=True):
+            found[p][kind, j, -1 if net.held[j] else j] += 1
+    for i, mine in enumerate(found):
+        if net.points.kinds[i] == PointKind.CONSTRAINED:
+            profile = -1 if net.shifts is None else int(net.shifts.profile[i])
+            mine[GROUND, -1, len(net.images) + profile if profile >= 0 else -1] += 1
+        if net.surface is not None and np.isfinite(net.surface.sigmas[i]):
+            mine[SURFACE, -1, len(net.images) + shifts if net.terrain_moves else -1] += 1
+    return found
+
+
+@pytest.fixture(params=[1, 3, 2048], name="piece")
+def set_piece(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Most points of a piece, for a whole test."""
+    monkeypatch.setattr(patterns, "PIECE", request.param)
+    return int(request.param)
+
+
+def test_pieces_are_all_points_once(piece: int) -> None:
+    for seed in range(25):
+        net = random_network(seed)
+        made = lay_out(net, SolverSettings())
+        n, found, expected = len(net.points), made.patterns, expected_sights(net)
+        assert sorted(found.point_order.tolist()) == list(range(n))
+        np.testing.assert_array_equal(found.point_order[found.point_place], np.arange(n))
+        np.testing.assert_array_equal(made.network_order(found.point_order.astype(float)), np.arange(n))
+        rows = made.rows
+        np.testing.assert_array_equal(rows.piece[:, 1], np.cumsum(rows.piece[:, 2]) - rows.piece[:, 2])
+        assert rows.piece[:, 2].sum() == n
+        assert rows.piece[:, 2].min() >= 1
+        assert rows.piece[:, 2].max() <= piece
+        for pattern, first, count in rows.piece[:, :3].tolist():
+            for i in found.point_order[first : first + count]:
+                assert Counter(tuple(sight) for sight in found.sights[pattern]) == expected[i]
+                assert found.fixed[pattern] == (net.points.kinds[i] == PointKind.FIXED)
+                felt = {variable for _, _, variable in expected[i] if variable >= 0}
+                assert found.group_variables[found.group[pattern]] == tuple(sorted(felt))
+        fixed = (net.points.kinds == PointKind.FIXED).tolist()
+        unlike = {(frozenset(mine.items()), known) for mine, known in zip(expected, fixed, strict=True)}
+        assert len(found.sights) == len(unlike)
+        assert rows.piece[:, 0].tolist() == sorted(rows.piece[:, 0].tolist())
+        assert rows.pattern_group.tolist() == sorted(rows.pattern_group.tolist())
+
+
+@given(seed=SEEDS)
+def test_what_points_are(seed: int) -> None:
+    net = random_network(seed)
+    made = lay_out(net, SolverSettings())
+    kinds = made.network_order(made.rows.kind)
+    rays = np.bincount(net.rays.point, minlength=len(net.points))
+    expected = np.array([FREE, PRIOR, FIXED])[net.points.kinds]
+    expected[(net.points.kinds == PointKind.FREE) & (rays < 2)] = OUT
+    np.testing.assert_array_equal(kinds, expected)
+    held = net.points.kinds != PointKind.FREE
+    np.testing.assert_array_equal(made.network_order(made.rows.start)[held], net.points.places[held])
+
+
+@given(seed=SEEDS)
+def test_rows_left_out(seed: int) -> None:
+    """Weights of what takes part are those of the network, of the others zero; each row has a place of its own."""
+    net, rng = random_network(seed), np.random.default_rng(seed)
+    made = lay_out(net, SolverSettings())
+    sizes = (net.rays.point.size, net.ranges.point.size, len(net.points))
+    rays, ranges, out = (rng.random(size) < 0.8 for size in sizes)
+    rows = made.active(rays, ranges, out)
+    every = np.concatenate([made.places.rays, made.places.ranges, made.places.heights])
+    assert np.unique(every).size == every.size
+    np.testing.assert_array_equal(rows.weight[:, made.places.rays], np.where(rays, 1.0 / net.rays.sigmas.T, 0.0))
+    np.testing.assert_array_equal(rows.weight[0, made.places.ranges], np.where(ranges, 1.0 / net.ranges.sigmas, 0.0))
+    kept = made.network_order(rows.kind) != OUT
+    np.testing.assert_array_equal(kept, ~out & (made.network_order(made.rows.kind) != OUT))
+    np.testing.assert_array_equal(made.rows.weight[:, made.places.rays], 1.0 / net.rays.sigmas.T)
+
+
+def powers(u: float, degree: int, slope: float) -> tuple[np.ndarray, np.ndarray]:
+    """Basis of an orientation polynomial, and its rate where u grows by `slope`."""
+    polynomials = [np.polynomial.Polynomial.basis(k) for k in range(degree + 1)]
+    return np.array([p(u) for p in polynomials]), np.array([p.deriv()(u) * slope for p in polynomials])
+
+
+def check_ray(made: Layout, sight: HandSight, k: int) -> None:
+    """Constants of an image sight of the strict form about the camera axes."""
+    net = made.network
+    j, (line, sample) = int(net.rays.image[k]), net.rays.places[k]
+    image = net.images[j]
+    pose = image.pose(np.array([line]))
+    detector, slope = image.interior.focal_plane(np.array([sample]))
+    assert sight.focal == image.interior.focal_length
+    position, attitude, place, velocity, turning, along_detector = np.split(sight.own, [3, 7, 9, 12, 15])
+    np.testing.assert_allclose(position, pose.position[0], rtol=1e-15)
+    np.testing.assert_allclose(rotation.to_matrix(attitude), pose.matrix[0], atol=1e-15)
+    np.testing.assert_allclose(velocity, pose.velocity[0], rtol=1e-13)
+    np.testing.assert_allclose(turning, pose.turning[0], rtol=1e-13, atol=1e-20)
+    np.testing.assert_array_equal(place, detector[0])
+    np.testing.assert_array_equal(along_detector, slope[0])
+    if net.held[j]:
+        assert sight.terms == []
+        return
+    basis, rates = powers(2.0 * line / image.lines - 1.0, net.priors[j].degree, 2.0 / image.lines)
+    assert sight.terms == [(j, 6 * t) for t in range(net.priors[j].degree + 1)]
+    np.testing.assert_allclose(sight.basis, basis, rtol=1e-13)
+    np.testing.assert_allclose(sight.rates, rates, rtol=1e-13)
+
+
+def check_range(made: Layout, sight: HandSight, k: int) -> None:
+    net = made.network
+    j = int(net.ranges.image[k])
+    image, since = net.images[j], net.ranges.times[[k]] - net.images[j].trajectory.epoch
+    np.testing.assert_allclose(sight.own, [*image.trajectory.pose(since).position[0], net.ranges.values[k]], rtol=1e-15)
+    if not net.held[j]:
+        u = float(2.0 * image.timing.lines(since)[0] / image.lines - 1.0)
+        np.testing.assert_allclose(sight.basis, powers(u, net.priors[j].degree, 0.0)[0], rtol=1e-13)
+
+
+def check_ground(made: Layout, sight: HandSight, i: int) -> None:
+    net = made.network
+    root = np.zeros((3, 3))
+    root[np.triu_indices(3)] = sight.own[3:]
+    np.testing.assert_array_equal(sight.own[:3], net.points.places[i])
+    np.testing.assert_allclose(root.T @ root @ net.points.covariances[i], np.eye(3), atol=1e-9)
+    check_axes(sight, net.points.places[i])
+
+
+def check_axes(sight: HandSight, place: np.ndarray) -> None:
+    """A shift goes east and north."""
+    assert [inside for _, inside in sight.singles] in ([], [0, 1])
+    for direction, axis in zip(sight.directions, east_north(place[None])[0], strict=False):
+        np.testing.assert_array_equal(direction, axis)
+
+
+@pytest.mark.usefixtures("piece")
+def test_constants_are_the_networks() -> None:
+    """Every number that the kernel is given, against image, tables and terrain themselves."""
+    for seed in range(12):
+        net = random_network(seed)
+        made = lay_out(net, SolverSettings())
+        ray, shot = ({int(at): k for k, at in enumerate(t)} for t in (made.places.rays, made.places.ranges))
+        seen = Counter[int]()
+        for place, point in enumerate(take_apart(made)):
+            i = int(made.point_order[place])
+            for sight in point.sights:
+                seen[sight.kind] += 1
+                if sight.kind == IMAGE:
+                    assert net.rays.point[ray[sight.among]] == i
+                    check_ray(made, sight, ray[sight.among])
+                elif sight.kind == RANGE:
+                    assert net.ranges.point[shot[sight.among]] == i
+                    check_range(made, sight, shot[sight.among])
+                elif sight.kind == GROUND:
+                    check_ground(made, sight, i)
+                else:
+                    assert net.surface is not None
+                    assert sight.weight[0] == 1.0 / net.surface.sigmas[i]
+                    check_axes(sight, made.rows.start[place])
+        assert (seen[IMAGE], seen[RANGE]) == (net.rays.point.size, net.ranges.point.size)
+        assert seen[GROUND] == np.count_nonzero(net.points.kinds == PointKind.CONSTRAINED)
+
+
+def test_frozen_scale_is_the_nominal_image_motion() -> None:
+    """In the papers' form: what a still point does in the focal plane from line to line, by differences."""
+    net = network(pair())
+    made = lay_out(net, SolverSettings(line="measured"))
+    for place, point in enumerate(take_apart(made)):
+        for sight in (s for s in point.sights if s.kind == IMAGE):
+            k = int(np.flatnonzero(made.places.rays == sight.among)[0])
+            image, (line, sample) = net.images[net.rays.image[k]], net.rays.places[k]
+
+            def in_focal_plane(lines: float, image=image, line=line, place=place) -> np.ndarray:
+                pose = image.pose(np.array([line + lines]))
+                ray = pose.matrix[0] @ (made.rows.start[place] - pose.position[0])
+                return image.interior.focal_length * ray[:2] / ray[2]
+
+            _, slope = image.interior.focal_plane(np.array([sample]))
+            motion, scale = along(in_focal_plane, 5.0), sight.own[-4:].reshape(2, 2)
+            np.testing.assert_allclose(scale @ np.stack([motion, slope[0]], axis=1), np.eye(2), atol=1e-6)
+
+
+@given(seed=SEEDS)
+def test_blocks_of_variable_pairs(seed: int) -> None:
+    """One block per pair that some group holds, side by side without gaps, and every group's table names them."""
+    made = lay_out(random_network(seed), SolverSettings())
+    blocks, groups, variables = made.blocks, made.groups, made.variables
+    pairs = list(zip(blocks.first.tolist(), blocks.second.tolist(), strict=True))
+    held = {(v, w) for group in made.group_variables for v in group for w in group if v <= w}
+    assert sorted(pairs) == sorted(held | {(v, v) for v in variables.adjusted()})
+    sizes = variables.width[blocks.first] * variables.width[blocks.second]
+    np.testing.assert_array_equal(blocks.offset, np.cumsum(sizes) - sizes)
+    assert (blocks.target.size, blocks.target.columns) == (sizes.sum(), made.columns)
+    at = dict(zip(pairs, blocks.offset.tolist(), strict=True))
+    for g, members in enumerate(made.group_variables):
+        begin, end = groups.pair_first[g : g + 2]
+        table = blocks.target.pair[begin:end].tolist()
+        assert table == [at[min(v, w), max(v, w)] for v in members for w in members]
+        begin, end = groups.member_first[g : g + 2]
+        assert groups.member_variable[begin:end].tolist() == list(members)
+        assert blocks.target.right[begin:end].tolist() == [variables.first[v] for v in members]
+
+
+@given(seed=SEEDS)
+def test_blocks_of_groups(seed: int) -> None:
+    """Each group's own blocks don't overlap another's, and are as large as those of the pairs."""
+    made = lay_out(random_network(seed), SolverSettings())
+    groups, target = made.groups, group_blocks(made.groups)
+    taken = np.zeros(target.size, dtype=int)
+    for g in range(len(made.group_variables)):
+        width = groups.member_width[groups.member_first[g] : groups.member_first[g + 1]]
+        sizes = np.multiply.outer(width, width).ravel()
+        for start, size in zip(target.pair[groups.pair_first[g] :], sizes, strict=False):
+            taken[start : start + size] += 1
+    assert np.all(taken == 1)
+    np.testing.assert_array_equal(target.right, np.cumsum(groups.member_width) - groups.member_width)
+    assert target.columns == groups.member_width.sum()

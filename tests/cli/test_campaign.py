@@ -1,0 +1,134 @@
+"""`mgsgraph campaign` as a person uses it: exit status, table, one line on bad input, interrupts that lose nothing."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+MGSGRAPH = [sys.executable, "-m", "mgsgraph.cli", "campaign"]
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*MGSGRAPH, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env=os.environ | {"COLUMNS": "110"},
+    )
+
+
+def folders(record: Path) -> list[str]:
+    """Cases that are recorded, in the order in which they ended."""
+    return [json.loads(line)["folder"] for line in record.read_text(encoding="utf-8").splitlines()[1:]]
+
+
+@pytest.fixture
+def sites(case_file: Path, tmp_path: Path) -> Path:
+    """Four sites."""
+    for name in ("east", "north", "south", "west"):
+        shutil.copytree(case_file.parent, tmp_path / "sites" / name)
+    return tmp_path / "sites"
+
+
+def test_all_done_is_exit_status_zero(sites: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = run(sites, "--out", out, "--no-figures", "-v")
+    assert done.returncode == 0, done.stderr
+    assert "4 cases: 4 done" in done.stdout
+    assert "north: done, " in done.stdout
+    assert sorted(path.name for path in out.iterdir()) == ["campaign.jsonl", "east", "north", "south", "west"]
+    again = run(sites, "--out", out, "--no-figures")
+    assert again.returncode == 0
+    assert "4 of them earlier" in again.stdout
+    assert "north" not in again.stdout
+
+
+def test_a_failed_case_is_exit_status_one_and_in_the_table(sites: Path, tmp_path: Path) -> None:
+    (sites / "south" / "case.toml").write_text("format = 7\n", encoding="utf-8")
+    done = run(sites, "--out", tmp_path / "out", "--no-figures")
+    assert done.returncode == 1
+    assert "4 cases: 3 done, 1 failed" in done.stdout
+    assert "format 7" in done.stdout
+    assert "Traceback" not in done.stderr
+    assert run(sites / "north", "--out", tmp_path / "out", "--no-figures").returncode == 0  # that one is well
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("none.toml", "--out", "out"), "none.toml: no such file or folder"),
+        (("SITES", "--out", "SITES"), "has no campaign.jsonl"),
+        (("SITES", "--out", "out", "--cluster", "dusk"), "expected local, local:N"),
+        (("SITES", "--out", "out", "--cluster", "local:0"), "0 workers; expected 1 to"),
+        (("SITES", "--out", "out"), ""),
+    ],
+)
+def test_bad_input_is_one_line(arguments: tuple[str, ...], said: str, sites: Path, tmp_path: Path) -> None:
+    if not said:  # an unreachable scheduler; ten seconds
+        arguments, said = (*arguments, "--cluster", "tcp://127.0.0.1:9"), "no scheduler answers there within 10 s"
+        pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
+    places = {"SITES": sites, "out": tmp_path / "out", "none.toml": tmp_path / "none.toml"}
+    done = run(*(places.get(word, word) for word in arguments))
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert said in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_typing_errors_show_the_way() -> None:
+    assert "CASE|FOLDER" in run("--out", "x").stderr
+    assert "--out" in run("x.toml").stderr
+
+
+@pytest.mark.parametrize("place", [(), ("--cluster", "local:2")])
+def test_an_interrupt_leaves_the_record_true(place: tuple[str, ...], sites: Path, tmp_path: Path) -> None:
+    if place:
+        pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
+    for k in range(12):
+        shutil.copytree(sites / "north", sites / f"more{k}")
+    out = tmp_path / "out"
+    command = [*MGSGRAPH, str(sites), "--out", str(out), "--no-figures", *place]
+    process = subprocess.Popen(  # a session of its own: Ctrl-C reaches all of a terminal's processes
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 200.0
+    while time.monotonic() < deadline and not ((out / "campaign.jsonl").exists() and folders(out / "campaign.jsonl")):
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors.splitlines()[-1].startswith("mgsgraph: interrupted; ")
+    assert "Traceback" not in errors
+    over = folders(out / "campaign.jsonl")
+    assert 0 < len(over) < 16
+    assert all((out / name / "solution.json").exists() for name in over)
+    assert not [path for path in out.iterdir() if path.name.startswith(".")]
+    done = run(sites, "--out", out, "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert f"({len(over)} of them earlier" in done.stdout
+    assert sorted(folders(out / "campaign.jsonl")) == sorted(path.name for path in sites.iterdir())
+
+
+def test_without_dask_the_verb_works_here(sites: Path, tmp_path: Path) -> None:
+    """The extra is not needed without --cluster."""
+    hidden = (
+        "import sys, importlib.abc\n"
+        "class Absent(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name.partition('.')[0] in ('dask', 'distributed'):\n"
+        "            raise ModuleNotFoundError(name)\n"
+        "sys.meta_path.insert(0, Absent())\n"
+        "from mgsgraph.cli import main\n"
+        "main()\n"
+    )
+    command = [sys.executable, "-c", hidden, "campaign", str(sites / "north"), "--out", str(tmp_path / "out")]
+    done = subprocess.run([*command, "--no-figures"], capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,32 @@
+"""Sine and cosine without branches, against the C library's."""
+
+import math
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from mgsgraph.factors.lanes import sine_cosine
+
+ANGLES = st.one_of(
+    st.floats(-1e4, 1e4),
+    st.floats(-1e-6, 1e-6),
+    # about the quarters of a turn, where sine and cosine change places
+    st.builds(lambda k, off: (0.25 * math.pi) * k + off, st.integers(-12_000, 12_000), st.floats(-1e-9, 1e-9)),
+)
+
+
+@given(angle=ANGLES)
+@example(angle=0.0)
+@example(angle=-0.0)
+@example(angle=1e4)
+def test_sine_and_cosine(angle: float) -> None:
+    sine, cosine = sine_cosine(angle)
+    assert abs(sine - math.sin(angle)) <= 4e-16
+    assert abs(cosine - math.cos(angle)) <= 4e-16
+
+
+@pytest.mark.parametrize("angle", [1e-9, 1e-5, 1e-3])
+def test_small_sines_keep_their_digits(angle: float) -> None:
+    """Rotation corrections are of microradians: the error is relative."""
+    assert sine_cosine(angle)[0] == pytest.approx(math.sin(angle), rel=4e-16)

@@ -1,0 +1,271 @@
+"""Every kind of sight against the oracle on physical geometry, and against what the geometry itself says."""
+
+from dataclasses import replace
+from functools import cache
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jacobians import assert_jacobians
+from networks import network, pair, with_shift_and_surface
+
+from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import PointBehindCamera
+from mgsgraph.factors.explicit import Sight, sight_factor
+from mgsgraph.factors.priors import zero_prior
+from mgsgraph.factors.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_sight
+from mgsgraph.geometry.body import east_north, from_planetocentric
+from mgsgraph.geometry.orientation import OrientationCorrection
+
+MODELS = [(line, angles) for line in ("predicted", "measured") for angles in ("camera", "opk-paper", "opk-peer")]
+SEEDS = st.integers(0, 2**32 - 1)
+ROTATION_SIZES = st.sampled_from([0.0, 1e-7, 1e-4, 1e-3])
+"""rad; a milliradian is 270 lines of this camera."""
+UNIT = gtsam.noiseModel.Unit.Create
+
+
+@cache
+def layout(line: str = "predicted", angles: str = "camera", surface: bool = False, moving: bool = True) -> Layout:
+    """The pair's layout, one per form of the model; with shifts and terrain, which may be known (not moving)."""
+    net = network(pair())
+    if surface:
+        net = with_shift_and_surface(net)
+        if not moving:
+            net = replace(net, shifts=None, surface=replace(net.surface, shift_sigma=0.0))
+    return lay_out(net, SolverSettings(line=line, angles=angles))
+
+
+def sights_of(made: Layout, kind: int) -> list[tuple[int, int]]:
+    """All sights of a kind: points (places in the layout), and which of the point's sights."""
+    return [
+        (i, j)
+        for pattern, first, count in made.rows.piece[:, :3].tolist()
+        for i in range(first, first + count)
+        for j, sight in enumerate(made.patterns.sights[pattern])
+        if sight.kind == kind
+    ]
+
+
+def row_of(made: Layout, point: int, sight: int) -> tuple[int, int]:
+    """Network ray of an image sight, and its image."""
+    pattern, first, count, _, among = made.rows.piece[np.searchsorted(made.rows.piece[:, 1], point, side="right") - 1]
+    ray = int(np.flatnonzero(made.places.rays == among + sight * count + point - first)[0])
+    return ray, made.patterns.sights[pattern][sight].image
+
+
+def single(made: Layout, point: int, sight: int) -> Rows:
+    return one_sight(made.rows, made.groups, made.model, point, sight)
+
+
+def state(seed: int, rotation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orientation coefficients (18,) of some 300 m and `rotation` rad (linear and quadratic terms 0.1 and 0.01 of it),
+    and a displacement (3,) of a point.
+    """
+    rng = np.random.default_rng(seed)
+    coefficients = rng.standard_normal((3, 6)) * np.outer([1.0, 0.1, 0.01], np.repeat([300.0, rotation], 3))
+    return coefficients.ravel(), rng.standard_normal(3) * 200.0
+
+
+def steps(point: float = 1.0) -> dict[int, np.ndarray]:
+    orientation = np.tile(np.repeat([1.0, 1e-5], 3), 3)
+    return {orientation_key(0): orientation, shift_key(0): np.ones(2), point_key(0): np.full(3, point)}
+
+
+def values_of(key: int, unknowns: np.ndarray, place: np.ndarray) -> gtsam.Values:
+    values = gtsam.Values()
+    values.insert(key, unknowns)
+    values.insert(point_key(0), place)
+    return values
+
+
+def image_factor(made: Layout, point: int, sight: int, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
+    rows = single(made, point, sight)
+    return sight_factor([orientation_key(0)], [18], point_key(0), rows, made.model, noise, "point P, image I")
+
+
+@pytest.mark.parametrize(("line", "angles"), MODELS)
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS, rotation=ROTATION_SIZES, ray=st.integers(0, 35))
+def test_image(line: str, angles: str, seed: int, rotation: float, ray: int) -> None:
+    made = layout(line, angles)
+    coefficients, move = state(seed, rotation)
+    point, sight = sights_of(made, IMAGE)[ray]
+    values = values_of(orientation_key(0), coefficients, made.rows.start[point] + move)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.7, 1.3]))
+    assert_jacobians(image_factor(made, point, sight, noise), values, steps(), tolerance=2e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS, shot=st.integers(0, 5))
+def test_range(seed: int, shot: int) -> None:
+    """Oracle, and the distance between the instrument's corrected place and the point."""
+    made = layout()
+    coefficients, move = state(seed, 1e-3)
+    point, sight = sights_of(made, RANGE)[shot]
+    place = made.rows.start[point] + move
+    values = values_of(orientation_key(0), coefficients, place)
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, 2.0)
+    rows = single(made, point, sight)
+    factor = sight_factor([orientation_key(0)], [18], point_key(0), rows, made.model, noise, "a range")
+    assert_jacobians(factor, values, steps(), tolerance=1e-7)
+    ranges = made.network.ranges
+    k = int(np.flatnonzero(ranges.point == made.point_order[point])[0])
+    image = made.network.images[ranges.image[k]]
+    since = ranges.times[[k]] - image.trajectory.epoch
+    correction = OrientationCorrection(coefficients.reshape(3, 6)).at(image.normalised(image.timing.lines(since)))[0][0]
+    instrument = image.trajectory.pose(since).position[0] + correction[:3]
+    expected = ranges.values[k] - np.linalg.norm(place - instrument)
+    assert factor.unwhitenedError(values)[0] == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.parametrize("moving", [True, False])
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS, shot=st.integers(0, 5))
+def test_ground_prior(moving: bool, seed: int, shot: int) -> None:
+    """Oracle, and squares by the stated covariance around the stated place, moved east and north by the shift."""
+    made = layout(surface=True, moving=moving)
+    rng = np.random.default_rng(seed)
+    point, sight = sights_of(made, GROUND)[shot]
+    network_point = made.point_order[point]
+    place = made.rows.start[point] + rng.normal(0.0, 20.0, 3)
+    shift = rng.standard_normal(2) * 50.0
+    keys = [shift_key(0)] if moving else []
+    factor = sight_factor(
+        keys, [2] * len(keys), point_key(0), single(made, point, sight), made.model, UNIT(3), "a prior"
+    )
+    values = values_of(shift_key(0), shift, place)
+    if not moving:
+        values.erase(shift_key(0))
+    assert_jacobians(factor, values, steps(), tolerance=1e-9)
+    stated = made.network.points.places[network_point]
+    offset = place - stated - (shift @ east_north(stated[None])[0] if moving else 0.0)
+    squares = offset @ np.linalg.solve(made.network.points.covariances[network_point], offset)
+    assert factor.error(values) == pytest.approx(0.5 * squares, rel=1e-9)
+
+
+@pytest.mark.parametrize("moving", [True, False])
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS)
+def test_surface(moving: bool, seed: int) -> None:
+    """Oracle inside a patch, and the same height and normal as the terrain model itself says."""
+    made = layout(surface=True, moving=moving)
+    grid, rng = made.network.surface.grid, np.random.default_rng(seed)
+    point, sight = sights_of(made, SURFACE)[0]
+    place = np.array(
+        [
+            grid.first_longitude + (40 + rng.uniform(0.1, 0.9)) * grid.longitude_step,
+            grid.first_latitude - (40 + rng.uniform(0.1, 0.9)) * grid.latitude_step,
+            grid.radii[40, 40] + rng.normal(0.0, 200.0),
+        ]
+    )
+    shift, under = rng.normal(0.0, 100.0, 2), from_planetocentric(place)
+    moved = under + shift @ east_north(made.rows.start[[point]])[0] if moving else under
+    rows = single(made, point, sight)._replace(terrain_cell=grid.cells(under[None]))
+    keys = [shift_key(0)] if moving else []
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, 20.0)
+    factor = sight_factor(keys, [2] * len(keys), point_key(0), rows, made.model, noise, "a height")
+    values = values_of(shift_key(0), shift, moved)
+    if not moving:
+        values.erase(shift_key(0))
+    assert_jacobians(factor, values, steps(), tolerance=1e-6)
+    height, slope = grid.height_above(under[None])
+    assert factor.unwhitenedError(values) == pytest.approx(height, abs=1e-6)
+    jacobian, _ = gtsam.JacobianFactor(factor.linearize(values)).jacobian()
+    np.testing.assert_allclose(jacobian[:, -3:] * 20.0, slope, atol=1e-9)
+
+
+def test_off_the_terrain_model_there_is_no_row() -> None:
+    made = layout(surface=True, moving=False)
+    point, sight = sights_of(made, SURFACE)[0]
+    place = np.array([0.0, -3.4e6, 1e3])
+    cell = made.network.surface.grid.cells(place[None])
+    rows = single(made, point, sight)._replace(terrain_cell=cell)
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, 20.0)
+    factor = sight_factor([], [], point_key(0), rows, made.model, noise, "a height")
+    values = gtsam.Values()
+    values.insert(point_key(0), place)
+    assert factor.error(values) == 0.0
+    assert not np.any(gtsam.JacobianFactor(factor.linearize(values)).jacobian()[0])
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS)
+def test_prior_of_coefficients(seed: int) -> None:
+    coefficients, _ = state(seed, 1e-2)
+    values = gtsam.Values()
+    values.insert(orientation_key(0), coefficients)
+    sigmas = np.tile(np.repeat([50.0, 1e-3], 3), 3)
+    assert_jacobians(zero_prior(orientation_key(0), sigmas), values, steps(), tolerance=1e-9)
+
+
+def test_an_unknown_coefficient_has_no_prior_row() -> None:
+    factor = zero_prior(orientation_key(0), np.array([1.0, np.inf, 2.0, 1.0, 1.0, 1.0]))
+    values = gtsam.Values()
+    values.insert(orientation_key(0), np.full(6, 4.0))
+    assert factor.error(values) == pytest.approx(0.5 * (16.0 * 4 + 4.0))
+
+
+def test_the_oracle_finds_a_sign_error() -> None:
+    made = layout()
+    coefficients, move = state(3, 1e-3)
+    values = values_of(orientation_key(0), coefficients, made.rows.start[0] + move)
+    right = image_factor(made, 0, 0, UNIT(2))
+
+    def wrong(this: gtsam.CustomFactor, at: gtsam.Values, jacobians: list[np.ndarray] | None) -> np.ndarray:
+        if jacobians is not None:
+            matrix, _ = gtsam.JacobianFactor(right.linearize(at)).jacobian()
+            jacobians[0], jacobians[1] = np.asfortranarray(matrix[:, :18]), np.asfortranarray(matrix[:, 18:])
+            jacobians[0][:, 9:12] *= -1.0
+        return right.unwhitenedError(at)
+
+    planted = gtsam.CustomFactor(UNIT(2), [orientation_key(0), point_key(0)], wrong)
+    assert_jacobians(right, values, steps())
+    with pytest.raises(AssertionError, match=r"block o0, column (9|10|11)"):
+        assert_jacobians(planted, values, steps())
+
+
+@pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
+def test_residual_is_measured_minus_predicted_place(angles: str) -> None:
+    """Against ground_to_image, which finds the line by Newton's method on the true, corrected pose."""
+    made, rng = layout(angles=angles), np.random.default_rng(5)
+    coefficients = rng.standard_normal((3, 6)) * np.outer([1.0, 0.1, 0.01], np.repeat([3.0, 1e-5], 3))
+    correction = OrientationCorrection(coefficients, angles)
+    for point, sight in sights_of(made, IMAGE)[::3]:
+        ray, image = row_of(made, point, sight)
+        place = made.rows.start[point] + rng.standard_normal(3) * 50.0
+        error = image_factor(made, point, sight, UNIT(2)).unwhitenedError(
+            values_of(orientation_key(0), coefficients.ravel(), place)
+        )
+        predicted, _ = made.network.images[image].ground_to_image(place[None], correction)
+        measured = made.network.rays.places[ray]
+        # what carrying the pose by its rates leaves out is the orbit's curvature: half of 3.5 m/s2 over the lines moved
+        curvature = 1e-6 * (measured[0] - predicted[0, 0]) ** 2
+        np.testing.assert_allclose(error, measured - predicted[0], rtol=0.0, atol=1e-5 + curvature)
+
+
+def test_a_point_behind_the_camera() -> None:
+    made = layout()
+    values = values_of(orientation_key(0), np.zeros(18), 2.0 * made.rows.start[0])
+    factor = image_factor(made, 0, 0, UNIT(2))
+    assert factor.error(values) == np.inf
+    with pytest.raises(PointBehindCamera, match="point P, image I"):
+        factor.linearize(values)
+
+
+@pytest.mark.parametrize(("line", "angles"), MODELS)
+def test_model_forms_agree_at_the_measured_line(line: str, angles: str) -> None:
+    """A point on the ray of another sample of the measured line misses by that many samples and no line, in all forms:
+    one camera, whatever its pose is called, and no line to look for.
+    """
+    made = layout(line, angles)
+    for point, sight in sights_of(made, IMAGE)[::5]:
+        ray, image = row_of(made, point, sight)
+        at_line, sample = made.network.rays.places[[ray]].T
+        place, _ = made.network.images[image].image_to_ground(at_line, sample + 3.0, 50.0)
+        only = Sight(single(made, point, sight), made.model)
+        assert only.at(np.zeros(18), place[0])
+        np.testing.assert_allclose(only.residual, [0.0, -3.0], rtol=0.0, atol=2e-7)
