@@ -333,6 +333,15 @@ def solve_tile(rows, model, piece, x, first, n, places, move, w, base, depth):
             if not plainly:
                 break
             plainly = False
+    if move and not fixed:
+        take_back(n, w)
+
+
+@lane
+def take_back(n, w):
+    """Where the steps ran out before they were short, the linear model's promise of the last one doesn't count."""
+    for l in range(n):
+        w[COST + l] += 0.5 * w[SQUARE + l] if w[SQUARE + l] > _PLAIN_TOLERANCE * _PLAIN_TOLERANCE else 0.0
 
 
 @lane

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,25 +19,6 @@ WIDTHS = {"256 bit": 4, "512 bit": 8}
 ROUNDS = 2_000_000
 LARGE = 8_000_000
 """Numbers of each array of the triad in memory: 64 MB, larger than any cache's share here."""
-
-
-@dataclass(frozen=True, slots=True)
-class Peaks:
-    """The best of many tries: on a shared machine others take part of the time."""
-
-    fused: dict[str, tuple[float, float]]
-    """Gflop/s of fused multiply-adds with one thread and with all, by width; a multiply-add counts twice."""
-    near: float
-    """GB/s that a triad moves in one core's cache, over a tile's registers."""
-    nearest: float
-    """The same over 16 kB, in the first-level cache."""
-    memory: tuple[float, float]
-    """GB/s of a triad over main memory, one thread and all: two loads and a store, 24 bytes an element."""
-
-    @property
-    def best(self) -> tuple[float, float]:
-        """Gflop/s of the better width, one thread and all."""
-        return max(self.fused.values())
 
 
 def _chains(width: int) -> Any:
@@ -81,37 +62,40 @@ def triad(a, b, c, rounds):
 
 
 def together(run: Callable[[int], object], threads: int) -> float:
-    """Seconds that `threads` of them take side by side."""
-    if threads == 1:
-        start = time.perf_counter()
-        run(0)
-        return time.perf_counter() - start
+    """Seconds of the processor that the slowest of `threads` of them takes: what others do isn't in it."""
+
+    def own(number: int) -> float:
+        start = time.thread_time()
+        run(number)
+        return time.thread_time() - start
+
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(abs, range(threads)))  # the threads are there
-        start = time.perf_counter()
-        list(pool.map(run, range(threads)))
-        return time.perf_counter() - start
+        return max(pool.map(own, range(threads)))
 
 
-def _rate(run: Callable[[int], object], threads: int, work: float, repeat: int) -> float:
-    """Work done per second by `threads`, the best of many, in 1e9."""
-    run(0)
-    return threads * work / min(together(run, threads) for _ in range(repeat)) / 1e9
-
-
-def triad_rate(size: int, threads: int, repeat: int) -> float:
-    """GB/s of triads over arrays of `size` numbers, each thread's its own."""
+def _runs(size: int, threads: int) -> tuple[Callable[[int], object], float]:
+    """A triad over arrays of `size` numbers, each thread's its own, and its bytes: two loads and a store an element."""
     arrays = [tuple(np.full(size, 1.0 + j) for j in range(3)) for _ in range(threads)]
-    rounds = max(1, 20_000_000 // size)
-    return _rate(lambda k: triad(*arrays[k], rounds), threads, 24.0 * size * rounds, repeat)
+    rounds = max(1, 8_000_000 // size)
+    return lambda k: triad(*arrays[k], rounds), 24.0 * size * rounds
 
 
-def peaks(tile_numbers: int, threads: int, repeat: int) -> Peaks:
-    """All of them; `tile_numbers` is how many a tile's registers hold."""
-    fused = {}
-    for name, width in WIDTHS.items():
-        run, work = _chains(width), 2.0 * width * CHAINS * ROUNDS
-        one, all_of_them = (_rate(lambda k: run(ROUNDS), count, work, repeat) for count in (1, threads))
-        fused[name] = (one, all_of_them)
-    memory = tuple(triad_rate(LARGE // count, count, repeat) for count in (1, threads))
-    return Peaks(fused, triad_rate(tile_numbers // 3, 1, repeat), triad_rate(680, 1, repeat), (memory[0], memory[1]))
+def peak_jobs(tile_numbers: int, threads: int) -> dict[tuple[str, int], tuple[Callable[[], float], float]]:
+    """What to time, by name and number of threads, with the work done in 1e9 flops or bytes; a multiply-add is two.
+
+    `tile_numbers` is how many a tile's registers hold.
+    """
+    jobs = {}
+    for count in (1, threads):
+        for name, width in WIDTHS.items():
+            run = partial(_rounds, _chains(width))
+            jobs[name, count] = (partial(together, run, count), 2e-9 * width * CHAINS * ROUNDS * count)
+        for name, size in (("nearest", 680), ("near", tile_numbers // 3), ("memory", LARGE // count)):
+            run, work = _runs(size, count)
+            jobs[name, count] = (partial(together, run, count), 1e-9 * work * count)
+    return jobs
+
+
+def _rounds(run: Callable[[int], float], _: int) -> float:
+    """The same for every thread."""
+    return run(ROUNDS)

@@ -4,8 +4,8 @@
     python scripts/benchmark_profile.py --problem FILE.bin --json OUT
 
 Without a file the peer's size L is made by its generator. `--page` puts the tables between the page's two marks and
-leaves its words alone. Seconds are medians, peaks the best of as many. Exit status: 0 done, 2 bad input, 130
-interrupted. What is counted comes from benchmark_stages, in a process of its own, where nothing is compiled.
+leaves its words alone. Times are medians of the processor's, peaks the best of as many. Exit status: 0 done, 2 bad
+input, 130 interrupted. The counts come from benchmark_stages, in a process of its own, where nothing is compiled.
 """
 
 import argparse
@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -31,11 +31,17 @@ from peer_problem import write_problem
 from mgsgraph.errors import InputError, MgsgraphError
 
 if TYPE_CHECKING:  # numba counts threads when it is imported: not before --threads is read
-    from mgsgraph.adjustment.graph import BundleGraph, Layout
+    from mgsgraph.adjustment.graph import Layout
     from mgsgraph.factors.bundle import Reduction
 
 CALLS = 300
 """Tiles in a row that make one timing of a stage."""
+
+Key = tuple[Any, ...]
+"""What was timed."""
+
+Job = Callable[[], tuple[float, float]]
+"""Seconds by the wall and by the processor."""
 
 @dataclass(eq=False)
 class Recorder:
@@ -59,41 +65,90 @@ class Recorder:
         return getattr(bundle.IN_PROCESS, name)
 
 
-def middle(run: Callable[[], object], repeat: int, clock: Callable[[], float] = time.perf_counter) -> float:
-    """Milliseconds of a call, the median of many."""
-    taken = []
+def seconds(run: Callable[[], object]) -> tuple[float, float]:
+    """Seconds of a call, and those of the processor, all threads together."""
+    start, used = time.perf_counter(), time.process_time()
+    run()
+    return time.perf_counter() - start, time.process_time() - used
+
+
+def own(run: Callable[[], float]) -> tuple[float, float]:
+    """Of a call that times itself by the processor."""
+    taken = run()
+    return taken, taken
+
+
+def interleaved(jobs: Mapping[Key, Job], repeat: int) -> dict[Key, tuple[float, float]]:
+    """ms of all jobs, each in its turn, again and again: what else the machine does hits all alike.
+
+    The least by the clock on the wall, and the median by the processor's.
+    """
+    for run in jobs.values():
+        run()  # compiles, and fetches what is in memory
+    taken: dict[Key, list[tuple[float, float]]] = {key: [] for key in jobs}
     for _ in range(repeat):
-        start = clock()
-        run()
-        taken.append(1e3 * (clock() - start))
-    return median(taken)
+        for key, run in jobs.items():
+            taken[key].append(run())
+    return {
+        key: (1e3 * min(wall for wall, _ in pairs), 1e3 * median(used for _, used in pairs))
+        for key, pairs in taken.items()
+    }
 
 
 def profile(path: Path, line: str, repeat: int, name: str) -> Profile:
     """Measure everything on one problem file."""
     import numpy as np
-    from benchmark_peaks import peaks
+    from benchmark_peaks import peak_jobs
     from benchmark_stages import laid_out
 
     counts = counted(path, line)
     layout = laid_out(path, line)
-    from mgsgraph.adjustment.graph import BundleGraph
-
     recorder = Recorder()
-    graph = BundleGraph(layout, sweeper=recorder)
-    iterations, sweeps, iteration, afterwards = loop(graph, recorder, repeat)
+    iterations, seen, jobs = solved(layout, recorder)
+    sizes, of_stage = stage_jobs(layout)
+    best = peak_jobs(max(sizes.values()) // 8, threads())
+    jobs |= of_stage | {("peak", *key): partial(own, run) for key, (run, _) in best.items()}
+    ms = interleaved(jobs, repeat)
     rows, alike = layout.rows, same_sights(layout)
-    points = {key: int(np.isin(rows.piece[:, 0], mine) @ rows.piece[:, 2]) for key, mine in alike.items()}
-    patterns = {key: len(mine) for key, mine in alike.items()}
-    stages, sizes = timed(layout, repeat)
+    sweeps = [
+        Sweep(mean_steps(layout, *state), *ms["sweep", k], ms["alone", k][1]) for k, state in enumerate(seen)
+    ]
+    parts = {group: {key[1]: value for key, value in ms.items() if key[0] == group} for group in ("part", "after")}
     rays = int(layout.network.rays.point.size)
+    middle = (median(sweep.milliseconds for sweep in sweeps), median(sweep.processor for sweep in sweeps))
+    return Profile(
+        problem=name,
+        threads=threads(),
+        repeat=repeat,
+        iterations=iterations,
+        rays=rays,
+        points={key: int(np.isin(rows.piece[:, 0], mine) @ rows.piece[:, 2]) for key, mine in alike.items()},
+        patterns={key: len(mine) for key, mine in alike.items()},
+        iteration={"sweep with system": middle, **parts["part"]},
+        afterwards=parts["after"],
+        sweeps=sweeps,
+        stages={key: per_point(ms, key) for key in sizes},
+        counts=counts,
+        held={key: size / rays for key, size in held(rows).items()},
+        tile=sizes,
+        peaks={f"{key[0]}, {key[1]}": 1e3 * work / ms["peak", *key][0] for key, (_, work) in best.items()},
+    )
+
+
+def held(rows: Any) -> dict[str, float]:
+    """Bytes of the kernel's arrays."""
     arrays = {"constants": rows.data.nbytes, "weights": rows.weight.nbytes, "first places": rows.start.nbytes}
     arrays["kinds, tables"] = sum(array.nbytes for array in rows) - sum(arrays.values())
-    arrays["places, states"] = 25 * rows.kind.size
-    held = {key: size / rays for key, size in arrays.items()}
-    best = peaks(max(sizes.values()) // 8, threads(), repeat)
-    found = (iteration, afterwards, sweeps, stages, counts, patterns, held, sizes, best)
-    return Profile(name, threads(), repeat, iterations, rays, points, *found)
+    return {**arrays, "places, states": 25 * rows.kind.size}
+
+
+def per_point(ms: Mapping[Key, tuple[float, float]], name: str) -> dict[str, float]:
+    """ns per point of each stage; of `spread`, per pattern."""
+    from mgsgraph.factors.lanes import LANES
+
+    found = {key[2]: 1e6 * value[1] / CALLS for key, value in ms.items() if key[:2] == ("stage", name)}
+    found["factorise"] -= found["normal equations"]
+    return {stage: value / (1 if stage == "spread" else LANES) for stage, value in found.items()}
 
 
 def threads() -> int:
@@ -116,47 +171,50 @@ def counted(path: Path, line: str) -> dict[str, dict[str, dict[str, float]]]:
     return found
 
 
-def loop(
-    graph: "BundleGraph", recorder: Recorder, repeat: int
-) -> tuple[int, list[Sweep], dict[str, float], dict[str, float]]:
-    """The optimisation once, then each of its parts many times, where it had them."""
+def solved(
+    layout: "Layout", recorder: Recorder
+) -> tuple[int, list[tuple[Any, Any]], dict[Key, Job]]:
+    """The optimisation once: its iterations, where its sweeps began, and its parts, to be timed there."""
     import gtsam
-    import numba
     import numpy as np
+
+    from mgsgraph.adjustment.graph import BundleGraph
     from mgsgraph.adjustment.posterior import orientation_covariance, point_covariances
     from mgsgraph.adjustment.problems import BundleProblem, solve_bundle
     from mgsgraph.adjustment.settings import SolverSettings
 
-    layout, count = graph.layout, numba.get_num_threads()
-    start = np.zeros(layout.columns)
+    graph, start = BundleGraph(layout, sweeper=recorder), np.zeros(layout.columns)
     outcome, last = solve_bundle(graph, start, None, SolverSettings(), lambda _: None)
-    seen = list(recorder.seen)
-    sweeps = []
-    for x, begin in seen:
-        again = partial(graph.reduction, x, True, begin)
-        together = middle(again, repeat)
-        numba.set_num_threads(1)
-        alone = middle(again, repeat, time.thread_time)
-        numba.set_num_threads(count)
-        sweeps.append(Sweep(mean_steps(layout, x, begin), together, alone))
+    seen, graph = list(recorder.seen), BundleGraph(layout)
     problem, linear = BundleProblem(graph, last), graph.linear(last)
     ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-    step, (x, begin) = linear.optimize(ordering), seen[-1]
-    iteration = {
-        "sweep with system": median(sweep.milliseconds for sweep in sweeps),
-        "Hessian factors": middle(lambda: graph.linear(last), repeat),
-        "GTSAM's elimination": middle(lambda: linear.optimize(ordering), repeat),
-        "moving the state": middle(lambda: problem.moved(start, step), repeat),
-    }
-    joint = orientation_covariance(graph, last)
-    afterwards = {
-        "a sweep for the cost alone": middle(lambda: graph.reduction(x, False, begin), repeat),
-        "covariance of the orientation": middle(lambda: orientation_covariance(graph, last), repeat),
-        "covariance of the points": middle(
-            lambda: point_covariances(layout, graph.rows, outcome.state, last.points, joint), repeat
+    step, joint, (x, begin) = linear.optimize(ordering), orientation_covariance(graph, last), seen[-1]
+    runs: dict[Key, Callable[[], object]] = {
+        ("part", "Hessian factors"): lambda: graph.linear(last),
+        ("part", "GTSAM's elimination"): lambda: linear.optimize(ordering),
+        ("part", "moving the state"): lambda: problem.moved(start, step),
+        ("after", "a sweep for the cost alone"): lambda: graph.reduction(x, False, begin),
+        ("after", "covariance of the orientation"): lambda: orientation_covariance(graph, last),
+        ("after", "covariance of the points"): lambda: point_covariances(
+            layout, graph.rows, outcome.state, last.points, joint
         ),
     }
-    return len(outcome.history), sweeps, iteration, afterwards
+    jobs: dict[Key, Job] = {key: partial(seconds, run) for key, run in runs.items()}
+    for k, state in enumerate(seen):
+        again = partial(graph.reduction, state[0], True, state[1])
+        jobs["sweep", k], jobs["alone", k] = partial(seconds, again), partial(alone, again)
+    return len(outcome.history), seen, jobs
+
+
+def alone(run: Callable[[], object]) -> tuple[float, float]:
+    """Seconds with one thread."""
+    import numba
+
+    count = numba.get_num_threads()
+    numba.set_num_threads(1)
+    taken = seconds(run)
+    numba.set_num_threads(count)
+    return taken
 
 
 def same_sights(layout: "Layout") -> dict[str, list[int]]:
@@ -177,6 +235,7 @@ def mean_steps(layout: "Layout", x: Any, begin: Any) -> dict[str, float]:
     """Inner steps of a point in a sweep, their mean, by pattern."""
     import numpy as np
     from benchmark_timing import inner_steps
+
     from mgsgraph.factors import tile
 
     size, base, depth = tile.workspace(layout.rows)
@@ -187,30 +246,23 @@ def mean_steps(layout: "Layout", x: Any, begin: Any) -> dict[str, float]:
     return {name: float(steps[mine].sum() / points[mine].sum()) for name, mine in same_sights(layout).items()}
 
 
-def timed(layout: "Layout", repeat: int) -> tuple[dict[str, dict[str, float]], dict[str, int]]:
-    """ns per point by pattern and stage (of `spread`, per pattern), and bytes of each pattern's tile."""
-    from benchmark_stages import INNER, PATTERNS, piece_of, settle, tile_of
+def stage_jobs(layout: "Layout") -> tuple[dict[str, int], dict[Key, Job]]:
+    """Bytes of a tile by pattern, and its stages, to be timed."""
+    from benchmark_stages import INNER, PATTERNS, SETTLING, piece_of, tile_of
     from benchmark_timing import DRIVERS, drive
-    from mgsgraph.factors.lanes import LANES
 
-    found, sizes = {}, {}
+    sizes, jobs = dict[str, int](), dict[Key, Job]()
     for name, kinds in PATTERNS.items():
         piece = piece_of(layout.rows, kinds)
         if piece is None:
             continue
         t, work = tile_of(layout, piece)
-        for stage in ("load", *INNER, *list(INNER) * 3, "store", "load", *INNER):
+        for stage in ("load", *list(INNER) * SETTLING, "store"):
             drive(DRIVERS[stage], t, work, 1)
-        runs: dict[str, list[float]] = {stage: [] for stage in DRIVERS}
-        for _ in range(repeat):
-            for stage, driver in DRIVERS.items():
-                runs[stage].append(drive(driver, t, work, CALLS))
-        found[name] = {stage: 1e9 * median(taken) / CALLS for stage, taken in runs.items()}
-        found[name]["factorise"] -= found[name]["normal equations"]
-        for stage in found[name]:
-            found[name][stage] /= 1 if stage == "spread" else LANES
+        for stage, driver in DRIVERS.items():
+            jobs["stage", name, stage] = partial(own, partial(drive, driver, t, work, CALLS))
         sizes[name] = 8 * (t.base + len(kinds) * t.depth)
-    return found, sizes
+    return sizes, jobs
 
 
 def arguments(given: list[str] | None = None) -> argparse.Namespace:

@@ -16,6 +16,8 @@ INNER = ("rows", "normal equations", "factorise", "step")
 ONCE = ("load", "store", "couple", "pairs", "sums")
 FLOPS = ("add", "multiply", "divide", "root")
 """What counts as an operation; comparisons, changes of sign and choices don't."""
+WIDTH = "256 bit"
+"""Vectors that LLVM chooses for this machine, though it has wider ones."""
 WORDS = {
     "load": "constants and places from memory",
     "rows": "residuals and derivatives",
@@ -36,7 +38,9 @@ class Sweep:
     steps: dict[str, float]
     """Inner steps of a point, their mean, by pattern."""
     milliseconds: float
-    """With the system, all threads."""
+    """With the system, all threads; the least."""
+    processor: float
+    """ms of the processor, all threads together."""
     alone: float
     """ms of the processor, the same with one thread."""
 
@@ -52,10 +56,10 @@ class Profile:
     rays: int
     points: dict[str, int]
     """How many of each pattern."""
-    iteration: dict[str, float]
-    """ms of each part of an iteration."""
-    afterwards: dict[str, float]
-    """ms of the covariances."""
+    iteration: dict[str, tuple[float, float]]
+    """ms of each part of an iteration: the least by the wall's clock, the median of the processor's."""
+    afterwards: dict[str, tuple[float, float]]
+    """The same of what isn't in every iteration."""
     sweeps: list[Sweep]
     stages: dict[str, dict[str, float]]
     """ns per point by pattern and stage; of `spread`, per pattern."""
@@ -67,7 +71,12 @@ class Profile:
     """Bytes per observation, by array."""
     tile: dict[str, int]
     """Bytes of a tile's registers, by pattern."""
-    peaks: Any
+    peaks: dict[str, float]
+    """Gflop/s and GB/s, by what and how many threads."""
+
+    def peak(self, name: str) -> tuple[float, float]:
+        """Of one thread, and of all."""
+        return self.peaks[f"{name}, 1"], self.peaks[f"{name}, {self.threads}"]
 
 
 def flops(tally: dict[str, float]) -> float:
@@ -85,8 +94,8 @@ def memory(found: Profile, name: str) -> float:
     return sum(found.counts[name][stage].get("array bytes", 0.0) for stage in ("load", "store"))
 
 
-def of_sweep(found: Profile, name: str, steps: float, per: dict[str, float]) -> float:
-    """Sum over the stages of a sweep of something given by stage, per point."""
+def of_sweep(steps: float, per: dict[str, float]) -> float:
+    """Sum over the stages of a sweep, with so many inner steps, of what is given by stage."""
     return sum(per[stage] for stage in ONCE) + steps * sum(per[stage] for stage in INNER)
 
 
@@ -96,14 +105,17 @@ def typical(found: Profile) -> Sweep:
 
 
 def whole_sweep(found: Profile, sweep: Sweep) -> dict[str, float]:
-    """Operations, bytes between registers and processor, bytes of main memory of a sweep; ns that its stages add up to."""
+    """Operations, bytes to and from registers, bytes of main memory of a sweep; ns that its stages add up to."""
     total = dict.fromkeys(("flops", "traffic", "memory", "nanoseconds"), 0.0)
     for name, points in found.points.items():
         tallies = found.counts[name]
-        per = {key: {stage: f(tallies[stage]) for stage in (*ONCE, *INNER)} for key, f in
-               (("flops", flops), ("traffic", traffic))}  # fmt: skip
-        for key, values in {**per, "nanoseconds": found.stages[name]}.items():
-            total[key] += points * of_sweep(found, name, sweep.steps[name], values)
+        per = {
+            "flops": {stage: flops(tally) for stage, tally in tallies.items()},
+            "traffic": {stage: traffic(tally) for stage, tally in tallies.items()},
+            "nanoseconds": found.stages[name],
+        }
+        for key, values in per.items():
+            total[key] += points * of_sweep(sweep.steps[name], values)
         total["flops"] += found.patterns[name] * flops(tallies["spread"])
         total["nanoseconds"] += found.patterns[name] * found.stages[name]["spread"]
         total["memory"] += points * memory(found, name)
@@ -115,8 +127,9 @@ def tables(found: Profile) -> str:
     points = ", ".join(f"{count:,} with {name}" for name, count in found.points.items())
     head = (
         f"Problem {found.problem}: {sum(found.points.values()):,} points ({points}), {found.rays:,} image rays; "
-        f"{found.iterations} iterations. {machine()}; {found.threads} threads. Medians of {found.repeat}; the peaks are "
-        "the best of as many. The machine was shared: compare figures of this page with one another, not with others'."
+        f"{found.iterations} iterations. {machine()}; {found.threads} threads. Of {found.repeat} tries the median of "
+        "the processor's time, or the least by the clock on the wall where it says so; peaks are the best. The machine was "
+        "shared: compare figures of this page with one another, not with others'."
     )
     parts = [head, "", "### One iteration", "", *iteration_table(found), "", "### Sweeps of the optimisation", ""]
     parts += [*sweep_table(found), "", "### The machine at its best", "", *peak_table(found), ""]
@@ -128,11 +141,11 @@ def tables(found: Profile) -> str:
 
 def iteration_table(found: Profile) -> list[str]:
     """Parts of an iteration, and what comes after the last."""
-    total = sum(found.iteration.values())
-    rows = [(name, number(ms), percent(ms / total)) for name, ms in found.iteration.items()]
-    rows += [("**an iteration**", number(total), "100 %")]
-    rows += [(f"*{name}*", number(ms), "") for name, ms in found.afterwards.items()]
-    return table(("part", "ms", "share"), rows)
+    wall, total = (sum(pair[k] for pair in found.iteration.values()) for k in range(2))
+    rows = [(name, number(least), number(ms), percent(ms / total)) for name, (least, ms) in found.iteration.items()]
+    rows += [("**an iteration**", number(wall), number(total), "100 %")]
+    rows += [(f"*{name}*", number(least), number(ms), "") for name, (least, ms) in found.afterwards.items()]
+    return table(("part", "ms, the least", "ms of the processor, all threads", "share"), rows)
 
 
 def sweep_table(found: Profile) -> list[str]:
@@ -142,28 +155,32 @@ def sweep_table(found: Profile) -> list[str]:
     for count, sweep in enumerate(found.sweeps):
         steps = (f"{sweep.steps[name]:.2f}" for name in names)
         added = whole_sweep(found, sweep)["nanoseconds"] * 1e-6
-        rows.append((str(count), *steps, number(sweep.milliseconds), number(sweep.alone), number(added)))
+        times = (number(ms) for ms in (sweep.milliseconds, sweep.processor, sweep.alone, added))
+        rows.append((str(count), *steps, *times))
     steps = (f"inner steps, {name}" for name in names)
-    return table(("sweep", *steps, "ms", "ms, one thread", "ms, its stages added up"), rows)
+    head = ("sweep", *steps, "ms, the least", "ms of the processor, all threads", "one thread", "its stages added up")
+    return table(head, rows)
 
 
 def peak_table(found: Profile) -> list[str]:
     """What the machine can do."""
-    rows = [
-        (f"multiply-adds, {width}", f"{one:.1f} Gflop/s", f"{both:.1f} Gflop/s")
-        for width, (one, both) in found.peaks.fused.items()
-    ]
-    rows += [("triad in 16 kB (first-level cache)", f"{found.peaks.nearest:.1f} GB/s", "")]
     size = max(found.tile.values()) / 1000.0
-    rows += [(f"triad in {size:.0f} kB (second-level cache, a tile's size)", f"{found.peaks.near:.1f} GB/s", "")]
-    rows += [("triad in main memory", *(f"{rate:.1f} GB/s" for rate in found.peaks.memory))]
+    rows = []
+    for name, words, unit in (
+        (WIDTH, f"multiply-adds, {WIDTH}", "Gflop/s"),
+        ("512 bit", "multiply-adds, 512 bit", "Gflop/s"),
+        ("nearest", "triad in 16 kB (first-level cache)", "GB/s"),
+        ("near", f"triad in {size:.0f} kB (second-level cache, the size of a tile)", "GB/s"),
+        ("memory", "triad in main memory", "GB/s"),
+    ):
+        rows.append((words, *(f"{rate:.1f} {unit}" for rate in found.peak(name))))
     return table(("", "one thread", f"{found.threads} threads"), rows)
 
 
 def stage_table(found: Profile, name: str) -> list[str]:
     """Time, operations and bytes of each stage per point, and shares of the peaks; one thread."""
     rows = []
-    peak, near = found.peaks.fused["256 bit"][0], found.peaks.near
+    peak, near = found.peak(WIDTH)[0], found.peak("near")[0]
     for stage in (*ONCE[:1], *INNER, *ONCE[1:]):
         tally, ns = found.counts[name][stage], found.stages[name][stage]
         work, moved = flops(tally), traffic(tally)
@@ -181,9 +198,9 @@ def whole_table(found: Profile) -> list[str]:
     total, points = whole_sweep(found, sweep), sum(found.points.values())
     rows = []
     for name, key, unit, peaks in (
-        ("floating-point operations", "flops", "Gflop/s", found.peaks.fused["256 bit"]),
-        ("bytes to and from registers", "traffic", "GB/s", (found.peaks.near, found.threads * found.peaks.near)),
-        ("bytes of main memory", "memory", "GB/s", found.peaks.memory),
+        ("floating-point operations", "flops", "Gflop/s", found.peak(WIDTH)),
+        ("bytes to and from registers", "traffic", "GB/s", found.peak("near")),
+        ("bytes of main memory", "memory", "GB/s", found.peak("memory")),
     ):
         cells = [name, f"{total[key] / points:,.0f}"]
         for ms, peak in zip((sweep.alone, sweep.milliseconds), peaks, strict=True):
@@ -245,9 +262,10 @@ def _draw_iteration(axes: Any, found: Profile) -> None:
     """ms of each part."""
     parts = {**found.iteration, **found.afterwards}
     colours = ["C0"] * len(found.iteration) + ["0.7"] * len(found.afterwards)
-    bars = axes.barh(list(parts), list(parts.values()), color=colours)
-    axes.bar_label(bars, [number(ms) for ms in parts.values()], padding=2, fontsize=8)
-    axes.set(xlabel=f"ms, {found.threads} threads", xlim=(0.0, 1.2 * max(parts.values())))
+    times = [ms for _, ms in parts.values()]
+    bars = axes.barh(list(parts), times, color=colours)
+    axes.bar_label(bars, [number(ms) for ms in times], padding=2, fontsize=8)
+    axes.set(xlabel="ms of the processor, all threads together", xlim=(0.0, 1.2 * max(times)))
     axes.set_title("an iteration (blue), and what it isn't (grey)", fontsize=9)
     axes.invert_yaxis()
     axes.tick_params(axis="y", labelsize=8)
@@ -262,7 +280,7 @@ def _draw_stages(axes: Any, found: Profile) -> None:
         left = {name: left[name] + ns for name, ns in times.items()}
     for row, name in enumerate(left):
         axes.text(left[name], row, f" {left[name]:.0f}, {steps[name]:.1f} inner steps", va="center", fontsize=8)
-    axes.set(xlabel="ns per point, one thread", xlim=(0.0, 1.4 * max(left.values())))
+    axes.set(xlabel="ns per point, one thread", xlim=(0.0, 1.6 * max(left.values())))
     axes.set_title("a point's way through a sweep", fontsize=9)
     axes.legend(fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     axes.invert_yaxis()
@@ -272,14 +290,14 @@ def _draw_shares(axes: Any, found: Profile) -> None:
     """Per cent of the peaks by stage, of two-ray points or whatever comes first."""
     name, stages = next(iter(found.stages)), ("load", *INNER, *ONCE[1:])
     for key, function, peak, shift in (
-        ("multiply-adds, 256 bit", flops, found.peaks.fused["256 bit"][0], -0.2),
-        ("triad in the second-level cache", traffic, found.peaks.near, 0.2),
+        ("multiply-adds, 256 bit", flops, found.peak(WIDTH)[0], -0.2),
+        ("triad in the second-level cache", traffic, found.peak("near")[0], 0.2),
     ):
         shares = [100.0 * function(found.counts[name][stage]) / found.stages[name][stage] / peak for stage in stages]
         axes.barh([row + shift for row in range(len(stages))], shares, height=0.4, label=key)
     axes.set_yticks(range(len(stages)), stages, fontsize=8)
-    axes.set(xlabel=f"per cent of the measured peak, {name}, one thread")
+    axes.set(xlabel=f"% of the measured peak ({name}, one thread)")
     axes.set_title("how near each stage comes to the machine's best", fontsize=9)
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14))
     axes.invert_yaxis()
 

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from peer_problem import network, read_problem
 
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.settings import Line
-from mgsgraph.factors import pose, tile, surface  # isort: skip
+from mgsgraph.factors import pose, surface, tile
 from mgsgraph.factors import range as ranges
 from mgsgraph.factors.elimination import (
     couple_all,
@@ -45,8 +45,6 @@ PATTERNS = {"two rays": (IMAGE, IMAGE), "three rays": (IMAGE,) * 3, "laser": (IM
 """Kinds of the sights of points that are measured: ties, and a laser shot seen by two images."""
 SETTLING = 4
 """Inner steps that bring a tile to rest before anything is measured."""
-FLOPS = ("add", "multiply", "divide", "root")
-"""What counts as a floating-point operation: comparisons, changes of sign and choices don't."""
 
 
 class Tile(NamedTuple):
@@ -147,9 +145,9 @@ def pairs(t, w):
     for i in range(begin, end):
         for j in range(i, end):
             if paired(t.rows, t.pattern, i, j):
-                width_i, width_j, count = t.rows.sight_width[i], t.rows.sight_width[j], tile.row_count(t.rows.sight_kind[i])
                 s, other = t.base + (i - begin) * t.depth, t.base + (j - begin) * t.depth
-                state_pair(count, width_i, width_j, i == j, LANES, w, s, other)
+                count, width = tile.row_count(t.rows.sight_kind[i]), t.rows.sight_width[i]
+                state_pair(count, width, t.rows.sight_width[j], i == j, LANES, w, s, other)
     return 0.0
 
 
@@ -182,17 +180,17 @@ def spread_sums(t, w):
 @lane
 def eliminate(t, w):
     """couple, pairs and sums as the sweep does them."""
-    eliminate_tile(
-        t.rows, t.groups, t.target, t.pattern, LANES, w, t.base, t.depth, t.sums, t.gradient
-    )  # fmt: skip
+    eliminate_tile(t.rows, t.groups, t.target, t.pattern, LANES, w, t.base, t.depth, t.sums, t.gradient)
     return 0.0
 
 
-INNER = {"rows": make_rows, "normal equations": normal, "factorise": factorise, "step": move}
+Stages = dict[str, Callable[..., float]]
+
+INNER: Stages = {"rows": make_rows, "normal equations": normal, "factorise": factorise, "step": move}
 """Of every inner step."""
-OUTER = {"couple": couple, "pairs": pairs, "sums": sums}
+OUTER: Stages = {"couple": couple, "pairs": pairs, "sums": sums}
 """Elimination; once."""
-STAGES: dict[str, Callable[..., float]] = {"load": load, **INNER, "store": store, **OUTER, "spread": spread_sums}
+STAGES: Stages = {"load": load, **INNER, "store": store, **OUTER, "spread": spread_sums}
 """`spread` is counted and timed per pattern and not per point."""
 
 
@@ -200,7 +198,7 @@ STAGES: dict[str, Callable[..., float]] = {"load": load, **INNER, "store": store
 class Counted(float):
     """A float that counts what is done with it."""
 
-    tally: Counter[str] = Counter()
+    tally: ClassVar[Counter[str]] = Counter()
     __array_ufunc__ = None  # so that NumPy's scalars let it have the operation
     __hash__ = float.__hash__
 
@@ -213,16 +211,18 @@ class Counted(float):
 
 def _counting(name: str, kind: str) -> Callable[[Any, Any], Any]:
     """An operator of two floats that counts; by zero it divides as the kernel does."""
-    plain = getattr(operator, name.strip("_").replace("radd", "add").replace("rsub", "sub").replace("rmul", "mul")
-                    .replace("rtruediv", "truediv"))  # fmt: skip
     turned = name in ("__radd__", "__rsub__", "__rmul__", "__rtruediv__")
+    plain = getattr(operator, name.replace("__r", "__") if turned else name)
 
     def counted(self: Any, other: Any) -> Any:
         Counted.tally[kind] += 1
-        a, b = (np.float64(other), np.float64(self)) if turned else (np.float64(self), np.float64(other))
-        with np.errstate(all="ignore"):
+        a, b = (float(other), float(self)) if turned else (float(self), float(other))
+        try:
             value = plain(a, b)
-        return bool(value) if kind == "compare" else Counted(value)
+        except ZeroDivisionError:
+            with np.errstate(all="ignore"):
+                value = np.divide(a, b)
+        return value if kind == "compare" else Counted(value)
 
     return counted
 
@@ -314,11 +314,6 @@ def counts(layout: Layout) -> dict[str, dict[str, dict[str, float]]]:
 def _plain(rows: Rows) -> Rows:
     """Rows whose arrays of floats are read as `registers` reads them."""
     return rows._replace(**{name: Memory(getattr(rows, name), "array") for name in ("data", "weight")})
-
-
-def flops(tally: dict[str, float]) -> float:
-    """Floating-point operations."""
-    return sum(tally.get(kind, 0.0) for kind in FLOPS)
 
 
 def laid_out(path: Path, line: str) -> Layout:

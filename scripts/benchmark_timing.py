@@ -10,7 +10,6 @@ from numba import njit
 from mgsgraph.factors import tile
 from mgsgraph.factors.lanes import LANES, SQUARE, lane, registers
 
-
 _NORMAL, _FACTORISE = STAGES["normal equations"], STAGES["factorise"]
 
 

@@ -46,4 +46,4 @@ def _difference(factor: gtsam.NonlinearFactor, values: gtsam.Values, key: int, s
 
 
 def _is_vector(values: gtsam.Values, key: int) -> bool:
-    return gtsam.DefaultKeyFormatter(key).startswith("o")
+    return gtsam.DefaultKeyFormatter(key).startswith(("o", "s"))

@@ -100,7 +100,9 @@ def adjust_network(
         selection, before = _nominal(layout, sweeper)
         solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
         clock.stop("solve")
-        return _posterior(settings, name, solved, before, clock, sweeper)
+        places_before = _places_before(layout, before)
+        del before  # the posterior needs the room
+        return _posterior(settings, name, solved, places_before, clock, sweeper)
 
 
 @contextmanager
@@ -194,7 +196,7 @@ def _behind(layout: Layout, place: int, point: Array) -> PointBehindCamera:
 
 
 def _posterior(
-    settings: SolverSettings, name: str, solved: Solved, before: Reduction, clock: _Clock, sweeper: Sweeper
+    settings: SolverSettings, name: str, solved: Solved, places_before: Array, clock: _Clock, sweeper: Sweeper
 ) -> Solution:
     """Covariances, residuals and the record of it all."""
     layout, rows, orientation = solved.layout, solved.rows, solved.orientation
@@ -206,7 +208,6 @@ def _posterior(
     merit = fit(layout, rows, orientation, solved.points, found)
     if settings.reject > 0.0:  # points whose rays were rejected are shown where all their rays put them
         found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
-    places_before = _places_before(layout, before)
     found_before = residuals(layout, np.zeros(layout.columns), places_before, sweeper)
     never = solved.selection.out[network.rays.point]
     found.image[never] = found_before.image[never] = np.nan

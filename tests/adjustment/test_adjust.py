@@ -189,7 +189,8 @@ def test_rows_are_admitted_again() -> None:
     layout = lay_out(net, SolverSettings())
     whole = everything(net)
     without = replace(whole, rays=np.arange(net.rays.point.size) % 7 != 0)
-    solved = solve_in_passes(layout, SolverSettings(), without, lambda _: None)
+    before = BundleGraph(layout, without.rows(layout)).reduction(np.zeros(layout.columns))
+    solved = solve_in_passes(layout, SolverSettings(), without, before, lambda _: None)
     assert np.all(select(layout, solved, 6.0).rays)
 
 
@@ -351,5 +352,5 @@ def test_iteration_limit_is_said() -> None:
 
 def test_points_of_the_explicit_graph_are_variables() -> None:
     layout = lay_out(network(pair()), SolverSettings())
-    _, values = explicit_graph(layout, layout.rows, np.zeros(layout.columns), layout.rows.point_start)
+    _, values = explicit_graph(layout, layout.rows, np.zeros(layout.columns), layout.rows.start)
     assert all(values.exists(point_key(i)) for i in range(18))

@@ -52,7 +52,7 @@ def test_bundle_is_explicit(name: str) -> None:
         assert np.all(found.states == GOOD)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(seed=SEEDS)
 def test_bundle_is_explicit_on_any_network(seed: int) -> None:
     """Points seen by one of the pair's two orbits alone lie where parallel rays meet, and stay out."""
@@ -152,7 +152,7 @@ def test_a_point_behind_its_camera_has_no_finite_cost() -> None:
     assert np.any(found.states == BEHIND)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(seed=SEEDS, line=st.sampled_from(["predicted", "measured"]), loss=st.sampled_from(["none", "huber", "cauchy"]))
 def test_bundle_gradient_is_that_of_the_full_cost(seed: int, line: str, loss: str) -> None:
     """The bundle's error vector is a square root of the cost: what counts is its gradient, A'e = d cost."""

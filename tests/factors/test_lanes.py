@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.factors.lanes import sine_cosine
@@ -16,6 +16,7 @@ ANGLES = st.one_of(
 )
 
 
+@settings(max_examples=500, deadline=None, derandomize=True)
 @given(angle=ANGLES)
 @example(angle=0.0)
 @example(angle=-0.0)

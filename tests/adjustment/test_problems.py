@@ -1,0 +1,103 @@
+"""The optimisers: GTSAM's by name beside our own, what a rejected step costs, and the linear system itself."""
+
+from collections.abc import Iterator
+
+import gtsam
+import numpy as np
+import pytest
+from networks import network, pair, with_shift_and_surface
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.batch import Iteration, levenberg_marquardt
+from mgsgraph.adjustment.graph import BundleGraph, lay_out
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import InputError
+from mgsgraph.factors.sweep import sweep
+
+
+@pytest.mark.parametrize("form", ["bundle", "explicit"])
+@pytest.mark.parametrize("method", ["gauss-newton", "dogleg"])
+def test_gtsams_own_optimisers_find_the_same(form: str, method: str) -> None:
+    net = with_shift_and_surface(network(pair()))
+    ours = adjust_network(net, SolverSettings())
+    theirs = adjust_network(net, SolverSettings(form=form, method=method))
+    assert theirs.converged
+    assert theirs.cost_final == pytest.approx(ours.cost_final, rel=1e-9)
+    np.testing.assert_allclose(theirs.places, ours.places, rtol=0.0, atol=1e-3)
+    assert method.split("-")[0] in theirs.message.lower()
+
+
+def test_an_unknown_method_is_named() -> None:
+    with pytest.raises(InputError, match="solver, method: 'newton'"):
+        SolverSettings(method="newton")
+
+
+def test_pairwise_hessians_are_the_bundle_factors_system() -> None:
+    """One Hessian factor per variable and per pair of variables, against the square roots of the bundle factors."""
+    layout = lay_out(with_shift_and_surface(network(pair())), SolverSettings())
+    graph, rng = BundleGraph(layout), np.random.default_rng(2)
+    x = rng.standard_normal(layout.columns) * layout.scales * 0.1
+    ordering = gtsam.Ordering()
+    for key in graph.values(x).keys():
+        ordering.push_back(key)
+    mine, right = graph.linear(graph.reduction(x)).hessian(ordering)
+    theirs, other = graph.graph.linearize(graph.values(x)).hessian(ordering)
+    scale = np.sqrt(np.diag(theirs))
+    assert np.abs((mine - theirs) / np.outer(scale, scale)).max() < 1e-7
+    np.testing.assert_allclose(right / scale, other / scale, rtol=0.0, atol=1e-6 * np.abs(other / scale).max())
+
+
+class Parabola:
+    """Half (x - 3)^2 with a cost that lies, as asked, by a share of it."""
+
+    def __init__(self, lies: Iterator[float]) -> None:
+        self.scales = {0: np.ones(1)}
+        self.lies, self.asked, self.exactly = lies, list[bool](), 0
+
+    def cost(self, state: np.ndarray, system: bool) -> float:
+        self.asked.append(system)
+        return (1.0 + 0.5 * float((state[0] - 3.0) ** 2)) * (1.0 + next(self.lies))
+
+    def exact_cost(self, state: np.ndarray) -> float:
+        self.exactly += 1
+        return 1.0 + 0.5 * float((state[0] - 3.0) ** 2)
+
+    def linear(self, state: np.ndarray) -> gtsam.GaussianFactorGraph:
+        graph = gtsam.GaussianFactorGraph()
+        graph.push_back(gtsam.HessianFactor(0, np.eye(1), np.array([3.0 - state[0]]), 0.0))
+        return graph
+
+    def moved(self, state: np.ndarray, step: gtsam.VectorValues) -> np.ndarray:
+        return np.asarray(state + step.at(0))
+
+
+def minimise(problem: Parabola, start: float) -> list[Iteration]:
+    outcome = levenberg_marquardt(problem, np.array([start]), SolverSettings(max_iterations=8), lambda _: None)
+    return list(outcome.history)
+
+
+def test_a_near_miss_is_looked_at_again_exactly() -> None:
+    """At the optimum already, a rise of 1e-9 that the exact costs don't confirm is no reason to reject."""
+    problem = Parabola(iter([0.0, 1e-9, 0.0, 0.0]))
+    history = minimise(problem, 3.0 - 1e-5)
+    assert problem.exactly == 2
+    assert history[0].accepted
+    confirmed = Parabola(iter([0.0, 0.0, 0.0]))
+    assert minimise(confirmed, 1.0)[0].accepted
+    assert confirmed.exactly == 0
+
+
+def test_after_a_rejected_step_the_cost_alone_is_asked_for() -> None:
+    problem = Parabola(iter([0.0, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    history = minimise(problem, 1.0)
+    assert [now.accepted for now in history[:3]] == [False, False, True]
+    assert problem.asked[:5] == [True, True, False, False, True]
+    assert problem.exactly == 0
+
+
+def test_the_kernel_is_compiled_for_one_signature() -> None:
+    """Terrain or none, both forms, held images, blunder passes: a second signature would be another minute."""
+    for net in (network(pair()), with_shift_and_surface(network(pair())), network(pair(), (True, False))):
+        for form in ("bundle", "explicit"):
+            adjust_network(net, SolverSettings(form=form, reject=6.0))
+    assert len(sweep.signatures) == 1
