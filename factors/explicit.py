@@ -1,4 +1,4 @@
-"""The same rows one by one: a GTSAM factor of a single sight on (its unknowns, its point). For teaching, and as reference."""
+"""The same rows one by one: a GTSAM factor of a single sight on its unknowns and its point. The reference."""
 
 from collections.abc import Sequence
 

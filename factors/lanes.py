@@ -12,8 +12,7 @@ from typing import Any
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
-from numba.core.typing import signature
-from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 from numba.np.arrayobj import make_array
 
@@ -36,7 +35,7 @@ REGISTERS = Registers()
 
 
 @register_model(Registers)
-class _RegistersModel(models.PrimitiveModel):  # type: ignore[misc]
+class _RegistersModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, ir.DoubleType().as_pointer())
 
@@ -54,14 +53,14 @@ registers: Any = intrinsic(_registers)
 
 
 @infer_global(operator.getitem)
-class _Load(AbstractTemplate):  # type: ignore[misc]
+class _Load(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         known = isinstance(arguments[0], Registers) and isinstance(arguments[1], types.Integer)
         return signature(types.float64, arguments[0], types.int64) if known else None
 
 
 @infer_global(operator.setitem)
-class _Store(AbstractTemplate):  # type: ignore[misc]
+class _Store(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
         known = isinstance(arguments[0], Registers) and isinstance(arguments[1], types.Integer)
         return signature(types.none, arguments[0], types.int64, types.float64) if known else None

@@ -1,4 +1,4 @@
-"""A-priori knowledge: of ground points, moved by their profile's shift (Yoon & Shan 2005, Eq. 4), and of the unknowns."""
+"""A-priori knowledge: of the unknowns, and of ground points moved by their profile (Yoon & Shan 2005, Eq. 4)."""
 
 import gtsam
 import numpy as np

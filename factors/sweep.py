@@ -72,8 +72,8 @@ def _fingerprint() -> str:
 
 
 def _compiled(sources: str) -> Any:
-    """The kernel. Numba's cache looks at one file alone; that the kernel holds the digest of all of them makes it forget
-    what was compiled from others.
+    """The kernel. Numba's cache looks at one file alone; that the kernel holds the digest of all of them makes it
+    forget what was compiled from others.
     """
 
     @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -100,9 +100,9 @@ def _compiled(sources: str) -> Any:
         """One sweep over the pieces first_piece .. last_piece.
 
         COSTS and SYSTEM begin at `places` (n, 3) and leave the best ones there, with states (n,) and the cost of each
-        piece in costs (m,); SYSTEM adds the reduced normal matrix to `blocks` and the gradient to `gradient`. COVARIANCES
-        takes the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3) covariances, or (t, 2, 1)
-        residuals. `work` and `sums` are scratch.
+        piece in costs (m,); SYSTEM adds the reduced normal matrix to `blocks` and the gradient to `gradient`.
+        COVARIANCES takes the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3) covariances, or
+        (t, 2, 1) residuals. `work` and `sums` are scratch.
         """
         w = registers(work)
         if len(sources) == 0:

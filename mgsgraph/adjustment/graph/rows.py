@@ -6,9 +6,9 @@ and the axes along which shifts move them: the constants that the kernel reads, 
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.patterns import Patterns, Variables
 from mgsgraph.errors import InputError
@@ -142,7 +142,7 @@ def _make_store(network: Network, model: Model, patterns: Patterns, terms: list[
 
 def _sight_tables(
     network: Network, variables: Variables, patterns: Patterns, terms: list[int]
-) -> dict[str, NDArray[np.int64] | Array]:
+) -> dict[str, Any]:
     """What the patterns' sights feel of the unknowns."""
     table: list[tuple[int, int, int, int, int]] = []
     focal: list[float] = []
@@ -155,8 +155,8 @@ def _sight_tables(
             focal.append(network.images[sight.image].interior.focal_length if sight.kind == IMAGE else 0.0)
             inside = [6 * t for t in range(bases)] + list(range(sight.shared))
             if inside:
-                column, member = int(variables.first[sight.variable]), members.index(sight.variable)
-                entries += [(column + step, member, step) for step in inside]
+                first, place = int(variables.first[sight.variable]), members.index(sight.variable)
+                entries += [(first + step, place, step) for step in inside]
     columns = np.array(table, dtype=np.int64).reshape(-1, 5).T
     column, member, inside_of = np.array(entries, dtype=np.int64).reshape(-1, 3).T
     sizes = [len(sights) for sights in patterns.sights]
@@ -328,7 +328,7 @@ def _attitude(pose: Pose, angles: int) -> tuple[Array, Array]:
     paper = angles == OPK_PAPER
     found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
     chain = rotation.angle_axes(found, camera_to_body=paper)
-    return found, np.linalg.solve(chain, pose.turning[:, :, None])[:, :, 0]
+    return found, np.asarray(np.linalg.solve(chain, pose.turning[:, :, None])[:, :, 0])
 
 
 def _frozen_scale(image: PushbroomImage, pose: Pose, points: Array, slope: Array, model: Model) -> Array:
