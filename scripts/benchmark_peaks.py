@@ -44,17 +44,18 @@ def _chains(width: int) -> Any:
 
         return types.float64(types.int64), generate
 
-    chains = intrinsic(typed)
+    chains: Any = intrinsic(typed)
 
     @njit(nogil=True)
-    def run(rounds):
-        return chains(rounds)
+    def run(rounds: int) -> float:
+        result: float = chains(rounds)
+        return result
 
     return run
 
 
 @njit(nogil=True, fastmath=True)
-def triad(a, b, c, rounds):
+def triad(a: Any, b: Any, c: Any, rounds: int) -> None:
     """a = b + s c, over and over."""
     for number in range(rounds):
         for i in range(a.size):
@@ -85,14 +86,14 @@ def peak_jobs(tile_numbers: int, threads: int) -> dict[tuple[str, int], tuple[Ca
 
     `tile_numbers` is how many a tile's registers hold.
     """
-    jobs = {}
+    jobs: dict[tuple[str, int], tuple[Callable[[], float], float]] = {}
     for count in (1, threads):
         for name, width in WIDTHS.items():
             run = partial(_rounds, _chains(width))
             jobs[name, count] = (partial(together, run, count), 2e-9 * width * CHAINS * ROUNDS * count)
         for name, size in (("nearest", 680), ("near", tile_numbers // 3), ("memory", LARGE // count)):
-            run, work = _runs(size, count)
-            jobs[name, count] = (partial(together, run, count), 1e-9 * work * count)
+            moved, work = _runs(size, count)
+            jobs[name, count] = (partial(together, moved, count), 1e-9 * work * count)
     return jobs
 
 

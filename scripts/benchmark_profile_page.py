@@ -128,8 +128,8 @@ def tables(found: Profile) -> str:
     head = (
         f"Problem {found.problem}: {sum(found.points.values()):,} points ({points}), {found.rays:,} image rays; "
         f"{found.iterations} iterations. {machine()}; {found.threads} threads. Of {found.repeat} tries the median of "
-        "the processor's time, or the least by the clock on the wall where it says so; peaks are the best. The machine was "
-        "shared: compare figures of this page with one another, not with others'."
+        "the processor's time, or the least by the clock on the wall where it says so; peaks are the best. The machine "
+        "was shared: compare figures of this page with one another, not with others'."
     )
     parts = [head, "", "### One iteration", "", *iteration_table(found), "", "### Sweeps of the optimisation", ""]
     parts += [*sweep_table(found), "", "### The machine at its best", "", *peak_table(found), ""]

@@ -90,7 +90,7 @@ def tile_of(layout: Layout, piece: int) -> tuple[Tile, Any]:
 
 
 @lane
-def load(t, w):
+def load(t: Tile, w: Any) -> float:
     """Constants and places from memory into registers."""
     tile.load(t.rows, t.model, t.piece, 0, LANES, w, t.base, t.depth)
     tile.place_points(t.places, t.rows.piece[t.piece, 1], LANES, w)
@@ -98,48 +98,48 @@ def load(t, w):
 
 
 @lane
-def make_rows(t, w):
+def make_rows(t: Tile, w: Any) -> float:
     """Residuals and derivatives of all sights."""
     tile.all_rows(t.rows, t.model, t.piece, t.x, 0, LANES, w, t.base, t.depth)
     return 0.0
 
 
 @lane
-def normal(t, w):
+def normal(t: Tile, w: Any) -> float:
     """The points' own normal equations."""
     tile.normal_equations(t.rows, t.pattern, LANES, w, t.base, t.depth)
     return 0.0
 
 
 @lane
-def factorise(t, w):
+def factorise(t: Tile, w: Any) -> float:
     """Their Cholesky factors."""
     tile.factorise(LANES, w)
     return 0.0
 
 
 @lane
-def move(t, w):
+def move(t: Tile, w: Any) -> float:
     """The step of the inner solve and its length."""
     tile.step_points(LANES, w)
     return tile.largest(LANES, w, SQUARE)
 
 
 @lane
-def store(t, w):
+def store(t: Tile, w: Any) -> float:
     """Places, states and cost back to memory."""
     return store_places(t.rows.piece[t.piece, 1], LANES, w, t.places, t.states)
 
 
 @lane
-def couple(t, w):
+def couple(t: Tile, w: Any) -> float:
     """What each sight's state shares with its point."""
     couple_all(t.rows, t.pattern, LANES, w, t.base, t.depth)
     return 0.0
 
 
 @lane
-def pairs(t, w):
+def pairs(t: Tile, w: Any) -> float:
     """K_ij between the states of two sights, for all pairs."""
     begin, end = tile.sights_of(t.rows, t.pattern)
     for i in range(begin, end):
@@ -152,7 +152,7 @@ def pairs(t, w):
 
 
 @lane
-def sums(t, w):
+def sums(t: Tile, w: Any) -> float:
     """Sums over lanes of K_ij times products of basis values, and of the gradient."""
     begin, end = tile.sights_of(t.rows, t.pattern)
     at, group = 0, t.rows.pattern_group[t.pattern]
@@ -171,14 +171,14 @@ def sums(t, w):
 
 
 @lane
-def spread_sums(t, w):
+def spread_sums(t: Tile, w: Any) -> float:
     """Sums to the blocks of variable pairs, once for all points of a pattern."""
     spread(t.rows, t.groups, t.target, t.pattern, t.sums, t.blocks)
     return 0.0
 
 
 @lane
-def eliminate(t, w):
+def eliminate(t: Tile, w: Any) -> float:
     """couple, pairs and sums as the sweep does them."""
     eliminate_tile(t.rows, t.groups, t.target, t.pattern, LANES, w, t.base, t.depth, t.sums, t.gradient)
     return 0.0

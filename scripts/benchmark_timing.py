@@ -14,7 +14,7 @@ _NORMAL, _FACTORISE = STAGES["normal equations"], STAGES["factorise"]
 
 
 @lane
-def _normal_and_factorise(t, w):
+def _normal_and_factorise(t: Tile, w: Any) -> float:
     """factorise leaves another matrix than it finds: it is only timed after the normal equations."""
     return _NORMAL(t, w) + _FACTORISE(t, w)
 
@@ -22,7 +22,7 @@ def _normal_and_factorise(t, w):
 def _driver(stage: Callable[..., float]) -> Any:
 
     @njit(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-    def again(t, work, calls):
+    def again(t: Tile, work: Any, calls: int) -> float:
         w, total = registers(work), 0.0
         for _ in range(calls):
             total += stage(t, w)
