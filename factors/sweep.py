@@ -148,6 +148,11 @@ def _threads(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
 
 
+def _writable(array: Array) -> Array:
+    """The array itself, or a copy of one that is read-only: to the kernel that would be another type, compiled anew."""
+    return array if array.flags.writeable else array.copy()
+
+
 def sweep_all(
     rows: Rows,
     groups: Groups,
@@ -172,7 +177,8 @@ def sweep_all(
     states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states
     costs = np.empty(rows.piece.shape[0]) if costs is None else costs
     values = np.empty((0, 0, 0)) if values is None else values
-    none = np.empty(0) if joint is None else joint
+    none = np.empty(0) if joint is None else _writable(joint)
+    x, places = _writable(x), _writable(places)
 
     def part(k: int) -> tuple[Array, Array]:
         blocks, gradient = (np.zeros(target.size), np.zeros(target.columns)) if system else (none, none)

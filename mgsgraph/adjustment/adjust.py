@@ -288,8 +288,9 @@ def _sigmas_without_laser(layout: Layout, solved: Solved, sweeper: Sweeper) -> A
     joint = orientation_covariance(graph, reduction)
     covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
     mine = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
-    variances = np.diagonal(covariances, axis1=1, axis2=2)[mine]
-    return np.sqrt(variances).mean(axis=0) if np.any(mine) else None
+    if not np.any(mine):
+        return None
+    return np.array([np.sqrt(covariances[mine, axis, axis]).mean() for axis in range(3)])
 
 
 def versions() -> dict[str, str]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.patterns import Patterns, Variables
 from mgsgraph.errors import InputError
@@ -76,8 +77,8 @@ class _Store:
 class SightPlaces:
     """Where a network's rows are among all t sights."""
 
-    rays: Index
-    """(k,) of each network ray."""
+    rays: NDArray[np.int32]
+    """(k,) of each network ray; a small number, for there are many."""
     ranges: Index
     """(r,) of each network range."""
     heights: Index
@@ -191,11 +192,13 @@ def _by_image(images: Index, count: int) -> list[Index]:
     return np.split(order, np.searchsorted(images[order], np.arange(1, count)))
 
 
-def _fill_rays(network: Network, model: Model, store: _Store, terms: list[int], starts: Array, weight: Array) -> Index:
+def _fill_rays(
+    network: Network, model: Model, store: _Store, terms: list[int], starts: Array, weight: Array
+) -> NDArray[np.int32]:
     """Constants of the image rays; the place of each among all sights."""
     rays = network.rays
     slots = _ranks(rays.point, rays.image)
-    place_among = np.empty(rays.point.size, dtype=np.int64)
+    place_among = np.empty(rays.point.size, dtype=np.int32)
     for j, mine in enumerate(_by_image(rays.image, len(network.images))):
         image, (lines, samples) = network.images[j], rays.places[mine].T
         place, stride, place_among[mine] = store.place(rays.point[mine], slots[mine])
