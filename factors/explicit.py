@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors.lanes import BASIS, BY_POINT, BY_STATE, CARRY, FRONT, LANES, RESIDUAL, STATE_WIDTH
 from mgsgraph.factors.rows import GROUND, IMAGE, NO_LOSS, Groups, Model, Rows, Target
-from mgsgraph.factors.sweep import RESIDUALS, sweep
+from mgsgraph.factors.sweep import RESIDUALS, still, sweep
 from mgsgraph.factors.tile import workspace
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Sight:
     """
 
     def __init__(self, rows: Rows, model: Model) -> None:
-        self._rows, self._model = rows, model._replace(loss=NO_LOSS)
+        self._rows, self._model = still(rows), model._replace(loss=NO_LOSS)
         self._kind, self._width = int(rows.sight_kind[0]), int(rows.sight_width[0])
         self.count = 2 if self._kind == IMAGE else 3 if self._kind == GROUND else 1
         size, self._base, self._depth = workspace(rows)

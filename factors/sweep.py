@@ -148,6 +148,13 @@ def _threads(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
 
 
+def still(rows: Rows) -> Rows:
+    """The rows with a terrain model that is read-only, as the network's is: the kernel is compiled for that alone."""
+    terrain = rows.terrain.view()
+    terrain.flags.writeable = False
+    return rows._replace(terrain=terrain)
+
+
 def _writable(array: Array) -> Array:
     """The array itself, or a copy of one that is read-only: to the kernel that would be another type, compiled anew."""
     return array if array.flags.writeable else array.copy()
@@ -179,6 +186,7 @@ def sweep_all(
     values = np.empty((0, 0, 0)) if values is None else values
     none = np.empty(0) if joint is None else _writable(joint)
     x, places = _writable(x), _writable(places)
+    rows = still(rows)
 
     def part(k: int) -> tuple[Array, Array]:
         blocks, gradient = (np.zeros(target.size), np.zeros(target.columns)) if system else (none, none)

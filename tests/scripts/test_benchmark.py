@@ -283,8 +283,13 @@ def test_sizes_with_the_peer_in_one_run(
     monkeypatch.setattr(benchmark, "ours", ours)
     true_peer = benchmark.run_peer
     monkeypatch.setattr(benchmark, "run_peer", lambda *given: order.append(given[2]) or true_peer(*given))
-    out, page = tmp_path / "out.json", tmp_path / "page.md"
-    given = ("S", "L", "--peer", fake_peer, "--repeat", "3", "--json", out, "--markdown", page, "--gate")
+    out, page, demands = tmp_path / "out.json", tmp_path / "page.md", tmp_path / "demands.json"
+    limits = json.loads((Path(benchmark.__file__).parent / "baseline.json").read_text(encoding="utf-8"))
+    for limit in limits["metrics"].values():
+        limit.pop("value", None)  # the demands alone
+    demands.write_text(json.dumps(limits), encoding="utf-8")
+    given = ("S", "L", "--peer", fake_peer, "--repeat", "3", "--json", out, "--markdown", page)
+    given += ("--gate", "--baseline", demands)
     assert called(monkeypatch, *given) == 1
     # interleaved, and each repeat begins with another
     assert order[:8] == ["ours", "plain", "analytic", "custom", "plain", "analytic", "custom", "ours"]

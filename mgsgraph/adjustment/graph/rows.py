@@ -33,7 +33,6 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import RaySums
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
@@ -108,20 +107,13 @@ def lay_out_rows(network: Network, model: Model, variables: Variables, patterns:
         weight=weight,
         piece=store.piece,
         **_sight_tables(network, variables, patterns, terms),
-        terrain=_posts(grid),
+        terrain=np.zeros((0, 0)) if grid is None else np.ascontiguousarray(grid.radii, dtype=np.float64),
         terrain_frame=np.zeros(4)
         if grid is None
         else np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
         terrain_cell=np.zeros((0, 3), dtype=np.int64) if grid is None else grid.cells(starts[order]),
     )
     return places, rows
-
-
-def _posts(grid: TerrainGrid | None) -> Array:
-    """Radii of the terrain model's posts; read-only with or without one, for the kernel is compiled for one kind."""
-    posts = np.zeros((0, 0)) if grid is None else np.ascontiguousarray(grid.radii, dtype=np.float64)
-    posts.flags.writeable = False
-    return posts
 
 
 def _make_store(network: Network, model: Model, patterns: Patterns, terms: list[int]) -> _Store:
