@@ -11,6 +11,7 @@ import numpy as np
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, point_key, variable_key
 from mgsgraph.adjustment.marginals import JointCovariance, marginals
+from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
@@ -126,7 +127,26 @@ def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCov
     except RuntimeError as error:
         if "Indeterminate" not in str(error):
             raise
-        raise WeakNetwork(*weak_directions(graph.layout, reduction, _POORLY)) from None
+        weak, count = weak_directions(graph.layout, reduction, _POORLY)
+        if count:
+            raise WeakNetwork(weak, count) from None
+        return _in_one_clique(graph.layout, reduction)
+
+
+def _in_one_clique(layout: Layout, reduction: Reduction) -> JointCovariance:
+    """The same by a dense Cholesky factor in prior units.
+
+    GTSAM calls a clique indeterminate when its last two pivots differ by more than 2^12, which ten thousands of ties on
+    two images bring about though every direction is determined.
+    """
+    scales = layout.scales
+    root = np.linalg.cholesky(_scaled_normal(layout, reduction)).T
+    inverse = np.linalg.solve(root, np.eye(scales.size))
+    variables = layout.variables
+    adjusted = np.array(variables.adjusted(), dtype=np.int64)
+    one, all_of_them = np.array([adjusted.size]), (root / scales).ravel()
+    whole = SquareRoot(variables.first.copy(), variables.width.copy(), adjusted, one, one.copy(), all_of_them)
+    return JointCovariance(whole, ((inverse @ inverse.T) * scales[:, None] * scales).ravel())
 
 
 def _marginals(layout: Layout, linear: gtsam.GaussianFactorGraph) -> JointCovariance:
@@ -183,6 +203,14 @@ def weak_directions(layout: Layout, reduction: Reduction, limit: float) -> tuple
 
     Weak is what has an eigenvalue of the normal matrix, in units of `Layout.scales`, below `limit` of the largest.
     """
+    normal = _scaled_normal(layout, reduction)
+    values, vectors = np.linalg.eigh(normal)
+    weak = vectors[:, values < limit * max(values[-1], 1.0)]
+    return [_in_words(layout, weak[:, k]) for k in range(min(weak.shape[1], 2))], weak.shape[1]
+
+
+def _scaled_normal(layout: Layout, reduction: Reduction) -> Array:
+    """(columns, columns) full normal matrix in units of `Layout.scales`."""
     scales = layout.scales
     normal = np.diag(np.where(np.isinf(layout.sigmas), 0.0, 1.0))
     assert reduction.blocks is not None
@@ -193,9 +221,7 @@ def weak_directions(layout: Layout, reduction: Reduction, limit: float) -> tuple
         normal[rows, columns] += block * scales[rows][:, None] * scales[columns]
         if v != w:
             normal[columns, rows] = normal[rows, columns].T
-    values, vectors = np.linalg.eigh(normal)
-    weak = vectors[:, values < limit * max(values[-1], 1.0)]
-    return [_in_words(layout, weak[:, k]) for k in range(min(weak.shape[1], 2))], weak.shape[1]
+    return np.asarray(normal)
 
 
 def _in_words(layout: Layout, direction: Array) -> str:

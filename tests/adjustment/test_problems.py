@@ -10,6 +10,7 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
+from mgsgraph.adjustment.posterior import _in_one_clique, orientation_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.factors.sweep import sweep
@@ -45,6 +46,17 @@ def test_pairwise_hessians_are_the_bundle_factors_system() -> None:
     scale = np.sqrt(np.diag(theirs))
     assert np.abs((mine - theirs) / np.outer(scale, scale)).max() < 1e-7
     np.testing.assert_allclose(right / scale, other / scale, rtol=0.0, atol=1e-6 * np.abs(other / scale).max())
+
+
+def test_the_joint_covariance_in_one_clique_is_the_same() -> None:
+    """What is done where GTSAM calls a clique indeterminate because its last pivots differ by more than 2^12."""
+    layout = lay_out(with_shift_and_surface(network(pair(), (True, False))), SolverSettings())
+    graph = BundleGraph(layout)
+    reduction = graph.reduction(np.zeros(layout.columns))
+    theirs, ours = orientation_covariance(graph, reduction), _in_one_clique(layout, reduction)
+    scale = np.outer(theirs.sigmas, theirs.sigmas)
+    assert np.abs((ours.dense() - theirs.dense()) / scale).max() < 1e-8
+    np.testing.assert_allclose(ours.sigmas, theirs.sigmas, rtol=1e-9)
 
 
 class Parabola:
