@@ -154,7 +154,6 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "lost place": ({"rays": replace(rays(STEREO), places=np.full((5, 2), np.nan))}, "rays, places: nan at [0, 0]"),
     "zero sigma": ({"rays": replace(rays(STEREO), sigmas=np.zeros((5, 2)))}, "image sigmas: 0.0; expected positive"),
     "unknown sigma": ({"rays": replace(rays(STEREO), sigmas=np.full((5, 2), np.nan))}, "image sigmas: nan"),
-    "unseen image": ({"rays": rays([(0, 0), (1, 0)])}, "image I1: no point is measured in it; expected at least one"),
     "negative range sigma": ({"ranges": one_range(sigmas=[-1.0])}, "range sigmas: -1.0; expected positive sigmas"),
     "range to nothing": ({"ranges": one_range(point=[3])}, "ranges, points: index 3 .. 3; expected 0 .. 2"),
     "range from nowhere": ({"ranges": one_range(image=[2])}, "ranges, images: index 2 .. 2; expected 0 .. 1"),

@@ -95,8 +95,19 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
     settings = SolverSettings(**{name: getattr(wanted.solver, name) for name in wanted.solver.__struct_fields__})
     held = np.array([image.held for image in wanted.images])
     network = parts.network(priors, held, *_read_terrain(wanted, folder))
+    _require_seeing_images(network)
     pictures = tuple(folder / image.label if image.label else None for image in wanted.images)
     return Case(wanted.name, path, network, settings, ties, profiles, pictures, fits)
+
+
+def _require_seeing_images(network: Network) -> None:
+    for j in np.flatnonzero(np.bincount(network.rays.image, minlength=len(network.images)) == 0)[:1]:
+        raise InputError(
+            f"image {network.images[j].name}",
+            "no point is measured in it",
+            "at least one tie, laser or control point",
+            "take it out of the case or give it measures",
+        )
 
 
 def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -> Solution:

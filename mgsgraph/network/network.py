@@ -1,140 +1,17 @@
-"""The network: who sees what, with what sigma. Struct of arrays, SI units, body-fixed metres, validated once."""
+"""The network: who sees what, with what sigma. Validated once."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import (
-    Array,
-    Index,
-    Mask,
-    assign,
-    frozen,
-    frozen_index,
-    require_covariances,
-    require_unique,
-)
+from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, ProfileShifts, Ranges, Surface, frozen_mask
 from mgsgraph.ties import PointKind
-
-
-class PointClass(IntEnum):
-    """What a ground point came from."""
-
-    TIE = 0
-    """Tie point."""
-    LASER = 1
-    """Laser footprint."""
-    CONTROL = 2
-    """Ground control point."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GroundPoints:
-    """All ground points of a network."""
-
-    ids: tuple[str, ...]
-    """(n) names, each once."""
-    classes: Index
-    """(n,) PointClass."""
-    kinds: Index
-    """(n,) PointKind."""
-    places: Array
-    """(n, 3) m, body-fixed, a-priori; NaN where unknown."""
-    covariances: Array
-    """(n, 3, 3) m^2, of the a-priori places of constrained points; zero elsewhere."""
-
-    def __post_init__(self) -> None:
-        n = len(self.ids)
-        require_unique(self.ids, "ground points")
-        kinds = frozen_index(self.kinds, "ground points, kinds", n, len(PointKind))
-        places = np.array(self.places, dtype=np.float64)
-        if places.shape != (n, 3):
-            raise InputError("ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
-        for i in np.flatnonzero(np.any(np.isinf(places), axis=1))[:1]:
-            raise InputError(f"ground point {self.ids[i]}", "an infinite place", "metres, or NaN where unknown")
-        known = np.all(np.isfinite(places), axis=1)
-        for i in np.flatnonzero((kinds != PointKind.FREE) & ~known)[:1]:
-            raise InputError(f"ground point {self.ids[i]}", "no a-priori place", "one for a constrained or fixed point")
-        covariances = frozen(self.covariances, "ground points, covariances", (n, 3, 3))
-        require_covariances(covariances, kinds == PointKind.CONSTRAINED, self.ids, "ground points")
-        places.flags.writeable = False
-        classes = frozen_index(self.classes, "ground points, classes", n, len(PointClass))
-        assign(self, classes=classes, kinds=kinds, places=places, covariances=covariances)
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-
-def _frozen_mask(value: ArrayLike, where: str, size: int) -> Mask:
-    mask = np.array(value, dtype=np.bool_)
-    if mask.shape != (size,):
-        raise InputError(where, f"marks of shape {mask.shape}", f"one for each of {size}")
-    mask.flags.writeable = False
-    return mask
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImageRays:
-    """Image coordinates of points: one ray each."""
-
-    point: Index
-    """(k,) ground point."""
-    image: Index
-    """(k,) image."""
-    places: Array
-    """(k, 2) line, sample."""
-    sigmas: Array
-    """(k, 2) pixels, positive."""
-    back_projected: Mask | None = None
-    """(k,) True for places that are projections with the nominal orientation: they repeat the prior as if measured."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Ranges:
-    """Laser ranges, each from the place of one image's camera at the shot's time."""
-
-    point: Index
-    """(r,) ground point."""
-    image: Index
-    """(r,) image whose orientation carries the range."""
-    times: Array
-    """(r,) s TDB past J2000."""
-    values: Array
-    """(r,) m, one-way."""
-    sigmas: Array
-    """(r,) m, positive."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ProfileShifts:
-    """Unknown horizontal shifts, one per laser profile: to be added to its footprints' a-priori places."""
-
-    names: tuple[str, ...]
-    """(p) profiles."""
-    profile: Index
-    """(n,) profile of each ground point; -1 for none. Its points are constrained."""
-    sigmas: Array
-    """(p,) m, a-priori, eastward and northward alike."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """A terrain model as control: chosen points lie on it."""
-
-    grid: TerrainGrid
-    """Radii."""
-    sigmas: Array
-    """(n,) m, of each point's height above the terrain; infinite for points without such a row."""
-    shift_sigma: float = 0.0
-    """m, a-priori sigma of the model's own horizontal place, eastward and northward alike: an unknown that all its
-    points share; 0 for none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +44,7 @@ class Network:
         require_unique(tuple(image.name for image in self.images), "images")
         if len(self.priors) != m:
             raise InputError("network", f"{len(self.priors)} orientation priors", f"one for each of {m} images")
-        held = _frozen_mask(self.held, "network, held", m)
+        held = frozen_mask(self.held, "network, held", m)
         if len({image.body for image in self.images}) > 1:
             raise InputError("network", "images of different bodies", "one body", "check the radii of the support data")
         k, r = np.size(self.rays.point), np.size(self.ranges.point)
@@ -181,7 +58,7 @@ class Network:
             frozen_index(self.rays.image, "rays, images", k, m),
             frozen(self.rays.places, "rays, places", (k, 2)),
             sigmas,
-            _frozen_mask(np.zeros(k) if self.rays.back_projected is None else self.rays.back_projected, "rays", k),
+            frozen_mask(np.zeros(k) if self.rays.back_projected is None else self.rays.back_projected, "rays", k),
         )
         ranges = Ranges(
             frozen_index(self.ranges.point, "ranges, points", r, n),
@@ -193,7 +70,6 @@ class Network:
         assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shifts_and_surface()
         self._require_shots_covered()
-        self._require_seeing_images()
 
     def _require_shifts_and_surface(self) -> None:
         n = len(self.points)
@@ -227,17 +103,6 @@ class Network:
             worst = mine[np.argmax(np.maximum(start - since, since - stop))]
             where = f"laser shot {self.points.ids[self.ranges.point[worst]]}, image {self.images[j].name}"
             trajectory.require(self.ranges.times[[worst]] - trajectory.epoch, where)
-
-    def _require_seeing_images(self) -> None:
-        seen = np.zeros(len(self.images), dtype=np.bool_)
-        seen[self.rays.image] = True
-        for j in np.flatnonzero(~seen)[:1]:
-            raise InputError(
-                f"image {self.images[j].name}",
-                "no point is measured in it",
-                "at least one tie, laser or control point",
-                "take it out of the case or give it measures",
-            )
 
     @property
     def shift_names(self) -> tuple[str, ...]:

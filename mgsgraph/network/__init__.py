@@ -1,0 +1,9 @@
+"""The network of an adjustment, its parts, and how its images hang together."""
+
+from mgsgraph.network.network import Network as Network
+from mgsgraph.network.records import GroundPoints as GroundPoints
+from mgsgraph.network.records import ImageRays as ImageRays
+from mgsgraph.network.records import PointClass as PointClass
+from mgsgraph.network.records import ProfileShifts as ProfileShifts
+from mgsgraph.network.records import Ranges as Ranges
+from mgsgraph.network.records import Surface as Surface

@@ -1,0 +1,134 @@
+"""What a network is made of: points, rays, ranges, shifts, terrain. Struct of arrays, SI units, body-fixed metres."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import (
+    Array,
+    Index,
+    Mask,
+    assign,
+    frozen,
+    frozen_index,
+    require_covariances,
+    require_unique,
+)
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.ties import PointKind
+
+
+class PointClass(IntEnum):
+    """What a ground point came from."""
+
+    TIE = 0
+    """Tie point."""
+    LASER = 1
+    """Laser footprint."""
+    CONTROL = 2
+    """Ground control point."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundPoints:
+    """All ground points of a network."""
+
+    ids: tuple[str, ...]
+    """(n) names, each once."""
+    classes: Index
+    """(n,) PointClass."""
+    kinds: Index
+    """(n,) PointKind."""
+    places: Array
+    """(n, 3) m, body-fixed, a-priori; NaN where unknown."""
+    covariances: Array
+    """(n, 3, 3) m^2, of the a-priori places of constrained points; zero elsewhere."""
+
+    def __post_init__(self) -> None:
+        n = len(self.ids)
+        require_unique(self.ids, "ground points")
+        kinds = frozen_index(self.kinds, "ground points, kinds", n, len(PointKind))
+        places = np.array(self.places, dtype=np.float64)
+        if places.shape != (n, 3):
+            raise InputError("ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
+        for i in np.flatnonzero(np.any(np.isinf(places), axis=1))[:1]:
+            raise InputError(f"ground point {self.ids[i]}", "an infinite place", "metres, or NaN where unknown")
+        known = np.all(np.isfinite(places), axis=1)
+        for i in np.flatnonzero((kinds != PointKind.FREE) & ~known)[:1]:
+            raise InputError(f"ground point {self.ids[i]}", "no a-priori place", "one for a constrained or fixed point")
+        covariances = frozen(self.covariances, "ground points, covariances", (n, 3, 3))
+        require_covariances(covariances, kinds == PointKind.CONSTRAINED, self.ids, "ground points")
+        places.flags.writeable = False
+        classes = frozen_index(self.classes, "ground points, classes", n, len(PointClass))
+        assign(self, classes=classes, kinds=kinds, places=places, covariances=covariances)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def frozen_mask(value: ArrayLike, where: str, size: int) -> Mask:
+    mask = np.array(value, dtype=np.bool_)
+    if mask.shape != (size,):
+        raise InputError(where, f"marks of shape {mask.shape}", f"one for each of {size}")
+    mask.flags.writeable = False
+    return mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageRays:
+    """Image coordinates of points: one ray each."""
+
+    point: Index
+    """(k,) ground point."""
+    image: Index
+    """(k,) image."""
+    places: Array
+    """(k, 2) line, sample."""
+    sigmas: Array
+    """(k, 2) pixels, positive."""
+    back_projected: Mask | None = None
+    """(k,) True for places that are projections with the nominal orientation: they repeat the prior as if measured."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ranges:
+    """Laser ranges, each from the place of one image's camera at the shot's time."""
+
+    point: Index
+    """(r,) ground point."""
+    image: Index
+    """(r,) image whose orientation carries the range."""
+    times: Array
+    """(r,) s TDB past J2000."""
+    values: Array
+    """(r,) m, one-way."""
+    sigmas: Array
+    """(r,) m, positive."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProfileShifts:
+    """Unknown horizontal shifts, one per laser profile: to be added to its footprints' a-priori places."""
+
+    names: tuple[str, ...]
+    """(p) profiles."""
+    profile: Index
+    """(n,) profile of each ground point; -1 for none. Its points are constrained."""
+    sigmas: Array
+    """(p,) m, a-priori, eastward and northward alike."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A terrain model as control: chosen points lie on it."""
+
+    grid: TerrainGrid
+    """Radii."""
+    sigmas: Array
+    """(n,) m, of each point's height above the terrain; infinite for points without such a row."""
+    shift_sigma: float = 0.0
+    """m, a-priori sigma of the model's own horizontal place, eastward and northward alike: an unknown that all its
+    points share; 0 for none."""
