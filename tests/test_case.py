@@ -1,16 +1,21 @@
 """Case files: what they say becomes a network; what is wrong in them is said in one line with its path."""
 
+import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import mgsgraph
+from mgsgraph.campaign.inputs import checksums
+from mgsgraph.case.groups import merged
 from mgsgraph.errors import InputError
-from mgsgraph.network import PointClass
-from mgsgraph.ties import PointKind
+from mgsgraph.network import Network, PointClass
+from mgsgraph.network.connectivity import islands
+from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import MRAD
 
 Edit = Callable[[str], str]
@@ -170,9 +175,172 @@ def test_the_same_id_in_two_files(case_file: Path) -> None:
         mgsgraph.read_case(edited(case_file, add('[ground_control]\nfile = "points.gcp"')))
 
 
+# --- groups
+
+
+def split_network(case_file: Path, share: Callable[[int, str], tuple[bool, bool]]) -> Path:
+    """The case's network as two files, a.pvl and b.pvl; `share` says of a measure (point's number, image) which get it.
+
+    Sigmas go, so that the case's ones count. The case becomes one of two groups of ties.
+    """
+    text = case_file.with_name("network.pvl").read_text(encoding="utf-8")
+    text = re.sub(r"\n\s*(Line|Sample)Sigma\s*=.*", "", text)
+    head, *blocks = re.split(r"(?=\n +Object = ControlPoint\n)", text)
+    tail = blocks[-1][re.search(r"End_Object(?=\s*End_Object)", blocks[-1]).end() :]  # type: ignore[union-attr]
+    blocks[-1] = blocks[-1].removesuffix(tail)
+    for which, name in enumerate(("a.pvl", "b.pvl")):
+        kept = []
+        for i, block in enumerate(blocks):
+            def chosen(match: re.Match[str], i: int = i, which: int = which) -> str:
+                image = re.search(r"SerialNumber\s*=\s*\"?([^\s\"]+)", match[0])
+                assert image
+                return match[0] if share(i, image[1])[which] else ""
+
+            block = re.sub(r"\n\s*Group = ControlMeasure.*?End_Group", chosen, block, flags=re.DOTALL)
+            kept += [block] if "ControlMeasure" in block else []
+        case_file.with_name(name).write_text(head + "".join(kept) + tail, encoding="utf-8")
+    groups = '[[ties]]\nnetwork = "a.pvl"\nsigma_px = 0.5\n\n[[ties]]\nnetwork = "b.pvl"\nsigma_px = 2.0\n\n'
+    return edited(case_file, lambda text: re.sub(r"\[ties\][^\[]*", groups, text))
+
+
+def same(net: Network, other: Network) -> None:
+    """The same points and rays, whatever their order."""
+    for one in (net, other):
+        assert len(set(one.points.ids)) == len(one.points)
+    rows = [
+        sorted(
+            (one.points.ids[i], int(j), *place)
+            for i, j, place in zip(one.rays.point, one.rays.image, one.rays.places.tolist(), strict=True)
+        )
+        for one in (net, other)
+    ]
+    assert rows[0] == rows[1]
+    assert sorted(net.points.ids) == sorted(other.points.ids)
+
+
+@pytest.mark.parametrize("rule", ["by point", "by image"])
+def test_two_networks_are_one_with_two_sigmas(case_file: Path, rule: str) -> None:
+    """Points shared out between two files, or each point's measures: in both cases the points of the one file."""
+    whole = mgsgraph.read_case(case_file).network
+
+    def share(i: int, image: str) -> tuple[bool, bool]:
+        first = i < 5 if rule == "by point" else image == "SIM/A"
+        return first, not first
+
+    case = mgsgraph.read_case(split_network(case_file, share))
+    net = case.network
+    same(net, whole)
+    tie = net.points.classes[net.rays.point] == PointClass.TIE
+    number = {name: i for i, name in enumerate(whole.points.ids)}
+    for k in np.flatnonzero(tie):
+        image = net.images[net.rays.image[k]].name
+        first, _ = share(number[net.points.ids[net.rays.point[k]]], image)
+        assert net.rays.sigmas[k].tolist() == ([0.5, 0.5] if first else [2.0, 2.0])
+    assert case.ties is not None
+    assert len(case.ties.ids) == 20
+    assert "a.pvl" in case.ties.source
+    assert "b.pvl" in case.ties.source
+
+
+def test_an_image_has_its_own_sigma(case_file: Path) -> None:
+    path = split_network(case_file, lambda i, _: (i < 5, i >= 5))
+    edited(path, swap('isd = "image_B.isd"', 'isd = "image_B.isd"\nmeasure_sigma_px = 7.0'))
+    net = mgsgraph.read_case(path).network
+    tie = net.points.classes[net.rays.point] == PointClass.TIE
+    second = net.rays.image == 1
+    assert set(net.rays.sigmas[tie & second].ravel()) == {7.0}
+    assert set(net.rays.sigmas[tie & ~second].ravel()) == {0.5, 2.0}
+    assert set(net.rays.sigmas[~tie].ravel()) == {5.0}  # the shots' own
+
+
+def test_the_files_own_sigma_comes_first(case_file: Path) -> None:
+    edited(case_file, swap('isd = "image_B.isd"', 'isd = "image_B.isd"\nmeasure_sigma_px = 7.0'))
+    net = mgsgraph.read_case(case_file).network
+    assert 7.0 not in net.rays.sigmas
+
+
+def test_a_measure_in_two_networks(case_file: Path) -> None:
+    path = split_network(case_file, lambda i, _: (i < 5, i >= 4))
+    with pytest.raises(InputError, match=r"b\.pvl, point .*, image SIM/A: a measure that .*a\.pvl has too"):
+        mgsgraph.read_case(path)
+
+
+def test_errors_in_one_of_two_networks_name_it(case_file: Path) -> None:
+    path = split_network(case_file, lambda i, _: (i < 5, i >= 5))
+    other = path.with_name("b.pvl")
+    other.write_text(other.read_text(encoding="utf-8").replace("SIM/B", "SIM/X", 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"b\.pvl, point .*: the image 'SIM/X'.*SIM/A") as caught:
+        mgsgraph.read_case(path)
+    assert "a.pvl" not in str(caught.value)
+
+
+def test_two_groups_of_shots(case_file: Path) -> None:
+    """One lidar file as two, the second half with other sigmas; `--no-laser` leaves out both."""
+    table = json.loads(case_file.with_name("lidar.json").read_text(encoding="utf-8"))
+    groups = ""
+    for name, part, sigma in (("one.json", slice(0, 3), 4.0), ("two.json", slice(3, None), 9.0)):
+        text = json.dumps({"points": table["points"][part]})
+        case_file.with_name(name).write_text(text, encoding="utf-8")
+        groups += f'[[laser]]\nfile = "{name}"\nimage_sigma_px = {sigma}\nrange_sigma_m = {10.0 * sigma}\n\n'
+    whole = mgsgraph.read_case(case_file).network
+    path = edited(case_file, lambda text: re.sub(r"\[laser\][^\[]*", groups, text))
+    net = mgsgraph.read_case(path).network
+    same(net, whole)
+    np.testing.assert_array_equal(net.ranges.sigmas, [40.0] * 3 + [90.0] * 5)
+    laser = net.points.classes[net.rays.point] == PointClass.LASER
+    assert set(net.rays.sigmas[laser].ravel()) == {4.0, 9.0}
+    assert mgsgraph.read_case(path, laser=False).network.ranges.point.size == 0
+    assert {"one.json", "two.json", "network.pvl"} <= set(checksums(path))
+
+
+def tie_points(source: str, kind: PointKind, place: float, sigma: float = 1.0, image: str = "I") -> TiePoints:
+    free = kind == PointKind.FREE
+    return TiePoints(
+        source, ("P",), [kind], [[place, 0.0, 0.0]], [np.zeros((3, 3)) if free else sigma**2 * np.eye(3)], [0],
+        (image,), [[1.0, 1.0]], [[1.0, 1.0]],
+    )  # type: ignore[arg-type]
+
+
+def test_what_two_networks_know_of_a_point() -> None:
+    """The one that knows its place counts; two that contradict each other are refused."""
+    guess, known = tie_points("a", PointKind.FREE, 5.0), tie_points("b", PointKind.CONSTRAINED, 7.0, image="J")
+    nothing = tie_points("a", PointKind.FREE, np.nan)
+    for groups in ([guess, known], [known, guess], [nothing, known]):
+        one = merged(groups)
+        assert (one.kinds.tolist(), one.places[0, 0], len(one.measure_image)) == ([PointKind.CONSTRAINED], 7.0, 2)
+    assert merged([nothing, replace(guess, measure_image=("J",))]).places[0, 0] == 5.0
+    for other in (tie_points("c", PointKind.CONSTRAINED, 7.1), tie_points("c", PointKind.FIXED, 7.0),
+                  tie_points("c", PointKind.CONSTRAINED, 7.0, sigma=2.0)):  # fmt: skip
+        with pytest.raises(InputError, match=r"c, point P: .*expected what b says of it"):
+            merged([known, other])
+
+
+WRONG_GROUPS: dict[str, tuple[tuple[Edit, ...], str]] = {
+    "sigma of the second group": (
+        (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'), swap("sigma_px = 1.0", "sigma_px = 0")),
+        r"ties\[1\].sigma_px",
+    ),
+    "the same network twice": (
+        (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'),), r"a measure that .*network.pvl has too"
+    ),
+    "the same shots twice": (
+        (swap("[laser]", '[[laser]]\nfile = "lidar.json"\n\n[[laser]]'),), r"lidar.json: the id .* has too"
+    ),
+    "an image's sigma": ((swap('isd = "image_A', 'measure_sigma_px = -1\nisd = "image_A'),), r"measure_sigma_px"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", WRONG_GROUPS)
+def test_wrong_groups_are_said_in_one_line(case_file: Path, fault: str) -> None:
+    edits, said = WRONG_GROUPS[fault]
+    with pytest.raises(InputError, match=said) as caught:
+        mgsgraph.read_case(edited(case_file, *edits))
+    assert "\n" not in str(caught.value)
+
+
 def test_the_real_case(shared_data: Path) -> None:
     case = mgsgraph.read_case(Path(__file__).parents[1] / "scripts" / "cases" / "lro_nac_lola.toml")
     counts = {name: members.size for name, members in case.network.of_class()}
     assert counts == {PointClass.TIE: 311, PointClass.LASER: 52}
     assert case.network.ranges.point.size == 52
-    assert len(case.network.islands()) == 1
+    assert len(islands(case.network)) == 1

@@ -12,6 +12,7 @@ from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network.connectivity import common_points, islands
 from mgsgraph.simulation.pair import simulate_pair
 from mgsgraph.ties import PointKind
 
@@ -94,8 +95,8 @@ def test_islands() -> None:
     """Images 0-2-4 hang together in a chain, 1-3 in a pair, 5 is alone."""
     net = network([(0, 0), (0, 2), (1, 2), (1, 4), (2, 1), (2, 3), (3, 5)], among=6)
 
-    assert net.islands() == [[0, 2, 4], [1, 3], [5]]
-    common = net.common_points()
+    assert islands(net) == [[0, 2, 4], [1, 3], [5]]
+    common = common_points(net)
     np.testing.assert_array_equal(np.diag(common), [1, 1, 2, 1, 1, 1])
     assert (common[0, 2], common[2, 4], common[0, 4], common[1, 3]) == (1, 1, 0, 1)
 
@@ -117,11 +118,11 @@ def test_common_points_and_islands_are_those_of_the_table(drawn: tuple[int, list
     table = np.zeros((8, images), dtype=int)
     for point, image in pairs:
         table[point, image] = 1
-    np.testing.assert_array_equal(net.common_points(), table.T @ table)
+    np.testing.assert_array_equal(common_points(net), table.T @ table)
 
     reach = np.linalg.matrix_power((table.T @ table > 0).astype(int), images) > 0
-    assert {frozenset(group) for group in net.islands()} == {frozenset(np.flatnonzero(row).tolist()) for row in reach}
-    sizes = [len(group) for group in net.islands()]
+    assert {frozenset(group) for group in islands(net)} == {frozenset(np.flatnonzero(row).tolist()) for row in reach}
+    sizes = [len(group) for group in islands(net)]
     assert sizes == sorted(sizes, reverse=True)
 
 

@@ -14,7 +14,7 @@ TABLE = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 FOLDERS = {"mgsgraph": ROOT / "mgsgraph", "mgsgraph.factors": ROOT / "factors"}
 STOREYS = [
     ("mgsgraph.cli",),
-    ("mgsgraph.campaign",),
+    ("mgsgraph.campaign", "mgsgraph.project"),
     ("mgsgraph.products",),
     ("mgsgraph.case",),
     ("mgsgraph.adjustment",),
@@ -31,8 +31,10 @@ ONLY_IN = {
     "numba": ("mgsgraph.factors",),
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),
+    "shapely": ("mgsgraph.geometry",),
     "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.products"),
-    "msgspec": ("mgsgraph.campaign", "mgsgraph.case", "mgsgraph.products"),
+    "msgspec": ("mgsgraph.campaign", "mgsgraph.case", "mgsgraph.products", "mgsgraph.project"),
+    "sqlite3": ("mgsgraph.project",),
     "dask": ("mgsgraph.adjustment.cluster",),
     "distributed": ("mgsgraph.adjustment.cluster",),
 }

@@ -10,6 +10,7 @@ import numpy as np
 
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
+from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.passes import (
@@ -32,9 +33,9 @@ from mgsgraph.adjustment.posterior import (
 )
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError, PointBehindCamera
+from mgsgraph.errors import InputError
 from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.rows import BEHIND, FIXED, PRIOR, WEAK
+from mgsgraph.factors.rows import FIXED, PRIOR
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, PointClass
 
@@ -155,44 +156,17 @@ def _nominal(layout: Layout, sweeper: Sweeper = IN_PROCESS) -> tuple[Selection, 
     selection = everything(layout.network)
     nominal = np.zeros(layout.columns)
     before = BundleGraph(layout, selection.rows(layout), sweeper).reduction(nominal)
-    strong = _without_weak(layout, before, selection)
+    strong = without_weak(layout, before, selection)
+    if np.all(strong.out):
+        raise InputError(
+            "network",
+            f"none of {len(layout.network.points)} points is determined by its rays",
+            "points seen from two sides, or with an a-priori place",
+        )
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)
     return selection, before
-
-
-def _without_weak(layout: Layout, reduction: Reduction, selection: Selection) -> Selection:
-    """Leave out points whose rays determine no place; refuse points behind a camera."""
-    network = layout.network
-    behind = np.flatnonzero(reduction.states == BEHIND)
-    if behind.size:
-        raise _behind(layout, int(behind[0]), reduction.points[behind[0]])
-    out = selection.out.copy()
-    out[layout.point_order[reduction.states == WEAK]] = True
-    if np.all(out):
-        raise InputError(
-            "network",
-            f"none of {len(network.points)} points is determined by its rays",
-            "points seen from two sides, or with an a-priori place",
-        )
-    return Selection(selection.rays, selection.ranges, out)
-
-
-def _behind(layout: Layout, place: int, point: Array) -> PointBehindCamera:
-    """The error for a point (place in the layout) that lies behind a camera: names point and image."""
-    network, i = layout.network, int(layout.point_order[place])
-    for k in np.flatnonzero(network.rays.point == i):
-        image = network.images[network.rays.image[k]]
-        pose = image.pose(network.rays.places[[k], 0])
-        if (pose.matrix[0] @ (point - pose.position[0]))[2] <= 0.0:
-            break
-    return PointBehindCamera(
-        f"point {network.points.ids[i]}, image {image.name}",
-        "the point lies behind the camera",
-        "a point before it",
-        "check the point's a-priori place, the measure and the image's orientation",
-    )
 
 
 def _posterior(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from mgsgraph.case.schema import CaseInput, LaserInput, decode
+from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.errors import InputError
 
 _BESIDE = (".lbl", ".img", ".imq", ".cub")
@@ -35,12 +35,10 @@ def _named(wanted: CaseInput) -> Iterator[str]:
     """Every path in a case file but those of kernels."""
     for image in wanted.images:
         yield from (name for name in (image.isd, image.label) if name is not None)
-    if wanted.ties is not None:
-        yield wanted.ties.network
+    yield from (group.network for group in wanted.tie_groups)
     if wanted.ground_control is not None:
         yield wanted.ground_control.file
-    if isinstance(wanted.laser, LaserInput):
-        yield wanted.laser.file
+    yield from (group.file for group in wanted.laser_groups)
     for profile in wanted.mola:
         yield profile.pedr
         yield from (name for name in (profile.leap_seconds,) if name is not None)

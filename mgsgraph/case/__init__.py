@@ -14,7 +14,8 @@ from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.assembly import Parts
-from mgsgraph.case.schema import CaseInput, ImageInput, LaserInput, MolaInput, OrientationInput, decode
+from mgsgraph.case.groups import merged, with_sigmas
+from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, OrientationInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
@@ -44,7 +45,7 @@ class Case:
     settings: SolverSettings
     """How to solve it."""
     ties: TiePoints | None = None
-    """Tie points as read."""
+    """Tie points of all control networks, those of the same id made one, a sigma for every measure."""
     profiles: tuple[AltimeterShots, ...] = ()
     """Shots of each MOLA profile that take part."""
     pictures: tuple[Path | None, ...] = ()
@@ -83,9 +84,9 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
         for j, orientation in enumerate(orientations)
     )
     parts = Parts(images)
-    ties = read_control_network(folder / wanted.ties.network) if wanted.ties else None
-    if ties and wanted.ties:
-        parts.add_points(ties, PointClass.TIE, wanted.ties.sigma_px)
+    ties = _read_ties(wanted, parts, folder)
+    if ties:
+        parts.add_points(ties, PointClass.TIE, 1.0)
     if wanted.ground_control:
         control = read_ground_control(folder / wanted.ground_control.file, images[0].body)
         parts.add_points(control, PointClass.CONTROL, 1.0)
@@ -154,12 +155,25 @@ def _read_image(entry: ImageInput, wanted: CaseInput, folder: Path, where: str) 
     )
 
 
+def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> TiePoints | None:
+    """Tie points of all control networks; each file is checked by itself, so that errors name it."""
+    of_images = {
+        image.name: image.measure_sigma_px for image in wanted.images if image.measure_sigma_px is not None
+    }
+    groups = []
+    for entry in wanted.tie_groups:
+        group = with_sigmas(read_control_network(folder / entry.network), entry.sigma_px, of_images)
+        parts.require_measures(group)
+        groups.append(group)
+    return merged(groups) if groups else None
+
+
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
     """Shots of ISIS lidar files and of MOLA profiles; those of the latter are returned."""
     if wanted.laser is True:
-        raise InputError(f"{path}, laser", "true", "false, or a table with the shots' file")
-    if isinstance(wanted.laser, LaserInput):
-        parts.add_profile(read_lidar(path.parent / wanted.laser.file), wanted.laser)
+        raise InputError(f"{path}, laser", "true", "false, or a table (or several) with the shots' file")
+    for group in wanted.laser_groups:
+        parts.add_profile(read_lidar(path.parent / group.file), group)
     return tuple(parts.add_mola(_read_shots(entry, path.parent), entry) for entry in wanted.mola)
 
 

@@ -1,5 +1,6 @@
 """Points, rays, ranges, shifts and terrain of several files, gathered into one network."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,10 @@ class Parts:
         self._ranges: list[tuple[NDArray[Any], ...]] = []
         self._back_projected: list[Mask] = []
         self._shifts: list[tuple[str, float, Index]] = []
+
+    def require_measures(self, points: TiePoints) -> None:
+        """Raise InputError unless all measures of a control network lie on images of the case."""
+        self._located(points.ids, points.measure_point, points.measure_image, points.measures, points.source)
 
     def add_points(self, points: TiePoints, point_class: PointClass, sigma: float) -> None:
         """Points and measures of a control network or ground control file; `sigma` (px) where the file has none."""
@@ -199,21 +204,26 @@ class Parts:
     def _add_rays(
         self, first: int, point: Index, names: tuple[str, ...], places: Array, sigmas: Array, source: str
     ) -> None:
-        where = {name: k for k, name in reversed(list(enumerate(names)))}
-        index = {
-            name: self._image(name, f"{source}, point {self.ids[first + int(point[k])]}") for name, k in where.items()
-        }
-        image = np.array([index[name] for name in names], dtype=np.int64)
-        self._require_inside(image, places, point + first, source)
+        image = self._located(self.ids[first:], point, names, places, source)
         self._rays.append((point + first, image, places, sigmas))
         self._back_projected.append(np.zeros(image.size, dtype=bool))
 
-    def _require_inside(self, image: Index, places: Array, point: Index, source: str) -> None:
+    def _located(
+        self, ids: Sequence[str], point: Index, names: tuple[str, ...], places: Array, source: str
+    ) -> Index:
+        """Indices (k,) of the images in which points were measured; all of them are there, and hold their measures."""
+        where = {name: k for k, name in reversed(list(enumerate(names)))}
+        index = {name: self._image(name, f"{source}, point {ids[int(point[k])]}") for name, k in where.items()}
+        image = np.array([index[name] for name in names], dtype=np.int64)
+        self._require_inside(ids, image, places, point, source)
+        return image
+
+    def _require_inside(self, ids: Sequence[str], image: Index, places: Array, point: Index, source: str) -> None:
         """Measures lie on their image."""
         size = np.array([(im.lines, im.samples) for im in self._images], dtype=np.float64)[image]
         for k in np.flatnonzero(np.any((places < 0.0) | (places > size), axis=1))[:1]:
             raise InputError(
-                f"{source}, point {self.ids[int(point[k])]}, image {self._images[image[k]].name}",
+                f"{source}, point {ids[int(point[k])]}, image {self._images[image[k]].name}",
                 f"line {places[k, 0] + 0.5:g}, sample {places[k, 1] + 0.5:g} (counted from 1)",
                 f"a place inside {size[k, 0]:g} lines x {size[k, 1]:g} samples",
             )

@@ -20,7 +20,6 @@ FORMAT = 1
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Sigma = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]
 """Standard deviations that mean something: a micropixel or a micrometre to a million kilometres."""
-FORMAT = 1
 
 
 class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -83,6 +82,8 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Who observed whom when that table was made."""
     orientation: OrientationInput | None = None
     """Sigmas of this image alone."""
+    measure_sigma_px: Sigma | None = None
+    """Sigma of tie points' line and sample in this image where the network doesn't say; the group's when absent."""
 
 
 class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -91,7 +92,7 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     network: str
     """ISIS control network, PVL."""
     sigma_px: Sigma = 1.0
-    """Sigma of line and sample where the network doesn't say."""
+    """Sigma of line and sample where neither the network nor the image ([[images]], measure_sigma_px) says."""
 
 
 class ControlInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -193,12 +194,12 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """All images."""
     orientation: OrientationInput = OrientationInput()
     """For images without sigmas of their own."""
-    ties: TiesInput | None = None
-    """Tie points."""
+    ties: TiesInput | tuple[TiesInput, ...] = ()
+    """Tie points: one table, [ties], or several, [[ties]], each a group with its own sigma."""
     ground_control: ControlInput | None = None
     """Ground control points."""
-    laser: LaserInput | bool = False
-    """Laser shots; false leaves them out."""
+    laser: LaserInput | tuple[LaserInput, ...] | bool = False
+    """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false leaves all out."""
     mola: tuple[MolaInput, ...] = ()
     """Laser profiles of MOLA."""
     terrain: TerrainInput | None = None
@@ -207,6 +208,18 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """SPICE kernels."""
     solver: SolverInput = SolverInput()
     """Choices of the solver."""
+
+    @property
+    def tie_groups(self) -> tuple[TiesInput, ...]:
+        """Control networks."""
+        return (self.ties,) if isinstance(self.ties, TiesInput) else self.ties
+
+    @property
+    def laser_groups(self) -> tuple[LaserInput, ...]:
+        """Files of laser shots."""
+        if isinstance(self.laser, LaserInput):
+            return (self.laser,)
+        return self.laser if isinstance(self.laser, tuple) else ()
 
 
 def decode(path: Path) -> CaseInput:

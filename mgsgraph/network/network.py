@@ -110,6 +110,13 @@ class Network:
         profiles = self.shifts.names if self.shifts else ()
         return (*profiles, "terrain model") if self.terrain_moves else profiles
 
+    def shift_sigma(self, name: str) -> float:
+        """A-priori sigma, m, of one of these shifts, eastward and northward alike."""
+        if self.shifts is not None and name in self.shifts.names:
+            return float(self.shifts.sigmas[self.shifts.names.index(name)])
+        assert self.surface is not None
+        return self.surface.shift_sigma
+
     @property
     def terrain_moves(self) -> bool:
         """Whether the terrain model has an unknown shift of its own."""
@@ -124,34 +131,6 @@ class Network:
     def undetermined(self) -> Mask:
         """(n,) True for free points with fewer than two rays; they stay out, with a range or without."""
         return np.asarray((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
-
-    def common_points(self) -> Index:
-        """(images, images) number of points seen by both; on the diagonal, seen by the image."""
-        m = len(self.images)
-        # a table of points x images would outgrow the memory: go through the pairs of each point's rays
-        point, image = np.divmod(np.unique(self.rays.point * m + self.rays.image), m)
-        common = np.zeros(m * m, dtype=np.int64)
-        for lag in range(m):
-            first, second = slice(0, point.size - lag), slice(lag, None)
-            same = point[first] == point[second]
-            if not np.any(same):
-                break
-            common += np.bincount(image[first][same] * m + image[second][same], minlength=m * m)
-        table = common.reshape(m, m)
-        return table + np.triu(table, 1).T
-
-    def islands(self) -> list[list[int]]:
-        """Groups of images that hang together by common points, largest first; more than one means a broken block."""
-        joined = self.common_points() > 0
-        left, groups = set(range(len(self.images))), []
-        while left:
-            group, front = set[int](), {min(left)}
-            while front:
-                group |= front
-                front = {int(j) for i in front for j in np.flatnonzero(joined[i])} - group
-            left -= group
-            groups.append(sorted(group))
-        return sorted(groups, key=len, reverse=True)
 
     def of_class(self) -> Iterator[tuple[PointClass, Index]]:
         """Each class that occurs, with the indices of its points."""

@@ -70,6 +70,7 @@ class GroundPoints:
 
 
 def frozen_mask(value: ArrayLike, where: str, size: int) -> Mask:
+    """Read-only marks (size,); `where` names them in errors."""
     mask = np.array(value, dtype=np.bool_)
     if mask.shape != (size,):
         raise InputError(where, f"marks of shape {mask.shape}", f"one for each of {size}")

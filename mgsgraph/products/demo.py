@@ -16,7 +16,6 @@ from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.products.atomic import fresh_folder
 from mgsgraph.products.place_sigmas import place_jacobian, propagated
 from mgsgraph.products.registration import CaseRegistration, register_case
 from mgsgraph.registration import Misregistration, misregistration
@@ -125,23 +124,6 @@ class Demonstration:
 
     def __repr__(self) -> str:
         return f"Demonstration({self.simulated!r}; {self.solution!r})"
-
-
-def write_simulation(
-    site: str, folder: Path, seed: int = 1, options: SimulationOptions | None = None, stages: Stages | None = None
-) -> Path:
-    """Simulate a study site, or the pair, and write its files to a folder that is absent or empty; where the case is.
-
-    Raises
-    ------
-    InputError
-        If there is no such site, or the folder holds anything.
-    """
-    stages = stages or Stages()
-    with fresh_folder(folder, "truth.json") as aside:
-        if site == PAIR:
-            return folder / _write_pair(aside, seed, stages)[1].name
-        return folder / _write_site(site, aside, seed, options, stages)[1].name
 
 
 def _write_pair(folder: Path, seed: int, stages: Stages) -> tuple[SimulatedPair, Path]:

@@ -31,11 +31,10 @@ from mgsgraph.products.registration import root_mean_square
 from mgsgraph.products.registration_tables import _discrepancy_json as misregistration_json
 from mgsgraph.products.registration_tables import write_registration_into
 from mgsgraph.products.results import write_into
-from mgsgraph.products.summary import _listed as listed
-from mgsgraph.products.summary import _many as many
 from mgsgraph.products.tables import _plain as plain
 from mgsgraph.products.truth import _rms as rms_length
 from mgsgraph.products.truth import against_truth, nees
+from mgsgraph.products.wording import listed, many
 from mgsgraph.registration import Misregistration
 from mgsgraph.simulation.site import SimulatedImage, SimulationOptions
 from mgsgraph.simulation.terrain import grid_shift

@@ -13,6 +13,13 @@ from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
+from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
+from mgsgraph.products.connectivity import (
+    connectivity_warnings,
+    cut_image_statement,
+    link_statement,
+    weakest_joints,
+)
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
 
@@ -24,6 +31,10 @@ _NARROW = 5.0 * DEG
 """Convergence below which heights are poor."""
 _WILD = 30.0
 """Sigmas from the median of their kind beyond which ranges are named."""
+_LISTED = 24
+"""Images up to which each is listed with its partners."""
+_ISLANDS = 9
+"""Islands named."""
 _NAMED = 5
 """How many of a kind are named."""
 
@@ -37,13 +48,15 @@ def inventory(case: Case) -> str:
     except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
         weak.append(str(error))
         prediction = predict(_with_priors(network), case.settings)
+    connected = connectivity(network, network_footprints(network, prediction.places))
+    weak += _weak_spots(network, prediction, connected)
     parts = [
         f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
         f"measurements, {network.ranges.point.size} ranges",
         _images(network),
         _points(network, prediction),
-        _connections(network),
-        "Weak spots\n" + "\n".join(f"  - {line}" for line in weak + _weak_spots(network, prediction) or ["none seen"]),
+        _connections(connected),
+        "Weak spots\n" + "\n".join(f"  - {line}" for line in weak or ["none seen"]),
     ]
     return "\n\n".join(parts)
 
@@ -134,29 +147,39 @@ def _points(network: Network, prediction: Prediction) -> str:
     return "\n".join(lines)
 
 
-def _connections(network: Network) -> str:
-    common = network.common_points()
+def _connections(connected: Connectivity) -> str:
+    """Each image with its partners, in small blocks; the links as a whole and the weakest of them."""
     lines = ["Connections (points in common)"]
-    for i in range(len(network.images)):
-        partners = [
-            f"{common[i, j]} with {network.images[j].name}"
-            for j in range(len(network.images))
-            if j != i and common[i, j]
-        ]
-        named = ", ".join(partners[:_NAMED]) + (f" and {len(partners) - _NAMED} more" if len(partners) > _NAMED else "")
-        lines.append(f"  {network.images[i].name}: {common[i, i]} points; {named or 'no other image'}")
+    if len(connected.names) <= _LISTED:
+        lines += [_partners(connected, j) for j in range(len(connected.names))]
+    lines += [f"  {sentence}" for sentence in link_statement(connected)]
+    if connected.spine.size > 1:
+        lines += ["  Weakest joints (parts that have no stronger link):", *(f"    {phrase}" for phrase in weakest_joints(connected))]
     return "\n".join(lines)
 
 
-def _weak_spots(network: Network, prediction: Prediction) -> list[str]:
+def _partners(connected: Connectivity, image: int) -> str:
+    rows = connected.links[np.any(connected.pairs[connected.links] == image, axis=1)]
+    rows = rows[np.argsort(-connected.points[rows], kind="stable")]
+    other = connected.pairs[rows].sum(axis=1) - image
+    partners = [
+        f"{connected.points[row]} with {connected.names[j]}" for row, j in zip(rows[:_NAMED], other, strict=False)
+    ]
+    named = ", ".join(partners) + (f" and {rows.size - _NAMED} more" if rows.size > _NAMED else "")
+    return f"  {connected.names[image]}: {connected.seen[image]} points; {named or 'no other image'}"
+
+
+def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
     found = []
-    islands = network.islands()
-    if len(islands) > 1:
-        rest = "; ".join(", ".join(network.images[j].name for j in island[:_NAMED]) for island in islands[1:])
+    if len(connected.islands) > 1:
+        named = [", ".join(connected.names[j] for j in island[:_NAMED]) for island in connected.islands[1:_ISLANDS]]
+        more = f"; and {len(connected.islands) - _ISLANDS} more" if len(connected.islands) > _ISLANDS else ""
         found.append(
-            f"the block falls into {len(islands)} islands without common points; apart from the largest: {rest}"
+            f"the block falls into {len(connected.islands)} islands without common points; apart from the largest: "
+            f"{'; '.join(named)}{more}"
         )
+    found += [*cut_image_statement(connected), *connectivity_warnings(connected)]
     lost = np.flatnonzero(network.undetermined)
     if lost.size:
         found.append(

@@ -16,8 +16,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.products.summary import _listed as listed
-from mgsgraph.products.summary import _many as many
+from mgsgraph.products.wording import listed, many
 from mgsgraph.registration import Corrections, Misregistration, Registration, discrepancy, footprints_in_images
 from mgsgraph.ties import TiePoints
 

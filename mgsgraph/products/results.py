@@ -6,7 +6,8 @@ from pathlib import Path
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.products.archive import ARCHIVE, write_archive
 from mgsgraph.products.atomic import RECORD, fresh_folder
-from mgsgraph.products.tables import orientation_csv, points_csv, residuals_csv, solution_json
+from mgsgraph.products.connectivity import solution_connectivity
+from mgsgraph.products.tables import connectivity_csv, orientation_csv, points_csv, residuals_csv, solution_json
 
 
 def write_results(solution: Solution, folder: str | Path, figures: bool = True) -> list[str]:
@@ -37,15 +38,17 @@ def write_results(solution: Solution, folder: str | Path, figures: bool = True) 
 
 def write_into(solution: Solution, folder: Path, figures: bool = True) -> list[str]:
     """The same into a folder that exists, file by file; returns their names."""
-    text = json.dumps(solution_json(solution), indent=1, allow_nan=False, ensure_ascii=False)
+    connected = solution_connectivity(solution)
+    text = json.dumps(solution_json(solution, connected), indent=1, allow_nan=False, ensure_ascii=False)
     (folder / RECORD).write_text(text + "\n", encoding="utf-8", newline="\n")
     points_csv(solution, folder / "points.csv")
     orientation_csv(solution, folder / "orientation.csv")
     residuals_csv(solution, folder / "residuals.csv")
+    connectivity_csv(connected, folder / "connectivity.csv")
     write_archive(solution, folder / ARCHIVE)
-    names = [RECORD, "points.csv", "orientation.csv", "residuals.csv", ARCHIVE]
+    names = [RECORD, "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv", ARCHIVE]
     if not figures:
         return names
     from mgsgraph.products.figures import write_figures  # matplotlib takes its time; only those who draw wait for it
 
-    return names + write_figures(solution, folder)
+    return names + write_figures(solution, folder, connected)

@@ -8,6 +8,8 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.products.connectivity import connectivity_statements, solution_connectivity
 from mgsgraph.products.control import control_statements
 from mgsgraph.products.merit import (
     PLACES,
@@ -19,11 +21,10 @@ from mgsgraph.products.merit import (
     ray_statistics,
     used_ray_counts,
 )
+from mgsgraph.products.wording import NAMED, cells, listed, many, short, some, span, three
 from mgsgraph.ties import PointKind
 from mgsgraph.units import ARCSEC, MRAD
 
-_NAMED = 4
-"""How many of a kind are named before the rest is only counted."""
 _ODDS = 0.0027
 """Chance (three sigma) of taking mere noise for something worth a sentence, in a whole solution."""
 _PIXELS = 0.5
@@ -39,8 +40,8 @@ _ALIKE = 1.05
 """Ratio up to which two mean sigmas count as the same."""
 
 
-def statements(solution: Solution) -> list[str]:
-    """Sentences with figures and units, for reports and the terminal."""
+def statements(solution: Solution, connected: Connectivity | None = None) -> list[str]:
+    """Sentences with figures and units, for reports and the terminal; `connected` saves finding it anew."""
     rays = ray_statistics(solution)
     return [
         *_ending(solution),
@@ -50,12 +51,12 @@ def statements(solution: Solution) -> list[str]:
         *control_statements(solution),
         *_constant_residuals(solution, rays),
         *_left_out(solution),
-        *_islands(solution),
+        *connectivity_statements(connected or solution_connectivity(solution)),
     ]
 
 
 def _ending(solution: Solution) -> list[str]:
-    steps = _many(solution.iterations, "iteration")
+    steps = many(solution.iterations, "iteration")
     cost = f"the cost went from {solution.cost_initial:.4g} to {solution.cost_final:.4g}"
     if solution.converged:
         return [f"{solution.message} It took {steps}; {cost}."]
@@ -98,7 +99,7 @@ def _fits(solution: Solution, rays: RayStatistics) -> list[str]:
             line, sample = rays.rms_of_classes[point_class]
             found.append(
                 f"{point_class.name.capitalize()} points fit to {line:.2g} lines and {sample:.2g} samples "
-                f"(rms of {_many(count, 'ray')})."
+                f"(rms of {many(count, 'ray')})."
             )
     ranges = range_statistics(solution)
     if ranges.used:
@@ -124,10 +125,10 @@ def _datum(solution: Solution) -> list[str]:
     if adjusted.size == 0:
         return ["Every image is held: the points have the sigmas of their rays alone, as if the orientation were true."]
     constant = np.array([network.priors[j].sigmas[0] for j in adjusted])
-    also = f" and {_many(int(network.held.sum()), 'held image')}" if np.any(network.held) else ""
+    also = f" and {many(int(network.held.sum()), 'held image')}" if np.any(network.held) else ""
     return [
         f"No laser rows and no ground control: only the orientation priors{also} hold the block on the ground. The "
-        f"constant terms' sigmas are {_span(constant[:, :3])} m in position and {_span(constant[:, 3:] / MRAD)} mrad "
+        f"constant terms' sigmas are {span(constant[:, :3])} m in position and {span(constant[:, 3:] / MRAD)} mrad "
         "in rotation, and the sigmas of the ground points mostly repeat them."
     ]
 
@@ -136,10 +137,10 @@ def _laser_effect(solution: Solution, without: Array) -> str:
     network, gain = solution.network, laser_gain(solution)
     laser = network.points.classes == PointClass.LASER
     rays = int(np.sum(solution.rays_used & laser[network.rays.point]))
-    ranges = _many(int(solution.ranges_used.sum()), "range")
-    rows = f"{_many(int(laser.sum()), 'point')}, {_many(rays, 'ray')}, {ranges}"
+    ranges = many(int(solution.ranges_used.sum()), "range")
+    rows = f"{many(int(laser.sum()), 'point')}, {many(rays, 'ray')}, {ranges}"
     sigmas = point_statistics(solution, PointClass.TIE).mean_sigma
-    with_units = f"{_three(without)} m in x, y, z instead of {_three(sigmas)} m"
+    with_units = f"{three(without)} m in x, y, z instead of {three(sigmas)} m"
     if gain < _ALIKE:
         return f"The laser rows ({rows}) add little: without them the tie points' mean sigmas would be {with_units}."
     head = f"Without the laser rows ({rows}) the tie points' mean sigmas would be {with_units}"
@@ -181,11 +182,11 @@ def _means(means: Array, marked: np.ndarray, names: list[str], unit: str) -> str
     chosen: Index = np.flatnonzero(marked)
     if chosen.size == 0:
         return ""
-    worst = np.sort(chosen[np.argsort(-np.abs(means[chosen]), kind="stable")][:_NAMED])
+    worst = np.sort(chosen[np.argsort(-np.abs(means[chosen]), kind="stable")][:NAMED])
     parts = [f"{means[j]:+.1f}{f' {unit}' if k == 0 else ''} in {names[j]}" for k, j in enumerate(worst)]
-    more = f" (and in {_many(chosen.size - _NAMED, 'more image')})" if chosen.size > _NAMED else ""
+    more = f" (and in {many(chosen.size - NAMED, 'more image')})" if chosen.size > NAMED else ""
     opposite = ", of opposite sign" if means[chosen].min() < 0.0 < means[chosen].max() else ""
-    return _listed(parts) + more + opposite
+    return listed(parts) + more + opposite
 
 
 def _left_out(solution: Solution) -> list[str]:
@@ -193,7 +194,7 @@ def _left_out(solution: Solution) -> list[str]:
     lost = np.flatnonzero(~solution.determined)
     if lost.size:
         found.append(
-            f"{_many(lost.size, 'point')} of {len(network.points)} stayed out, because nothing determines a place "
+            f"{many(lost.size, 'point')} of {len(network.points)} stayed out, because nothing determines a place "
             "(fewer than two rays, or rays that hardly converge): "
             f"{_some_points(solution, lost)}."
         )
@@ -201,31 +202,19 @@ def _left_out(solution: Solution) -> list[str]:
     ranges = int(np.sum(~solution.ranges_used & solution.determined[network.ranges.point]))
     if rays or ranges:
         found.append(
-            f"{_many(rays, 'ray')} of {network.rays.point.size} and {_many(ranges, 'range')} of "
+            f"{many(rays, 'ray')} of {network.rays.point.size} and {many(ranges, 'range')} of "
             f"{network.ranges.point.size} were rejected as blunders; residuals.csv marks them."
         )
     bare = np.flatnonzero(solution.determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
     if bare.size:
         found.append(
-            f"{_many(bare.size, 'point')} lost all rays to that: {_some_points(solution, bare)}."
+            f"{many(bare.size, 'point')} lost all rays to that: {_some_points(solution, bare)}."
         )
     return found
 
 
 def _some_points(solution: Solution, points: Index) -> str:
-    return _some([solution.network.points.ids[i] for i in points[:_NAMED]], points.size)
-
-
-def _islands(solution: Solution) -> list[str]:
-    islands = solution.network.islands()
-    if len(islands) < 2:
-        return []
-    names = [image.name for image in solution.network.images]
-    parts = [_some([names[j] for j in island[:_NAMED]], len(island)) for island in islands[:_NAMED]]
-    return [
-        f"The block falls into {len(islands)} parts without common points, each on the ground by itself: "
-        f"{_some([f'({part})' for part in parts], len(islands))}. Tie points between them would join them."
-    ]
+    return some([solution.network.points.ids[i] for i in points[:NAMED]], points.size)
 
 
 # --- the table
@@ -243,7 +232,7 @@ def _head(solution: Solution) -> str:
     fit, state = solution.fit, "converged" if solution.converged else "NOT CONVERGED"
     sigma0 = "not defined" if math.isnan(fit.sigma0) else f"{fit.sigma0:.4g}"
     return (
-        f"{_short(solution.name, 60)}: {state}, {_many(solution.iterations, 'iteration')}\n"
+        f"{short(solution.name, 60)}: {state}, {many(solution.iterations, 'iteration')}\n"
         f"  sigma0 {sigma0}; {fit.observations} observations, {fit.unknowns} unknowns, "
         f"{fit.degrees_of_freedom} degrees of freedom\n"
         f"  cost {solution.cost_initial:.6g} -> {solution.cost_final:.6g}"
@@ -259,13 +248,13 @@ def _image_table(solution: Solution, rays: RayStatistics) -> str:
     ]
     for j, image in enumerate(images[:_ROWS]):
         moved = orientation_statistics(solution, j).mean
-        correction = f"{_cells(moved[:3], 7)}  {_cells(moved[6:] / ARCSEC, 7)}"
+        correction = f"{cells(moved[:3], 7)}  {cells(moved[6:] / ARCSEC, 7)}"
         lines.append(
-            f"  {_short(image.name, _NAME):<{_NAME}} {rays.total[j]:>6} {rays.count[j].sum():>6}  "
-            f"{_cells(rays.rms_of_images[j], 7)}  {'held'.rjust(23) if solution.network.held[j] else correction}"
+            f"  {short(image.name, _NAME):<{_NAME}} {rays.total[j]:>6} {rays.count[j].sum():>6}  "
+            f"{cells(rays.rms_of_images[j], 7)}  {'held'.rjust(23) if solution.network.held[j] else correction}"
         )
     if len(images) > _ROWS:
-        lines.append(f"  and {_many(len(images) - _ROWS, 'more image')}: see solution.json")
+        lines.append(f"  and {many(len(images) - _ROWS, 'more image')}: see solution.json")
     return "\n".join([*lines, f"  (residuals: rms; corrections: means over {PLACES} lines)"])
 
 
@@ -277,8 +266,8 @@ def _point_table(solution: Solution) -> str:
     for point_class, _ in solution.network.of_class():
         found = point_statistics(solution, point_class)
         lines.append(
-            f"  {point_class.name.lower():<10} {found.count:>8} {found.rejected:>9}  {_cells(found.mean_sigma, 9)}  "
-            f"{_cells(found.rms_correction, 9)}"
+            f"  {point_class.name.lower():<10} {found.count:>8} {found.rejected:>9}  {cells(found.mean_sigma, 9)}  "
+            f"{cells(found.rms_correction, 9)}"
         )
     return "\n".join([*lines, "  (sigmas for sigma0 = 1)"])
 
@@ -291,49 +280,3 @@ def _range_lines(solution: Solution) -> str:
         f"Ranges: {found.count}, used {found.used}; residual [m]: mean {found.mean:.3g}, rms {found.rms:.3g}; "
         f"before: mean {found.mean_before:.3g}, rms {found.rms_before:.3g}"
     )
-
-
-# --- wording
-
-
-def _cells(values: Array, width: int) -> str:
-    """Right-aligned numbers with as many of three decimals as the width holds; a dash for none."""
-    return " ".join(_cell(float(value), width).rjust(width) for value in values)
-
-
-def _cell(value: float, width: int) -> str:
-    if not math.isfinite(value):
-        return "-"
-    texts = (f"{value:.{decimals}f}" for decimals in (3, 2, 1, 0))
-    return next((text for text in texts if len(text) <= width), f"{value:.0e}")
-
-
-def _three(values: Array) -> str:
-    return ", ".join(f"{value:.3g}" if value < 1e3 else f"{value:.0f}" for value in values)
-
-
-def _span(values: Array) -> str:
-    low, high = float(values.min()), float(values.max())
-    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-
-
-def _many(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def _listed(parts: list[str]) -> str:
-    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
-
-
-def _some(names: list[str], total: int) -> str:
-    """Names that stand for `total` of them."""
-    named = names[:_NAMED]
-    return ", ".join(named) + (f" and {total - len(named)} more" if total > len(named) else "")
-
-
-def _short(name: str, width: int) -> str:
-    """A name cut in its middle: serial numbers differ at their ends."""
-    if len(name) <= width:
-        return name
-    tail = (width - 3) // 2
-    return f"{name[: width - 3 - tail]}...{name[-tail:]}"

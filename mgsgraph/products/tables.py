@@ -17,7 +17,9 @@ from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientati
 from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.products.atomic import PROGRAM
+from mgsgraph.products.connectivity import connectivity_json, solution_connectivity
 from mgsgraph.products.control import control_json
 from mgsgraph.products.merit import (
     ORIENTATION,
@@ -34,7 +36,7 @@ from mgsgraph.products.merit import (
 )
 from mgsgraph.products.summary import statements
 from mgsgraph.ties import PointKind
-from mgsgraph.units import ARCSEC, DEG
+from mgsgraph.units import ARCSEC, DEG, KM
 
 FORMAT = 1
 """Version of solution.json's layout."""
@@ -44,15 +46,18 @@ _ISIS = 0.5
 _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; times sigma0 they are scaled to the fit"
 _CHUNK = 20_000
 """Rows written at a time."""
+_REMARKS = ("", "bridge", "overlap without common points", "common points without overlap")
 _SPECIAL = frozenset(',"\r\n')
 
 
-def solution_json(solution: Solution) -> dict[str, Any]:
+def solution_json(solution: Solution, connected: Connectivity | None = None) -> dict[str, Any]:
     """All figures of merit of a solution, as plain values for strict JSON: what isn't a number is None.
 
     Units stand in the keys' names. `sigma_mean` is the mean standard deviation over the places, not that of the mean.
+    `connected` saves finding it anew.
     """
     network, fit = solution.network, solution.fit
+    connected = connected or solution_connectivity(solution)
     rays = ray_statistics(solution)
     record = {
         "program": PROGRAM,
@@ -68,7 +73,8 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         "observations": fit.observations,
         "unknowns": fit.unknowns,
         "images": [_image(solution, j, rays) for j in range(len(network.images))],
-        "islands": [[network.images[j].name for j in island] for island in network.islands()],
+        "islands": [[network.images[j].name for j in island] for island in connected.islands],
+        "connectivity": connectivity_json(connected),
         "points": {_name(c): _points(solution, c) for c in PointClass},
         "undetermined": [network.points.ids[i] for i in np.flatnonzero(~solution.determined)],
         "ranges": _ranges(solution),
@@ -78,7 +84,7 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         "settings": dataclasses.asdict(solution.settings),
         "seconds": dict(solution.seconds),
         "versions": dict(solution.versions),
-        "statements": statements(solution),
+        "statements": statements(solution, connected),
     }
     plain: dict[str, Any] = _plain(record)
     return plain
@@ -269,6 +275,23 @@ def residuals_csv(solution: Solution, path: Path) -> None:
         "sigma_range_m": _padded(ranges.sigmas, k, 0),
         "normalised_range": _padded(solution.range_residuals / ranges.sigmas, k, 0),
     }
+    _write(path, text, numbers)
+
+
+def connectivity_csv(connected: Connectivity, path: Path) -> None:
+    """Write one row per pair of images that share points or overlap: points by class, area, distance, and a remark."""
+    names, points = [_quoted(name) for name in connected.names], connected.points
+    remarks = np.select(
+        [connected.bridges, (points == 0) & (connected.areas > 0.0), (points > 0) & (connected.gaps > 0.0)], [1, 2, 3]
+    )
+    text = {
+        "image_a": _picked(names, connected.pairs[:, 0]),
+        "image_b": _picked(names, connected.pairs[:, 1]),
+        "common_points": _whole(points),
+        **{f"{_name(c)}_points": _whole(connected.common[:, c]) for c in PointClass},
+        "remark": _picked(_REMARKS, remarks),
+    }
+    numbers = {"overlap_km2": connected.areas / KM**2, "overlap_share": connected.shares, "gap_km": connected.gaps / KM}
     _write(path, text, numbers)
 
 

@@ -1,6 +1,7 @@
 """A simulated pair as files, each in the format in which real data come: support data, network, shots, and the case."""
 
 import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from mgsgraph.geometry.body import planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG, KM, MM, MRAD
@@ -37,29 +39,38 @@ def write_pair(pair: SimulatedPair, folder: Path) -> Path:
     InputError
         If the folder can't be written.
     """
-    texts = {f"image_{_letter(image)}.isd": _json(_support_data(image)) for image in pair.images}
-    texts["network.pvl"] = network_text(pair.ties)
-    texts["lidar.json"] = _json({"points": _shots(pair.laser)})
-    texts["truth.json"] = _json(_truth(pair))
-    texts["case.toml"] = _case(pair)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder that may be written") from None
+    write_texts(folder, {
+        **{image_file(image): json_text(support_data(image)) for image in pair.images},
+        "network.pvl": network_text(pair.ties),
+        "lidar.json": lidar_text((pair.laser,)),
+        "truth.json": json_text(_truth(pair)),
+        "case.toml": case_text("simulated pair", pair.images, pair.settings.noise),
+    })
     return folder / "case.toml"
 
 
-def _json(value: dict[str, Any]) -> str:
+def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write texts by their paths in a folder; raise InputError where that can't be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder that may be written") from None
+
+
+def json_text(value: dict[str, Any]) -> str:
+    """JSON as all these files have it."""
     return json.dumps(value, indent=1, allow_nan=False) + "\n"
 
 
-def _letter(image: PushbroomImage) -> str:
-    return image.name.rsplit("/", 1)[-1]
+def image_file(image: PushbroomImage) -> str:
+    """Name of an image's support data."""
+    return f"image_{image.name.rsplit('/', 1)[-1]}.isd"
 
 
-def _support_data(image: PushbroomImage) -> dict[str, Any]:
+def support_data(image: PushbroomImage) -> dict[str, Any]:
     """CSM image support data as ALE lays them out, of an image without distortion; km, mm and ISIS lines."""
     trajectory, timing, interior = image.trajectory, image.timing, image.interior
     if not isinstance(trajectory, Trajectory):
@@ -128,7 +139,7 @@ def _sun(trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def network_text(ties: TiePoints, name: str = "simulated_pair") -> str:
+def network_text(ties: TiePoints, name: str = "simulated_pair", description: str = "Simulated stereo pair") -> str:
     """ISIS control network, version 5, as PVL text; free points, pixels counted from 1."""
     measures: list[list[int]] = [[] for _ in ties.ids]
     for k, point in enumerate(ties.measure_point.tolist()):
@@ -140,7 +151,7 @@ def network_text(ties: TiePoints, name: str = "simulated_pair") -> str:
         "  UserName     = mgsgraph",
         f"  Created      = {_WRITTEN}",
         f"  LastModified = {_WRITTEN}",
-        '  Description  = "Simulated stereo pair"',
+        f'  Description  = "{description}"',
         "  Version      = 5",
     ]
     for i, name in enumerate(ties.ids):
@@ -165,6 +176,11 @@ def _measure(ties: TiePoints, k: int, reference: bool) -> list[str]:
         *(["      Reference    = True"] if reference else []),
         "    End_Group",
     ]
+
+
+def lidar_text(lasers: Iterable[LaserProfile]) -> str:
+    """ISIS lidar data of some profiles, as JSON."""
+    return json_text({"points": [shot for laser in lasers for shot in _shots(laser)]})
 
 
 def _shots(laser: LaserProfile) -> list[dict[str, Any]]:
@@ -210,11 +226,11 @@ def _truth(pair: SimulatedPair) -> dict[str, Any]:
     }
 
 
-def _case(pair: SimulatedPair) -> str:
-    noise = pair.settings.noise
-    text = ["format = 1", 'name = "simulated pair"']
-    for image in pair.images:
-        text += ["", "[[images]]", f'name = "{image.name}"', f'isd = "image_{_letter(image)}.isd"']
+def case_text(name: str, images: tuple[PushbroomImage, ...], noise: NoiseSettings) -> str:
+    """Case file of simulated images beside network.pvl and lidar.json, with the sigmas of the simulation."""
+    text = ["format = 1", f'name = "{name}"']
+    for image in images:
+        text += ["", "[[images]]", f'name = "{image.name}"', f'isd = "{image_file(image)}"']
     text += [
         "",
         "[orientation]",

@@ -15,7 +15,7 @@ from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.simulation.pair import MARS
+from mgsgraph.simulation.circle import MARS
 from mgsgraph.simulation.sites import ImageSettings, KernelErrors
 from mgsgraph.units import DEG, MM
 

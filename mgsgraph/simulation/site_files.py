@@ -26,6 +26,8 @@ _MOLA_ORBIT = 10_000
 """What MOLA adds to MGS's mapping orbit."""
 _RANGE_SIGMA, _GROUND_SIGMA, _SHIFT_SIGMA = 10.0, 10.0, 100.0
 """m, a-priori sigmas of ranges, of footprints, and of a profile's common shift (Yoon & Shan; Kirk et al. 2002)."""
+SHIFT = f"shift_sigma_m = {_SHIFT_SIGMA!r}"
+"""What a case says of a profile whose common shift is unknown."""
 _IMAGE_SIGMA, _TREND = 30.0, (1.0, 0.1, 0.01)
 """pixels, the papers' sigma of back-projected footprints; factors of the orientation's sigmas for each power of u."""
 
@@ -282,7 +284,7 @@ def _case(simulated: SimulatedSite) -> str:
     """The rigorous case: footprints with their profile's unknown shift, ties on the terrain model."""
     settings = simulated.settings
     text = _images_and_ties(simulated, settings.title, settings.angle_sigmas, settings.trend)
-    text += _profiles(simulated, f"shift_sigma_m = {_SHIFT_SIGMA!r}")
+    text += profile_tables(simulated, SHIFT)
     text += [
         "",
         "[terrain]",
@@ -308,7 +310,7 @@ def papers_case(simulated: SimulatedSite, stated: bool = False) -> str:
     eos = settings.name == "eos" and not stated
     trend, image_sigma = (_EOS_TREND, _EOS_IMAGE_SIGMA) if eos else (_TREND, _IMAGE_SIGMA)
     text = _images_and_ties(simulated, f"{settings.title}, papers", (ARCMIN, ARCMIN, ARCMIN), trend)
-    text += _profiles(simulated, 'image_rows = "back-projected"', f"image_sigma_px = {image_sigma!r}")
+    text += profile_tables(simulated, 'image_rows = "back-projected"', f"image_sigma_px = {image_sigma!r}")
     text += ["", "[solver]", 'line = "measured"', 'angles = "opk-paper"']
     return "\n".join([*text, ""])
 
@@ -316,27 +318,36 @@ def papers_case(simulated: SimulatedSite, stated: bool = False) -> str:
 def _images_and_ties(
     simulated: SimulatedSite, title: str, angles: tuple[float, float, float], trend: tuple[float, ...]
 ) -> list[str]:
-    text = ["format = 1", f'name = "{title}"']
+    text = ["format = 1", f'name = "{title}"', *image_tables(simulated, angles, trend)]
+    text += ["", "[ties]", 'network = "network.pvl"', f"sigma_px = {simulated.options.tie_noise!r}"]
+    return text
+
+
+def image_tables(
+    simulated: SimulatedSite, angles: tuple[float, float, float], trend: tuple[float, ...], folder: str = ""
+) -> list[str]:
+    """Lines of a case with the site's images, whose files lie in `folder` ("x/") beside it."""
+    text = []
     for image in simulated.images:
         text += [
             "",
             "[[images]]",
             f'name = "{image.settings.name}"',
-            f'label = "{_image_file(image)}"',
-            'kernels = ["mgs.tm"]',
+            f'label = "{folder}{_image_file(image)}"',
+            f'kernels = ["{folder}mgs.tm"]',
             f"orientation = {_prior(image, angles, trend)}",
         ]
-    text += ["", "[ties]", 'network = "network.pvl"', f"sigma_px = {simulated.options.tie_noise!r}"]
     return text
 
 
-def _profiles(simulated: SimulatedSite, *more: str) -> list[str]:
+def profile_tables(simulated: SimulatedSite, *more: str, folder: str = "") -> list[str]:
+    """Lines of a case with the site's profiles, `more` said of each, whose files lie in `folder` ("x/") beside it."""
     text = []
     for image in simulated.images:
         text += [
             "",
             "[[mola]]",
-            f'pedr = "{_pedr_file(image)}"',
+            f'pedr = "{folder}{_pedr_file(image)}"',
             f'image = "{image.settings.name}"',
             f"range_sigma_m = {_RANGE_SIGMA!r}",
             f"ground_sigma_m = {_GROUND_SIGMA!r}",

@@ -14,6 +14,7 @@ import spiceypy
 
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.simulation.circle import MARS
 from mgsgraph.simulation.orbit import (
     BORESIGHT_SAMPLE,
     FOCAL_LENGTH_MM,
@@ -24,7 +25,6 @@ from mgsgraph.simulation.orbit import (
     POLE_RA,
     mars_about_sun,
 )
-from mgsgraph.simulation.pair import MARS
 from mgsgraph.simulation.sites import ARCHIVE_ATTITUDE_BIAS
 from mgsgraph.units import KM
 

@@ -16,7 +16,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.simulation.pair import MARS
+from mgsgraph.simulation.circle import MARS
 from mgsgraph.simulation.relief import Float, PeriodicSurface, add_craters, canyon, fractal
 from mgsgraph.units import DEG
 

@@ -15,9 +15,10 @@ import mgsgraph
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.square_root import SquareRoot
+from mgsgraph.geometry.footprint import footprint
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.products.figures import registration_discrepancy, registration_offsets, write_figures
-from mgsgraph.products.figures.content import centre_of, east_north, footprint, image_residuals
+from mgsgraph.products.figures.content import centre_of, east_north, image_residuals
 from mgsgraph.products.figures.ground_map import tie_sigmas
 from mgsgraph.products.figures.orientation import components, coupling
 from mgsgraph.products.figures.registration import MOST_SHOTS, magnification
@@ -182,7 +183,7 @@ def test_orientation_components_are_the_coefficients(solution: Solution) -> None
 def test_points_lie_inside_the_footprints_of_the_images_that_measure_them(solution: Solution) -> None:
     centre = centre_of(solution.places)
     for j, image in enumerate(solution.network.images):
-        outline = footprint(image, solution.correction(j))
+        outline = footprint(image, correction=solution.correction(j)).outline
         assert np.array_equal(outline[0], outline[-1])
         ring = east_north(outline, centre)
         mine = solution.network.rays.point[solution.network.rays.image == j]
@@ -213,7 +214,7 @@ def test_files_of_the_pair(solution: Solution, tmp_path: Path, caplog: pytest.Lo
     with caplog.at_level(logging.WARNING):
         names = write_figures(solution, tmp_path / "new")
     require_files(tmp_path / "new", names)
-    assert {Path(name).stem for name in names} == {"residuals", "orientation", "registration", "map"}
+    assert {Path(name).stem for name in names} == {"residuals", "orientation", "registration", "map", "connectivity"}
     assert not caplog.records  # matplotlib complains by log, too
     assert dict(mpl.rcParams) == settings
 
@@ -232,7 +233,7 @@ def test_without_laser_there_is_no_registration(case_file: Path, tmp_path: Path)
     found = mgsgraph.adjust(mgsgraph.read_case(case_file, laser=False))
     names = write_figures(found, tmp_path)
     require_files(tmp_path, names)
-    assert kinds(names) == {"residuals", "orientation", "map"}
+    assert kinds(names) == {"residuals", "orientation", "map", "connectivity"}
 
 
 def test_without_ties(case_file: Path, tmp_path: Path) -> None:
@@ -241,7 +242,7 @@ def test_without_ties(case_file: Path, tmp_path: Path) -> None:
         return head + "[laser]" + rest.split("[laser]")[1]
 
     found = adjust_text(case_file, "no_ties.toml", change)
-    assert kinds(write_figures(found, tmp_path)) == {"residuals", "orientation", "registration", "map"}
+    assert kinds(write_figures(found, tmp_path)) == {"residuals", "orientation", "registration", "map", "connectivity"}
 
 
 def test_held_images(case_file: Path, tmp_path: Path) -> None:
@@ -368,11 +369,12 @@ def test_one_image(solution: Solution, tmp_path: Path) -> None:
     )
     found = mgsgraph.adjust_network(only, mgsgraph.SolverSettings(), "one image")
     require_files(tmp_path, write_figures(found, tmp_path))
-    assert kinds([path.name for path in tmp_path.iterdir()]) == {"residuals", "orientation", "registration", "map"}
+    drawn = kinds([path.name for path in tmp_path.iterdir()])
+    assert drawn == {"residuals", "orientation", "registration", "map", "connectivity"}
 
 
 def test_units_of_the_map(solution: Solution) -> None:
     """5,000 lines of 1.446 ms at 3 km/s are 22 km on the ground, 1,024 samples 2.9 km (PE&RS 2005, MOC-NA)."""
-    outline = east_north(footprint(solution.network.images[0], side=21), centre_of(solution.places)) / KM
+    outline = east_north(footprint(solution.network.images[0]).outline, centre_of(solution.places)) / KM
     across, down = (float(np.linalg.norm(outline[21] - outline[k])) for k in (0, 42))
     assert (across, down) == pytest.approx((2.9, 22.0), rel=0.05)

@@ -23,7 +23,7 @@ from mgsgraph.products.results import write_into, write_results
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
-TABLES = ["solution.json", "points.csv", "orientation.csv", "residuals.csv", "solution.npz"]
+TABLES = ["solution.json", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv", "solution.npz"]
 
 
 @pytest.fixture(scope="module")

@@ -116,8 +116,16 @@ class Layout:
         return self.rows._replace(kind=kind, weight=weight)
 
 
-def lay_out(network: Network, settings: SolverSettings) -> Layout:
+def lay_out(network: Network, settings: SolverSettings, places: Array | None = None) -> Layout:
     """Lay a network out for the kernel.
+
+    Parameters
+    ----------
+    network : Network
+    settings : SolverSettings
+    places : (n, 3), optional
+        m, where its points are thought to be: there the inner solves begin. Where it is NaN, or absent, they begin at
+        the a-priori place or at the intersection of the nominal rays.
 
     Raises
     ------
@@ -127,10 +135,10 @@ def lay_out(network: Network, settings: SolverSettings) -> Layout:
     model = Model(_LINES[settings.line], _ANGLES[settings.angles], _LOSSES[settings.loss], settings.width)
     variables = _variables(network)
     patterns = sort_points(network, variables)
-    places, rows = lay_out_rows(network, model, variables, patterns)
+    sights, rows = lay_out_rows(network, model, variables, patterns, places)
     groups = make_groups(variables, patterns.group_variables)
     blocks = pair_blocks(variables, groups)
-    return Layout(network, model, rows, groups, blocks, variables, patterns, places)
+    return Layout(network, model, rows, groups, blocks, variables, patterns, sights)
 
 
 def _variables(network: Network) -> Variables:

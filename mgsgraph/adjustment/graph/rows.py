@@ -32,7 +32,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import RaySums
 from mgsgraph.geometry.orientation import polynomial
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
@@ -86,11 +86,13 @@ class SightPlaces:
     """(h,) network points that they belong to."""
 
 
-def lay_out_rows(network: Network, model: Model, variables: Variables, patterns: Patterns) -> tuple[SightPlaces, Rows]:
-    """Rows of a network in the kernel's order, and where each is."""
+def lay_out_rows(
+    network: Network, model: Model, variables: Variables, patterns: Patterns, known: Array | None = None
+) -> tuple[SightPlaces, Rows]:
+    """Rows of a network in the kernel's order, and where each is; `known` (n, 3) are places at which to begin."""
     terms = [0 if variables.first[j] < 0 else prior.degree + 1 for j, prior in enumerate(network.priors)]
     store = _make_store(network, model, patterns, terms)
-    starts = _starting_places(network)
+    starts = _starting_places(network, known)
     weight = np.zeros((2, int(sum(len(patterns.sights[q]) * n for q, n in store.piece[:, [0, 2]]))))
     rays = _fill_rays(network, model, store, terms, starts, weight)
     ranges = _fill_ranges(network, store, terms, weight)
@@ -269,25 +271,39 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     return among, mine
 
 
-def _starting_places(network: Network) -> Array:
-    """(n, 3) m: where each point's inner solve begins: its a-priori place, or the intersection of its nominal rays."""
-    starts, rays = network.points.places.copy(), network.rays
-    sums, images = RaySums(starts.shape[0]), _by_image(rays.image, len(network.images))
-    for image, mine in zip(network.images, images, strict=True):
-        sums.add(rays.point[mine], *_looks(image, rays.places[mine]))
-    crossing, angle = sums.places()
-    usable = np.all(np.isfinite(crossing), axis=1) & (angle > _PARALLEL)
-    for image, mine in zip(network.images, images, strict=True):  # rays that part meet behind their cameras
-        origins, directions = _looks(image, rays.places[mine])
-        ahead = np.einsum("ki,ki->k", crossing[rays.point[mine]] - origins, directions) > 0.0
-        usable[rays.point[mine[~ahead]]] = False
-    free = (network.points.kinds == PointKind.FREE) & ~network.undetermined
-    starts[free & usable] = crossing[free & usable]
+def _starting_places(network: Network, known: Array | None) -> Array:
+    """(n, 3) m: where each point's inner solve begins: where it is known to be, its a-priori place, or the intersection
+    of its nominal rays.
+    """
+    starts = network.points.places.copy()
+    there = np.zeros(starts.shape[0], dtype=bool)
+    if known is not None:
+        there = np.all(np.isfinite(known), axis=1)
+        starts[there] = known[there]
+    free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~there
+    if np.any(free):
+        _start_at_crossings(network, free, starts)
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
     if missing.size:
         _start_on_the_ground(network, missing, starts)
     starts[network.undetermined] = 0.0
     return starts
+
+
+def _start_at_crossings(network: Network, free: Mask, starts: Array) -> None:
+    """Where the nominal rays of points (n,) cross, ahead of their cameras."""
+    rays, count = network.rays, len(network.images)
+    mine = np.flatnonzero(free[rays.point])
+    sums, images = RaySums(starts.shape[0]), [mine[k] for k in _by_image(rays.image[mine], count)]
+    for image, rows in zip(network.images, images, strict=True):
+        sums.add(rays.point[rows], *_looks(image, rays.places[rows]))
+    crossing, angle = sums.places()
+    usable = free & np.all(np.isfinite(crossing), axis=1) & (angle > _PARALLEL)
+    for image, rows in zip(network.images, images, strict=True):  # rays that part meet behind their cameras
+        origins, directions = _looks(image, rays.places[rows])
+        ahead = np.einsum("ki,ki->k", crossing[rays.point[rows]] - origins, directions) > 0.0
+        usable[rays.point[rows[~ahead]]] = False
+    starts[usable] = crossing[usable]
 
 
 def _looks(image: PushbroomImage, places: Array) -> tuple[Array, Array]:

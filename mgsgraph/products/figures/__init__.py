@@ -11,7 +11,9 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.io.moc_pixels import Pixels
 from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.products.figures.closeups import closeup_sheets
+from mgsgraph.products.figures.connectivity import connectivity_sheet
 from mgsgraph.products.figures.content import registration_discrepancy as registration_discrepancy
 from mgsgraph.products.figures.content import registration_offsets as registration_offsets
 from mgsgraph.products.figures.discrepancy import discrepancy_sheets
@@ -24,7 +26,7 @@ from mgsgraph.products.figures.sheet import Sheet, plain_style, save
 from mgsgraph.products.registration import CaseRegistration
 
 
-def write_figures(solution: Solution, folder: Path) -> list[str]:
+def write_figures(solution: Solution, folder: Path, connected: Connectivity | None = None) -> list[str]:
     """Draw an adjustment.
 
     Parameters
@@ -33,19 +35,22 @@ def write_figures(solution: Solution, folder: Path) -> list[str]:
         What an adjustment found.
     folder : Path
         Made where it does not exist; files of the same names are replaced.
+    connected : Connectivity, optional
+        Of the solution, which saves finding it anew.
 
     Returns
     -------
     list of str
         Names of the files in the folder: residuals, orientation, registration (where laser points are measured in
-        images) and map, each as .png and .svg, numbered (residuals_1, ...) where a kind takes several sheets.
+        images), map and connectivity, each as .png and .svg, numbered (residuals_1, ...) where a kind takes several
+        sheets.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with plain_style():
-        return [name for sheet in _sheets(solution) for name in save(sheet, folder)]
+        return [name for sheet in _sheets(solution, connected) for name in save(sheet, folder)]
 
 
-def _sheets(solution: Solution) -> Iterator[Sheet]:
+def _sheets(solution: Solution, connected: Connectivity | None) -> Iterator[Sheet]:
     """One after another, so that no more than one is in memory."""
     yield from residual_sheets(solution)
     yield from orientation_sheets(solution)
@@ -53,6 +58,7 @@ def _sheets(solution: Solution) -> Iterator[Sheet]:
     if np.any(solution.network.points.classes[rays.point] == PointClass.LASER):
         yield from registration_sheets(solution)
     yield map_sheet(solution)
+    yield connectivity_sheet(solution, connected)
 
 
 def write_registration_figures(registration: CaseRegistration, folder: Path) -> list[str]:

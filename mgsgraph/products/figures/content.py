@@ -6,8 +6,6 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 
@@ -148,20 +146,6 @@ def registration_discrepancy(solution: Solution, first: Registration, second: Re
         first.offset_before[i] - np.einsum("nij,nj->ni", carried, second.offset_before[j]),
         first.offset_after[i] - np.einsum("nij,nj->ni", carried, second.offset_after[j]),
     )
-
-
-def footprint(
-    image: PushbroomImage, correction: OrientationCorrection | None = None, height: float = 0.0, side: int = 21
-) -> Array:
-    """Closed outline (4 side + 1, 3) in m, body-fixed, of an image on the ground at a height (m) above the ellipsoid;
-    NaN where it looks past the body.
-    """
-    step = np.linspace(0.0, 1.0, side, endpoint=False)
-    ends = np.zeros(side), np.ones(side)
-    down = np.concatenate([ends[0], step, ends[1], 1.0 - step, [0.0]])
-    across = np.concatenate([step, ends[1], 1.0 - step, ends[0], [0.0]])
-    points, _ = image.image_to_ground(down * image.lines, across * image.samples, height, correction)
-    return points
 
 
 def centre_of(points: Array) -> Array:

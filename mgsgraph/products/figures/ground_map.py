@@ -6,10 +6,11 @@ from matplotlib.collections import PathCollection
 from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.body import geodetic, planetocentric
+from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
-from mgsgraph.products.figures.content import centre_of, east_north, footprint, thinned
+from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.products.figures.content import centre_of, east_north, thinned
 from mgsgraph.products.figures.sheet import (
     CLASS_COLOUR,
     CLASS_MARKER,
@@ -35,13 +36,10 @@ _WIDEST, _TALLEST, _LEAST, _SIDE = 7.2, 7.4, 3.0, 2.9
 def map_sheet(solution: Solution) -> Sheet:
     """The map, around the block's centre."""
     centre = centre_of(solution.places)
-    outlines = [east_north(points, centre) / KM for points in outlines_of(solution)]
+    footprints = network_footprints(solution.network, solution.places, solution.correction)
+    outlines = [east_north(one.outline, centre) / KM for one in footprints]
     places = east_north(solution.places, centre) / KM
-    low, high = _bounds(np.concatenate([*outlines, places]))
-    scale = float(np.min(np.array([_WIDEST, _TALLEST]) / (high - low)))
-    lack = np.maximum(_LEAST / scale - (high - low), 0.0)
-    low, high = low - 0.5 * lack, high + 0.5 * lack
-    width, height = ((high - low) * scale).tolist()
+    low, high, (width, height) = frame(np.concatenate([*outlines, places]))
     sheet = new_sheet("map", width + 1.4 + _SIDE, height + 0.69, "Map of the block", _caption(solution), band=0.0)
     panel, side = panels(sheet, 1, 2, widths=[width, _SIDE], across=0.3)[0]
     side.set_axis_off()
@@ -64,18 +62,16 @@ def map_sheet(solution: Solution) -> Sheet:
     return sheet
 
 
-def outlines_of(solution: Solution) -> list[Array]:
-    """Footprint of every image with its adjusted orientation, (m, 3) in m, at the middle height of its points."""
-    network, rays = solution.network, solution.network.rays
-    heights = geodetic(solution.places, network.images[0].body)[:, 2]
-    everywhere = float(np.nanmedian(heights))
-    found = []
-    for j, image in enumerate(network.images):
-        mine = heights[rays.point[rays.image == j]]
-        mine = mine[np.isfinite(mine)]
-        height = float(np.median(mine)) if mine.size else everywhere
-        found.append(footprint(image, solution.correction(j), height))
-    return found
+def frame(corners: Array, least: tuple[float, float] = (_LEAST, _LEAST)) -> tuple[Array, Array, tuple[float, float]]:
+    """South-west and north-east corner (2,) of a map that holds places (n, 2), and its width and height in inches, of
+    one scale and no less than `least`.
+    """
+    low, high = _bounds(corners)
+    scale = float(np.min(np.array([_WIDEST, _TALLEST]) / (high - low)))
+    lack = np.maximum(np.array(least) / scale - (high - low), 0.0)
+    low, high = low - 0.5 * lack, high + 0.5 * lack
+    width, height = ((high - low) * scale).tolist()
+    return low, high, (width, height)
 
 
 def tie_sigmas(solution: Solution) -> tuple[Index, Array]:

@@ -1,0 +1,1 @@
+"""Incremental adjustment: images are added to, and taken from, what has been adjusted before."""

@@ -1,0 +1,357 @@
+"""The engine of incremental adjustment: bundles go into the tree and out of it until the linear system is the true one.
+
+A change makes the reduced systems of the bundles that it touches anew, and then those whose unknowns have moved farther
+than their slack, until none has. What has to be looked at afterwards is found by following the change outwards, from
+bundle to bundle, for as long as points can move by a noticeable part of a sigma.
+"""
+
+import itertools
+from collections import OrderedDict, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, Store
+from mgsgraph.adjustment.incremental.sweep import Sweep, probes
+from mgsgraph.adjustment.incremental.tree import Tree
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network
+from mgsgraph.network.parts import Members, Unknown, part
+
+_MOST_UPDATES = 12
+_REACH = 0.5 * NOTICEABLE
+"""Sigmas of a bundle's unknowns below which a change isn't followed any farther: its points can't move by more sigmas
+than they do, and several ways may lead farther, hence the half."""
+_KEPT = 150_000
+"""Points that stay laid out for the kernel between two changes (about 1 kB each)."""
+
+_Laid = TypeVar("_Laid")
+
+
+class _Kept(Generic[_Laid]):
+    """What was laid out last, up to a number of points; what was asked for longest ago goes first."""
+
+    def __init__(self, points: int) -> None:
+        self._most, self._points = points, 0
+        self._all: OrderedDict[Members, tuple[int, _Laid]] = OrderedDict()
+
+    def get(self, members: Members) -> _Laid | None:
+        """What was kept for a bundle."""
+        if members not in self._all:
+            return None
+        self._all.move_to_end(members)
+        return self._all[members][1]
+
+    def put(self, members: Members, points: int, laid: _Laid) -> None:
+        """Keep it."""
+        self.drop(members)
+        self._all[members] = points, laid
+        self._points += points
+        while self._points > self._most and len(self._all) > 1:
+            _, (count, _) = self._all.popitem(last=False)
+            self._points -= count
+
+    def drop(self, members: Members) -> None:
+        """Forget it."""
+        if members in self._all:
+            self._points -= self._all.pop(members)[0]
+
+
+class Engine:
+    """Shared unknowns, reduced systems, and the tree over them; points stay in the store.
+
+    Parameters
+    ----------
+    settings : SolverSettings
+    store : Store
+        Read here, never written.
+    """
+
+    def __init__(self, settings: SolverSettings, store: Store) -> None:
+        self._settings, self._store = settings, store
+        self.shared = store.shared()
+        self.systems = store.reduced()
+        self.bundles = set(store.members())
+        self._lay_nothing_out()
+        self.grow()
+        self._take_values()
+
+    def _lay_nothing_out(self) -> None:
+        self._sweeps, self._probes = _Kept[Sweep](_KEPT), _Kept[tuple[Index, Sweep]](_KEPT)
+
+    def grow(self) -> None:
+        """The tree of all unknowns and systems: from reduced systems, never from points."""
+        self._tree, self.value = Tree(), {unknown: one.value for unknown, one in self.shared.items()}
+        self._holding: defaultdict[Unknown, set[Members]] = defaultdict(set)
+        self._tree.change({unknown: one.prior for unknown, one in self.shared.items()}, self.systems)
+        self._hold(self.systems)
+
+    @contextmanager
+    def all_or_nothing(self) -> Iterator[None]:
+        """Whatever fails within, the engine stands as it did."""
+        before = dict(self.shared), dict(self.systems), set(self.bundles)
+        try:
+            yield
+        except BaseException:
+            self.shared, self.systems, self.bundles = before
+            self._lay_nothing_out()
+            self.grow()
+            raise
+
+    def replaced(
+        self,
+        gone: Sequence[Members],
+        networks: Mapping[Members, Network],
+        new: Mapping[Unknown, Shared],
+        dropped: Sequence[Unknown] = (),
+    ) -> Settled:
+        """Put bundles in the place of others, with unknowns that come and go, and settle.
+
+        Raises
+        ------
+        PointBehindCamera
+            At the present values of the unknowns.
+        SolverError
+            When iSAM2 can't eliminate the change.
+        """
+        before = dict(self.value)
+        self.shared |= new
+        self.value |= {unknown: one.value for unknown, one in new.items()}
+        places = places_by_name(self._store.bundle(members) for members in gone)
+        self._forget(gone)
+        for members, network in networks.items():
+            sweep = Sweep(network, self._settings, _places_of(network, places))
+            self._sweeps.put(members, len(network.points), sweep)
+        systems = self._made(networks)
+        dropped = [*dropped, *self._unfelt(gone, systems)]
+        self._tree.change({unknown: one.prior for unknown, one in new.items()}, systems, gone, dropped)
+        for unknown in dropped:
+            del self.shared[unknown], self.value[unknown]
+        self.bundles |= set(networks)
+        self._take(systems)
+        updates, others, converged = self._settle()
+        reached = self._reached(set(systems), gone, before)
+        self._note(reached, new)
+        bundles = {members: self._placed(members, reached) for members in networks}
+        for members in {*others, *reached} - set(networks):
+            if (now := self._now(members, self._store.bundle(members), reached, members in others)) is not None:
+                bundles[members] = now
+        return Settled(bundles, reached, updates, len(systems) + len(others), converged)
+
+    def adopted(
+        self, shared: Mapping[Unknown, Shared], networks: Mapping[Members, Network], places: Mapping[str, Array]
+    ) -> dict[Members, Bundle]:
+        """Begin again from values of the unknowns and all bundles; places (3,) of points by name, as far as known."""
+        self._lay_nothing_out()
+        self.shared, self.bundles, kept = dict(shared), set(networks), dict[Members, Bundle]()
+        sweeps = {m: Sweep(network, self._settings, _places_of(network, places)) for m, network in networks.items()}
+        found = {members: sweep.system(self.value, self._motion(members)) for members, sweep in sweeps.items()}
+        self.systems = {members: system for members, system in found.items() if system is not None}
+        self.grow()
+        for members, sweep in sweeps.items():
+            system = found[members]
+            joint = None if system is None else self.joint(system.unknowns)
+            kept[members] = sweep.placed(self.value, system, joint)
+        return kept
+
+    def refreshed(self, wanted: Iterable[Members]) -> dict[Members, Bundle]:
+        """Bundles with their points where the present unknowns put them."""
+        found = dict[Members, Bundle]()
+        for members in wanted:
+            system = self.systems.get(members)
+            joint = {} if system is None else {members: self.joint(system.unknowns)}
+            found[members] = self._placed(members, joint)
+        return found
+
+    def joint(self, unknowns: Sequence[Unknown]) -> Array:
+        """Joint covariance (d, d) of some unknowns, m and rad, straight from iSAM2."""
+        return self._tree.covariance(unknowns)
+
+    # --- books
+
+    def _hold(self, systems: Iterable[Members]) -> None:
+        for members in systems:
+            for unknown in members:
+                self._holding[unknown].add(members)
+
+    def _take(self, systems: Mapping[Members, ReducedSystem]) -> None:
+        self.systems |= systems
+        self._hold(systems)
+
+    def _forget(self, gone: Iterable[Members]) -> None:
+        for members in gone:
+            self.bundles.discard(members)
+            self._sweeps.drop(members)
+            self._probes.drop(members)
+            if self.systems.pop(members, None) is not None:
+                for unknown in members:
+                    self._holding[unknown].discard(members)
+
+    def _unfelt(self, gone: Iterable[Members], systems: Mapping[Members, ReducedSystem]) -> list[Unknown]:
+        """Shifts that no bundle feels any longer."""
+        leaving = set(gone)
+        felt = {unknown for members in leaving for unknown in members if unknown.kind == "shift"}
+        return [u for u in felt if not self._holding[u] - leaving and not any(u in members for members in systems)]
+
+    # --- to the true linear system
+
+    def _settle(self) -> tuple[int, set[Members], bool]:
+        """Make systems anew until all unknowns lie within their slack: how often the tree was changed, which systems
+        were made, and whether it came to rest.
+        """
+        others = set[Members]()
+        for updates in range(1, _MOST_UPDATES + 1):
+            stale = self._stale(self._take_values())
+            if not stale:
+                return updates, others, True
+            made = self._made(stale)
+            self._tree.change(systems=made)
+            self._take(made)
+            others |= set(made)
+        self._take_values()
+        return _MOST_UPDATES, others, False
+
+    def _made(self, bundles: Iterable[Members]) -> dict[Members, ReducedSystem]:
+        """Reduced systems at the present values."""
+        made = dict[Members, ReducedSystem]()
+        for members in bundles:
+            system = self._laid_out(members).system(self.value, self._motion(members))
+            if system is not None:
+                made[members] = system
+        return made
+
+    def _motion(self, members: Members) -> float:
+        """Pixels per rad of the image that has most of them."""
+        return max((float(self.shared[u].motion[3]) for u in members if u.kind == "image"), default=np.inf)
+
+    def _take_values(self) -> list[Unknown]:
+        """Values from the tree; which unknowns have moved."""
+        found = self._tree.values()
+        moved = [unknown for unknown, value in found.items() if not np.array_equal(value, self.value[unknown])]
+        self.value |= {unknown: found[unknown] for unknown in moved}
+        return moved
+
+    def _stale(self, moved: Iterable[Unknown]) -> set[Members]:
+        """Bundles of unknowns that have moved farther from where their system was made than its slack."""
+        near = {members for unknown in moved for members in self._holding[unknown]}
+        return {members for members in near if self._distance(self.systems[members]) > self.systems[members].slack}
+
+    def _distance(self, system: ReducedSystem) -> float:
+        """Pixels by which image places can have moved since a system was made."""
+        start, farthest = 0, 0.0
+        for unknown in system.unknowns:
+            value = self.value[unknown]
+            step = value - system.at[start : start + value.size]
+            farthest = max(farthest, float(np.abs(step) @ self.shared[unknown].motion))
+            start += value.size
+        return farthest
+
+    # --- how far a change reaches
+
+    def _reached(
+        self, changed: set[Members], gone: Iterable[Members], before: Mapping[Unknown, Array]
+    ) -> dict[Members, Array]:
+        """Bundles changed, and those whose unknowns have moved noticeably, outwards; with their joint covariance.
+
+        Points move by no more of their sigmas than the unknowns of their bundle do of theirs (in Mahalanobis' sense):
+        dp = A dx, and S_p is at least A S_x A'.
+        """
+        reached, looked_at = dict[Members, Array](), dict[Members, Array]()
+        start = {unknown for members in gone for unknown in members} & set(self.shared)
+        waiting = list(changed | {members for unknown in start for members in self._holding[unknown]})
+        seen = set(waiting)
+        while waiting:
+            waiting.sort(key=len)  # large ones first: their covariance has that of their parts in it
+            members = waiting.pop()
+            system = self.systems[members]
+            joint, step = self._joint_within(system.unknowns, looked_at), self._step(system, before)
+            if members not in changed and step @ np.linalg.solve(joint, step) < _REACH**2:
+                continue
+            reached[members] = joint
+            near = {other for unknown in members for other in self._holding[unknown]} - seen
+            seen |= near
+            waiting += near
+        return reached
+
+    def _joint_within(self, unknowns: Members, known: dict[Members, Array]) -> Array:
+        """Joint covariance of some unknowns, out of one that is known where they all are in it."""
+        wanted = set(unknowns)
+        for names, joint in known.items():
+            if wanted.issubset(names):
+                sizes = [self.value[unknown].size for unknown in names]
+                place = dict(zip(names, itertools.accumulate(sizes, initial=0), strict=False))
+                mine = np.concatenate([np.arange(place[u], place[u] + self.value[u].size) for u in unknowns])
+                return np.asarray(joint[np.ix_(mine, mine)])
+        known[unknowns] = self.joint(unknowns)
+        return known[unknowns]
+
+    def _step(self, system: ReducedSystem, before: Mapping[Unknown, Array]) -> Array:
+        """(d,) by which a system's unknowns have moved; new ones from zero."""
+        return np.concatenate([self.value[unknown] - before.get(unknown, 0.0) for unknown in system.unknowns])
+
+    def _note(self, reached: Mapping[Members, Array], new: Iterable[Unknown]) -> None:
+        """Values and covariances of the unknowns reached, for the records of the store."""
+        found = dict[Unknown, Array]()
+        for members, joint in reached.items():
+            start = 0
+            for unknown in self.systems[members].unknowns:
+                end = start + self.value[unknown].size
+                found[unknown] = joint[start:end, start:end]
+                start = end
+        found |= {unknown: self.joint([unknown]) for unknown in new if unknown not in found}
+        for unknown, covariance in found.items():
+            self.shared[unknown] = replace(self.shared[unknown], value=self.value[unknown], covariance=covariance)
+
+    # --- points
+
+    def _laid_out(self, members: Members) -> Sweep:
+        """The sweep of a bundle; laid out anew when it isn't at hand any longer."""
+        if (sweep := self._sweeps.get(members)) is None:
+            bundle = self._store.bundle(members)
+            sweep = Sweep(bundle.network, self._settings, bundle.places)
+            self._sweeps.put(members, len(bundle.network.points), sweep)
+        return sweep
+
+    def _now(
+        self, members: Members, bundle: Bundle, joint: Mapping[Members, Array], made: bool
+    ) -> Bundle | None:
+        """A bundle whose points are the same as before: with their places now, if they have moved noticeably; with its
+        new system, if it was made anew; else None.
+        """
+        if members in joint and self._moves(members, bundle):
+            return self._placed(members, joint)
+        return replace(bundle, reduced=self.systems.get(members)) if made else None
+
+    def _moves(self, members: Members, bundle: Bundle) -> bool:
+        """Whether points of a bundle have moved noticeably, as its probes tell."""
+        if (found := self._probes.get(members)) is None:
+            chosen = probes(bundle)
+            if chosen.size == 0:
+                return False
+            network = part(bundle.network, chosen)
+            found = chosen, Sweep(network, self._settings, bundle.places[chosen])
+            self._probes.put(members, chosen.size, found)
+        chosen, sweep = found
+        variances = np.diagonal(bundle.covariances[chosen], axis1=1, axis2=2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            moved = np.abs(sweep.places(self.value) - bundle.places[chosen]) / np.sqrt(variances)
+        return bool(np.any(moved > 0.5 * NOTICEABLE))
+
+    def _placed(self, members: Members, joint: Mapping[Members, Array]) -> Bundle:
+        """A bundle with its points where the present unknowns put them."""
+        return self._laid_out(members).placed(self.value, self.systems.get(members), joint.get(members))
+
+
+def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:
+    """Places (3,) in m of all points, NaN for undetermined ones."""
+    return {name: place for one in bundles for name, place in zip(one.network.points.ids, one.places, strict=True)}
+
+
+def _places_of(network: Network, places: Mapping[str, Array]) -> Array:
+    """(n, 3) m, NaN where a point isn't among those known."""
+    nowhere = np.full(3, np.nan)
+    return np.array([places.get(name, nowhere) for name in network.points.ids]).reshape(-1, 3)

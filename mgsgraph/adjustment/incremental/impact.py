@@ -1,0 +1,301 @@
+"""What a change has done: which images and points moved, by how much and by how many of their sigmas."""
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, Settled, Shared
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.network.parts import Members, Unknown
+
+_MRAD = 1e-3
+_SHOWN = 12
+"""Rows of a printed table."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedImages:
+    """Images that a change reached; i of them."""
+
+    names: tuple[str, ...]
+    """(i)"""
+    new: Mask
+    """(i,) whether the change brought them."""
+    moves: Array
+    """(i, 6) m and rad, change of the constant term of the orientation: position, rotation about the camera axes."""
+    in_sigmas: Array
+    """(i,) largest change of a coefficient, in its sigmas before."""
+    sigmas_before: Array
+    """(i, 6) m and rad, of the constant term."""
+    sigmas_after: Array
+    """(i, 6) m and rad."""
+    on_ground: Array
+    """(i,) m, by which the ground under the image's middle moved."""
+    ground_before: Array
+    """(i,) m, sigma of that place, root of the trace of its covariance along the ground."""
+    ground_after: Array
+    """(i,) m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedPoints:
+    """Points that moved by more than `NOTICEABLE` of a sigma, or that the change brought; n of them."""
+
+    ids: tuple[str, ...]
+    """(n)"""
+    new: Mask
+    """(n,) whether they had no place before."""
+    moves: Array
+    """(n, 3) m, body-fixed; NaN for new ones."""
+    in_sigmas: Array
+    """(n,) largest of x, y, z in sigmas before; NaN for new ones."""
+    sigmas_before: Array
+    """(n, 3) m; NaN for new ones."""
+    sigmas_after: Array
+    """(n, 3) m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Impact:
+    """What adding or removing images has done to the rest."""
+
+    verb: str
+    """What was done: add or remove."""
+    subjects: tuple[str, ...]
+    """Images added or removed."""
+    images: MovedImages
+    """Images that the change reached."""
+    points: MovedPoints
+    """Points that it moved."""
+    neighbours: dict[str, int]
+    """Images that share determined points with those added, and how many."""
+    unconnected: tuple[str, ...]
+    """Images added that share no points with any other."""
+    lost: tuple[str, ...]
+    """Points that no image sees any longer, and that have gone with the one removed."""
+    undetermined: tuple[str, ...]
+    """Points that had a place, and have too few rays left."""
+    updates: int
+    """How often iSAM2's tree was changed until everything lay within its slack."""
+    systems: int
+    """Reduced systems that were made."""
+    converged: bool
+    """Whether it came to rest."""
+    seconds: float = float("nan")
+    """Wall time of all of it."""
+
+    def __repr__(self) -> str:
+        moved = int(np.count_nonzero(~self.points.new))
+        return (
+            f"Impact({self.verb} {', '.join(self.subjects)}: {len(self.images.names)} images reached, {moved} points "
+            f"moved by more than {NOTICEABLE} of a sigma, {len(self.points.ids) - moved} new)"
+        )
+
+    def after(self, seconds: float) -> "Impact":
+        """The same, with the wall time it took."""
+        return replace(self, seconds=seconds)
+
+    def sentences(self) -> list[str]:
+        """What a reader should know first."""
+        said = list[str]()
+        if self.unconnected:
+            names = ", ".join(self.unconnected)
+            said.append(f"Unconnected: {names}. No point is shared with another image; tie points would join it.")
+        if self.neighbours:
+            most = sorted(self.neighbours.items(), key=lambda pair: -pair[1])[:5]
+            said.append("Shared points: " + ", ".join(f"{count} with {name}" for name, count in most) + ".")
+        old = ~self.images.new
+        if np.any(old):
+            k = int(np.argmax(np.where(old, self.images.in_sigmas, -1.0)))
+            said.append(
+                f"{np.count_nonzero(old)} images reached; most moved is {self.images.names[k]}: "
+                f"{self.images.in_sigmas[k]:.2g} of its sigmas, {self.images.on_ground[k]:.3g} m on the ground."
+            )
+        moved = ~self.points.new
+        if np.any(moved):
+            k = int(np.nanargmax(np.where(moved, self.points.in_sigmas, -1.0)))
+            length = float(np.linalg.norm(self.points.moves[k]))
+            said.append(
+                f"{np.count_nonzero(moved)} points moved by more than {NOTICEABLE} of a sigma; most of all "
+                f"{self.points.ids[k]}: {length:.3g} m, {self.points.in_sigmas[k]:.2g} sigmas."
+            )
+        if np.any(self.points.new):
+            mean = np.nanmean(self.points.sigmas_after[self.points.new], axis=0)
+            said.append(
+                f"{np.count_nonzero(self.points.new)} new points; mean sigmas x, y, z {mean[0]:.3g}, {mean[1]:.3g}, "
+                f"{mean[2]:.3g} m."
+            )
+        if self.undetermined:
+            said.append(f"{len(self.undetermined)} points have too few rays left and are without a place now.")
+        if self.lost:
+            said.append(f"{len(self.lost)} points were seen by no other image and have gone.")
+        if not self.converged:
+            said.append("It did not come to rest; solve the project anew.")
+        return said
+
+    def table(self) -> str:
+        """The images reached as text, most moved first."""
+        rows = (zip(row, _WIDTHS, strict=True) for row in self._rows())
+        return "\n".join("  ".join(cell.rjust(width) for cell, width in row).rstrip() for row in rows)
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        images = self.images
+        order = np.argsort(-np.where(images.new, np.inf, images.in_sigmas), kind="stable")
+        rows: list[tuple[str, ...]] = [_HEAD, _UNITS]
+        for k in order[:_SHOWN].tolist():
+            before = "-" if images.new[k] else f"{images.ground_before[k]:.3g}"
+            angle = float(np.linalg.norm(images.moves[k, 3:])) / _MRAD
+            rows.append(
+                (
+                    images.names[k][-_WIDTHS[0] :],
+                    "new" if images.new[k] else f"{images.in_sigmas[k]:.3f}",
+                    f"{np.linalg.norm(images.moves[k, :3]):.3g}",
+                    f"{angle:.3g}",
+                    f"{images.on_ground[k]:.3g}",
+                    before,
+                    f"{images.ground_after[k]:.3g}",
+                )
+            )
+        if order.size > _SHOWN:
+            rows.append((f"and {order.size - _SHOWN} more", *[""] * (len(_HEAD) - 1)))
+        return rows
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        head, units, *rows = self._rows()
+        pairs = zip(head, units, strict=True)
+        top = "".join(f"<th>{html.escape(name)}<br>{html.escape(unit)}</th>" for name, unit in pairs)
+        body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+        said = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in self.sentences())
+        return f"<b>{html.escape(repr(self))}</b><ul>{said}</ul><table><tr>{top}</tr>{body}</table>"
+
+
+_HEAD = ("image", "moved", "position", "pointing", "ground", "sigma before", "after")
+_UNITS = ("", "sigmas", "m", "mrad", "m", "m", "m")
+_WIDTHS = (28, 8, 9, 9, 9, 13, 9)
+
+
+def impact(
+    verb: str,
+    subjects: Sequence[str],
+    settled: Settled,
+    old: Mapping[Members, Bundle],
+    before: Mapping[Unknown, Shared],
+    after: Mapping[Unknown, Shared],
+) -> Impact:
+    """Put the record of a change together.
+
+    Parameters
+    ----------
+    verb, subjects
+        What was done with which images.
+    settled : Settled
+        How the change came to rest, and where the points are now.
+    old : mapping
+        The bundles changed and reached, as they were.
+    before, after : mapping
+        Shared unknowns.
+    """
+    kept = settled.bundles
+    was = _Was(old)
+    reached = {unknown for members in settled.reached for unknown in members} | set(after) - set(before)
+    names = sorted(u.name for u in reached if u.kind == "image" and u in after)
+    now = {name for one in kept.values() for name in one.network.points.ids}
+    adding = verb == "add"
+    return Impact(
+        verb,
+        tuple(subjects),
+        _moved_images(names, before, after),
+        _moved_points(kept, was),
+        _neighbours(subjects, kept) if adding else {},
+        tuple(name for name in subjects if adding and not _neighbours([name], kept)),
+        tuple(name for name in was.row if name not in now),
+        _left_undetermined(kept, was),
+        settled.updates,
+        settled.systems,
+        settled.converged,
+    )
+
+
+def _moved_images(
+    names: Sequence[str], before: Mapping[Unknown, Shared], after: Mapping[Unknown, Shared]
+) -> MovedImages:
+    unknowns = [Unknown("image", name) for name in names]
+    table = np.array([_moved_image(before.get(u), after[u]) for u in unknowns]).reshape(len(unknowns), 22)
+    moves, in_sigmas, first, second, ground = np.split(table, [6, 7, 13, 19], axis=1)
+    new = np.array([unknown not in before for unknown in unknowns], dtype=bool)
+    return MovedImages(tuple(names), new, moves, in_sigmas[:, 0], first, second, *ground.T)
+
+
+def _moved_image(before: Shared | None, after: Shared) -> list[float]:
+    """Six moves, their size in sigmas, six sigmas before and after, move on the ground, its sigma before and after."""
+    was = before or replace(after, value=np.zeros_like(after.value), covariance=np.diag(after.prior**2))
+    step, sigmas = after.value - was.value, was.sigmas
+    spread = [float(np.sqrt(np.trace(after.ground @ one.covariance @ after.ground.T))) for one in (was, after)]
+    size = float(np.max(np.abs(step) / sigmas))
+    return [*step[:6], size, *sigmas[:6], *after.sigmas[:6], float(np.linalg.norm(after.ground @ step)), *spread]
+
+
+class _Was:
+    """Points of some bundles as they were: row of each by name, places and sigmas (n, 3), NaN in a last row."""
+
+    def __init__(self, old: Mapping[Members, Bundle]) -> None:
+        nothing = np.full((1, 3), np.nan)
+        self.row = {name: k for k, name in enumerate(n for one in old.values() for n in one.network.points.ids)}
+        self.places = np.concatenate([*(one.places for one in old.values()), nothing])
+        self.sigmas = np.concatenate([*(one.sigmas for one in old.values()), nothing])
+
+    def of(self, bundle: Bundle) -> tuple[Array, Array]:
+        """Places and sigmas (n, 3) of a bundle's points; NaN for those that had none."""
+        rows = np.array([self.row.get(name, -1) for name in bundle.network.points.ids], dtype=np.int64)
+        return self.places[rows], self.sigmas[rows]
+
+
+def _moved_points(kept: Mapping[Members, Bundle], was: _Was) -> MovedPoints:
+    """Points that have moved noticeably, and new ones."""
+    parts = [_moved_of(bundle, was) for bundle in kept.values()]
+    ids = tuple(name for names, _ in parts for name in names)
+    table = np.concatenate([np.zeros((0, 11)), *(values for _, values in parts)])
+    return MovedPoints(ids, table[:, 0] > 0.0, table[:, 1:4], table[:, 4], table[:, 5:8], table[:, 8:11])
+
+
+def _moved_of(bundle: Bundle, was: _Was) -> tuple[list[str], Array]:
+    """Names, and whether new, three moves, their size in sigmas, three sigmas before and after, (n, 11)."""
+    places, sigmas = was.of(bundle)
+    moves = bundle.places - places
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.max(np.abs(moves) / sigmas, axis=1)
+    new = np.isnan(places[:, 0]) & np.isfinite(bundle.places[:, 0])
+    chosen = np.flatnonzero(new | (size > NOTICEABLE))
+    table = np.column_stack([new, moves, size, sigmas, bundle.sigmas])
+    ids = bundle.network.points.ids
+    return [ids[k] for k in chosen.tolist()], table[chosen]
+
+
+def _left_undetermined(kept: Mapping[Members, Bundle], was: _Was) -> tuple[str, ...]:
+    """Points that had a place and have none now."""
+    found = list[str]()
+    for bundle in kept.values():
+        missing = np.isnan(bundle.places[:, 0])
+        if np.any(missing):
+            had = np.isfinite(was.of(bundle)[0][:, 0])
+            found += [bundle.network.points.ids[k] for k in np.flatnonzero(missing & had).tolist()]
+    return tuple(found)
+
+
+def _neighbours(subjects: Sequence[str], kept: Mapping[Members, Bundle]) -> dict[str, int]:
+    """Images that share determined points with some others, and how many."""
+    shared, own = dict[str, int](), set(subjects)
+    for bundle in kept.values():
+        network = bundle.network
+        number = {image.name: j for j, image in enumerate(network.images)}
+        mine = np.zeros((len(number), len(network.points)), dtype=bool)
+        mine[network.rays.image, network.rays.point] = True
+        mine &= np.isfinite(bundle.places[:, 0])
+        with_own = np.any(mine[[number[name] for name in own if name in number]], axis=0)
+        for name, j in number.items():
+            if name not in own and (count := int(np.count_nonzero(mine[j] & with_own))):
+                shared[name] = shared.get(name, 0) + count
+    return shared

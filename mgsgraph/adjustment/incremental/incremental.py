@@ -1,0 +1,304 @@
+"""Incremental adjustment: images come and go, iSAM2 holds the shared unknowns, points stay in their bundles."""
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental.closing import EXACT, Closing, closing, shared_image, shared_of, shared_shift
+from mgsgraph.adjustment.incremental.engine import Engine
+from mgsgraph.adjustment.incremental.impact import Impact, impact
+from mgsgraph.adjustment.incremental.motion import image_motion
+from mgsgraph.adjustment.incremental.state import InMemory, KnownImage, Settled, Shared, Store
+from mgsgraph.adjustment.passes import Progress
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import LaserProfile
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network
+from mgsgraph.network.observations import observed
+from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images, without_images
+from mgsgraph.ties import TiePoints
+
+Observations = TiePoints | LaserProfile | Sequence[TiePoints | LaserProfile]
+
+
+class IncrementalAdjustment:
+    """Images and their observations, adjusted as they come.
+
+    Parameters
+    ----------
+    settings : SolverSettings, optional
+        Measurement model and loss; the defaults when absent. Blunders are sought by batch alone (`close`).
+    store : Store, optional
+        Where the state lies; in memory when absent.
+    """
+
+    def __init__(self, settings: SolverSettings | None = None, store: Store | None = None) -> None:
+        self.settings = settings or SolverSettings()
+        self.store: Store = InMemory() if store is None else store
+        if self.settings.form != "bundle":
+            raise InputError("incremental adjustment", f"the {self.settings.form} form", "the bundle form")
+        self._engine = Engine(self.settings, self.store)
+
+    @classmethod
+    def of(cls, solution: Solution, store: Store | None = None) -> "IncrementalAdjustment":
+        """Go on from a batch solution."""
+        found = cls(solution.settings, store)
+        found.adopt(solution)
+        return found
+
+    def __repr__(self) -> str:
+        return f"IncrementalAdjustment({len(self.images)} images, {len(self._engine.bundles)} bundles of points)"
+
+    # --- what may be asked
+
+    @property
+    def images(self) -> list[str]:
+        """Names of all images, in the order in which they came."""
+        return self.store.image_names()
+
+    def correction(self, image: str) -> OrientationCorrection:
+        """Present orientation correction of an image; zero for a held one."""
+        known, unknown = self._known(image), Unknown("image", image)
+        value = np.zeros(known.prior.sigmas.size) if known.held else self._engine.value[unknown]
+        return OrientationCorrection(value.reshape(-1, 6), self.settings.angles)
+
+    def covariance(self, *images: str) -> Array:
+        """Joint covariance (d, d) of the coefficients of some images, m and rad, straight from iSAM2."""
+        for image in images:
+            if self._known(image).held:
+                raise InputError(f"image {image}", "held: it has no unknowns", "an adjusted image")
+        return self._engine.joint([Unknown("image", image) for image in images])
+
+    def points(self, ids: Sequence[str] | None = None) -> tuple[tuple[str, ...], Array, Array]:
+        """Names, places (n, 3) in m and covariances (n, 3, 3) in m^2 of points, refreshed; all of them when absent.
+
+        Undetermined points have NaN. Raises InputError for an unknown name.
+        """
+        homes = set(self._engine.bundles) if ids is None else set(self.store.homes(ids).values())
+        fresh = list(self._engine.refreshed(sorted(homes)).values())
+        names = tuple(name for one in fresh for name in one.network.points.ids)
+        places = np.concatenate([np.zeros((0, 3)), *(one.places for one in fresh)])
+        covariances = np.concatenate([np.zeros((0, 3, 3)), *(one.covariances for one in fresh)])
+        if ids is None:
+            return names, places, covariances
+        where = {name: k for k, name in enumerate(names)}
+        for name in ids:
+            if name not in where:
+                raise InputError(f"point {name}", "no such point", "one of the adjustment's")
+        chosen = [where[name] for name in ids]
+        return tuple(ids), places[chosen], covariances[chosen]
+
+    @property
+    def network(self) -> Network:
+        """Everything as one network, images in the order in which they came."""
+        parts = [self.store.bundle(members).network for members in sorted(self._engine.bundles)]
+        if not parts:
+            raise InputError("incremental adjustment", "no points", "observations in at least one image")
+        return with_images(joined(parts), [self.store.image(name) for name in self.images])
+
+    # --- what may be done
+
+    def add(
+        self,
+        images: Network | PushbroomImage | KnownImage | Sequence[KnownImage],
+        observations: Observations = (),
+        prior: OrientationPrior | None = None,
+        tie_sigma: float = 1.0,
+        shot_sigma: float = 30.0,
+    ) -> Impact:
+        """Add images with what is observed in them (and, of points that were there before, in others).
+
+        Parameters
+        ----------
+        images : Network, PushbroomImage, KnownImage, or several of the latter
+            A network brings its observations with it; those of its images that are known already are not new.
+        observations : TiePoints, LaserProfile, or several
+            Points known already come again by their ids, with their new measures.
+        prior : OrientationPrior, optional
+            Of a PushbroomImage; that of the image added last when absent.
+        tie_sigma, shot_sigma : float
+            px, of the image coordinates of tie points for which their file says nothing, and of laser footprints.
+
+        Raises
+        ------
+        InputError
+            When an image is there already, a measure names an unknown image or is there already, or parts contradict.
+        PointBehindCamera
+            With the nominal orientation of a new image. In all cases nothing has changed then.
+        """
+        if isinstance(images, Network):
+            there = set(self.images)
+            new = [one for one in _images_of(images) if one.image.name not in there]
+            return self._change("add", [one.image.name for one in new], new, *self._joined(images))
+        new = self._new_images(images, prior)
+        every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
+        addition = observed(_Named(self, new), every, tie_sigma, shot_sigma)
+        return self._change("add", [one.image.name for one in new], new, *self._joined(addition))
+
+    def remove(self, *images: str) -> Impact:
+        """Take images out with their measures; points that nothing else sees go, too.
+
+        Raises InputError for an unknown image.
+        """
+        for image in images:
+            self._known(image)
+        gone = list(dict.fromkeys(members for image in images for members in self.store.seen_by(image)))
+        parts = [self.store.bundle(members).network for members in gone]
+        left = [rest for network in parts if (rest := without_images(network, images)) is not None]
+        gone, networks = self._completed(gone, left)
+        return self._change("remove", list(images), [], gone, networks)
+
+    def close(self, name: str = "adjustment", progress: Progress = lambda _: None) -> tuple[Closing, Solution]:
+        """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.
+
+        Where anything is farther off than `EXACT` sigmas, what batch has found takes the place of what was there.
+        """
+        ids, places, _ = self.points()
+        solution = adjust_network(self.network, self.settings, name, progress)
+        found = closing(solution, self._engine.value, dict(zip(ids, places, strict=True)))
+        if found.worst > EXACT:
+            self.adopt(solution)
+        return found, solution
+
+    def adopt(self, solution: Solution) -> None:
+        """Take a batch solution over: its images, points and unknowns in the place of all that was there."""
+        engine, network = self._engine, solution.network
+        there = set(self.images)
+        with engine.all_or_nothing():
+            for one in _images_of(network):
+                _require_finite_prior(one)
+            places = dict(zip(network.points.ids, solution.places, strict=True))
+            kept = engine.adopted(shared_of(solution), bundles(network), places)
+            for one in _images_of(network):
+                if one.image.name not in there:
+                    self.store.put_image(one)
+            self.store.replace(self.store.members(), kept)
+            self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
+            self.store.put_shared(engine.shared)
+
+    # --- how
+
+    def _known(self, image: str) -> KnownImage:
+        if image not in set(self.images):
+            known = ", ".join(self.images[:4])
+            raise InputError(f"image {image}", "no such image", f"one of the adjustment's ({known or 'it has none'})")
+        return self.store.image(image)
+
+    def _new_images(
+        self, images: PushbroomImage | KnownImage | Sequence[KnownImage], prior: OrientationPrior | None
+    ) -> list[KnownImage]:
+        if isinstance(images, PushbroomImage):
+            if prior is None and not self.images:
+                raise InputError(f"image {images.name}", "no a-priori sigmas", "a prior for the first image")
+            images = KnownImage(images, prior or self.store.image(self.images[-1]).prior)
+        new, there = [images] if isinstance(images, KnownImage) else list(images), set(self.images)
+        for name, count in Counter(one.image.name for one in new).items():
+            if name in there or count > 1:
+                found = "in the adjustment already" if name in there else "named twice"
+                raise InputError(f"image {name}", found, "an image that is new", "remove it first to replace it")
+        return new
+
+    def _joined(self, addition: Network | None) -> tuple[list[Members], dict[Members, Network]]:
+        """Bundles that an addition changes, and what takes their place."""
+        if addition is None:
+            return [], {}
+        gone = sorted(set(self.store.homes(addition.points.ids).values()))
+        return self._completed(gone, [*(self.store.bundle(members).network for members in gone), addition])
+
+    def _completed(self, gone: list[Members], parts: list[Network]) -> tuple[list[Members], dict[Members, Network]]:
+        """Bundles of some parts, together with those that were there before of the same unknowns."""
+        networks = bundles(joined(parts)) if parts else {}
+        others = [members for members in networks if members in self._engine.bundles and members not in gone]
+        if others:
+            networks = bundles(joined([*parts, *(self.store.bundle(members).network for members in others)]))
+        return [*gone, *others], networks
+
+    def _new_unknowns(self, new: Sequence[KnownImage], networks: Mapping[Members, Network]) -> dict[Unknown, Shared]:
+        """Orientation of new images, and shifts that come with an addition; at zero."""
+        found = dict[Unknown, Shared]()
+        for one in new:
+            _require_finite_prior(one)
+            if not one.held:
+                unknown = Unknown("image", one.image.name)
+                found[unknown] = shared_image(one, self.settings.angles)
+        for members, network in networks.items():
+            for unknown in members:
+                if unknown.kind == "shift" and unknown not in self._engine.shared:
+                    motion = max(image_motion(one)[0] for one in _images_of(network))
+                    found[unknown] = shared_shift(network.shift_sigma(unknown.name), motion)
+        return found
+
+    def _change(
+        self,
+        verb: str,
+        subjects: Sequence[str],
+        new: Sequence[KnownImage],
+        gone: Sequence[Members],
+        networks: Mapping[Members, Network],
+    ) -> Impact:
+        """Put bundles in the place of others, keep what has come of it, and say what has happened."""
+        began, engine, removing = time.perf_counter(), self._engine, verb == "remove"
+        before = dict(engine.shared)
+        old = {members: self.store.bundle(members) for members in gone}
+        with engine.all_or_nothing():
+            dropped = [u for name in subjects if removing and (u := Unknown("image", name)) in before]
+            settled = engine.replaced(gone, networks, self._new_unknowns(new, networks), dropped)
+            old |= {members: self.store.bundle(members) for members in settled.bundles if members not in networks}
+            report = impact(verb, subjects, settled, old, before, engine.shared)
+            self._keep(settled, gone, new, before)
+            for name in subjects if removing else ():
+                self.store.drop_image(name)
+        return report.after(time.perf_counter() - began)
+
+    def _keep(
+        self, settled: Settled, gone: Sequence[Members], new: Sequence[KnownImage], before: Mapping[Unknown, Shared]
+    ) -> None:
+        """Write the new state to the store."""
+        shared = self._engine.shared
+        for one in new:
+            self.store.put_image(one)
+        self.store.replace(gone, settled.bundles)
+        self.store.put_shared({unknown: one for unknown, one in shared.items() if one is not before.get(unknown)})
+        self.store.drop_shared([unknown for unknown in before if unknown not in shared])
+
+
+class _Named(Mapping[str, KnownImage]):
+    """Images by name: new ones, and those of an adjustment, read when they are asked for."""
+
+    def __init__(self, adjustment: IncrementalAdjustment, new: Sequence[KnownImage]) -> None:
+        self._store, self._new = adjustment.store, {one.image.name: one for one in new}
+        self._names = [*self._new, *adjustment.images]
+
+    def __getitem__(self, name: str) -> KnownImage:
+        if name in self._new:
+            return self._new[name]
+        if name not in self._names:
+            raise KeyError(name)
+        return self._store.image(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def _images_of(network: Network) -> list[KnownImage]:
+    return [
+        KnownImage(image, prior, bool(held))
+        for image, prior, held in zip(network.images, network.priors, network.held, strict=True)
+    ]
+
+
+def _require_finite_prior(one: KnownImage) -> None:
+    """Raise InputError unless every coefficient has an a-priori sigma."""
+    if not np.all(np.isfinite(one.prior.sigmas)):
+        found, expected = "a coefficient without an a-priori sigma", "finite sigmas, which iSAM2 needs to begin with"
+        raise InputError(f"image {one.image.name}", found, expected)

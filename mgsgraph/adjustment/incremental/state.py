@@ -1,0 +1,241 @@
+"""What an incremental adjustment keeps between two changes: bundles with their reduced systems, and shared unknowns.
+
+A bundle is all points that feel the same shared unknowns. Its reduced system (points solved and eliminated at one
+orientation) is all that the tree of iSAM2 ever sees of it; its points are asked for only when a change touches them.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.network import Network
+from mgsgraph.network.parts import KnownImage as KnownImage
+from mgsgraph.network.parts import Members, Unknown
+
+NOTICEABLE = 0.01
+"""Sigmas from which a move is stated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReducedSystem:
+    """Normal equations of a bundle with its points eliminated: cost(x) = cost + gradient' dx + dx' normal dx / 2."""
+
+    unknowns: Members
+    """Adjusted unknowns in the order of their columns."""
+    at: Array
+    """(d,) m and rad, where it was made; dx = x - at."""
+    normal: Array
+    """(d, d) reduced normal matrix, per m and rad."""
+    gradient: Array
+    """(d,) reduced gradient."""
+    cost: float
+    """Half the weighted sum of squares of the points' rows there."""
+    slack: float
+    """Pixels by which image places may move before it has to be made anew (`sweep.slack`)."""
+
+    def __post_init__(self) -> None:
+        d = np.size(self.at)
+        for name, shape in (("at", (d,)), ("normal", (d, d)), ("gradient", (d,))):
+            assign(self, **{name: frozen(getattr(self, name), f"reduced system, {name}", shape)})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bundle:
+    """Points that feel the same shared unknowns, and where they are."""
+
+    network: Network
+    """The points with their rows, the images and shifts that they feel."""
+    reduced: ReducedSystem | None
+    """None where no point is determined, or only held images see them."""
+    places: Array
+    """(n, 3) m, body-fixed, adjusted; NaN for undetermined points."""
+    covariances: Array
+    """(n, 3, 3) m^2, for sigma0 = 1; zero for fixed points, NaN for undetermined ones."""
+
+    @property
+    def sigmas(self) -> Array:
+        """(n, 3) m, standard deviations of the points."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
+
+    def __post_init__(self) -> None:
+        n = len(self.network.points)
+        for name, shape in (("places", (n, 3)), ("covariances", (n, 3, 3))):
+            values = np.array(getattr(self, name), dtype=np.float64).reshape(shape)
+            values.flags.writeable = False
+            assign(self, **{name: values})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shared:
+    """One adjusted unknown: the orientation coefficients of an image, or a horizontal shift."""
+
+    prior: Array
+    """(d,) m and rad, a-priori sigmas; zero mean."""
+    motion: Array
+    """(d,) pixels by which image places move, at most, per m and per rad."""
+    ground: Array
+    """(3, d) by which the ground under the image's middle moves, m per m and per rad; zero for a shift."""
+    value: Array
+    """(d,) m and rad, adjusted."""
+    covariance: Array
+    """(d, d) for sigma0 = 1, when it was looked at last."""
+
+    def __post_init__(self) -> None:
+        d = np.size(self.prior)
+        shapes = {"prior": (d,), "motion": (d,), "ground": (3, d), "value": (d,), "covariance": (d, d)}
+        for name, shape in shapes.items():
+            assign(self, **{name: frozen(getattr(self, name), f"shared unknown, {name}", shape)})
+
+    @property
+    def sigmas(self) -> Array:
+        """(d,) standard deviations, m and rad, for sigma0 = 1."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """How a change came to rest."""
+
+    bundles: dict[Members, Bundle]
+    """Bundles changed, made anew or reached, with their points where they are now."""
+    reached: dict[Members, Array]
+    """Joint covariance (d, d) of the unknowns of those that a noticeable change reached, as in their reduced system."""
+    updates: int
+    """How often the tree was changed."""
+    systems: int
+    """Reduced systems that were made."""
+    converged: bool
+    """Whether it came to rest."""
+
+
+class Store(Protocol):
+    """Where the state lies: in memory (`InMemory`), or in the file of a kept project."""
+
+    def image_names(self) -> list[str]:
+        """All images, in the order in which they came."""
+        ...
+
+    def image(self, name: str) -> KnownImage:
+        """One of them."""
+        ...
+
+    def shared(self) -> dict[Unknown, Shared]:
+        """All adjusted unknowns."""
+        ...
+
+    def reduced(self) -> dict[Members, ReducedSystem]:
+        """The reduced systems of all bundles that have one, without any of their points."""
+        ...
+
+    def homes(self, ids: Iterable[str]) -> dict[str, Members]:
+        """For those of the points that are there: their bundle."""
+        ...
+
+    def seen_by(self, image: str) -> list[Members]:
+        """Bundles with points that have a ray or a range from an image."""
+        ...
+
+    def bundle(self, members: Members) -> Bundle:
+        """A bundle with its points."""
+        ...
+
+    def members(self) -> list[Members]:
+        """All bundles."""
+        ...
+
+    def put_image(self, known: KnownImage) -> None:
+        """Add an image."""
+        ...
+
+    def drop_image(self, name: str) -> None:
+        """Take an image out; its bundles have been replaced before."""
+        ...
+
+    def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
+        """Add unknowns or replace their values."""
+        ...
+
+    def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
+        """Take unknowns out."""
+        ...
+
+    def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+        """Take bundles out and put others in; one that is in both is renewed."""
+        ...
+
+
+class InMemory:
+    """The state in this process's memory."""
+
+    def __init__(self) -> None:
+        self._images = dict[str, KnownImage]()
+        self._shared = dict[Unknown, Shared]()
+        self._bundles = dict[Members, Bundle]()
+        self._home = dict[str, Members]()
+        self._seen_by = dict[str, dict[Members, None]]()
+
+    def image_names(self) -> list[str]:
+        """All images, in the order in which they came."""
+        return list(self._images)
+
+    def image(self, name: str) -> KnownImage:
+        """One of them."""
+        return self._images[name]
+
+    def shared(self) -> dict[Unknown, Shared]:
+        """All adjusted unknowns."""
+        return dict(self._shared)
+
+    def reduced(self) -> dict[Members, ReducedSystem]:
+        """Reduced systems of all bundles that have one."""
+        return {members: bundle.reduced for members, bundle in self._bundles.items() if bundle.reduced is not None}
+
+    def homes(self, ids: Iterable[str]) -> dict[str, Members]:
+        """For those of the points that are there: their bundle."""
+        return {name: self._home[name] for name in ids if name in self._home}
+
+    def seen_by(self, image: str) -> list[Members]:
+        """Bundles with points that have a ray or a range from an image."""
+        return list(self._seen_by.get(image, ()))
+
+    def bundle(self, members: Members) -> Bundle:
+        """A bundle with its points."""
+        return self._bundles[members]
+
+    def members(self) -> list[Members]:
+        """All bundles."""
+        return list(self._bundles)
+
+    def put_image(self, known: KnownImage) -> None:
+        """Add an image."""
+        self._images[known.image.name] = known
+
+    def drop_image(self, name: str) -> None:
+        """Take an image out."""
+        del self._images[name]
+
+    def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
+        """Add unknowns or replace their values."""
+        self._shared |= shared
+
+    def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
+        """Take unknowns out."""
+        for unknown in unknowns:
+            del self._shared[unknown]
+
+    def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+        """Take bundles out and put others in."""
+        for members in gone:
+            bundle = self._bundles.pop(members)
+            for name in bundle.network.points.ids:
+                del self._home[name]
+            for image in bundle.network.images:
+                del self._seen_by[image.name][members]
+        for members, bundle in new.items():
+            self._bundles[members] = bundle
+            self._home |= dict.fromkeys(bundle.network.points.ids, members)
+            for image in bundle.network.images:
+                self._seen_by.setdefault(image.name, {})[members] = None

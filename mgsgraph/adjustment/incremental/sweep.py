@@ -1,0 +1,152 @@
+"""One bundle laid out for the kernel: its points solved and eliminated, placed, and their covariances."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from mgsgraph.adjustment.determined import without_weak
+from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.graph.patterns import group_blocks
+from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem
+from mgsgraph.adjustment.passes import Selection, determined_points, everything
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.factors.bundle import Bundles, Reduction, point_covariances, reduce
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network
+from mgsgraph.network.parts import Unknown, unknowns
+
+TOLERANCE = 1e-3
+"""Posterior sigmas by which linearisation may put an unknown wrong (a tenth of what is promised)."""
+_ROBUST_SHARE = 0.05
+"""Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
+_PROBES = 48
+"""Points that stand for all of a bundle: their moves are polynomials of the line, of low degree."""
+
+
+def slack(network: Network, settings: SolverSettings, motion: float) -> float:
+    """Pixels by which image places of a bundle may move before its reduced system has to be made anew.
+
+    The orientation enters the collinearity equations by sines of small angles: a move of p pixels, of w radians each
+    (`motion` = 1/w), leaves p (p w) pixels that the linear system doesn't know. If all n rows of sigma s lie wrong the
+    same way, the unknowns do by n^1/2 p^2 w / s of their sigmas at most, which shall be no more than TOLERANCE.
+    """
+    if network.rays.point.size == 0:
+        return math.inf
+    sigma = float(network.rays.sigmas.min())
+    allowed = math.sqrt(TOLERANCE * sigma * motion / math.sqrt(network.rays.point.size))
+    return allowed if settings.loss == "none" else min(allowed, _ROBUST_SHARE * sigma)
+
+
+class Sweep:
+    """A bundle that the kernel goes over.
+
+    Parameters
+    ----------
+    network : Network
+        Points that feel the same shared unknowns.
+    settings : SolverSettings
+    places : (n, 3), optional
+        m, where its points are thought to be; NaN where nothing is known.
+
+    Raises
+    ------
+    InputError
+        When a point lies on a ray that misses the body.
+    """
+
+    def __init__(self, network: Network, settings: SolverSettings, places: Array | None = None) -> None:
+        self.network, self._settings = network, settings
+        self._names = unknowns(network)
+        # in the papers' form the places where points begin are part of the model, and must be the nominal ones
+        self._layout = lay_out(network, settings, places if settings.line == "predicted" else None)
+        self._blocks = group_blocks(self._layout.groups)
+        self._select(self._layout, everything(network))
+        self._last: Reduction | None = None
+
+    def reduce(self, values: Mapping[Unknown, Array], system: bool = True) -> Reduction:
+        """All points solved and eliminated at values of the unknowns; points that nothing determines are left out.
+
+        Raises PointBehindCamera. Terrain patches follow their points.
+        """
+        shared, last = self._vector(values), self._last
+        if last is not None and np.array_equal(last.orientation, shared) and (last.blocks is not None or not system):
+            return last
+        found = self._reduced(shared, system)
+        strong = without_weak(self._layout, found, self._selection)
+        if not np.array_equal(strong.out, self._selection.out):
+            self._select(self._layout, strong)
+            found = self._reduced(shared, system)
+        followed = self._layout.following(found.points, shared)
+        if followed is not self._layout:
+            self._select(followed, self._selection)
+            found = self._reduced(shared, system)
+        self._last = found
+        return found
+
+    def system(self, values: Mapping[Unknown, Array], motion: float) -> ReducedSystem | None:
+        """The reduced system; None without adjusted unknowns or determined points. `motion` as in `slack`."""
+        found, layout = self.reduce(values), self._layout
+        if layout.columns == 0 or not np.any(determined_points(self._rows)):
+            return None
+        (group,) = layout.group_variables
+        columns = [[layout.columns_of(v) for v in group]]
+        bundles = Bundles(layout.rows, layout.groups, self._blocks, layout.model, [group], columns, layout.scales)
+        normal, gradient = bundles.dense(found, 0)
+        names = tuple(self._names[v] for v in group)
+        allowed = slack(self.network, self._settings, motion)
+        return ReducedSystem(names, found.orientation, normal, gradient, found.cost, allowed)
+
+    def placed(self, values: Mapping[Unknown, Array], system: ReducedSystem | None, joint: Array | None) -> Bundle:
+        """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of the unknowns in
+        the order of the system, absent where it has none.
+        """
+        found, layout = self.reduce(values, system=False), self._layout
+        blocks = np.zeros(self._blocks.size)
+        if joint is not None:
+            self._put(blocks, joint)
+        spread = point_covariances(
+            self._rows, layout.groups, self._blocks, layout.model, found.orientation, blocks, found.points
+        )
+        return Bundle(self.network, system, self._ordered(found.points), self._ordered(spread))
+
+    def places(self, values: Mapping[Unknown, Array]) -> Array:
+        """(n, 3) m, where the unknowns put the points; NaN for undetermined ones."""
+        return self._ordered(self.reduce(values, system=False).points)
+
+    def _select(self, layout: Layout, selection: Selection) -> None:
+        """Which points take part, in which patches of the terrain."""
+        self._layout, self._selection, self._rows = layout, selection, selection.rows(layout)
+
+    def _reduced(self, shared: Array, system: bool) -> Reduction:
+        layout, begin = self._layout, None if self._last is None else self._last.points
+        return reduce(self._rows, layout.groups, self._blocks, layout.model, shared, system, begin)
+
+    def _vector(self, values: Mapping[Unknown, Array]) -> Array:
+        vector, layout = np.zeros(self._layout.columns), self._layout
+        for v in layout.variables.adjusted():
+            vector[layout.columns_of(v)] = values[self._names[v]]
+        return vector
+
+    def _put(self, blocks: Array, joint: Array) -> None:
+        """Blocks of a joint covariance where the kernel looks for them."""
+        width = self._layout.groups.member_width
+        ends = np.concatenate([[0], np.cumsum(width)])
+        for i in range(width.size):
+            for j in range(i, width.size):
+                at = self._blocks.pair[i * width.size + j]
+                block = joint[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
+                blocks[at : at + block.size] = block.ravel()
+
+    def _ordered(self, values: Array) -> Array:
+        layout: Layout = self._layout
+        ordered = layout.network_order(values)
+        ordered[~layout.network_order(determined_points(self._rows))] = np.nan
+        return ordered
+
+
+def probes(bundle: Bundle) -> Index:
+    """Some determined points of a bundle, evenly chosen."""
+    there = np.flatnonzero(np.isfinite(bundle.places[:, 0]))
+    return there[np.unique(np.linspace(0, there.size - 1, min(_PROBES, there.size)).astype(np.int64))]
+

@@ -1,0 +1,129 @@
+"""The Bayes tree of iSAM2 over the shared unknowns: reduced systems go in and out, estimates and covariances come out.
+
+Kaess, Johannsson, Roberts, Ila, Leonard & Dellaert, "iSAM2" (2012). Every factor is quadratic, so the tree is iSAM2's
+incremental elimination and nothing else; what is not linear is mended by taking a bundle's system out and putting in
+one that was made at the present values (`incremental`). Unknowns are held in units of their a-priori sigmas: numbers of
+order one, for which the wildfire threshold and the pivots of Cholesky's method mean the same everywhere.
+"""
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+
+import gtsam
+import numpy as np
+
+from mgsgraph.adjustment.incremental.state import ReducedSystem
+from mgsgraph.errors import SolverError
+from mgsgraph.geometry.records import Array
+from mgsgraph.network.parts import Members, Unknown
+
+_WILDFIRE = 1e-7
+"""A-priori sigmas: changes smaller than this are not handed on (a thousandth of what is promised where the posterior
+is a thousand times sharper than the prior)."""
+
+
+class Tree:
+    """Unknowns with their priors, and reduced systems on them."""
+
+    def __init__(self) -> None:
+        self._isam = _isam()
+        self._keys = dict[Unknown, int]()
+        self._scale = dict[Unknown, Array]()
+        self._slots = dict[Members, int]()
+        self._priors = dict[Unknown, int]()
+        self._next = 0
+
+    def __contains__(self, members: Members) -> bool:
+        return members in self._slots
+
+    def change(
+        self,
+        new: Mapping[Unknown, Array] | None = None,
+        systems: Mapping[Members, ReducedSystem] | None = None,
+        gone: Iterable[Members] = (),
+        dropped: Iterable[Unknown] = (),
+    ) -> None:
+        """Put unknowns (with a-priori sigmas (d,)) and systems in, take others out; a system whose members are there
+        replaces the one that was.
+
+        Raises SolverError when the sum can't be eliminated; the tree is of no use after that.
+        """
+        systems, dropped = dict(systems or {}), list(dropped)
+        removed = [self._slots.pop(members) for members in {*gone, *systems} if members in self._slots]
+        removed += [self._priors.pop(unknown) for unknown in dropped]
+        factors, values, of_slot = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[Members | Unknown]()
+        for unknown, sigmas in (new or {}).items():
+            key = self._keys[unknown] = self._next
+            self._next += 1
+            self._scale[unknown] = sigmas
+            values.insert(key, np.zeros(sigmas.size))
+            factors.add(
+                gtsam.PriorFactorVector(key, np.zeros(sigmas.size), gtsam.noiseModel.Unit.Create(sigmas.size))
+            )
+            of_slot.append(unknown)
+        for members, system in systems.items():
+            factors.add(self._factor(system))
+            of_slot.append(members)
+        try:
+            result = self._isam.update(factors, values, removed)
+        except RuntimeError as error:
+            raise SolverError(f"iSAM2 can't eliminate the change ({str(error).splitlines()[0][:100]})") from None
+        for owner, slot in zip(of_slot, result.getNewFactorsIndices(), strict=True):
+            if isinstance(owner, Unknown):
+                self._priors[owner] = int(slot)
+            else:
+                self._slots[owner] = int(slot)
+        for unknown in dropped:
+            del self._keys[unknown], self._scale[unknown]
+
+    def _factor(self, system: ReducedSystem) -> gtsam.LinearContainerFactor:
+        """A reduced system as GTSAM factor, in whitened units."""
+        keys = [self._keys[unknown] for unknown in system.unknowns]
+        scales = [self._scale[unknown] for unknown in system.unknowns]
+        edges, scale = np.cumsum([0, *(part.size for part in scales)]), np.concatenate(scales)
+        normal, right = system.normal * scale[:, None] * scale, -system.gradient * scale
+        at, parts = gtsam.Values(), [slice(a, b) for a, b in itertools.pairwise(edges.tolist())]
+        for key, part in zip(keys, parts, strict=True):
+            at.insert(key, (system.at / scale)[part])
+        return gtsam.LinearContainerFactor(_hessian(keys, parts, normal, right, 2.0 * system.cost), at)
+
+    def values(self) -> dict[Unknown, Array]:
+        """Present values of all unknowns, m and rad."""
+        found = self._isam.calculateEstimate()
+        return {unknown: found.atVector(key) * self._scale[unknown] for unknown, key in self._keys.items()}
+
+    def covariance(self, unknowns: Sequence[Unknown]) -> Array:
+        """Joint covariance (d, d) of some unknowns, in their order, m and rad, for sigma0 = 1."""
+        keys, scale = [self._keys[u] for u in unknowns], np.concatenate([self._scale[u] for u in unknowns])
+        if len(keys) == 1:
+            return np.asarray(self._isam.marginalCovariance(keys[0]) * scale[:, None] * scale)
+        joint = self._isam.jointMarginalCovariance(keys)
+        blocks = np.block([[joint.at(one, other) for other in keys] for one in keys])
+        return np.asarray(blocks * scale[:, None] * scale)
+
+
+def _isam() -> gtsam.ISAM2:
+    parameters = gtsam.ISAM2Params()
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(_WILDFIRE))
+    parameters.enableRelinearization = False
+    parameters.findUnusedFactorSlots = True
+    return gtsam.ISAM2(parameters)
+
+
+def _hessian(keys: list[int], parts: list[slice], normal: Array, right: Array, constant: float) -> gtsam.HessianFactor:
+    """GTSAM's Hessian factor: error = x' normal x / 2 - x' right + constant / 2."""
+    if len(keys) == 1:
+        return gtsam.HessianFactor(keys[0], normal, right, constant)
+    if len(keys) == 2:
+        a, b = parts
+        return gtsam.HessianFactor(
+            keys[0], keys[1], normal[a, a], normal[a, b], right[a], normal[b, b], right[b], constant
+        )
+    graph = gtsam.GaussianFactorGraph()  # GTSAM takes more than three keys as a sum of factors only
+    for k, a in enumerate(parts):
+        graph.push_back(gtsam.HessianFactor(keys[k], normal[a, a], right[a], constant if k == 0 else 0.0))
+        for m, b in enumerate(parts[k + 1 :], k + 1):
+            none, other = np.zeros_like(normal[a, a]), np.zeros_like(normal[b, b])
+            zero, zeros = np.zeros_like(right[a]), np.zeros_like(right[b])
+            graph.push_back(gtsam.HessianFactor(keys[k], keys[m], none, normal[a, b], zero, other, zeros, 0.0))
+    return gtsam.HessianFactor(graph)

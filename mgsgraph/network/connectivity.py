@@ -1,0 +1,271 @@
+"""How the images of a network hang together: by common points, by overlapping footprints, and where that is weak."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.footprint import Footprint, footprint, gaps, overlaps
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network.network import Network
+from mgsgraph.network.records import PointClass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Connectivity:
+    """Which images share points, which overlap, and which links the block can't do without."""
+
+    footprints: tuple[Footprint, ...]
+    """Of all images."""
+    seen: Index
+    """(images,) number of points that each image measures."""
+    pairs: Index
+    """(p, 2) images that share points or overlap, the smaller index first, in order."""
+    common: Index
+    """(p, classes) number of points they share, by PointClass."""
+    areas: Array
+    """(p,) m^2, by which they overlap."""
+    shares: Array
+    """(p,) of the smaller footprint, 0 .. 1."""
+    gaps: Array
+    """(p,) m between footprints that don't meet; zero where they do, NaN for an image that sees nothing of it."""
+    islands: tuple[tuple[int, ...], ...]
+    """Images that hang together by common points, largest island first."""
+    bridges: Mask
+    """(p,) True for a pair whose common points alone join two parts of the block."""
+    cut_images: Index
+    """Images without which their island falls apart."""
+    spine: Index
+    """Rows of `pairs`: for each island the links that hold it together best (maximum spanning tree), weakest first.
+    Two parts that one of them joins have no pair with more points in common."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(images) their names."""
+        return tuple(one.name for one in self.footprints)
+
+    @property
+    def points(self) -> Index:
+        """(p,) number of points each pair shares."""
+        return np.asarray(self.common.sum(axis=1))
+
+    @property
+    def links(self) -> Index:
+        """Rows of pairs that share points."""
+        return np.flatnonzero(self.points > 0)
+
+    @property
+    def untied(self) -> Index:
+        """Rows of pairs that overlap and share nothing: ties could be measured there. Largest area first."""
+        rows = np.flatnonzero((self.points == 0) & (self.areas > 0.0))
+        return rows[np.argsort(-self.areas[rows], kind="stable")]
+
+    @property
+    def apart(self) -> Index:
+        """Rows of pairs that share points though their footprints don't meet: a blunder, perhaps. Widest gap first."""
+        rows = np.flatnonzero((self.points > 0) & (self.gaps > 0.0))
+        return rows[np.argsort(-self.gaps[rows], kind="stable")]
+
+    @property
+    def unconnected(self) -> Index:
+        """Images that share no point with any other."""
+        joined = np.zeros(len(self.footprints), dtype=bool)
+        joined[self.pairs[self.links]] = True
+        return np.flatnonzero(~joined)
+
+    def cut_off(self, row: int) -> tuple[int, ...]:
+        """Images of the smaller part that falls off when a bridge, one of the pairs, goes; none for another pair."""
+        if not self.bridges[row]:
+            return ()
+        links = self.links[self.links != row]
+        parts = _groups(len(self.footprints), self.pairs[links])
+        return min((part for part in parts if np.isin(self.pairs[row], part).any()), key=len)
+
+    def __repr__(self) -> str:
+        return (
+            f"Connectivity({len(self.footprints)} images, {self.links.size} links, {len(self.islands)} islands, "
+            f"{np.count_nonzero(self.bridges)} bridges, {self.untied.size} overlaps without common points)"
+        )
+
+
+def connectivity(network: Network, footprints: Sequence[Footprint], used: Mask | None = None) -> Connectivity:
+    """How the images of a network hang together.
+
+    Parameters
+    ----------
+    network : Network
+        Who sees what.
+    footprints : sequence of Footprint
+        Of all images, in their order.
+    used : (rays,), optional
+        False for rays that don't count (rejected ones).
+    """
+    if tuple(one.name for one in footprints) != tuple(image.name for image in network.images):
+        raise InputError("connectivity", f"footprints of {len(footprints)} images", "one of each image, in order")
+    m = len(footprints)
+    table = _common_by_class(network, used)
+    total = table.sum(axis=0)
+    found = overlaps(footprints)
+    area, share = np.zeros((2, m, m))
+    area[tuple(found.pairs.T)], share[tuple(found.pairs.T)] = found.areas, found.shares
+    pairs = np.argwhere(np.triu((total > 0) | (area > 0.0), 1))
+    at = pairs[:, 0], pairs[:, 1]
+    areas = area[at]
+    distances = np.zeros(len(pairs))
+    distances[areas == 0.0] = gaps(footprints, pairs[areas == 0.0])
+    common = np.moveaxis(table, 0, -1)[at]
+    points = common.sum(axis=1)
+    bridges, cut_images = _bridges_and_cuts(m, pairs, points > 0)
+    return Connectivity(
+        footprints=tuple(footprints),
+        seen=np.diagonal(total).copy(),
+        pairs=pairs,
+        common=common,
+        areas=areas,
+        shares=share[at],
+        gaps=distances,
+        islands=tuple(_groups(m, pairs[points > 0])),
+        bridges=bridges,
+        cut_images=cut_images,
+        spine=_spine(m, pairs, points),
+    )
+
+
+def network_footprints(
+    network: Network, places: Array, correction: Callable[[int], OrientationCorrection] | None = None
+) -> tuple[Footprint, ...]:
+    """Footprints of all images, each at the middle height of the points that it measures.
+
+    Parameters
+    ----------
+    network : Network
+        Whose images.
+    places : (n, 3)
+        m, of its ground points; NaN where unknown.
+    correction : callable, optional
+        The orientation correction of an image; nominal when absent.
+    """
+    heights = geodetic(places, network.images[0].body)[:, 2]
+    known = np.isfinite(heights)
+    everywhere = float(np.median(heights[known])) if np.any(known) else 0.0
+    found = []
+    for j, image in enumerate(network.images):
+        mine = heights[network.rays.point[network.rays.image == j]]
+        mine = mine[np.isfinite(mine)]
+        height = float(np.median(mine)) if mine.size else everywhere
+        found.append(footprint(image, height, correction(j) if correction else None))
+    return tuple(found)
+
+
+def common_points(network: Network, used: Mask | None = None) -> Index:
+    """(images, images) number of points seen by both; on the diagonal, seen by the image. `used` as above."""
+    return np.asarray(_common_by_class(network, used).sum(axis=0))
+
+
+def islands(network: Network, used: Mask | None = None) -> list[list[int]]:
+    """Groups of images that hang together by common points, largest first; more than one means a broken block."""
+    joined = np.argwhere(np.triu(common_points(network, used), 1))
+    return [list(group) for group in _groups(len(network.images), joined)]
+
+
+def _common_by_class(network: Network, used: Mask | None) -> Index:
+    """(classes, images, images) number of points of each class seen by both; symmetric."""
+    m, rays = len(network.images), network.rays
+    counted = slice(None) if used is None else used
+    # a table of points x images would outgrow the memory: go through the pairs of each point's rays
+    point, image = np.divmod(np.unique(rays.point[counted] * m + rays.image[counted]), m)
+    block = network.points.classes[point] * (m * m)
+    size = len(PointClass) * m * m
+    common = np.zeros(size, dtype=np.int64)
+    for lag in range(m):
+        first, second = slice(0, point.size - lag), slice(lag, None)
+        same = point[first] == point[second]
+        if not np.any(same):
+            break
+        common += np.bincount((block[first] + image[first] * m + image[second])[same], minlength=size)
+    table = common.reshape(len(PointClass), m, m)
+    return np.asarray(table + np.swapaxes(np.triu(table, 1), 1, 2))
+
+
+def _neighbours(images: int, pairs: Index) -> list[list[tuple[int, int]]]:
+    """For each image the images that a pair joins to it, with the pair's row."""
+    found: list[list[tuple[int, int]]] = [[] for _ in range(images)]
+    for row, (i, j) in enumerate(pairs.tolist()):
+        found[i].append((j, row))
+        found[j].append((i, row))
+    return found
+
+
+def _groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
+    """Images that pairs (p, 2) join, largest group first, then by their first image."""
+    beside, left, groups = _neighbours(images, pairs), set(range(images)), []
+    for start in range(images):
+        if start not in left:
+            continue
+        left.discard(start)
+        group, front = [start], [start]
+        while front:
+            for other, _ in beside[front.pop()]:
+                if other in left:
+                    left.discard(other)
+                    group.append(other)
+                    front.append(other)
+        groups.append(tuple(sorted(group)))
+    return sorted(groups, key=len, reverse=True)
+
+
+def _bridges_and_cuts(images: int, pairs: Index, linked: Mask) -> tuple[Mask, Index]:
+    """Pairs (p,) and images whose loss parts an island: the depth-first search of Hopcroft & Tarjan (1973)."""
+    rows = np.flatnonzero(linked)
+    beside = _neighbours(images, pairs[rows])
+    depth, low, children = [-1] * images, [0] * images, [0] * images
+    bridges, cuts = np.zeros(len(pairs), dtype=bool), set[int]()
+    for root in range(images):
+        if depth[root] >= 0:
+            continue
+        depth[root] = 0
+        path = [(root, -1, iter(beside[root]))]
+        while path:
+            image, through, others = path[-1]
+            for other, row in others:
+                if depth[other] < 0:
+                    depth[other] = low[other] = len(path)
+                    children[image] += 1
+                    path.append((other, row, iter(beside[other])))
+                    break
+                if row != through:
+                    low[image] = min(low[image], depth[other])
+            else:
+                path.pop()
+                if path:
+                    parent = path[-1][0]
+                    low[parent] = min(low[parent], low[image])
+                    bridges[rows[through]] = low[image] > depth[parent]
+                    if low[image] >= depth[parent] and parent != root:
+                        cuts.add(parent)
+        if children[root] > 1:
+            cuts.add(root)
+    return bridges, np.array(sorted(cuts), dtype=np.int64)
+
+
+def _spine(images: int, pairs: Index, points: Index) -> Index:
+    """Rows of the maximum spanning tree of each island by common points, weakest first (Kruskal)."""
+    leader = list(range(images))
+
+    def find(image: int) -> int:
+        while leader[image] != image:
+            leader[image] = image = leader[leader[image]]
+        return image
+
+    rows = []
+    for row in np.argsort(-points, kind="stable").tolist():
+        if points[row] == 0:
+            break
+        one, other = (find(image) for image in pairs[row].tolist())
+        if one != other:
+            leader[one] = other
+            rows.append(row)
+    return np.array(rows[::-1], dtype=np.int64)

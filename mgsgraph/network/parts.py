@@ -1,0 +1,312 @@
+"""Networks taken apart into bundles (points that feel the same shared unknowns) and put together again."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Index, Mask
+from mgsgraph.network.network import Network
+from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface
+from mgsgraph.ties import PointKind
+
+TERRAIN = "terrain model"
+"""Name of the terrain model's shift among the shared unknowns (`Network.shift_names`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownImage:
+    """An image that takes part."""
+
+    image: PushbroomImage
+    """Its geometry."""
+    prior: OrientationPrior
+    """What is known of its orientation beforehand."""
+    held: bool = False
+    """Whether its orientation stays as it is."""
+
+
+class Unknown(NamedTuple):
+    """An unknown that points share; its name outlives the order of a network's images and profiles."""
+
+    kind: Literal["image", "shift"]
+    """Orientation of an image, or horizontal shift of a laser profile or of the terrain model."""
+    name: str
+    """Of the image, of the profile, or `TERRAIN`."""
+
+    def __str__(self) -> str:
+        return f"{'image' if self.kind == 'image' else 'shift of'} {self.name}"
+
+
+Members = tuple[Unknown, ...]
+"""The shared unknowns that points feel, in order: what tells one bundle from another. A held image has none."""
+
+
+def unknowns(network: Network) -> Members:
+    """Shared unknowns of a network, in the order of a layout's variables."""
+    images = (Unknown("image", image.name) for image in network.images)
+    return (*images, *(Unknown("shift", name) for name in network.shift_names))
+
+
+def part(network: Network, points: Index) -> Network:
+    """Some points (n,) of a network, in the order given, with their rows and with the images and shifts that they feel.
+
+    Without points, or without any of their rows in an image, there is no network: the points' images are its images.
+    """
+    place = np.full(len(network.points), -1)
+    place[points] = np.arange(points.size)
+    rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)
+    images, image = _renumbered(network.rays.image[rays], network.ranges.image[ranges])
+    own, at = network.points, place
+    covered = network.rays
+    return Network(
+        tuple(network.images[j] for j in images),
+        tuple(network.priors[j] for j in images),
+        network.held[images],
+        GroundPoints(
+            tuple(own.ids[i] for i in points.tolist()),
+            own.classes[points],
+            own.kinds[points],
+            own.places[points],
+            own.covariances[points],
+        ),
+        ImageRays(
+            at[covered.point[rays]],
+            image[covered.image[rays]],
+            covered.places[rays],
+            covered.sigmas[rays],
+            None if covered.back_projected is None else covered.back_projected[rays],
+        ),
+        Ranges(
+            at[network.ranges.point[ranges]],
+            image[network.ranges.image[ranges]],
+            network.ranges.times[ranges],
+            network.ranges.values[ranges],
+            network.ranges.sigmas[ranges],
+        ),
+        _shifts_of(network, points),
+        _surface_of(network, points),
+        network.areoid,
+    )
+
+
+def _renumbered(*used: Index) -> tuple[Index, Index]:
+    """The images used, ascending, and (images,) the new number of each."""
+    kept = np.unique(np.concatenate(used))
+    number = np.full(int(kept.max(initial=-1)) + 1, -1)
+    number[kept] = np.arange(kept.size)
+    return kept, number
+
+
+def _shifts_of(network: Network, points: Index) -> ProfileShifts | None:
+    if network.shifts is None:
+        return None
+    profile = network.shifts.profile[points]
+    if not np.any(profile >= 0):
+        return None
+    kept, number = _renumbered(profile[profile >= 0])
+    renamed = np.where(profile >= 0, number[profile], -1)
+    return ProfileShifts(tuple(network.shifts.names[p] for p in kept), renamed, network.shifts.sigmas[kept])
+
+
+def _surface_of(network: Network, points: Index) -> Surface | None:
+    if network.surface is None or not np.any(np.isfinite(network.surface.sigmas[points])):
+        return None
+    return Surface(network.surface.grid, network.surface.sigmas[points], network.surface.shift_sigma)
+
+
+def bundles(network: Network) -> dict[Members, Network]:
+    """A network by bundle; points that no ray and no range holds are left out."""
+    names = unknowns(network)
+    felt, owner, seen = _felt(network)
+    marks = np.random.default_rng(0).integers(0, 2**64, len(names), dtype=np.uint64)
+    signature = np.zeros(len(network.points), dtype=np.uint64)
+    np.add.at(signature, owner, marks[felt])
+    order = np.argsort(signature, kind="stable")
+    order = order[seen[order]]
+    edges = np.flatnonzero(np.diff(signature[order])) + 1
+    first = np.searchsorted(owner, np.arange(len(network.points) + 1))
+    found = dict[Members, Network]()
+    for mine in np.split(order, edges) if order.size else []:
+        members = felt[first[mine[0]] : first[mine[0] + 1]]
+        found[tuple(sorted(names[v] for v in members.tolist()))] = part(network, mine)
+    return found
+
+
+def _felt(network: Network) -> tuple[Index, Index, Mask]:
+    """Which point feels which shared unknown: pairs (unknown, point), each once, by point; and (n,) whether a point has
+    a ray or a range.
+    """
+    m, count = len(network.images), len(network.images) + len(network.shift_names)
+    pairs = [network.rays.point * count + network.rays.image, network.ranges.point * count + network.ranges.image]
+    if network.shifts is not None:
+        moved = np.flatnonzero(network.shifts.profile >= 0)
+        pairs.append(moved * count + m + network.shifts.profile[moved])
+    if network.surface is not None and network.terrain_moves:
+        on = np.flatnonzero(np.isfinite(network.surface.sigmas))
+        pairs.append(on * count + count - 1)
+    seen = np.zeros(len(network.points), dtype=bool)
+    seen[network.rays.point] = seen[network.ranges.point] = True
+    point, felt = np.divmod(np.unique(np.concatenate(pairs)), count)
+    free = np.append(~network.held, np.ones(count - m, dtype=bool))[felt]
+    return felt[free], point[free], seen
+
+
+def joined(networks: Sequence[Network]) -> Network:
+    """Several networks as one: images, profiles and points of the same name are the same.
+
+    A point is what its best-known part says: fixed before constrained before free.
+
+    Raises
+    ------
+    InputError
+        When one image measures a point twice, or parts contradict each other (class, a-priori place, terrain model).
+    """
+    if len(networks) == 1:
+        return networks[0]
+    images = {image.name: (image, prior, bool(held)) for net in networks
+              for image, prior, held in zip(net.images, net.priors, net.held, strict=True)}  # fmt: skip
+    number = {name: j for j, name in enumerate(images)}
+    image_of = [np.array([number[image.name] for image in net.images], dtype=np.int64) for net in networks]
+    place_of, points = _joined_points(networks)
+    rays = _joined_rays(networks, place_of, image_of, points.ids, tuple(images))
+    ranges = Ranges(
+        *_columns((p[net.ranges.point], j[net.ranges.image], net.ranges.times, net.ranges.values, net.ranges.sigmas)
+                  for net, p, j in zip(networks, place_of, image_of, strict=True))
+    )  # fmt: skip
+    pictures, priors, held = zip(*images.values(), strict=True)
+    areoid = next((net.areoid for net in networks if net.areoid is not None), None)
+    return Network(
+        pictures, priors, np.array(held), points, rays, ranges,
+        _joined_shifts(networks, place_of, len(points)), _joined_surface(networks, place_of, len(points)), areoid,
+    )  # fmt: skip
+
+
+def _columns(rows: Iterable[tuple[NDArray[Any], ...]]) -> list[NDArray[Any]]:
+    return [np.concatenate(column) for column in zip(*rows, strict=True)]
+
+
+def _joined_points(networks: Sequence[Network]) -> tuple[list[Index], GroundPoints]:
+    """Place of each network's points among all, and all points, each once."""
+    number = dict[str, int]()
+    for net in networks:
+        for name in net.points.ids:
+            number.setdefault(name, len(number))
+    place_of = [np.array([number[name] for name in net.points.ids], dtype=np.int64) for net in networks]
+    where = np.concatenate(place_of)
+    classes, kinds, places, covariances = _columns(
+        (net.points.classes, net.points.kinds, net.points.places, net.points.covariances) for net in networks
+    )
+    best = np.full(len(number), int(PointKind.FREE))
+    np.maximum.at(best, where, kinds)
+    # of the parts that know the point best, the last; the others must not contradict it
+    source = np.full(len(number), -1)
+    mine = np.flatnonzero(kinds == best[where])
+    source[where[mine]] = mine
+    ids = tuple(number)
+    for k in np.flatnonzero(classes != classes[source[where]])[:1]:
+        found = "of two classes (tie, laser shot, ground control)"
+        raise InputError(f"point {ids[where[k]]}", found, "one", "give one of them another name")
+    stated = (kinds == best[where]) & (kinds != PointKind.FREE)
+    apart = stated & np.any(places != places[source[where]], axis=1)
+    for k in np.flatnonzero(apart)[:1]:
+        found = f"two a-priori places, {np.linalg.norm(places[k] - places[source[where[k]]]):.3g} m apart"
+        raise InputError(f"point {ids[where[k]]}", found, "one", "give new points other names")
+    return place_of, GroundPoints(ids, classes[source], kinds[source], places[source], covariances[source])
+
+
+def _joined_rays(
+    networks: Sequence[Network],
+    place_of: list[Index],
+    image_of: list[Index],
+    ids: tuple[str, ...],
+    images: tuple[str, ...],
+) -> ImageRays:
+    point, image, places, sigmas, projected = _columns(
+        (p[net.rays.point], j[net.rays.image], net.rays.places, net.rays.sigmas, _projected(net))
+        for net, p, j in zip(networks, place_of, image_of, strict=True)
+    )
+    code = np.sort(point * len(images) + image)
+    for again in code[:-1][code[1:] == code[:-1]][:1].tolist():
+        i, j = divmod(again, len(images))
+        raise InputError(
+            f"point {ids[i]}, image {images[j]}", "measured there before", "one measure per image and point",
+            "take one of the measures out",
+        )  # fmt: skip
+    return ImageRays(point, image, places, sigmas, projected)
+
+
+def _projected(network: Network) -> Mask:
+    marks = network.rays.back_projected
+    return np.zeros(network.rays.point.size, dtype=bool) if marks is None else marks
+
+
+def _joined_shifts(networks: Sequence[Network], place_of: list[Index], count: int) -> ProfileShifts | None:
+    sigmas = dict[str, float]()
+    for net in networks:
+        if net.shifts is not None:
+            sigmas |= dict(zip(net.shifts.names, net.shifts.sigmas.tolist(), strict=True))
+    if not sigmas:
+        return None
+    number, profile = {name: p for p, name in enumerate(sigmas)}, np.full(count, -1)
+    for net, place in zip(networks, place_of, strict=True):
+        if net.shifts is not None:
+            mine = net.shifts.profile >= 0
+            own = np.array([number[name] for name in net.shifts.names])
+            profile[place[mine]] = own[net.shifts.profile[mine]]
+    return ProfileShifts(tuple(sigmas), profile, np.array(list(sigmas.values())))
+
+
+def _joined_surface(networks: Sequence[Network], place_of: list[Index], count: int) -> Surface | None:
+    known = [(net.surface, place) for net, place in zip(networks, place_of, strict=True) if net.surface is not None]
+    if not known:
+        return None
+    first, sigmas = known[0][0], np.full(count, np.inf)
+    for surface, place in known:
+        if surface.grid is not first.grid or surface.shift_sigma != first.shift_sigma:
+            raise InputError(surface.grid.source, f"another terrain model than {first.grid.source}", "one for all")
+        sigmas[place] = np.minimum(sigmas[place], surface.sigmas)
+    return Surface(first.grid, sigmas, first.shift_sigma)
+
+
+def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
+    """A network with all of these images, in their order; those that no measure names are in it, too."""
+    place = {one.image.name: j for j, one in enumerate(images)}
+    number = np.array([place[image.name] for image in network.images], dtype=np.int64)
+    rays, ranges = network.rays, network.ranges
+    return replace(
+        network,
+        images=tuple(one.image for one in images),
+        priors=tuple(one.prior for one in images),
+        held=np.array([one.held for one in images], dtype=bool),
+        rays=replace(rays, image=number[rays.image]),
+        ranges=replace(ranges, image=number[ranges.image]),
+    )
+
+
+def without_images(network: Network, names: Iterable[str]) -> Network | None:
+    """A network without some images and their measures: None where nothing is left.
+
+    Points that no ray and no range is left of go, too: the images had brought them.
+    """
+    gone = np.isin([image.name for image in network.images], list(names))
+    rays, ranges = ~gone[network.rays.image], ~gone[network.ranges.image]
+    seen = np.zeros(len(network.points), dtype=bool)
+    seen[network.rays.point[rays]] = seen[network.ranges.point[ranges]] = True
+    if not np.any(seen):
+        return None
+    one, other = network.rays, network.ranges
+    left = replace(
+        network,
+        rays=ImageRays(one.point[rays], one.image[rays], one.places[rays], one.sigmas[rays], _projected(network)[rays]),
+        ranges=Ranges(
+            other.point[ranges], other.image[ranges], other.times[ranges], other.values[ranges], other.sigmas[ranges]
+        ),
+    )
+    return part(left, np.flatnonzero(seen))
+

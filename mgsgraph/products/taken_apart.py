@@ -1,0 +1,188 @@
+"""Records taken apart into JSON and NumPy arrays, and put together again bit for bit; nothing is pickled.
+
+Every array of a record lies under its own path (`trajectory.attitude.quaternions`), so that plain NumPy reads it too.
+Names within are those of the records' fields, and their declared types say what is read: reading runs no foreign code.
+"""
+
+import io
+import json
+import math
+import struct
+import types
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
+from mgsgraph.geometry.image import ExteriorOrientation
+from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
+from mgsgraph.geometry.records import assign
+from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+
+Arrays = dict[str, NDArray[Any]]
+"""Arrays by the path of fields that leads to them."""
+Kind = TypeVar("Kind")
+
+_KINDS: dict[Any, dict[str, Any]] = {
+    protocol: {kind.__name__: kind for kind in kinds}
+    for protocol, kinds in (
+        (Distortion, (NoDistortion, LrocNacDistortion, RadialDistortion)),
+        (ExteriorOrientation, (Trajectory, PolynomialTrajectory)),
+    )
+}
+"""Records that may stand where a protocol is declared; the record says which it is."""
+_KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
+BROKEN = (
+    OSError, EOFError, LookupError, AttributeError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError,
+    struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What zipfile, NumPy and json raise on files that are damaged or no archives."""
+_NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
+_ANEW = "write it anew with the program that made it"
+
+
+def pack(record: Any) -> bytes:
+    """A record as the bytes of an .npz file; the same record gives the same bytes."""
+    arrays: Arrays = {}
+    text = json.dumps(taken_apart(record, "", arrays), allow_nan=False)
+    file = io.BytesIO()
+    np.savez(file, record=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+def unpack(data: bytes, kind: type[Kind], where: str) -> Kind:
+    """The record of a kind that `pack` made the bytes of; InputError naming `where` for anything else."""
+    try:
+        arrays = read_members(io.BytesIO(data))
+        record: Kind = put_together(json.loads(arrays["record"].tobytes().decode()), kind, "", arrays)
+    except InputError as error:
+        raise error.within(where) from None
+    except BROKEN as error:
+        reason = " ".join(str(error).split())[:100] or type(error).__name__
+        raise InputError(where, f"no {kind.__name__}, or a damaged one ({reason})", remedy=_ANEW) from None
+    return record
+
+
+def read_members(file: Path | BinaryIO) -> Arrays:
+    """All arrays of an archive, read-only; checksums first, so that NumPy parses nothing that was damaged."""
+    with zipfile.ZipFile(file) as archive:
+        damaged = archive.testzip()
+    if damaged is not None:
+        raise InputError(damaged.removesuffix(".npy"), "a wrong checksum", remedy=_ANEW)
+    if not isinstance(file, Path):
+        file.seek(0)
+    with np.load(file, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray):  # NumPy hands other members out as bytes
+            raise InputError(name, "no NumPy array", remedy=_ANEW)
+        array.flags.writeable = False
+    return arrays
+
+
+# --- taking a record apart
+
+
+def taken_apart(value: Any, where: str, arrays: Arrays) -> Any:
+    """JSON of a value; the arrays in it go to `arrays`, under the path that leads to them."""
+    if isinstance(value, np.ndarray):
+        arrays[where] = value
+        return {"array": where}
+    if is_dataclass(value):
+        parts = {field.name: taken_apart(getattr(value, field.name), _at(where, field.name), arrays)
+                 for field in fields(value)}
+        return parts | ({"kind": type(value).__name__} if type(value).__name__ in _KIND_NAMES else {})
+    if isinstance(value, Mapping):
+        return {key: taken_apart(item, _at(where, key), arrays) for key, item in value.items()}
+    if isinstance(value, tuple):
+        names = _as_text_array(value)
+        if names is not None:
+            return taken_apart(names, where, arrays)
+        return [taken_apart(item, _at(where, str(k)), arrays) for k, item in enumerate(value)]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else {"float": str(float(value))}
+    if isinstance(value, int | str | None):
+        return value
+    raise TypeError(f"{where} is a {type(value).__name__}, for which the archive has no form")
+
+
+def _as_text_array(names: tuple[Any, ...]) -> np.ndarray | None:
+    """Array of names; None where there are none, or NumPy would drop something (it does with closing NULs)."""
+    if not names or not all(isinstance(name, str) for name in names):
+        return None
+    array = np.array(names)
+    return array if array.tolist() == list(names) else None
+
+
+def _at(where: str, name: str) -> str:
+    return f"{where}.{name}" if where else name
+
+
+# --- putting it together again
+
+
+def put_together(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
+    """The value of type `kind` (as the records' fields declare it) that was taken apart to the JSON `value`."""
+    origin, options = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in options:
+            return None
+        options = tuple(option for option in options if option is not type(None))
+        if any(get_origin(option) is np.ndarray for option in options):
+            return _array(value, options, where, arrays)
+        return put_together(value, options[0], where, arrays)
+    if origin is np.ndarray:
+        return _array(value, (kind,), where, arrays)
+    if origin is tuple:
+        if isinstance(value, dict):
+            return tuple(_array(value, (NDArray[np.str_],), where, arrays).tolist())
+        return tuple(put_together(item, options[0], _at(where, str(k)), arrays) for k, item in enumerate(value))
+    if origin is Mapping:
+        return {key: put_together(item, options[1], _at(where, key), arrays) for key, item in value.items()}
+    if kind in _KINDS:
+        return _record(value, _KINDS[kind][value["kind"]], where, arrays)
+    return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
+
+
+def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Arrays) -> np.ndarray:
+    """The array, after a look whether it is of one of the kinds NDArray[scalar]."""
+    array, scalars = arrays[value["array"]], tuple(get_args(get_args(kind)[1])[0] for kind in kinds)
+    if not issubclass(array.dtype.type, scalars):
+        raise InputError(where, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _ANEW)
+    return array
+
+
+def _record(value: dict[str, Any], kind: Any, where: str, arrays: Arrays) -> Any:
+    hints = _field_types(kind)
+    for name in sorted(set(value) - set(hints) - {"kind"})[:1]:
+        raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
+    # a field that the writer didn't know yet takes its default; one that has none fails there
+    parts = {name: put_together(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}
+    record = kind(**parts)
+    if kind is AttitudeTable:
+        assign(record, quaternions=parts["quaternions"])  # checked above; a second division by the norm moves last bits
+    return record
+
+
+@cache
+def _field_types(kind: Any) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {field.name: hints[field.name] for field in fields(kind)}
+
+
+def _scalar(value: Any, kind: Any, where: str) -> Any:
+    if isinstance(value, dict):
+        value = float(value["float"])
+    if isinstance(kind, type) and not (isinstance(value, kind) or (kind is float and isinstance(value, int))):
+        raise InputError(where, f"{value!r}", f"a value of type {kind.__name__}", _ANEW)
+    return value

@@ -1,0 +1,56 @@
+"""Words and numbers of reports: counts with their nouns, lists of names, aligned cells."""
+
+import math
+
+from mgsgraph.geometry.records import Array
+
+NAMED = 4
+"""How many of a kind are named before the rest is only counted."""
+
+
+def cells(values: Array, width: int) -> str:
+    """Right-aligned numbers with as many of three decimals as the width holds; a dash for none."""
+    return " ".join(cell(float(value), width).rjust(width) for value in values)
+
+
+def cell(value: float, width: int) -> str:
+    """A number with as many of three decimals as the width holds; a dash for none."""
+    if not math.isfinite(value):
+        return "-"
+    texts = (f"{value:.{decimals}f}" for decimals in (3, 2, 1, 0))
+    return next((text for text in texts if len(text) <= width), f"{value:.0e}")
+
+
+def three(values: Array) -> str:
+    """Three numbers, three significant digits each."""
+    return ", ".join(f"{value:.3g}" if value < 1e3 else f"{value:.0f}" for value in values)
+
+
+def span(values: Array) -> str:
+    """Least to largest value, or the one that all have."""
+    low, high = float(values.min()), float(values.max())
+    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+
+
+def many(number: int, noun: str) -> str:
+    """A number and its noun, with s for more than one."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def listed(parts: list[str]) -> str:
+    """A, B and C."""
+    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
+
+
+def some(names: list[str], total: int) -> str:
+    """Names that stand for `total` of them."""
+    named = names[:NAMED]
+    return ", ".join(named) + (f" and {total - len(named)} more" if total > len(named) else "")
+
+
+def short(name: str, width: int) -> str:
+    """A name cut in its middle: serial numbers differ at their ends."""
+    if len(name) <= width:
+        return name
+    tail = (width - 3) // 2
+    return f"{name[: width - 3 - tail]}...{name[-tail:]}"

@@ -1,0 +1,364 @@
+"""What is to be added to a project: images from their files, and the measures of ties and shots that name them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.case import read_case
+from mgsgraph.case.schema import decode
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots, LaserProfile
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
+from mgsgraph.geometry.records import Mask
+from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.isd import read_isd
+from mgsgraph.io.lidar import read_lidar
+from mgsgraph.network import ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network.observations import observed
+from mgsgraph.network.parts import KnownImage, joined, with_images
+from mgsgraph.project.settings import ProjectSettings
+from mgsgraph.project.store import ProjectStore
+from mgsgraph.registration import footprints_in_images
+from mgsgraph.ties import PointKind, TiePoints
+
+_ISDS, _LABELS, _CASES = (".json", ".isd"), (".img", ".lbl", ".cub", ".imq"), (".toml",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NewImage:
+    """An image that is to be added."""
+
+    known: KnownImage
+    """What the adjustment needs of it."""
+    files: tuple[Path, ...]
+    """Files that it comes from."""
+    picture: Path | None = None
+    """File of its pixels, where known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Addition:
+    """Images and measures that are to be added in one change."""
+
+    images: tuple[NewImage, ...]
+    """New ones."""
+    network: Network | None
+    """All measures, with the images (new and known) that they name, and all new images; None without any measure."""
+    files: tuple[Path, ...] = ()
+    """Files of the measures."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the new images."""
+        return tuple(one.known.image.name for one in self.images)
+
+    @property
+    def unconnected(self) -> tuple[str, ...]:
+        """New images that share no point with another one, by these measures."""
+        if self.network is None:
+            return self.names
+        rays, count = self.network.rays, len(self.network.images)
+        code = np.unique(rays.point * count + rays.image)
+        shared = np.bincount(code // count, minlength=len(self.network.points))[code // count] > 1
+        joined_ = {self.network.images[j].name for j in np.unique(code[shared] % count).tolist()}
+        return tuple(name for name in self.names if name not in joined_)
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """One argument: an image's file and the name it is given, if any."""
+
+    path: Path
+    name: str | None = None
+
+
+def parse_image(text: str) -> Wanted:
+    """[NAME=]PATH; a path that exists is one, whatever signs are in it."""
+    name, sign, path = text.partition("=")
+    if not sign or Path(text).exists():
+        return Wanted(Path(text))
+    if not name:
+        raise InputError(text, "an empty name before '='", "NAME=FILE")
+    return Wanted(Path(path), name)
+
+
+def read_addition(
+    store: ProjectStore, settings: ProjectSettings, where: str,
+    images: Sequence[Wanted], ties: Sequence[Path], shots: Sequence[Path],
+) -> Addition:  # fmt: skip
+    """Read everything that is to be added.
+
+    Parameters
+    ----------
+    store : ProjectStore
+        Of the project, for what is there already.
+    settings : ProjectSettings
+        Its settings.
+    where : str
+        What to call it in messages.
+    images : sequence of Wanted
+        Support data (.json, .isd), MOC labels (.img, .lbl, .cub) or case files (.toml), which bring everything that
+        they name.
+    ties, shots : sequence of Path
+        Control networks; ISIS lidar files (.json) and PEDR tables or binaries.
+
+    Raises
+    ------
+    InputError
+        An image that is there already, a measure in an unknown image, or a file that can't be used.
+    """
+    there = store.image_names()
+    networks, new = list[Network](), list[NewImage]()
+    for wanted in images:
+        if wanted.path.suffix.lower() in _CASES:
+            found, network = _of_case(wanted.path)
+            new += found
+            networks.append(store.own(network))
+    tie_points = [read_control_network(path) for path in ties]
+    single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
+    new += [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
+    _require_new(_names(new), there, where)
+    known = [*there, *_names(new)]
+    _require_known(tie_points, known)
+    mapping = _Images(store, new)
+    profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
+    measures = observed(
+        mapping.of(tie_points, profiles), [*tie_points, *profiles],
+        settings.measures.tie_sigma_px, settings.measures.shot_image_sigma_px,
+    )  # fmt: skip
+    if measures is not None and (measures := _unknown_alone(measures, store)) is not None:
+        networks.append(_on_terrain(measures, store))
+    files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
+    if not networks:
+        return Addition(tuple(new), None, files)
+    network = joined(networks)
+    named = [image.name for image in network.images]
+    every = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
+    return Addition(tuple(new), with_images(network, every), files)
+
+
+class _Images:
+    """Images by name: new ones, and those of the project, read when they are asked for."""
+
+    def __init__(self, store: ProjectStore, new: Sequence[NewImage]) -> None:
+        self._store, self._new = store, {one.known.image.name: one.known for one in new}
+
+    def __getitem__(self, name: str) -> KnownImage:
+        return self._new[name] if name in self._new else self._store.image(name)
+
+    def of(self, ties: Sequence[TiePoints], profiles: Sequence[LaserProfile]) -> dict[str, KnownImage]:
+        """Those that measures name, as far as they are there."""
+        there = {*self._new, *self._store.image_names()}
+        named = {name for one in ties for name in one.measure_image}
+        for profile in profiles:
+            named |= {*profile.measure_image, *(name for names in profile.simultaneous for name in names)}
+        return {name: self[name] for name in sorted(named & there)}
+
+
+def _names(new: Sequence[NewImage]) -> list[str]:
+    return [one.known.image.name for one in new]
+
+
+# --- images
+
+
+def images_of_case(path: Path) -> tuple[list[NewImage], Network, str]:
+    """Images and network of a case file, and what it is called."""
+    case, wanted = read_case(path), decode(path)
+    new = []
+    for j, (entry, image) in enumerate(zip(wanted.images, case.network.images, strict=True)):
+        known = KnownImage(image, case.network.priors[j], bool(case.network.held[j]))
+        file = entry.isd or entry.label
+        files = (path, path.parent / file) if file else (path,)
+        new.append(NewImage(known, files, case.pictures[j] if case.pictures else None))
+    return new, case.network, case.name
+
+
+def _of_case(path: Path) -> tuple[list[NewImage], Network]:
+    new, network, _ = images_of_case(path)
+    return new, network
+
+
+def _single(wanted: Wanted, settings: ProjectSettings, where: str) -> NewImage:
+    """From image support data, or from a label and the project's kernels."""
+    name, kind = wanted.name or wanted.path.stem, wanted.path.suffix.lower()
+    if kind in _ISDS:
+        image = read_isd(wanted.path, name)
+    elif kind in _LABELS:
+        image = _from_label(wanted.path, name, settings, where)
+    else:
+        expected = f"an image as {', '.join(_ISDS + _LABELS)}, or a case file (.toml)"
+        raise InputError(str(wanted.path), f"a file of kind {kind or '(none)'!r}", expected)
+    orientation = settings.orientation
+    if orientation.nominal == "polynomial":
+        image, _ = fit_polynomials(image, orientation.nominal_order)
+    prior = orientation.prior(f"{where}, settings, orientation")
+    picture = wanted.path if kind in _LABELS else None
+    return NewImage(KnownImage(image, prior), (wanted.path,), picture)
+
+
+def _from_label(path: Path, name: str, settings: ProjectSettings, where: str) -> PushbroomImage:
+    from mgsgraph.io.moc import read_moc  # SPICE takes its time to load; only those who need it wait
+
+    if settings.spice is None:
+        found, remedy = "a label, and the project has no kernels", "add it with a case file that names them"
+        raise InputError(f"{where}, {path}", found, "kernels in [spice] of its settings", remedy)
+    return read_moc(path, [Path(kernel) for kernel in settings.spice.kernels], name, interval=settings.spice.sampling_s)
+
+
+def _named(images: Sequence[Wanted], ties: Sequence[TiePoints], known: Sequence[str]) -> list[Wanted]:
+    """Each image with a name: given, or the only one that ties use and nobody has, or that of its file."""
+    taken = {*known, *(wanted.name for wanted in images if wanted.name)}
+    used = {name for one in ties for name in one.measure_image} - taken
+    nameless = [wanted for wanted in images if not wanted.name]
+    if len(nameless) == 1 and len(used) == 1:
+        nameless = [Wanted(nameless[0].path, used.pop())]
+    else:
+        nameless = [Wanted(wanted.path, wanted.path.stem) for wanted in nameless]
+    return [wanted for wanted in images if wanted.name] + nameless
+
+
+def _require_new(names: Sequence[str], there: Sequence[str], where: str) -> None:
+    for k, name in enumerate(names):
+        if name in there:
+            remedy = f"remove it first to replace it: mgsgraph remove {where} {name}"
+            raise InputError(where, f"the image {name!r} is in the project already", "a new image", remedy)
+        if name in names[:k]:
+            raise InputError(where, f"the image {name!r} is given twice", "each image once", "name them: NAME=FILE")
+
+
+def _require_known(ties: Sequence[TiePoints], known: Sequence[str]) -> None:
+    for one in ties:
+        for k, name in enumerate(one.measure_image):
+            if name not in known:
+                point = one.ids[int(one.measure_point[k])]
+                raise InputError(
+                    f"{one.source}, point {point}", f"a measure in the unknown image {name!r}",
+                    f"an image of the project or one that is added ({', '.join(known[-4:]) or 'there is none'})",
+                    "add that image too, or name the file: NAME=FILE",
+                )  # fmt: skip
+
+
+# --- shots
+
+
+def _profile(
+    path: Path, settings: ProjectSettings, images: Sequence[PushbroomImage] | None, store: ProjectStore
+) -> LaserProfile:
+    """Shots of an ISIS lidar file; or, of a MOLA profile, those in the image taken along with it."""
+    if path.suffix.lower() == ".json":
+        return read_lidar(path)
+    shots, sigmas = _read_mola(path), settings.measures
+    pictures = images or [store.image(name).image for name in store.image_names()]
+    seen = footprints_in_images(tuple(pictures), shots)
+    usable = shots.ground & np.isfinite(shots.ranges)
+    mine = seen.inside & seen.simultaneous & usable
+    owners = np.flatnonzero(np.any(mine, axis=1))
+    if owners.size != 1:
+        found = "no shot that was taken along with one of the images and falls in it"
+        if owners.size:
+            found = f"shots simultaneous with {' and '.join(pictures[j].name for j in owners.tolist())}"
+        raise InputError(str(path), found, "one image that the profile crosses", "use [[mola]] of a case file")
+    taken = shots.chosen(mine[owners[0]])
+    return taken.profile(
+        sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[int(owners[0])].name, path.stem
+    )
+
+
+def _read_mola(path: Path) -> AltimeterShots:
+    from mgsgraph.io.pedr import read_pedr
+    from mgsgraph.io.pedr_text import read_pedr_text
+
+    return read_pedr(path) if path.suffix.lower() == ".b" else read_pedr_text(path)
+
+
+# --- points that are there already
+
+
+def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
+    """The network with points that are there already as free ones, and without the measures that are there already;
+    None where nothing is left.
+
+    A measure of the same point in the same image with another place stays: it contradicts, and will be refused.
+    """
+    homes = store.homes(network.points.ids)
+    if not homes:
+        return network
+    old = joined([store.bundle(members).network for members in dict.fromkeys(homes.values())])
+    number = {name: i for i, name in enumerate(old.points.ids)}
+    there = np.array([number.get(name, -1) for name in network.points.ids])
+    known, of = there >= 0, np.maximum(there, 0)
+    points, before = network.points, old.points
+    points = replace(
+        points,
+        classes=np.where(known, before.classes[of], points.classes),
+        kinds=np.where(known, int(PointKind.FREE), points.kinds),
+        places=np.where(known[:, None], before.places[of], points.places),
+        covariances=np.where(known[:, None, None], 0.0, points.covariances),
+    )
+    rays, ranges = ~_repeated_rays(network, old, there), ~_repeated_ranges(network, old, there)
+    if not (np.any(rays) or np.any(ranges)):
+        return None
+    shifts = network.shifts
+    if shifts is not None:
+        shifts = ProfileShifts(shifts.names, np.where(known, -1, shifts.profile), shifts.sigmas)
+    return replace(network, points=points, rays=_rays(network, rays), ranges=_ranges(network, ranges), shifts=shifts)
+
+
+def _repeated_rays(network: Network, old: Network, there: np.ndarray) -> Mask:
+    place = {
+        (point, old.images[image].name): tuple(value)
+        for point, image, value in zip(
+            old.rays.point.tolist(), old.rays.image.tolist(), old.rays.places.tolist(), strict=True
+        )
+    }
+    rows = zip(
+        there[network.rays.point].tolist(), network.rays.image.tolist(), network.rays.places.tolist(), strict=True
+    )
+    return np.array(
+        [place.get((point, network.images[image].name)) == tuple(value) for point, image, value in rows], dtype=bool
+    )
+
+
+def _repeated_ranges(network: Network, old: Network, there: np.ndarray) -> Mask:
+    known = {
+        (point, old.images[image].name)
+        for point, image in zip(old.ranges.point.tolist(), old.ranges.image.tolist(), strict=True)
+    }
+    rows = zip(there[network.ranges.point].tolist(), network.ranges.image.tolist(), strict=True)
+    return np.array([(point, network.images[image].name) in known for point, image in rows], dtype=bool)
+
+
+def _rays(network: Network, kept: Mask) -> ImageRays:
+    rays = network.rays
+    marks = None if rays.back_projected is None else rays.back_projected[kept]
+    return ImageRays(rays.point[kept], rays.image[kept], rays.places[kept], rays.sigmas[kept], marks)
+
+
+def _ranges(network: Network, kept: Mask) -> Ranges:
+    ranges = network.ranges
+    return Ranges(
+        ranges.point[kept], ranges.image[kept], ranges.times[kept], ranges.values[kept], ranges.sigmas[kept]
+    )
+
+
+def _on_terrain(network: Network, store: ProjectStore) -> Network:
+    """Tie points on the project's terrain model, where it has one and the first ray meets it."""
+    terrain = store.terrain
+    if terrain is None or network.surface is not None:
+        return network
+    grid, shift_sigma = terrain
+    members, first = np.unique(network.rays.point, return_index=True)
+    ground = np.full((members.size, 3), np.nan)
+    for j, image in enumerate(network.images):
+        mine = network.rays.image[first] == j
+        ground[mine], _ = image.image_to_ground(*network.rays.places[first[mine]].T)
+    longitude, latitude, _ = planetocentric(ground).T
+    usable = np.isfinite(grid.radius(longitude, latitude)[0]) & (network.points.classes[members] == PointClass.TIE)
+    sigmas = np.full(len(network.points), np.inf)
+    sigmas[members[usable]] = grid.vertical_sigma or np.inf
+    return replace(network, surface=Surface(grid, sigmas, shift_sigma)) if np.any(usable) else network

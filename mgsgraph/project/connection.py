@@ -1,0 +1,219 @@
+"""The SQLite file of a project, opened: one transaction, one writer, one clear line for whatever is wrong with it."""
+
+import json
+import os
+import platform
+import sqlite3
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from urllib.parse import quote
+
+from mgsgraph.errors import InputError
+from mgsgraph.project.schema import APPLICATION, FORMAT, MIGRATIONS, TABLES
+
+FILE = "project.sqlite"
+"""Name of the file in a project's folder."""
+WRITER = "project.writer"
+"""Who is changing the project, for the message to whom comes second; without meaning when nobody has the lock."""
+_HEAD = b"SQLite format 3\0"
+_READ_PATIENCE, _COMMIT_PATIENCE = 5_000, 60_000
+"""ms that a reader waits for a commit, and a commit for readers."""
+_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT", "SQLITE_SCHEMA")
+_ELSEWHERE = "take a copy of the project's folder back; the results in its folder solutions are files of their own"
+
+
+@contextmanager
+def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sqlite3.Connection]:
+    """The project's file inside one transaction, which is committed at the end and rolled back on any exception.
+
+    Parameters
+    ----------
+    folder : Path
+        The project.
+    write : bool
+        Lock it for changes, at once or not at all; an older format becomes this one. Readers go on meanwhile, and see
+        what was there before.
+    thorough : bool
+        Look through all pages of the file for damage first.
+
+    Raises
+    ------
+    InputError
+        No project there, a damaged one, one of a newer format; one that another process is changing; a disk that is
+        full or can't be written.
+    """
+    path = _existing(folder)
+    try:
+        if not write:
+            _bring_up_to_date(path, folder)
+        connection = _opened(path, write, folder)
+    except sqlite3.Error as error:
+        raise refusal(folder, error) from error
+    try:
+        version = _format(connection, folder)
+        if thorough:
+            _require_sound(connection, folder)
+        if write:
+            _migrate(connection, version)
+            _say_who(folder)
+        yield connection
+        connection.execute("COMMIT")
+    except sqlite3.Error as error:
+        raise refusal(folder, error) from error
+    finally:
+        _closed(connection, folder if write else None)
+
+
+def made(folder: Path) -> sqlite3.Connection:
+    """A new file with empty tables, inside a transaction that the caller commits."""
+    try:
+        connection = sqlite3.connect(folder / FILE, isolation_level=None)
+        _set_up(connection, write=True)
+        connection.execute(f"PRAGMA application_id = {APPLICATION}")
+        connection.execute("BEGIN IMMEDIATE")
+        for statement in TABLES:
+            connection.execute(statement)
+        connection.execute("INSERT INTO meta VALUES ('format', ?)", (str(FORMAT),))
+    except sqlite3.Error as error:
+        raise refusal(folder, error) from error
+    return connection
+
+
+def refusal(folder: Path, error: sqlite3.Error) -> InputError:
+    """What SQLite has to say, in one line; what only a mistake of the program could bring about is raised again."""
+    name = getattr(error, "sqlite_errorname", "")
+    shown = str(folder)
+    if name.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+        return InputError(shown, f"another mgsgraph process is changing it{_who(folder)}", remedy="wait for it")
+    if name.startswith("SQLITE_READONLY_R"):  # ROLLBACK, RECOVERY: a journal that only a writer can play back
+        found = "a process was killed while it changed this, and the disk is read-only, so that it can't be put right"
+        return InputError(shown, found, remedy="copy the folder to where you may write, or make it writable once")
+    if name.startswith(("SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM", "SQLITE_AUTH")):
+        remedy = "copy the folder to where you may write, or change its permissions"
+        return InputError(shown, f"can't be written or opened ({error})", remedy=remedy)
+    if name.startswith("SQLITE_FULL"):
+        return InputError(shown, "the disk is full; nothing was changed", remedy="free some space and do it again")
+    if name.startswith("SQLITE_IOERR"):
+        return InputError(shown, f"the disk can't be read or written ({error})", remedy="look at the disk")
+    if name.startswith(_DAMAGED) or (not name and isinstance(error, sqlite3.OperationalError)):
+        return InputError(shown, f"{FILE} is damaged ({error})", remedy=_ELSEWHERE)
+    raise error
+
+
+def _existing(folder: Path) -> Path:
+    """The project's file, after a look at what can be seen without SQLite."""
+    path, start = folder / FILE, f"make one with: mgsgraph init {folder}"
+    try:
+        if not folder.exists():
+            raise InputError(str(folder), "no such project", remedy=start)
+        if not folder.is_dir():
+            raise InputError(str(folder), "is a file", "the folder of a project", start)
+        if not path.is_file():
+            raise InputError(str(folder), f"is no project: there is no {FILE} in it", remedy=start)
+        with path.open("rb") as file:
+            head = file.read(len(_HEAD))
+    except OSError as error:
+        raise InputError(str(folder), f"can't be read ({error.strerror})", remedy="change its permissions") from None
+    if head != _HEAD:
+        raise InputError(str(path), "is damaged, or no SQLite file", remedy=_ELSEWHERE)
+    return path
+
+
+def _opened(path: Path, write: bool, folder: Path) -> sqlite3.Connection:
+    mode = "rw" if write else "ro"
+    connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode={mode}", uri=True, isolation_level=None)
+    try:
+        _set_up(connection, write)
+        connection.execute("BEGIN IMMEDIATE" if write else "BEGIN")
+        connection.execute("SELECT count(*) FROM sqlite_master")  # a deferred transaction begins with its first reading
+        connection.execute(f"PRAGMA busy_timeout = {_COMMIT_PATIENCE if write else _READ_PATIENCE}")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _set_up(connection: sqlite3.Connection, write: bool) -> None:
+    connection.execute(f"PRAGMA busy_timeout = {0 if write else _READ_PATIENCE}")
+    if write:
+        connection.execute("PRAGMA journal_mode = DELETE")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA cache_spill = OFF")  # pages written before the commit would lock readers out
+
+
+def _bring_up_to_date(path: Path, folder: Path) -> None:
+    """What a reader can't do itself: play back the journal of a process that was killed, and migrate."""
+    try:
+        reader = _opened(path, False, folder)
+    except sqlite3.Error as error:
+        if not getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY"):
+            raise
+        sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=rw", uri=True).execute("SELECT 1 FROM sqlite_master")
+        return
+    try:
+        older = _format(reader, folder) < FORMAT
+    finally:
+        reader.close()
+    if older:
+        with connected(folder, write=True):
+            pass
+
+
+def _format(connection: sqlite3.Connection, folder: Path) -> int:
+    """Number of the file's format, which is this one or an older one that can be migrated."""
+    where = str(folder / FILE)
+    if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
+        raise InputError(where, "is an SQLite file of another program", remedy="give the folder of a project")
+    found = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
+    if found is None or not found[0].isdigit() or int(found[0]) < min(MIGRATIONS):
+        raise InputError(where, f"no known format ({found and found[0]})", f"1 to {FORMAT}", _ELSEWHERE)
+    version = int(found[0])
+    if version > FORMAT:
+        made_by = connection.execute("SELECT value FROM meta WHERE key = 'version'").fetchone()
+        by = f"mgsgraph {made_by[0]}" if made_by else "mgsgraph"
+        raise InputError(
+            where, f"written by a newer version of the program ({by}, format {version})", f"format {FORMAT} or older",
+            "install that version, or a newer one",
+        )  # fmt: skip
+    return version
+
+
+def _migrate(connection: sqlite3.Connection, version: int) -> None:
+    for step in range(version, FORMAT):
+        for statement in MIGRATIONS[step]:
+            connection.execute(statement)
+    if version < FORMAT:
+        connection.execute("UPDATE meta SET value = ? WHERE key = 'format'", (str(FORMAT),))
+
+
+def _require_sound(connection: sqlite3.Connection, folder: Path) -> None:
+    found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if found != "ok":
+        raise InputError(str(folder), f"{FILE} is damaged ({' '.join(found.split())})", remedy=_ELSEWHERE)
+
+
+def _closed(connection: sqlite3.Connection, writer_of: Path | None) -> None:
+    with suppress(sqlite3.Error):
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+    if writer_of is not None:
+        with suppress(OSError):  # before the lock is given up: the next one's name must not go
+            (writer_of / WRITER).unlink()
+    connection.close()
+
+
+def _say_who(folder: Path) -> None:
+    me = {"pid": os.getpid(), "host": platform.node(), "command": " ".join(sys.argv)[:200]}
+    with suppress(OSError):
+        (folder / WRITER).write_text(json.dumps(me), encoding="utf-8")
+
+
+def _who(folder: Path) -> str:
+    """Who holds the lock, where that is known."""
+    try:
+        them = json.loads((folder / WRITER).read_text(encoding="utf-8"))
+        return f" (process {them['pid']} on {them['host']}: {them['command']})"
+    except (OSError, ValueError, LookupError, TypeError):
+        return ""

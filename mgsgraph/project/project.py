@@ -1,0 +1,289 @@
+"""A kept project: a folder with an SQLite file (the state, one transaction per change) and its solutions' products."""
+
+import hashlib
+import importlib.metadata
+import json
+import re
+import secrets
+import shutil
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.products.results import write_results
+from mgsgraph.project.connection import WRITER, connected, made, refusal
+from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
+from mgsgraph.project.store import ProjectStore
+
+SOLUTIONS = "solutions"
+"""Folder of the results, one folder each, in a project's folder."""
+_RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
+"""Names of these, whole or left over by a process that was killed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One step of a project's history."""
+
+    number: int
+    """From 1 on."""
+    at: str
+    """UTC, ISO 8601."""
+    verb: str
+    """init, add, remove or solve."""
+    what: str
+    """In a few words."""
+    summary: Mapping[str, Any]
+    """Numbers, with units in their names."""
+
+
+@dataclass(frozen=True, slots=True)
+class SolutionRow:
+    """What is remembered of a solution."""
+
+    number: int
+    """From 1 on."""
+    change: int
+    """Number of the last change that it knows of."""
+    at: str
+    """UTC, ISO 8601."""
+    kind: str
+    """batch or incremental."""
+    converged: bool
+    """Whether the adjustment came to rest."""
+    message: str
+    """Why it stopped."""
+    cost: float | None
+    """Half the weighted sum of squares; None where nothing is known of it."""
+    sigma0: float | None
+    """Of unit weight; None without redundancy."""
+    degrees_of_freedom: int | None
+    """Redundancy."""
+    images: int
+    """How many."""
+    points: int
+    """How many."""
+    folder: str | None
+    """Of its products, in the project's folder."""
+
+
+class Project:
+    """An open project; made by `Project.create` and `open_project`.
+
+    Attributes
+    ----------
+    folder : Path
+    store : ProjectStore
+        State of the adjustment.
+    """
+
+    def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
+        self.folder = folder
+        self.store = ProjectStore(connection, str(folder))
+        self._connection = connection
+
+    @staticmethod
+    @contextmanager
+    def create(folder: str | Path, name: str, settings: ProjectSettings) -> "Iterator[Project]":
+        """Make a project: written beside its place and renamed into it at the end, so that it is whole or not there.
+
+        Raises
+        ------
+        InputError
+            If the folder exists and isn't empty, or can't be written.
+        """
+        shown, target = str(folder), Path(folder).resolve()
+        aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.unfinished")
+        try:
+            _require_free(target, shown)
+            aside.mkdir(parents=True)
+            connection = made(aside)
+            try:
+                project = Project(aside, connection)
+                project._introduce(name or target.name, settings)
+                yield project
+                connection.execute("COMMIT")
+            finally:
+                connection.close()
+            _require_free(target, shown)
+            aside.rename(target)
+        except OSError as error:
+            found = f"can't be written ({error.strerror or error})"
+            raise InputError(shown, found, remedy="choose another folder, where you may write") from None
+        except sqlite3.Error as error:
+            raise refusal(Path(folder), error) from error
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+
+    def _introduce(self, name: str, settings: ProjectSettings) -> None:
+        version = importlib.metadata.version("mgsgraph")
+        facts = {"name": name, "created": _now(), "version": version, "settings": settings_to_json(settings)}
+        self._connection.executemany("INSERT INTO meta VALUES (?, ?)", facts.items())
+
+    # --- facts
+
+    def _fact(self, key: str) -> str:
+        found = self._connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+        if found is None:
+            raise InputError(str(self.folder), f"no {key} in the table meta", remedy="take a copy of the project back")
+        return str(found[0])
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return self._fact("name")
+
+    @property
+    def created(self) -> str:
+        """UTC, ISO 8601."""
+        return self._fact("created")
+
+    @property
+    def settings(self) -> ProjectSettings:
+        """What holds for every image and measure that is added."""
+        return settings_from_json(self._fact("settings"), str(self.folder))
+
+    # --- where images come from
+
+    def add_sources(self, image: str, files: Iterable[Path], picture: Path | None = None) -> None:
+        """Remember the files that an image was read from, by path and digest, and that of its pixels."""
+        (number,) = self._connection.execute("SELECT id FROM image WHERE name = ?", (image,)).fetchone()
+        rows = [(number, str(file.resolve()), _digest(file)) for file in files]
+        self._connection.executemany("INSERT OR REPLACE INTO source VALUES (?, ?, ?)", rows)
+        if picture is not None:
+            self._connection.execute("UPDATE image SET picture = ? WHERE id = ?", (str(picture.resolve()), number))
+
+    def sources(self, image: str) -> dict[str, str]:
+        """Digest (SHA-256) of each of these files."""
+        rows = self._connection.execute(
+            "SELECT path, sha256 FROM source JOIN image ON image.id = source.image WHERE name = ?", (image,)
+        )
+        return dict(rows.fetchall())
+
+    # --- history
+
+    def record(self, verb: str, what: str, summary: Mapping[str, Any]) -> int:
+        """Note a change; its number."""
+        row = (_now(), verb, what, json.dumps(summary, ensure_ascii=False))
+        found = self._connection.execute("INSERT INTO change (at, verb, what, summary) VALUES (?, ?, ?, ?)", row)
+        return int(found.lastrowid or 0)
+
+    def changes(self, last: int | None = None) -> list[Change]:
+        """The last changes, or all, in their order."""
+        rows = self._connection.execute(
+            "SELECT number, at, verb, what, summary FROM change ORDER BY number DESC LIMIT ?",
+            (-1 if last is None else last,),
+        ).fetchall()
+        return [Change(number, at, verb, what, json.loads(text)) for number, at, verb, what, text in reversed(rows)]
+
+    def last_solution(self, kind: str | None = None) -> SolutionRow | None:
+        """The latest one, of a kind or of any; None before the first."""
+        row = self._connection.execute(
+            "SELECT number, change, at, kind, converged, message, cost, sigma0, degrees_of_freedom, images, points, "
+            "folder FROM solution WHERE kind = coalesce(?, kind) ORDER BY number DESC LIMIT 1",
+            (kind,),
+        ).fetchone()
+        if row is None:
+            return None
+        number, change, at, found, converged, *rest = row
+        return SolutionRow(number, change, at, found, bool(converged), *rest)
+
+    def record_incremental(self, converged: bool, message: str) -> int:
+        """Note that the state is adjusted as far as the last change; the solution's number."""
+        (points,) = self._connection.execute("SELECT coalesce(sum(points), 0) FROM bundle").fetchone()
+        images = len(self.store.image_names())
+        return self._insert_solution((converged, message, None, None, None, images, points, None, "incremental"))
+
+    def keep_solution(self, solution: Solution, figures: bool = True) -> Path:
+        """Write a batch solution's products to a folder of their own, and note it; that folder."""
+        self._sweep()
+        (number,) = self._connection.execute(
+            "SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'solution'"
+        ).fetchone()
+        folder = f"{SOLUTIONS}/{number:04d}"
+        write_results(solution, self.folder / folder, figures)
+        network = solution.network
+        self._insert_solution(
+            (
+                solution.converged, solution.message, solution.cost_final, solution.sigma0,
+                solution.fit.degrees_of_freedom, len(network.images), len(network.points), folder, "batch",
+            )
+        )  # fmt: skip
+        return self.folder / folder
+
+    def _insert_solution(self, values: tuple[object, ...]) -> int:
+        found = self._connection.execute(
+            "INSERT INTO solution (change, at, converged, message, cost, sigma0, degrees_of_freedom, images, points, "
+            "folder, kind) SELECT coalesce(max(number), 0), ?, ?, ?, ?, ?, ?, ?, ?, ?, ? FROM change",
+            (_now(), *values),
+        )
+        return int(found.lastrowid or 0)
+
+    def _sweep(self) -> None:
+        """Take away result folders that no solution knows: whoever wrote them was killed before he could say so."""
+        known = {row[0] for row in self._connection.execute("SELECT folder FROM solution WHERE folder IS NOT NULL")}
+        solutions = self.folder / SOLUTIONS
+        for path in sorted(solutions.iterdir()) if solutions.is_dir() else []:
+            if path.is_dir() and _RESULT.fullmatch(path.name) and f"{SOLUTIONS}/{path.name}" not in known:
+                shutil.rmtree(path, ignore_errors=True)
+
+    # --- counts
+
+    def counts(self, table: str, by: str) -> dict[int, int]:
+        """Number of rows of a table by the values of one of its columns, both ours."""
+        rows = self._connection.execute(f"SELECT {by}, count(*) FROM {table} GROUP BY {by} ORDER BY {by}")
+        return dict(rows.fetchall())
+
+    def bundle_images(self) -> list[tuple[str, int, int]]:
+        """Name of the image, number of the bundle and number of its points, for each image of each bundle."""
+        return self._connection.execute(
+            "SELECT image.name, bundle.id, bundle.points FROM bundle "
+            "JOIN bundle_image ON bundle_image.bundle = bundle.id JOIN image ON image.id = bundle_image.image"
+        ).fetchall()
+
+    def __repr__(self) -> str:
+        return f"Project({self.name!r} in {self.folder}, {len(self.store.image_names())} images)"
+
+
+@contextmanager
+def open_project(folder: str | Path, write: bool = False, thorough: bool = False) -> Iterator[Project]:
+    """Open a project for one change, or for reading; see `mgsgraph.project.connection.connected`.
+
+    On any exception inside, nothing has changed.
+
+    Parameters
+    ----------
+    folder : path
+        The project.
+    write : bool
+        For a change: no other process may change it meanwhile.
+    thorough : bool
+        Look through the whole file for damage first.
+    """
+    path = Path(folder)
+    with connected(path, write, thorough) as connection:
+        yield Project(path, connection)
+
+
+def _require_free(target: Path, shown: str) -> None:
+    if target.exists() and not target.is_dir():
+        raise InputError(shown, "exists and is a file", "a folder for the project", "choose another one")
+    if target.is_dir() and any(entry.name != WRITER for entry in target.iterdir()):
+        raise InputError(shown, "exists and is not empty", "an absent or empty folder", "choose another one")
+
+
+def _digest(file: Path) -> str:
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+

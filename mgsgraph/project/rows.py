@@ -1,0 +1,197 @@
+"""Points, rays and ranges of a network as rows of the tables, and arrays of such rows again, many at a time."""
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
+
+_CHUNK = 20_000
+"""Rows at a time: Python's objects for them take ten times the room of the arrays."""
+_SIZE = 72
+"""bytes of a 3 x 3 matrix."""
+_ZERO, _NAN = np.zeros(9).tobytes(), np.full(9, np.nan).tobytes()
+_PUT_POINT = f"INSERT INTO point VALUES ({', '.join('?' * 18)})"
+_PUT_RAY = "INSERT INTO ray VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
+_PUT_RANGE = "INSERT INTO range VALUES (?, ?, ?, ?, ?, ?)"
+_POINT = "id, name, class, kind, x, y, z, covariance, profile, surface_sigma"
+_ADJUSTED = "adjusted_x, adjusted_y, adjusted_z, adjusted_covariance"
+
+
+class Run(NamedTuple):
+    """Rows without a gap in their numbers."""
+
+    first: int
+    """Number of the first."""
+    size: int
+    """How many."""
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """First and last number."""
+        return self.first, self.first + self.size - 1
+
+
+def put_points(
+    connection: sqlite3.Connection,
+    bundle: int,
+    network: Network,
+    profiles: Sequence[int],
+    adjusted: tuple[Array, Array],
+) -> Run:
+    """Write the points of a bundle; `profiles` are the numbers of the network's profiles in their table, `adjusted` the
+    places and covariances.
+    """
+    points, (places, covariances) = network.points, adjusted
+    run = Run(_next(connection, "point"), len(points))
+    profile: list[int | None] = [None] * run.size
+    if network.shifts is not None:
+        known = (*profiles, None)  # -1, no profile, is the last one
+        profile = [known[p] for p in network.shifts.profile.tolist()]
+    surface: list[float | None] = [None] * run.size
+    if network.surface is not None:
+        surface = network.surface.sigmas.tolist()
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+    rows = zip(
+        range(run.first, run.first + run.size), points.ids, [bundle] * run.size,
+        points.classes.tolist(), points.kinds.tolist(),
+        *points.places.T.tolist(), _blobs(points.covariances, _ZERO), profile, surface,
+        *places.T.tolist(), *sigmas.T.tolist(), _blobs(covariances, _NAN), strict=True,
+    )  # fmt: skip
+    connection.executemany(_PUT_POINT, rows)
+    return run
+
+
+def put_rays(connection: sqlite3.Connection, network: Network, first_point: int, images: Index) -> Run:
+    """Write the rays of a bundle; `images` are the numbers of the network's images in their table."""
+    rays = network.rays
+    run = Run(_next(connection, "ray"), rays.point.size)
+    marks = np.zeros(run.size, dtype=int) if rays.back_projected is None else rays.back_projected.astype(int)
+    rows = zip(
+        range(run.first, run.first + run.size), (rays.point + first_point).tolist(), images[rays.image].tolist(),
+        *rays.places.T.tolist(), *rays.sigmas.T.tolist(), marks.tolist(), strict=True,
+    )  # fmt: skip
+    connection.executemany(_PUT_RAY, rows)
+    return run
+
+
+def put_ranges(connection: sqlite3.Connection, network: Network, first_point: int, images: Index) -> Run:
+    """Write the ranges of a bundle."""
+    ranges = network.ranges
+    run = Run(_next(connection, "range"), ranges.point.size)
+    rows = zip(
+        range(run.first, run.first + run.size), (ranges.point + first_point).tolist(), images[ranges.image].tolist(),
+        ranges.times.tolist(), ranges.values.tolist(), ranges.sigmas.tolist(), strict=True,
+    )  # fmt: skip
+    connection.executemany(_PUT_RANGE, rows)
+    return run
+
+
+def _next(connection: sqlite3.Connection, table: str) -> int:
+    return int(connection.execute(f"SELECT coalesce(max(id), 0) + 1 FROM {table}").fetchone()[0])
+
+
+def _blobs(matrices: Array, usual: bytes) -> list[bytes | None]:
+    """Bytes of matrices (n, 3, 3); None for the usual one."""
+    data = np.ascontiguousarray(matrices).tobytes()
+    parts = (data[k : k + _SIZE] for k in range(0, len(data), _SIZE))
+    return [None if part == usual else part for part in parts]
+
+
+class PointRows(NamedTuple):
+    """Points as they were written."""
+
+    numbers: Index
+    """(n,) in their table."""
+    points: GroundPoints
+    """The points."""
+    profiles: Index
+    """(n,) number of each point's profile in its table; 0 for none."""
+    surface_sigmas: Array
+    """(n,) m; NaN where the bundle has no terrain model."""
+    places: Array
+    """(n, 3) m, adjusted; a-priori unless those were asked for."""
+    covariances: Array
+    """(n, 3, 3) m^2, the same."""
+
+
+def points_of(connection: sqlite3.Connection, run: Run | None, adjusted: bool = True) -> PointRows:
+    """Points of a run, or all points."""
+    names = list[str]()
+    parts = list[tuple[NDArray[Any], ...]]()
+    for columns in _chunks(connection, f"{_POINT}, {_ADJUSTED}" if adjusted else _POINT, "point", run):
+        number, name, point_class, kind, *rest = columns
+        names += name
+        matrices = [_matrices(rest[3], _ZERO)] + ([_matrices(rest[9], _NAN)] if adjusted else [])
+        place = [_numbers(rest[:3])] + ([_numbers(rest[6:9])] if adjusted else [])
+        profile = np.array([p or 0 for p in rest[4]], dtype=np.int64)
+        parts.append(
+            (*(np.array(column, dtype=np.int64) for column in (number, point_class, kind)), profile,
+             _floats(rest[5]), *place, *matrices)
+        )  # fmt: skip
+    if not parts:
+        nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+        blank = GroundPoints((), nothing, nothing, none, np.zeros((0, 3, 3)))
+        return PointRows(nothing, blank, nothing, np.zeros(0), none, np.zeros((0, 3, 3)))
+    number_, class_, kind_, profile_, surface, *others = (np.concatenate(column) for column in zip(*parts, strict=True))
+    half = len(others) // 2
+    points = GroundPoints(tuple(names), class_, kind_, others[0], others[half])
+    return PointRows(number_, points, profile_, surface, others[half - 1], others[-1])
+
+
+def rays_of(connection: sqlite3.Connection, run: Run | None, points: Index, images: Index) -> ImageRays:
+    """Rays of a run, or all; `points` and `images` are the numbers that their indices stand for."""
+    columns = _all(connection, "point, image, line, sample, sigma_line, sigma_sample, back_projected", "ray", run)
+    point, image, line, sample, sigma_line, sigma_sample, marks = columns
+    return ImageRays(
+        _index(point, points), _index(image, images), np.stack([line, sample], axis=1),
+        np.stack([sigma_line, sigma_sample], axis=1), marks.astype(bool),
+    )  # fmt: skip
+
+
+def ranges_of(connection: sqlite3.Connection, run: Run | None, points: Index, images: Index) -> Ranges:
+    """Ranges of a run, or all."""
+    point, image, *rest = _all(connection, "point, image, time, value, sigma", "range", run)
+    return Ranges(_index(point, points), _index(image, images), *rest)
+
+
+def _index(numbers: Array, known: Index) -> Index:
+    """Places (n,) of numbers (n,) among the known ones, in whatever order these are."""
+    order = np.argsort(known)
+    return np.asarray(order[np.searchsorted(known, numbers.astype(np.int64), sorter=order)])
+
+
+def _chunks(connection: sqlite3.Connection, names: str, table: str, run: Run | None) -> Iterator[list[tuple[Any, ...]]]:
+    """Columns of a table's rows, by their numbers, a chunk at a time."""
+    if run is None:
+        cursor = connection.execute(f"SELECT {names} FROM {table} ORDER BY id")
+    else:
+        cursor = connection.execute(f"SELECT {names} FROM {table} WHERE id BETWEEN ? AND ? ORDER BY id", run.limits)
+    while rows := cursor.fetchmany(_CHUNK):
+        yield list(zip(*rows, strict=True))
+
+
+def _all(connection: sqlite3.Connection, names: str, table: str, run: Run | None) -> list[Array]:
+    """Columns of numbers."""
+    parts = [[_floats(column) for column in columns] for columns in _chunks(connection, names, table, run)]
+    if not parts:
+        return [np.zeros(0) for _ in names.split(",")]
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]
+
+
+def _floats(column: ArrayLike) -> Array:
+    """NULL becomes NaN."""
+    return np.array(column, dtype=np.float64)
+
+
+def _numbers(columns: Sequence[ArrayLike]) -> Array:
+    return np.stack([_floats(column) for column in columns], axis=1)
+
+
+def _matrices(column: Sequence[bytes | None], usual: bytes) -> Array:
+    """(n, 3, 3), the usual one for NULL."""
+    return np.frombuffer(b"".join(usual if blob is None else blob for blob in column), "<f8").reshape(-1, 3, 3)

@@ -1,0 +1,108 @@
+"""What a project takes for granted of every image and measure that is added to it."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.case.schema import FORMAT, CaseInput, OrientationInput, Sigma, SolverInput, SpiceInput, decode
+from mgsgraph.errors import InputError
+from mgsgraph.io.text import read_text
+
+
+class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Sigmas of measures whose file doesn't state them."""
+
+    tie_sigma_px: Sigma = 1.0
+    """Of a tie point's line and sample."""
+    shot_image_sigma_px: Sigma = 30.0
+    """Of a laser shot's line and sample."""
+    shot_range_sigma_m: Sigma = 10.0
+    """Of a MOLA range."""
+    shot_ground_sigma_m: Sigma = 10.0
+    """Of a MOLA footprint in each direction."""
+
+
+class ProjectSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Settings of a project: the tables of a case file that don't speak of single files."""
+
+    orientation: OrientationInput = OrientationInput()
+    """Nominal orientation and a-priori sigmas of images that are added."""
+    spice: SpiceInput | None = None
+    """Kernels for MOC labels; absolute paths."""
+    measures: MeasuresInput = MeasuresInput()
+    """Sigmas where the files have none."""
+    solver: SolverInput = SolverInput()
+    """Choices of the solver."""
+
+    @property
+    def solver_settings(self) -> SolverSettings:
+        """The solver's choices as the adjustment takes them."""
+        return SolverSettings(**{name: getattr(self.solver, name) for name in self.solver.__struct_fields__})
+
+
+class _File(ProjectSettings, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A file of settings."""
+
+    format: int
+    name: str = ""
+
+
+def read_settings(path: Path) -> tuple[str, ProjectSettings]:
+    """Name ("" where it has none) and settings of a TOML file: a case file's [orientation], [spice], [solver], and
+    [measures]; InputError with the place of what is wrong.
+    """
+    try:
+        table = tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
+    if "images" in table:
+        raise InputError(str(path), "a case with images", "settings alone", "give it as --case, which takes them too")
+    if table.get("format") != FORMAT:
+        raise InputError(str(path), f"format {table.get('format')!r}", f"format = {FORMAT}", "write it at the head")
+    try:
+        read = msgspec.convert(table, _File, strict=False)
+    except msgspec.ValidationError as error:
+        what, _, place = str(error).partition(" - at `$.")
+        where = f"{path}, {place.rstrip('`')}" if place else str(path)
+        raise InputError(where, what[0].lower() + what[1:]) from None
+    read.orientation.prior(f"{path}, orientation")  # complains where its sigmas make no sense
+    spice = _absolute(read.spice, path.parent)
+    return read.name, ProjectSettings(read.orientation, spice, read.measures, read.solver)
+
+
+def settings_of_case(path: Path) -> ProjectSettings:
+    """The same of a case file."""
+    case: CaseInput = decode(path)
+    return ProjectSettings(case.orientation, _absolute(case.spice, path.parent), MeasuresInput(), case.solver)
+
+
+def _absolute(spice: SpiceInput | None, folder: Path) -> SpiceInput | None:
+    """Kernels by paths that hold in whatever folder the next command is called."""
+    if spice is None:
+        return None
+    return SpiceInput(tuple(str((folder / kernel).resolve()) for kernel in spice.kernels), spice.sampling_s)
+
+
+def settings_to_json(settings: ProjectSettings) -> str:
+    """One line of JSON; infinite sigmas as the text "inf"."""
+    return msgspec.json.encode(_finite(msgspec.to_builtins(settings))).decode()
+
+
+def settings_from_json(text: str, where: str) -> ProjectSettings:
+    """The settings that the text holds."""
+    try:
+        return msgspec.convert(msgspec.json.decode(text), ProjectSettings, strict=False)
+    except msgspec.MsgspecError as error:
+        raise InputError(f"{where}, settings", str(error), remedy="open it with the mgsgraph that wrote it") from None
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return "inf" if isinstance(value, float) and value == float("inf") else value

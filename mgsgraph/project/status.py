@@ -1,0 +1,133 @@
+"""What a project holds, as text for the terminal; read from the file's counts, without its points."""
+
+from collections import Counter, defaultdict
+
+from mgsgraph.network import PointClass
+from mgsgraph.project.project import Change, Project, SolutionRow
+
+_NAMED = 6
+_HISTORY = 10
+
+
+def status(project: Project) -> str:
+    """Images, points, measures, how they hang together, the last solution and the last changes; several lines."""
+    names = project.store.image_names()
+    lines = [f"{project.name}: a project of {_count(len(names), 'image')}, made {project.created}"]
+    lines += ["", *_contents(project)]
+    lines += ["", *_connections(project, names)]
+    lines += ["", *_solutions(project, bool(names))]
+    lines += ["", "History (UTC)", *(_change(change) for change in project.changes(_HISTORY))]
+    return "\n".join(lines)
+
+
+def _contents(project: Project) -> list[str]:
+    classes = project.counts("point", "class")
+    points = ", ".join(f"{count} {PointClass(number).name.lower()}" for number, count in classes.items())
+    rays, ranges = (sum(project.counts(table, "image").values()) for table in ("ray", "range"))
+    held = project.counts("image", "held").get(1, 0)
+    terrain = project.store.terrain
+    model = "none" if terrain is None else f"{terrain[0].source}, {' x '.join(map(str, terrain[0].radii.shape))} posts"
+    return [
+        "Contents",
+        f"  images held as they are: {held}",
+        f"  points: {sum(classes.values())}{f' ({points})' if points else ''}",
+        f"  image measures: {rays} (line and sample each), laser ranges: {ranges}",
+        f"  terrain model as control: {model}",
+    ]
+
+
+def islands(names: list[str], bundles: list[tuple[str, int, int]]) -> list[list[str]]:
+    """Images that hang together by common points, largest island first; `bundles` as `Project.bundle_images`."""
+    leader = {name: name for name in names}
+
+    def find(name: str) -> str:
+        while leader[name] != name:
+            leader[name] = leader[leader[name]]
+            name = leader[name]
+        return name
+
+    of_bundle = defaultdict[int, list[str]](list)
+    for name, bundle, _ in bundles:
+        of_bundle[bundle].append(name)
+    for first, *others in of_bundle.values():
+        for other in others:
+            leader[find(other)] = find(first)
+    found = defaultdict[str, list[str]](list)
+    for name in names:
+        found[find(name)].append(name)
+    return sorted(found.values(), key=lambda island: -len(island))
+
+
+def _connections(project: Project, names: list[str]) -> list[str]:
+    bundles = project.bundle_images()
+    size = Counter(bundle for _, bundle, _ in bundles)
+    linked = {name for name, bundle, _ in bundles if size[bundle] > 1}
+    alone = [name for name in names if name not in linked]
+    several = [island for island in islands(names, bundles) if len(island) > 1]
+    lines = ["Connections"]
+    if several:
+        sizes = ", ".join(str(len(island)) for island in several)
+        word = "all hang together" if len(several) == 1 and not alone else f"{_count(len(several), 'island')}"
+        lines.append(f"  images by common points: {word} ({sizes} images)")
+    for island in several[1:]:
+        lines.append(f"    apart from the largest: {_some(island)}")
+    lines.append(f"  unconnected images: {_some(alone) if alone else 'none'}")
+    return lines
+
+
+def _solutions(project: Project, images: bool) -> list[str]:
+    last, batch = project.last_solution(), project.last_solution("batch")
+    if last is None:
+        return ["Solution", f"  none yet{f'; next: mgsgraph solve {project.folder}' if images else ''}"]
+    lines = ["Solution", *_solution(last)]
+    if last.kind != "batch" and batch is not None:
+        lines += _solution(batch)
+    since = [change for change in project.changes() if change.number > last.change and change.verb != "solve"]
+    if since:
+        lines.append(f"  changes since then: {', '.join(f'{change.verb} {change.what}' for change in since[-_NAMED:])}")
+    unchecked = [
+        change for change in project.changes()
+        if change.verb in ("add", "remove") and (batch is None or change.number > batch.change)
+    ]  # fmt: skip
+    if unchecked:
+        lines.append(
+            f"  {_count(len(unchecked), 'change')} since the last closing check against batch; "
+            f"next: mgsgraph solve {project.folder}"
+        )
+    else:
+        lines.append("  checked against batch since the last change")
+    return lines
+
+
+def _solution(row: SolutionRow) -> list[str]:
+    state = "converged" if row.converged else "NOT converged"
+    size = f"{_count(row.images, 'image')}, {_count(row.points, 'point')}"
+    lines = [f"  {row.kind} {row.number}, {row.at}: {state}, {size}"]
+    if row.cost is not None:
+        sigma0 = "not defined" if row.sigma0 is None else f"{row.sigma0:.4g}"
+        lines.append(
+            f"    cost {row.cost:.6g} (half the weighted sum of squares, no unit), sigma0 {sigma0} (no unit), "
+            f"{row.degrees_of_freedom} degrees of freedom; results in {row.folder}"
+        )
+    return lines
+
+
+def _change(change: Change) -> str:
+    found = dict(change.summary)
+    facts = [
+        f"{found[key]} {word}"
+        for key, word in (("rays", "image measures"), ("ranges", "ranges"), ("points_moved", "points moved"))
+        if found.get(key)
+    ]
+    if "largest_difference_sigmas" in found:
+        facts.append(f"largest difference to batch {found['largest_difference_sigmas']:.2g} sigmas")
+    told = f" ({', '.join(facts)})" if facts else ""
+    return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{told}"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")

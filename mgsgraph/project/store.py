@@ -1,0 +1,343 @@
+"""The state of an incremental adjustment in a project's file: what `InMemory` does, on an open connection."""
+
+import hashlib
+import json
+import sqlite3
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network import Network, ProfileShifts, Surface
+from mgsgraph.network.parts import KnownImage, Members, Unknown
+from mgsgraph.products.taken_apart import pack, unpack
+from mgsgraph.project.rows import PointRows, Run, points_of, put_points, put_ranges, put_rays, ranges_of, rays_of
+
+_BUNDLE = (
+    "id, first_point, points, first_ray, rays, first_range, ranges, terrain, terrain_shift_sigma, areoid, "
+    "unknowns, at, normal, gradient, cost, slack"
+)
+_SHARED = ("prior", "motion", "ground", "value", "covariance")
+
+
+class ProjectStore:
+    """Implements `mgsgraph.adjustment.incremental.state.Store`.
+
+    Images and terrain grids are read once and kept: what comes back twice is the same object.
+    """
+
+    def __init__(self, connection: sqlite3.Connection, where: str) -> None:
+        self._connection, self._where = connection, where
+        self._images = dict[str, KnownImage]()
+        self._grids = dict[int, TerrainGrid]()
+        self._numbers = dict[int, tuple[TerrainGrid, int]]()
+
+    # --- images
+
+    def image_names(self) -> list[str]:
+        """All images, in the order in which they came."""
+        return [name for (name,) in self._ask("SELECT name FROM image ORDER BY id")]
+
+    def image(self, name: str) -> KnownImage:
+        """One of them."""
+        if name not in self._images:
+            (record,) = self._one("SELECT record FROM image WHERE name = ?", name)
+            self._images[name] = unpack(record, KnownImage, f"{self._where}, image {name}")
+        return self._images[name]
+
+    def put_image(self, known: KnownImage) -> None:
+        """Add an image."""
+        name = known.image.name
+        self._connection.execute(
+            "INSERT INTO image (name, held, record) VALUES (?, ?, ?) "
+            "ON CONFLICT (name) DO UPDATE SET held = excluded.held, record = excluded.record",
+            (name, int(known.held), pack(replace(known, held=bool(known.held)))),
+        )
+        self._images[name] = known
+
+    def drop_image(self, name: str) -> None:
+        """Take an image out; its bundles have been replaced before."""
+        (number,) = self._one("SELECT id FROM image WHERE name = ?", name)
+        self._connection.execute("DELETE FROM source WHERE image = ?", (number,))
+        self._connection.execute("DELETE FROM image WHERE id = ?", (number,))
+        self._images.pop(name, None)
+
+    # --- shared unknowns
+
+    def shared(self) -> dict[Unknown, Shared]:
+        """All adjusted unknowns."""
+        rows = self._ask(f"SELECT kind, name, {', '.join(_SHARED)} FROM shared ORDER BY id")
+        return {Unknown(kind, name): _shared(*blobs) for kind, name, *blobs in rows}
+
+    def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
+        """Add unknowns or replace their values."""
+        renewed = ", ".join(f"{name} = excluded.{name}" for name in _SHARED)
+        self._connection.executemany(
+            f"INSERT INTO shared (kind, name, {', '.join(_SHARED)}) VALUES ({', '.join('?' * (2 + len(_SHARED)))}) "
+            f"ON CONFLICT (kind, name) DO UPDATE SET {renewed}",
+            [
+                (unknown.kind, unknown.name, *(getattr(one, name).tobytes() for name in _SHARED))
+                for unknown, one in shared.items()
+            ],
+        )
+
+    def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
+        """Take unknowns out."""
+        for unknown in unknowns:
+            if not self._connection.execute("DELETE FROM shared WHERE kind = ? AND name = ?", unknown).rowcount:
+                raise KeyError(unknown)
+
+    # --- bundles
+
+    def members(self) -> list[Members]:
+        """All bundles."""
+        return [_members(text) for (text,) in self._ask("SELECT members FROM bundle ORDER BY id")]
+
+    def reduced(self) -> dict[Members, ReducedSystem]:
+        """The reduced systems of all bundles that have one, without any of their points."""
+        rows = self._ask(
+            "SELECT members, unknowns, at, normal, gradient, cost, slack FROM bundle "
+            "WHERE unknowns IS NOT NULL ORDER BY id"
+        )
+        found = dict[Members, ReducedSystem]()
+        for text, own, *rest in rows:
+            members = _members(text)
+            found[members] = _reduced(members if own == text else _members(own), *rest)
+        return found
+
+    def homes(self, ids: Iterable[str]) -> dict[str, Members]:
+        """For those of the points that are there: their bundle."""
+        rows = self._ask(
+            "SELECT point.name, bundle.id, bundle.members FROM json_each(?) AS wanted "
+            "JOIN point ON point.name = wanted.value JOIN bundle ON bundle.id = point.bundle",
+            json.dumps(list(ids)),
+        )
+        known = dict[int, Members]()
+        for _, number, text in rows:
+            if number not in known:
+                known[number] = _members(text)
+        return {name: known[number] for name, number, _ in rows}
+
+    def seen_by(self, image: str) -> list[Members]:
+        """Bundles with points that have a ray or a range from an image."""
+        rows = self._ask(
+            "SELECT bundle.members FROM image JOIN bundle_image ON bundle_image.image = image.id "
+            "JOIN bundle ON bundle.id = bundle_image.bundle WHERE image.name = ? ORDER BY bundle.id",
+            image,
+        )
+        return [_members(text) for (text,) in rows]
+
+    def bundle(self, members: Members) -> Bundle:
+        """A bundle with its points."""
+        row = self._one(f"SELECT {_BUNDLE} FROM bundle WHERE members = ?", _text(members))
+        number, first, points, first_ray, rays, first_range, ranges, terrain, shift_sigma, areoid, *reduced = row
+        names, numbers = self._images_of(number)
+        read = points_of(self._connection, Run(first, points))
+        known = [self.image(name) for name in names]
+        network = Network(
+            tuple(one.image for one in known),
+            tuple(one.prior for one in known),
+            np.array([one.held for one in known], dtype=bool),
+            read.points,
+            rays_of(self._connection, Run(first_ray, rays), read.numbers, numbers),
+            ranges_of(self._connection, Run(first_range, ranges), read.numbers, numbers),
+            self._shifts(read),
+            None if terrain is None else Surface(self._grid(terrain), read.surface_sigmas, shift_sigma),
+            None if areoid is None else self._grid(areoid),
+        )
+        system = None if reduced[0] is None else _reduced(_members(reduced[0]), *reduced[1:])
+        return Bundle(network, system, read.places, read.covariances)
+
+    def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+        """Take bundles out and put others in; one that is in both is renewed."""
+        for members in gone:
+            self._drop(members)
+        for members, bundle in new.items():
+            self._put(members, bundle)
+
+    def _drop(self, members: Members) -> None:
+        number, *runs = self._one(
+            "SELECT id, first_point, points, first_ray, rays, first_range, ranges FROM bundle WHERE members = ?",
+            _text(members),
+        )
+        for table, first, count in zip(("point", "ray", "range"), runs[::2], runs[1::2], strict=True):
+            self._connection.execute(f"DELETE FROM {table} WHERE id BETWEEN ? AND ?", Run(first, count).limits)
+        self._connection.execute("DELETE FROM bundle_image WHERE bundle = ?", (number,))
+        self._connection.execute("DELETE FROM bundle WHERE id = ?", (number,))
+
+    def _put(self, members: Members, bundle: Bundle) -> None:
+        network, reduced, connection = bundle.network, bundle.reduced, self._connection
+        surface = network.surface
+        (number,) = self._one("SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'bundle'")
+        images = self._numbers_of(tuple(image.name for image in network.images))
+        points = put_points(connection, number, network, self._profiles(network), (bundle.places, bundle.covariances))
+        rays = put_rays(connection, network, points.first, images)
+        ranges = put_ranges(connection, network, points.first, images)
+        connection.execute(
+            f"INSERT INTO bundle (members, {_BUNDLE}) VALUES ({', '.join('?' * 17)})",
+            (
+                _text(members), number, *points, *rays, *ranges,
+                None if surface is None else self._number(surface.grid),
+                None if surface is None else surface.shift_sigma,
+                None if network.areoid is None else self._number(network.areoid),
+                *((None,) * 6 if reduced is None else _reduced_row(reduced)),
+            ),
+        )  # fmt: skip
+        connection.executemany(
+            "INSERT INTO bundle_image (image, bundle, position) VALUES (?, ?, ?)",
+            [(image, number, position) for position, image in enumerate(images.tolist())],
+        )
+
+    # --- all of it
+
+    def network(self) -> Network:
+        """Everything as one network, images in the order in which they came, points bundle by bundle."""
+        names = self.image_names()
+        images, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
+        read = points_of(self._connection, None, adjusted=False)
+        return Network(
+            tuple(one.image for one in known),
+            tuple(one.prior for one in known),
+            np.array([one.held for one in known], dtype=bool),
+            read.points,
+            rays_of(self._connection, None, read.numbers, images),
+            ranges_of(self._connection, None, read.numbers, images),
+            self._shifts(read),
+            self._surface(read),
+            self.areoid,
+        )
+
+    def _surface(self, read: PointRows) -> Surface | None:
+        terrain = self.terrain
+        if terrain is None:
+            return None
+        sigmas = np.where(np.isnan(read.surface_sigmas), np.inf, read.surface_sigmas)
+        return Surface(terrain[0], sigmas, terrain[1])
+
+    @property
+    def terrain(self) -> tuple[TerrainGrid, float] | None:
+        """The terrain model as control and the a-priori sigma (m) of its shift; None where there is none."""
+        found = self._ask("SELECT DISTINCT terrain, terrain_shift_sigma FROM bundle WHERE terrain IS NOT NULL")
+        if len(found) > 1:
+            raise InputError(self._where, f"{len(found)} terrain models", "one for all points")
+        return (self._grid(found[0][0]), found[0][1]) if found else None
+
+    @property
+    def areoid(self) -> TerrainGrid | None:
+        """The areoid, where heights are to be above it."""
+        found = self._ask("SELECT min(areoid) FROM bundle")
+        return None if found[0][0] is None else self._grid(found[0][0])
+
+    def own(self, network: Network) -> Network:
+        """The same network with this store's own grids in place of equal ones, by which parts know one another."""
+        surface, areoid = network.surface, network.areoid
+        if surface is not None:
+            surface = replace(surface, grid=self._equal(surface.grid))
+        return replace(network, surface=surface, areoid=None if areoid is None else self._equal(areoid))
+
+    def _equal(self, grid: TerrainGrid) -> TerrainGrid:
+        """The store's grid with the same content, or the one given where there is none; nothing is written."""
+        if id(grid) in self._numbers:
+            return grid
+        found = self._ask("SELECT id FROM terrain WHERE sha256 = ?", hashlib.sha256(pack(grid)).hexdigest())
+        return self._grid(found[0][0]) if found else grid
+
+    # --- numbers and names
+
+    def _images_of(self, bundle: int) -> tuple[list[str], Index]:
+        rows = self._ask(
+            "SELECT image.name, image.id FROM bundle_image JOIN image ON image.id = bundle_image.image "
+            "WHERE bundle_image.bundle = ? ORDER BY position",
+            bundle,
+        )
+        return [name for name, _ in rows], np.array([number for _, number in rows], dtype=np.int64)
+
+    def _numbers_of(self, names: tuple[str, ...]) -> Index:
+        return np.array([self._one("SELECT id FROM image WHERE name = ?", name)[0] for name in names], dtype=np.int64)
+
+    def _profiles(self, network: Network) -> list[int]:
+        """Numbers of a network's profiles, which are written where they aren't known."""
+        if network.shifts is None:
+            return []
+        numbers = []
+        for name, sigma in zip(network.shifts.names, network.shifts.sigmas.tolist(), strict=True):
+            self._connection.execute(
+                "INSERT INTO profile (name, sigma) VALUES (?, ?) "
+                "ON CONFLICT (name) DO UPDATE SET sigma = excluded.sigma",
+                (name, sigma),
+            )
+            numbers.append(self._one("SELECT id FROM profile WHERE name = ?", name)[0])
+        return numbers
+
+    def _shifts(self, read: PointRows) -> ProfileShifts | None:
+        used, profile = np.unique(read.profiles, return_inverse=True)
+        if not np.any(used):
+            return None
+        first = int(used[0] == 0)
+        rows = [self._one("SELECT name, sigma FROM profile WHERE id = ?", int(number)) for number in used[first:]]
+        return ProfileShifts(tuple(name for name, _ in rows), profile - first, np.array([sigma for _, sigma in rows]))
+
+    def _grid(self, number: int) -> TerrainGrid:
+        if number not in self._grids:
+            source, record = self._one("SELECT source, record FROM terrain WHERE id = ?", number)
+            grid = unpack(record, TerrainGrid, f"{self._where}, terrain {source}")
+            self._grids[number], self._numbers[id(grid)] = grid, (grid, number)
+        return self._grids[number]
+
+    def _number(self, grid: TerrainGrid) -> int:
+        """Number of a grid in its table, where it is written unless an equal one is there."""
+        if id(grid) not in self._numbers:
+            record = pack(grid)
+            digest = hashlib.sha256(record).hexdigest()
+            self._connection.execute(
+                "INSERT INTO terrain (sha256, source, record) VALUES (?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
+                (digest, grid.source, record),
+            )
+            (number,) = self._one("SELECT id FROM terrain WHERE sha256 = ?", digest)
+            self._numbers[id(grid)] = grid, number  # held, so that its id stays its own
+            self._grids.setdefault(number, grid)
+        return self._numbers[id(grid)][1]
+
+    def _ask(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
+        return self._connection.execute(statement, values).fetchall()
+
+    def _one(self, statement: str, *values: object) -> tuple[Any, ...]:
+        row: tuple[Any, ...] | None = self._connection.execute(statement, values).fetchone()
+        if row is None:
+            raise KeyError(*values)
+        return row
+
+
+def _text(members: Members) -> str:
+    return json.dumps(members, ensure_ascii=False, separators=(",", ":"))
+
+
+def _members(text: str) -> Members:
+    return tuple(Unknown(kind, name) for kind, name in json.loads(text))
+
+
+def _vector(blob: bytes) -> Array:
+    return np.frombuffer(blob, "<f8")
+
+
+def _shared(prior: bytes, motion: bytes, ground: bytes, value: bytes, covariance: bytes) -> Shared:
+    sigmas = _vector(prior)
+    two = [_vector(blob).reshape(-1, sigmas.size) for blob in (ground, covariance)]
+    return Shared(sigmas, _vector(motion), two[0], _vector(value), two[1])
+
+
+def _reduced(unknowns: Members, at: bytes, normal: bytes, gradient: bytes, cost: float, slack: float) -> ReducedSystem:
+    place = _vector(at)
+    return ReducedSystem(
+        unknowns, place, _vector(normal).reshape(place.size, -1), _vector(gradient), cost, slack
+    )
+
+
+def _reduced_row(reduced: ReducedSystem) -> tuple[object, ...]:
+    arrays = (array.tobytes() for array in (reduced.at, reduced.normal, reduced.gradient))
+    return _text(reduced.unknowns), *arrays, float(reduced.cost), float(reduced.slack)
