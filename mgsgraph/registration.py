@@ -294,7 +294,7 @@ def _tie_heights(
 ) -> Array:
     """Heights (k,) in m above the ellipsoid at which the rays of ties meet under the current orientation."""
     rays = [
-        image.rays(places[:, 0], places[:, 1], correction)[:2]
+        image.sightlines(places[:, 0], places[:, 1], correction)
         for image, places, correction in zip(pair, measured, corrections, strict=True)
     ]
     origins, directions = (np.concatenate([ray[part] for ray in rays]) for part in (0, 1))

@@ -274,11 +274,11 @@ def _starting_places(network: Network) -> Array:
     starts, rays = network.points.places.copy(), network.rays
     sums, images = RaySums(starts.shape[0]), _by_image(rays.image, len(network.images))
     for image, mine in zip(network.images, images, strict=True):
-        sums.add(rays.point[mine], *_looks(image, rays.places[mine]))
+        sums.add(rays.point[mine], *image.sightlines(*rays.places[mine].T))
     crossing, angle = sums.places()
     usable = np.all(np.isfinite(crossing), axis=1) & (angle > _PARALLEL)
     for image, mine in zip(network.images, images, strict=True):  # rays that part meet behind their cameras
-        origins, directions = _looks(image, rays.places[mine])
+        origins, directions = image.sightlines(*rays.places[mine].T)
         ahead = np.einsum("ki,ki->k", crossing[rays.point[mine]] - origins, directions) > 0.0
         usable[rays.point[mine[~ahead]]] = False
     free = (network.points.kinds == PointKind.FREE) & ~network.undetermined
@@ -288,14 +288,6 @@ def _starting_places(network: Network) -> Array:
         _start_on_the_ground(network, missing, starts)
     starts[network.undetermined] = 0.0
     return starts
-
-
-def _looks(image: PushbroomImage, places: Array) -> tuple[Array, Array]:
-    """Origins (k, 3) in m and directions (k, 3) of the nominal rays of image places (k, 2)."""
-    pose = image.pose(places[:, 0])
-    look = np.column_stack([image.interior.focal_plane(places[:, 1])[0], np.full(pose.position.shape[0], 1.0)])
-    look[:, 2] *= image.interior.focal_length
-    return pose.position, np.einsum("kji,kj->ki", pose.matrix, look)
 
 
 def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> None:
