@@ -34,7 +34,7 @@ def show(text: str) -> None:
 
 
 def status(name: str, job: Callable[[], int | None]) -> int:
-    """Exit status of a job: its own (0 for none), 2 after bad input, 130 when interrupted, with one line that says so."""
+    """Exit status of a job: its own (0 for none); 2 after bad input and 130 when interrupted, which one line says."""
     try:
         return job() or 0
     except MgsgraphError as error:
