@@ -17,7 +17,6 @@ from mgsgraph.factors.rows import NO_LOSS, Groups, Model, Rows, Target
 from mgsgraph.factors.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, sweep_all
 
 Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _ROUNDING = 1e-16
 """Eigenvalues below this share of the largest, times the dimension, are rounding."""
@@ -41,6 +40,10 @@ class Reduction:
     """(n, 3) m, solved places in the layout's order."""
     states: NDArray[np.int8]
     """(n,) rows.GOOD, BEHIND or WEAK."""
+
+    def serves(self, orientation: Array, system: bool) -> bool:
+        """Whether it is of this orientation, and eliminated if that is wanted: then it needs no other."""
+        return (self.blocks is not None or not system) and np.array_equal(self.orientation, orientation)
 
 
 def reduce(
@@ -158,7 +161,7 @@ class Bundles:
     def at(self, orientation: Array, system: bool = True) -> Reduction:
         """Reduction at an orientation; the last one is kept, so that the factors of one iteration share it."""
         last = self._last
-        if last is None or (system and last.blocks is None) or not np.array_equal(last.orientation, orientation):
+        if last is None or not last.serves(orientation, system):
             points = None if last is None or not np.isfinite(last.cost) else last.points
             self._last = last = reduce(self.rows, self.groups, self.target, self.model, orientation, system, points)
         return last

@@ -6,7 +6,7 @@ S_p = L^-T (1 + sum_ij Y_i' S_ij Y_j) L^-1.
 
 import numpy as np
 
-from mgsgraph.factors.elimination import ROW, SPARE, column_place, couple_all, multiply_add, sight_columns
+from mgsgraph.factors.elimination import ROW, SPARE, block_place, couple_all, multiply_add, sight_columns
 from mgsgraph.factors.lanes import BASIS, COUPLING, LANES, NORMAL, PAIR, PRODUCT, STATE, STATE_WIDTH, lane
 from mgsgraph.factors.rows import OUT, WEAK
 from mgsgraph.factors.tile import sights_of
@@ -16,24 +16,18 @@ MIDDLE = SPARE + 3 * STATE_WIDTH * LANES
 
 
 @lane
-def covariance_entry(joint, groups, target, group, first, row, second, column):
-    """Covariance of two columns of a group's variables."""
-    size = groups.member_first[group + 1] - groups.member_first[group]
-    if first > second:
-        first, row, second, column = second, column, first, row
-    width = groups.member_width[groups.member_first[group] + second]
-    return joint[target.pair[groups.pair_first[group] + first * size + second] + row * width + column]
+def entry_columns(rows, i, e):
+    """Columns of a sight's e-th entry: the components of a basis term, or a single one."""
+    return min(6, rows.sight_width[i]) if e < rows.sight_terms[i] else 1
 
 
 @lane
-def lift(rows, i, column, s):
-    """How one of a sight's columns acts on its state: first register, its step, and which components it moves."""
-    components, _ = sight_columns(rows, i)
+def lift(rows, i, e, a, s):
+    """How column a of a sight's e-th entry acts on its state: first register, its step, and the components it moves."""
     terms = rows.sight_terms[i]
-    if column < components * terms:
-        component = column % components
-        return s + BASIS + (column // components) * LANES, 0, component, component + 1
-    return s + BASIS + 2 * terms * LANES + (column - components * terms) * ROW, LANES, 0, rows.sight_width[i]
+    if e < terms:
+        return s + BASIS + e * LANES, 0, a, a + 1
+    return s + BASIS + 2 * terms * LANES + (e - terms) * ROW, LANES, 0, rows.sight_width[i]
 
 
 @lane
@@ -47,11 +41,10 @@ def state_covariance(rows, groups, target, group, joint, i, j, n, w, s, t):
     for p in range(rows.sight_terms[i]):
         for q in range(rows.sight_terms[j]):
             multiply_add(n, w, s + BASIS + p * LANES, t + BASIS + q * LANES, PRODUCT, False)
-            first, row = rows.entry_member[entry_i + p], rows.entry_inside[entry_i + p]
-            second, column = rows.entry_member[entry_j + q], rows.entry_inside[entry_j + q]
+            start, down, across, _ = block_place(rows, groups, target, group, entry_i + p, entry_j + q)
             for a in range(components_i):
                 for b in range(components_j):
-                    value = covariance_entry(joint, groups, target, group, first, row + a, second, column + b)
+                    value = joint[start + a * down + b * across]
                     k = PAIR + (STATE_WIDTH * a + b) * LANES
                     for l in range(n):
                         w[k + l] += value * w[PRODUCT + l]
@@ -61,23 +54,28 @@ def state_covariance(rows, groups, target, group, joint, i, j, n, w, s, t):
 
 @lane
 def shared_state_covariance(rows, groups, target, group, joint, i, j, n, w, s, t):
-    """Add the share of pairs of columns of which one at least is single."""
-    components_i, columns_i = sight_columns(rows, i)
-    components_j, columns_j = sight_columns(rows, j)
-    for c in range(columns_i):
-        for d in range(columns_j):
-            if c < components_i * rows.sight_terms[i] and d < components_j * rows.sight_terms[j]:
-                continue
-            first, row = column_place(rows, i, c)
-            second, column = column_place(rows, j, d)
-            value = covariance_entry(joint, groups, target, group, first, row, second, column)
-            left, left_step, left_begin, left_end = lift(rows, i, c, s)
-            right, right_step, right_begin, right_end = lift(rows, j, d, t)
-            for a in range(left_begin, left_end):
-                for b in range(right_begin, right_end):
-                    k = PAIR + (STATE_WIDTH * a + b) * LANES
-                    for l in range(n):
-                        w[k + l] += value * w[left + a * left_step + l] * w[right + b * right_step + l]
+    """Add the share of pairs of entries of which one at least is a single column."""
+    terms_i, terms_j = rows.sight_terms[i], rows.sight_terms[j]
+    entry_i, entry_j = rows.sight_entry[i], rows.sight_entry[j]
+    for e in range(terms_i + rows.sight_shared[i]):
+        for f in range(0 if e >= terms_i else terms_j, terms_j + rows.sight_shared[j]):
+            start, down, across, _ = block_place(rows, groups, target, group, entry_i + e, entry_j + f)
+            for a in range(entry_columns(rows, i, e)):
+                left = lift(rows, i, e, a, s)
+                for b in range(entry_columns(rows, j, f)):
+                    add_lifted(joint[start + a * down + b * across], left, lift(rows, j, f, b, t), n, w)
+
+
+@lane
+def add_lifted(value, left, right, n, w):
+    """Add to PAIR the covariance of two columns, each as it acts on its sight's state (`lift`)."""
+    from_left, left_step, left_begin, left_end = left
+    from_right, right_step, right_begin, right_end = right
+    for a in range(left_begin, left_end):
+        for b in range(right_begin, right_end):
+            k = PAIR + (STATE_WIDTH * a + b) * LANES
+            for l in range(n):
+                w[k + l] += value * w[from_left + a * left_step + l] * w[from_right + b * right_step + l]
 
 
 @lane

@@ -44,18 +44,6 @@ def sight_columns(rows, i):
 
 
 @lane
-def column_place(rows, i, column):
-    """Of one of a sight's columns: the place of its variable in the group, and the column within that variable."""
-    components, _ = sight_columns(rows, i)
-    entry, terms = rows.sight_entry[i], rows.sight_terms[i]
-    if column < components * terms:
-        entry += column // components
-        return rows.entry_member[entry], rows.entry_inside[entry] + column % components
-    entry += terms + column - components * terms
-    return rows.entry_member[entry], rows.entry_inside[entry]
-
-
-@lane
 def carry_basis(rows, i, n, w, s):
     """Basis values at the line whose pose was used."""
     terms = rows.sight_terms[i]

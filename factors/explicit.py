@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors.lanes import BASIS, BY_POINT, BY_STATE, CARRY, FRONT, LANES, RESIDUAL, STATE_WIDTH
-from mgsgraph.factors.rows import GROUND, IMAGE, NO_LOSS, Groups, Model, Rows, Target
+from mgsgraph.factors.rows import IMAGE, NO_LOSS, Groups, Model, Rows, Target
 from mgsgraph.factors.sweep import RESIDUALS, still, sweep
-from mgsgraph.factors.tile import workspace
+from mgsgraph.factors.tile import row_count, workspace
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Sight:
     def __init__(self, rows: Rows, model: Model) -> None:
         self._rows, self._model = still(rows), model._replace(loss=NO_LOSS)
         self._kind, self._width = int(rows.sight_kind[0]), int(rows.sight_width[0])
-        self.count = 2 if self._kind == IMAGE else 3 if self._kind == GROUND else 1
+        self.count = int(row_count.py_func(self._kind))
         size, self._base, self._depth = workspace(rows)
         self._work = np.zeros(size)
 

@@ -155,9 +155,11 @@ def still(rows: Rows) -> Rows:
     return rows._replace(terrain=terrain)
 
 
-def _writable(array: Array) -> Array:
-    """The array itself, or a copy of one that is read-only: to the kernel that would be another type, compiled anew."""
-    return array if array.flags.writeable else array.copy()
+def own(values: NDArray[Any]) -> NDArray[Any]:
+    """The array itself, or a copy of one that is read-only (as what comes over a wire may be), strided or not aligned:
+    to the kernel that would be another type, compiled anew.
+    """
+    return np.require(values, requirements=("C", "A", "W"))
 
 
 def sweep_all(
@@ -184,8 +186,8 @@ def sweep_all(
     states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states
     costs = np.empty(rows.piece.shape[0]) if costs is None else costs
     values = np.empty((0, 0, 0)) if values is None else values
-    none = np.empty(0) if joint is None else _writable(joint)
-    x, places = _writable(x), _writable(places)
+    none = np.empty(0) if joint is None else own(joint)
+    x, places = own(x), own(places)
     rows = still(rows)
 
     def part(k: int) -> tuple[Array, Array]:

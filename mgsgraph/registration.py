@@ -213,7 +213,7 @@ def misregistration(
     projected, _ = image.ground_to_image(ground, correction, np.nan_to_num(true_places[:, 0], nan=0.5 * image.lines))
     kept = np.flatnonzero(np.all(np.isfinite(projected + true_places), axis=1))
     off = projected[kept] - true_places[kept]
-    metres = _on_ground(image, projected[kept], ground[kept], correction)
+    metres = on_ground(image, projected[kept], ground[kept], correction)
     return Misregistration(
         image.name, "truth", kept, true_places[kept, 0], off, np.zeros_like(off),
         np.einsum("nij,nj->ni", metres, off), np.zeros_like(off), shots.spacing,
@@ -255,7 +255,7 @@ def discrepancy(
     misplaced, sigmas = _smooth(first, measured[0], measured[1] - over_ties, in_first)
     off = in_second - transferred - misplaced
     lifted = by_height * surface_sigma[:, None]
-    metres = _on_ground(second, in_second, ground[kept], corrections[1])
+    metres = on_ground(second, in_second, ground[kept], corrections[1])
     variance = np.einsum("nij,nj->ni", metres**2, sigmas**2) + np.einsum("nij,nj->ni", metres, lifted) ** 2
     return Misregistration(
         second.name, first.name, kept, in_second[:, 0], off, np.hypot(sigmas, lifted),
@@ -263,7 +263,7 @@ def discrepancy(
     )
 
 
-def _on_ground(
+def on_ground(
     image: PushbroomImage, places: Array, points: Array, correction: OrientationCorrection | None
 ) -> Array:
     """(n, 2, 2) metres along the flight and to its right per line and per sample, at the points' heights."""
@@ -294,7 +294,7 @@ def _tie_heights(
 ) -> Array:
     """Heights (k,) in m above the ellipsoid at which the rays of ties meet under the current orientation."""
     rays = [
-        image.rays(places[:, 0], places[:, 1], correction)[:2]
+        image.sightlines(places[:, 0], places[:, 1], correction)
         for image, places, correction in zip(pair, measured, corrections, strict=True)
     ]
     origins, directions = (np.concatenate([ray[part] for ray in rays]) for part in (0, 1))

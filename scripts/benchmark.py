@@ -17,29 +17,22 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import benchmark_gate as gate
 from benchmark_blocks import SHARED, SIZES, made
+from benchmark_command import OneLine, at_least, show, status
 from benchmark_peer import VARIANTS, require_peer, run_peer
 from benchmark_run import require_writable, run, write_json, write_text
 from benchmark_table import page
 from peer_problem import read_problem, write_problem
 
-from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 ONCE = {("Kaguya", "custom")}
 """Runs that aren't repeated: the hand-written C++ fills the dense reduced system of 6750 unknowns, two minutes long."""
-
-
-class OneLine(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message}\n")
 
 
 def programs(peer: Path | None) -> list[str]:
@@ -153,12 +146,6 @@ def scaling(wanted: argparse.Namespace) -> int:
     return 0
 
 
-def show(text: str) -> None:
-    """One line on the terminal that the next one replaces."""
-    if sys.stderr.isatty():
-        print(f"\r{text:60}", end="\r" if not text else "", file=sys.stderr, flush=True)
-
-
 def arguments(given: list[str] | None = None) -> argparse.Namespace:
     """The command line."""
     parser = OneLine(prog="benchmark", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -192,34 +179,17 @@ def arguments(given: list[str] | None = None) -> argparse.Namespace:
     return wanted
 
 
-def at_least(least: int) -> Callable[[str], int]:
-    """A reader of whole numbers for the command line, `least` or more."""
-
-    def number(text: str) -> int:
-        value = int(text) if text.isascii() and text.isdigit() else least - 1
-        if value < least:
-            raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at least {least}")
-        return value
-
-    return number
-
-
 def main() -> int:
     wanted = arguments()
     os.environ["NUMBA_NUM_THREADS"] = str(wanted.threads)  # before anything imports numba
-    try:
+
+    def job() -> int:
         require_writable(wanted.json, wanted.markdown)
         if wanted.problem:
             return one_problem(wanted)
         return scaling(wanted) if wanted.scaling else measure(wanted)
-    except MgsgraphError as error:
-        print(f"benchmark: error: {error}", file=sys.stderr)
-    except MemoryError:
-        print("benchmark: error: out of memory; choose a smaller size", file=sys.stderr)
-    except KeyboardInterrupt:
-        print("benchmark: interrupted", file=sys.stderr)
-        return 130
-    return 2
+
+    return status("benchmark", job)
 
 
 if __name__ == "__main__":

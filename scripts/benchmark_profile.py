@@ -22,13 +22,13 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from benchmark import OneLine, at_least
 from benchmark_blocks import SHARED, made
+from benchmark_command import OneLine, at_least, status
 from benchmark_profile_page import Profile, Sweep, draw, into_page, tables
 from benchmark_run import require_writable, write_json, write_text
 from peer_problem import write_problem
 
-from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.errors import InputError
 
 if TYPE_CHECKING:  # numba counts threads when it is imported: not before --threads is read
     from mgsgraph.adjustment.graph import Layout
@@ -304,15 +304,7 @@ def measure(wanted: argparse.Namespace) -> None:
 def main() -> int:
     wanted = arguments()
     os.environ["NUMBA_NUM_THREADS"] = str(wanted.threads)  # before anything imports numba
-    try:
-        measure(wanted)
-    except MgsgraphError as error:
-        print(f"profile: error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("profile: interrupted", file=sys.stderr)
-        return 130
-    return 0
+    return status("profile", lambda: measure(wanted))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmark_run import REMEDY
+from benchmark_run import write_figure
 from benchmark_table import machine, number, table
 
 from mgsgraph.errors import InputError
@@ -235,27 +235,14 @@ def into_page(text: str, path: Path) -> str:
 
 def draw(found: Profile, path: Path) -> None:
     """Three panels: an iteration, a point's way through a sweep, and shares of the peaks."""
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, (first, second, third) = pyplot.subplots(
-        1, 3, figsize=(14.0, 4.6), layout="constrained", width_ratios=(1.0, 1.3, 1.2)
-    )
+    figure = Figure(figsize=(14.0, 4.6), layout="constrained")
+    first, second, third = figure.subplots(1, 3, width_ratios=(1.0, 1.3, 1.2))
     _draw_iteration(first, found)
     _draw_stages(second, found)
     _draw_shares(third, found)
-    aside = path.with_name(f".{path.name}.unfinished.png")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(aside, dpi=110)
-        aside.replace(path)
-    except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror or error})", remedy=REMEDY) from None
-    finally:
-        aside.unlink(missing_ok=True)
-        pyplot.close(figure)
+    write_figure(figure, path)
 
 
 def _draw_iteration(axes: Any, found: Profile) -> None:

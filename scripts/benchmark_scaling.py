@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from benchmark_blocks import chain
-from benchmark_run import REMEDY
+from benchmark_run import write_figure
 from benchmark_table import machine, number, table
 from peer_problem import write_problem
 
@@ -134,12 +134,10 @@ def as_record(rows: Sequence[Row]) -> dict[str, Any]:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Three panels: seconds against points and against images, bytes against points."""
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, (first, second, third) = pyplot.subplots(1, 3, figsize=(13.0, 4.2), layout="constrained")
+    figure = Figure(figsize=(13.0, 4.2), layout="constrained")
+    first, second, third = figure.subplots(1, 3)
     for axes, swept, least in ((first, "points", LARGE), (second, "images", 0)):
         for key in KEYS:
             sizes, seconds = series(rows, swept, key)
@@ -150,18 +148,12 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.legend(fontsize=8)
     first.set_title(f"{FIXED_IMAGES} images; exponents from {LARGE:,} points on", fontsize=9)
     second.set_title(f"{FIXED_POINTS:,} tie points", fontsize=9)
+    images = sorted({row.images for row in rows if row.swept == "images"})
+    second.set_xticks(images, map(str, images))
+    second.set_xticks([], minor=True)  # their labels would run into each other
     third.semilogx(*series(rows, "points", "bytes_per_observation"), "o-")
     third.axhline(300.0, color="grey", linestyle="--", linewidth=1.0, label="required: below 300")
     third.set(xlabel="number of points", ylabel="bytes per observation beside the input", ylim=(0.0, None))
     third.set_yscale("symlog", linthresh=300.0)
     third.legend(fontsize=8)
-    aside = path.with_name(f".{path.name}.unfinished.png")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(aside, dpi=110)
-        aside.replace(path)
-    except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror or error})", remedy=REMEDY) from None
-    finally:
-        aside.unlink(missing_ok=True)
-        pyplot.close(figure)
+    write_figure(figure, path)

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from benchmark import OneLine, at_least, show
 from benchmark_blocks import PEER_SIZES, SHARED, peer_size
+from benchmark_command import OneLine, at_least, show, status
 from benchmark_run import require_writable, write_text
 from benchmark_table import table
 from nees import cell, chi_square_band, student99
@@ -26,7 +26,6 @@ from peer_problem import PeerProblem, Truth, network, peer_orientation
 from mgsgraph.adjustment.adjust import adjust_network, versions
 from mgsgraph.adjustment.settings import Line
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import MgsgraphError
 from mgsgraph.geometry.records import Array, Index
 
 FORMS: tuple[Line, ...] = ("predicted", "measured")
@@ -141,19 +140,15 @@ def main() -> int:
     for size in wanted.sizes:
         if size not in PEER_SIZES:
             parser.error(f"no size {size!r}; there are {', '.join(PEER_SIZES)}")
-    try:
+
+    def job() -> None:
         require_writable(wanted.out)
         found = [one for size in wanted.sizes or ("S", "L") for one in campaign(size, wanted.draws, wanted.shared)]
         text = report(found)
         write_text(text, wanted.out)
-    except MgsgraphError as error:
-        print(f"nees_peer: error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("nees_peer: interrupted; nothing was written", file=sys.stderr)
-        return 130
-    print(text)
-    return 0
+        print(text)
+
+    return status("nees_peer", job)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
 """Test the installed package: drop the checkout from sys.path (python -m pytest puts it there)."""
 
-import os
 import shutil
 import sys
 from pathlib import Path
 
 import pytest
+from outside import require
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
@@ -13,14 +13,8 @@ sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of the real data sets, which the project does not ship; MGSGRAPH_NO_SKIPS (set in CI) demands it."""
-    folder = ROOT.parent / "shared" / "data"
-    if not folder.is_dir():
-        message = f"the real data are not here ({folder})"
-        if os.environ.get("MGSGRAPH_NO_SKIPS"):
-            pytest.fail(message)
-        pytest.skip(message)
-    return folder
+    """Folder of the real data sets."""
+    return require(ROOT.parent / "shared" / "data", "the folder of real data")
 
 
 @pytest.fixture(scope="session")

@@ -227,7 +227,11 @@ def marginals(linear: gtsam.GaussianFactorGraph, keys: Sequence[int | None], wid
     RuntimeError
         "Indeterminate linear system" in GTSAM's words, when it is not positive definite.
     """
-    root = eliminate(linear, keys, widths)
+    return joint_covariance(eliminate(linear, keys, widths))
+
+
+def joint_covariance(root: SquareRoot) -> JointCovariance:
+    """Joint covariance of the variables whose information a square root holds."""
     return JointCovariance(root, _clique_blocks(root))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, point_key, variable_key
-from mgsgraph.adjustment.marginals import JointCovariance, marginals
+from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
 from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.factors.bundle import Reduction
@@ -83,13 +83,13 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
     ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
     on_surface = np.isfinite(found.heights) & (kind != OUT)
     sigmas = network.surface.sigmas[on_surface] if network.surface is not None else np.zeros(0)
-    whitened = orientation / layout.sigmas  # (the rays' are done with)
+    corrections = orientation / layout.sigmas
     parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(offset * ground)]
     parts.append(np.sum((found.heights[on_surface] / sigmas) ** 2))
     priors = int(np.count_nonzero(np.isfinite(layout.sigmas))) + 3 * known.size
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
-        squares=float(sum(parts) + whitened @ whitened),
+        squares=float(sum(parts) + corrections @ corrections),
         observations=2 * int(used.sum()) + int(range_used.sum()) + int(on_surface.sum()) + priors,
         unknowns=layout.columns + 3 * free,
     )
@@ -109,7 +109,7 @@ def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
 
 
 def _weighted(squares: Array, model: Model) -> float:
-    """Sum of squares with the loss's weights (see kernels.robust)."""
+    """Sum of squares with the loss's weights (see `tile.robust` of the factors)."""
     if model.loss == NO_LOSS:
         return float(squares.sum())
     if model.loss == HUBER:
@@ -127,26 +127,26 @@ def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCov
     except RuntimeError as error:
         if "Indeterminate" not in str(error):
             raise
-        weak, count = weak_directions(graph.layout, reduction, _POORLY)
+        normal = _scaled_normal(graph.layout, reduction)
+        weak, count = _weak_directions(graph.layout, normal, _POORLY)
         if count:
             raise WeakNetwork(weak, count) from None
-        return _in_one_clique(graph.layout, reduction)
+        return _in_one_clique(graph.layout, normal)
 
 
-def _in_one_clique(layout: Layout, reduction: Reduction) -> JointCovariance:
-    """The same by a dense Cholesky factor in prior units.
+def _in_one_clique(layout: Layout, normal: Array) -> JointCovariance:
+    """The same by a dense Cholesky factor of the normal matrix (columns, columns) in units of `Layout.scales`.
 
     GTSAM calls a clique indeterminate when its last two pivots differ by more than 2^12, which ten thousands of ties on
     two images bring about though every direction is determined.
     """
-    scales = layout.scales
-    root = np.linalg.cholesky(_scaled_normal(layout, reduction)).T
-    inverse = np.linalg.solve(root, np.eye(scales.size))
+    rows = np.linalg.cholesky(normal).T / layout.scales
     variables = layout.variables
     adjusted = np.array(variables.adjusted(), dtype=np.int64)
-    one, all_of_them = np.array([adjusted.size]), (root / scales).ravel()
-    whole = SquareRoot(variables.first.copy(), variables.width.copy(), adjusted, one, one.copy(), all_of_them)
-    return JointCovariance(whole, ((inverse @ inverse.T) * scales[:, None] * scales).ravel())
+    one = np.array([adjusted.size])
+    return joint_covariance(
+        SquareRoot(variables.first.copy(), variables.width.copy(), adjusted, one, one.copy(), rows.ravel())
+    )
 
 
 def _marginals(layout: Layout, linear: gtsam.GaussianFactorGraph) -> JointCovariance:
@@ -193,17 +193,16 @@ def require_strength(layout: Layout, reduction: Reduction) -> None:
     Only needed where some coefficient has no prior: a prior on each determines all of them.
     """
     if np.any(np.isinf(layout.sigmas)):
-        weak, count = weak_directions(layout, reduction, _WEAK)
+        weak, count = _weak_directions(layout, _scaled_normal(layout, reduction), _WEAK)
         if count:
             raise WeakNetwork(weak, count)
 
 
-def weak_directions(layout: Layout, reduction: Reduction, limit: float) -> tuple[list[str], int]:
+def _weak_directions(layout: Layout, normal: Array, limit: float) -> tuple[list[str], int]:
     """The weakest directions of the orientation in words (two at most), and how many there are.
 
     Weak is what has an eigenvalue of the normal matrix, in units of `Layout.scales`, below `limit` of the largest.
     """
-    normal = _scaled_normal(layout, reduction)
     values, vectors = np.linalg.eigh(normal)
     weak = vectors[:, values < limit * max(values[-1], 1.0)]
     return [_in_words(layout, weak[:, k]) for k in range(min(weak.shape[1], 2))], weak.shape[1]
@@ -214,10 +213,8 @@ def _scaled_normal(layout: Layout, reduction: Reduction) -> Array:
     scales = layout.scales
     normal = np.diag(np.where(np.isinf(layout.sigmas), 0.0, 1.0))
     assert reduction.blocks is not None
-    blocks, width = layout.blocks, layout.variables.width
-    for v, w, at in zip(blocks.first.tolist(), blocks.second.tolist(), blocks.offset.tolist(), strict=True):
+    for v, w, block in layout.blocks.each(reduction.blocks, layout.variables.width):
         rows, columns = layout.columns_of(v), layout.columns_of(w)
-        block = reduction.blocks[at : at + width[v] * width[w]].reshape(width[v], width[w])
         normal[rows, columns] += block * scales[rows][:, None] * scales[columns]
         if v != w:
             normal[columns, rows] = normal[rows, columns].T

@@ -33,7 +33,7 @@ class BundleProblem:
     def at(self, state: Array, system: bool) -> Reduction:
         """All points solved (and eliminated) at a state."""
         last = self._last
-        if last is None or (system and last.blocks is None) or not np.array_equal(last.orientation, state):
+        if last is None or not last.serves(state, system):
             begin = last if last is not None and np.isfinite(last.cost) else None
             self._last = last = self.graph.reduction(state, system, begin)
         return last

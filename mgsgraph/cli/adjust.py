@@ -1,39 +1,25 @@
 """`mgsgraph adjust`: from a case file to a folder of results."""
 
-import dataclasses
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
-_FORMS = click.Choice(["bundle", "explicit"])
-_LOSSES = click.Choice(["none", "huber", "cauchy", "tukey"])
+from mgsgraph.cli.overruling import overruling
+
+if TYPE_CHECKING:
+    from mgsgraph.campaign import Wishes
 
 
 @click.command(short_help="Adjust a case.")
 @click.argument("case", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the results; made anew.")
 @click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
-@click.option("--form", type=_FORMS, help="Points eliminated inside their factors, or as variables of the graph.")
-@click.option("--loss", type=_LOSSES, help="Robust loss on image coordinates and ranges.")
-@click.option("--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none.")
-@click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
-@click.option("--no-figures", is_flag=True, help="Write tables only.")
+@overruling
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
-def adjust(
-    ctx: click.Context,
-    case: Path,
-    out: Path,
-    cluster: str | None,
-    form: str | None,
-    loss: str | None,
-    reject: float | None,
-    no_laser: bool,
-    no_figures: bool,
-    verbose: bool,
-) -> None:
+def adjust(ctx: click.Context, case: Path, out: Path, cluster: str | None, wishes: "Wishes", verbose: bool) -> None:
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
     Options overrule the case file. With --cluster the points lie with the workers, in partitions.
@@ -51,13 +37,12 @@ def adjust(
     require_replaceable(out)
     if cluster is not None:
         parse_cluster(cluster)
-    read = read_case(case, laser=not no_laser)
-    chosen: dict[str, Any] = {"form": form, "loss": loss, "reject": reject}
-    settings = dataclasses.replace(read.settings, **{key: value for key, value in chosen.items() if value is not None})
+    read = read_case(case, laser=wishes.laser)
+    settings = wishes.over(read.settings)
     hands = open_cluster(cluster) if cluster is not None else nullcontext()
     with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         solution = adjust_network(read.network, settings, read.name, bar, workers)
-    write_results(solution, out, figures=not no_figures)
+    write_results(solution, out, figures=wishes.figures)
     click.echo(summary_table(solution))
     for sentence in statements(solution):
         click.echo(f"- {sentence}")

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 import click
 from tqdm import tqdm
 
+from mgsgraph.cli.overruling import overruling
+
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.settings import Form, Loss
-    from mgsgraph.campaign import Entry
+    from mgsgraph.campaign import Entry, Wishes
 
 _PATIENCE = 20.0
 """s after which the silence is explained."""
-_FORMS = click.Choice(["bundle", "explicit"])
-_LOSSES = click.Choice(["none", "huber", "cauchy", "tukey"])
 
 
 @click.command(short_help="Adjust many cases.")
@@ -22,11 +21,7 @@ _LOSSES = click.Choice(["none", "huber", "cauchy", "tukey"])
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for all results and the record.")
 @click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
 @click.option("--retry", is_flag=True, help="Do those again that have failed or not converged, though nothing changed.")
-@click.option("--form", type=_FORMS, help="As in `mgsgraph adjust`, for all cases; so are the next ones.")
-@click.option("--loss", type=_LOSSES, help="Robust loss on image coordinates and ranges.")
-@click.option("--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none.")
-@click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
-@click.option("--no-figures", is_flag=True, help="Write tables only.")
+@overruling
 @click.option("-v", "--verbose", is_flag=True, help="One line per case.")
 @click.pass_context
 def campaign(
@@ -35,22 +30,18 @@ def campaign(
     out: Path,
     cluster: str | None,
     retry: bool,
-    form: "Form | None",
-    loss: "Loss | None",
-    reject: float | None,
-    no_laser: bool,
-    no_figures: bool,
+    wishes: "Wishes",
     verbose: bool,
 ) -> None:
     """Adjust each CASE (a TOML file; of a FOLDER, every *.toml at any depth) into a folder of its own in OUT.
 
-    OUT/campaign.jsonl records each case that is over. The same command again does what is new, what has changed and
-    what was interrupted, and leaves the rest. Exit status: 0 all done, 1 some failed or did not converge, 2 bad input.
+    Options overrule all case files. OUT/campaign.jsonl records each case that is over. The same command again does
+    what is new, what has changed and what was interrupted, and leaves the rest. Exit status: 0 all done, 1 some failed
+    or did not converge, 2 bad input.
     """
-    from mgsgraph.campaign import Wishes, run_campaign
+    from mgsgraph.campaign import run_campaign
     from mgsgraph.campaign.report import summary
 
-    wishes = Wishes(form, loss, reject, not no_laser, not no_figures)
     bar = _CaseBar(verbose)
     try:
         done = run_campaign(cases, out, wishes, cluster, retry, bar)

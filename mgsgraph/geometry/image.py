@@ -147,13 +147,26 @@ class PushbroomImage:
             per line and per sample.
         """
         pose = self.pose(lines, correction)
-        place, slope = self.interior.focal_plane(samples)
-        look = np.column_stack([place, np.full(samples.size, self.interior.focal_length)])
-        to_body = np.swapaxes(pose.matrix, 1, 2)
+        look, direction, slope = self._looks(pose, samples)
         d_origins = np.stack([pose.velocity, np.zeros_like(pose.velocity)], axis=2)
         along_detector = np.column_stack([slope, np.zeros(samples.size)])
         turned = np.stack([np.cross(pose.turning, look), along_detector], axis=2)
-        return pose.position, np.einsum("nij,nj->ni", to_body, look), d_origins, to_body @ turned
+        return pose.position, direction, d_origins, np.swapaxes(pose.matrix, 1, 2) @ turned
+
+    def sightlines(
+        self, lines: Array, samples: Array, correction: OrientationCorrection | None = None
+    ) -> tuple[Array, Array]:
+        """Origins and directions (n, 3) of `rays`, without their derivatives."""
+        pose = self.pose(lines, correction)
+        return pose.position, self._looks(pose, samples)[1]
+
+    def _looks(self, pose: Pose, samples: Array) -> tuple[Array, Array, Array]:
+        """Directions (n, 3) in camera axes and body-fixed, the focal length along the optical axis, and the slope
+        (n, 2) of the detector.
+        """
+        place, slope = self.interior.focal_plane(samples)
+        look = np.column_stack([place, np.full(samples.size, self.interior.focal_length)])
+        return look, np.einsum("nji,nj->ni", pose.matrix, look), slope
 
     def image_to_ground(
         self,

@@ -18,8 +18,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.products.place_sigmas import place_jacobian, propagated
 from mgsgraph.products.registration import CaseRegistration, register_case
-from mgsgraph.registration import Misregistration, misregistration
-from mgsgraph.registration import _on_ground as on_ground
+from mgsgraph.registration import Misregistration, misregistration, on_ground
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site

@@ -28,13 +28,11 @@ from mgsgraph.products.demo import (
 )
 from mgsgraph.products.merit import PLACES
 from mgsgraph.products.registration import root_mean_square
-from mgsgraph.products.registration_tables import _discrepancy_json as misregistration_json
-from mgsgraph.products.registration_tables import write_registration_into
+from mgsgraph.products.registration_tables import discrepancy_json, write_registration_into
 from mgsgraph.products.results import write_into
-from mgsgraph.products.tables import _plain as plain
-from mgsgraph.products.truth import _rms as rms_length
-from mgsgraph.products.truth import against_truth, nees
+from mgsgraph.products.truth import against_truth, nees, rms_length
 from mgsgraph.products.wording import listed, many
+from mgsgraph.products.writing import plain
 from mgsgraph.registration import Misregistration
 from mgsgraph.simulation.site import SimulatedImage, SimulationOptions
 from mgsgraph.simulation.terrain import grid_shift
@@ -298,8 +296,8 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
 def _before_after(pair: BeforeAfter) -> dict[str, Any]:
     record: dict[str, Any] = {
         "profile": pair.profile,
-        "before": misregistration_json(pair.before),
-        "after": misregistration_json(pair.after),
+        "before": discrepancy_json(pair.before),
+        "after": discrepancy_json(pair.after),
     }
     if pair.after.shots.size and np.all(pair.after.pixel_sigmas > 0.0):
         record |= dict(zip(("largest_sigmas_along", "largest_sigmas_across"), largest_sigmas_off([pair]), strict=True))

@@ -154,7 +154,8 @@ def _connections(connected: Connectivity) -> str:
         lines += [_partners(connected, j) for j in range(len(connected.names))]
     lines += [f"  {sentence}" for sentence in link_statement(connected)]
     if connected.spine.size > 1:
-        lines += ["  Weakest joints (parts that have no stronger link):", *(f"    {phrase}" for phrase in weakest_joints(connected))]
+        phrases = [f"    {phrase}" for phrase in weakest_joints(connected)]
+        lines += ["  Weakest joints (parts that have no stronger link):", *phrases]
     return "\n".join(lines)
 
 

@@ -21,11 +21,7 @@ from mgsgraph.products.registration import (
     registration_statements,
     root_mean_square,
 )
-from mgsgraph.products.tables import _columns as columns
-from mgsgraph.products.tables import _plain as plain
-from mgsgraph.products.tables import _quoted as quoted
-from mgsgraph.products.tables import _truths as truths
-from mgsgraph.products.tables import _write as write_csv
+from mgsgraph.products.writing import columns, plain, quoted, truths, write_csv
 from mgsgraph.registration import Misregistration
 from mgsgraph.units import DEG
 
@@ -109,11 +105,12 @@ def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
             }
             for j, image in enumerate(found.images)
         ],
-        "discrepancies": [_discrepancy_json(one) for one in profile.discrepancies],
+        "discrepancies": [discrepancy_json(one) for one in profile.discrepancies],
     }
 
 
-def _discrepancy_json(one: Misregistration) -> dict[str, Any]:
+def discrepancy_json(one: Misregistration) -> dict[str, Any]:
+    """A misregistration with its sigmas, in pixels, metres and line spacings."""
     record: dict[str, Any] = {"image": one.image, "against": one.against, "footprints": one.shots.size}
     for unit, values, sigmas in (
         ("px", one.pixels, one.pixel_sigmas), ("m", one.metres, one.metre_sigmas),

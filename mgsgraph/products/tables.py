@@ -5,12 +5,9 @@ latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights
 """
 
 import dataclasses
-import math
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
@@ -35,6 +32,7 @@ from mgsgraph.products.merit import (
     used_ray_counts,
 )
 from mgsgraph.products.summary import statements
+from mgsgraph.products.writing import columns, padded, picked, plain, quoted, truths, whole, write_csv
 from mgsgraph.ties import PointKind
 from mgsgraph.units import ARCSEC, DEG, KM
 
@@ -44,10 +42,7 @@ FORMAT = 1
 _ISIS = 0.5
 """pixels from our count of lines and samples to that of ISIS."""
 _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; times sigma0 they are scaled to the fit"
-_CHUNK = 20_000
-"""Rows written at a time."""
 _REMARKS = ("", "bridge", "overlap without common points", "common points without overlap")
-_SPECIAL = frozenset(',"\r\n')
 
 
 def solution_json(solution: Solution, connected: Connectivity | None = None) -> dict[str, Any]:
@@ -86,23 +81,12 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "versions": dict(solution.versions),
         "statements": statements(solution, connected),
     }
-    plain: dict[str, Any] = _plain(record)
-    return plain
+    found: dict[str, Any] = plain(record)
+    return found
 
 
 def _name(point_class: PointClass) -> str:
     return point_class.name.lower()
-
-
-def _plain(value: Any) -> Any:
-    """The value with arrays as lists, NumPy scalars as Python's, and None for NaN and infinity."""
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
@@ -190,39 +174,39 @@ def points_csv(solution: Solution, path: Path) -> None:
     network, sigmas = solution.network, solution.sigmas
     longitude, latitude, radius = planetocentric(solution.places).T
     text = {
-        "id": [_quoted(name) for name in network.points.ids],
+        "id": [quoted(name) for name in network.points.ids],
         "class": _names(PointClass, network.points.classes),
         "kind": _names(PointKind, network.points.kinds),
-        "rejected": _truths(rejected_points(solution)),
-        "rays": _whole(network.ray_counts),
-        "rays_used": _whole(used_ray_counts(solution)),
+        "rejected": truths(rejected_points(solution)),
+        "rays": whole(network.ray_counts),
+        "rays_used": whole(used_ray_counts(solution)),
     }
     numbers = {
-        **_columns(["x_m", "y_m", "z_m"], solution.places),
+        **columns(["x_m", "y_m", "z_m"], solution.places),
         "lon_deg": longitude / DEG % 360.0,
         "lat_deg": latitude / DEG,
         "radius_m": radius,
         "height_m": geodetic(solution.places, network.images[0].body)[:, 2],
         **({"height_above_areoid_m": radius - network.areoid.at(solution.places)} if network.areoid else {}),
-        **_columns(["sigma_x_m", "sigma_y_m", "sigma_z_m"], sigmas),
-        **_columns(["sigma_east_m", "sigma_north_m", "sigma_up_m"], local_sigmas(solution)),
-        **_columns(["scaled_sigma_x_m", "scaled_sigma_y_m", "scaled_sigma_z_m"], sigmas * solution.sigma0),
+        **columns(["sigma_x_m", "sigma_y_m", "sigma_z_m"], sigmas),
+        **columns(["sigma_east_m", "sigma_north_m", "sigma_up_m"], local_sigmas(solution)),
+        **columns(["scaled_sigma_x_m", "scaled_sigma_y_m", "scaled_sigma_z_m"], sigmas * solution.sigma0),
         **{
             f"cov_{'xyz'[a]}{'xyz'[b]}_m2": solution.covariances[:, a, b]
             for a, b in zip(*np.triu_indices(3), strict=True)
         },
-        **_columns(["correction_x_m", "correction_y_m", "correction_z_m"], solution.places - solution.places_before),
+        **columns(["correction_x_m", "correction_y_m", "correction_z_m"], solution.places - solution.places_before),
     }
-    _write(path, text, numbers)
+    write_csv(path, text, numbers)
 
 
 def orientation_csv(solution: Solution, path: Path) -> None:
     """Write the exterior orientation of every image at the papers' 31 places, before and after."""
     images = solution.network.images
     profiles = [orientation_profile(solution, j, PLACES) for j in range(len(images))]
-    names = [_quoted(image.name) for image in images for _ in range(PLACES)]
+    names = [quoted(image.name) for image in images for _ in range(PLACES)]
     parts = [_orientation_columns(profile) for profile in profiles]
-    _write(path, {"image": names}, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+    write_csv(path, {"image": names}, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
 
 def _orientation_columns(profile: OrientationProfile) -> dict[str, Array]:
@@ -230,16 +214,16 @@ def _orientation_columns(profile: OrientationProfile) -> dict[str, Array]:
     return {
         "isis_line": profile.lines + _ISIS,
         "time_et_s": profile.times,
-        **_columns([f"{name}_before_m" for name in position], profile.position_before),
-        **_columns([f"{name}_after_m" for name in position], profile.position_after),
-        **_columns([f"{name}_difference_m" for name in position], profile.position_after - profile.position_before),
-        **_columns([f"{name}_sigma_m" for name in position], profile.position_sigma),
-        **_columns([f"{name}_before_deg" for name in angles], profile.angles_before / DEG),
-        **_columns([f"{name}_after_deg" for name in angles], profile.angles_after / DEG),
-        **_columns([f"{name}_difference_arcsec" for name in angles], profile.angle_differences / ARCSEC),
-        **_columns([f"{name}_sigma_arcsec" for name in angles], profile.angles_sigma / ARCSEC),
-        **_columns([f"{name}_arcsec" for name in turns], profile.rotation / ARCSEC),
-        **_columns([f"{name}_sigma_arcsec" for name in turns], profile.rotation_sigma / ARCSEC),
+        **columns([f"{name}_before_m" for name in position], profile.position_before),
+        **columns([f"{name}_after_m" for name in position], profile.position_after),
+        **columns([f"{name}_difference_m" for name in position], profile.position_after - profile.position_before),
+        **columns([f"{name}_sigma_m" for name in position], profile.position_sigma),
+        **columns([f"{name}_before_deg" for name in angles], profile.angles_before / DEG),
+        **columns([f"{name}_after_deg" for name in angles], profile.angles_after / DEG),
+        **columns([f"{name}_difference_arcsec" for name in angles], profile.angle_differences / ARCSEC),
+        **columns([f"{name}_sigma_arcsec" for name in angles], profile.angles_sigma / ARCSEC),
+        **columns([f"{name}_arcsec" for name in turns], profile.rotation / ARCSEC),
+        **columns([f"{name}_sigma_arcsec" for name in turns], profile.rotation_sigma / ARCSEC),
     }
 
 
@@ -252,47 +236,47 @@ def residuals_csv(solution: Solution, path: Path) -> None:
     point, image = np.concatenate([rays.point, ranges.point]), np.concatenate([rays.image, ranges.image])
     text = {
         "kind": ["image"] * rays.point.size + ["range"] * ranges.point.size,
-        "point": _picked([_quoted(name) for name in network.points.ids], point),
+        "point": picked([quoted(name) for name in network.points.ids], point),
         "class": _names(PointClass, network.points.classes[point]),
-        "image": _picked([_quoted(image.name) for image in network.images], image),
-        "used": _truths(np.concatenate([solution.rays_used, solution.ranges_used])),
+        "image": picked([quoted(image.name) for image in network.images], image),
+        "used": truths(np.concatenate([solution.rays_used, solution.ranges_used])),
     }
     shots, before, after = _shot_lines(solution), solution.residuals_before, solution.residuals
     k, r = rays.point.size, ranges.point.size
     numbers = {"isis_line": np.concatenate([rays.places[:, 0], shots]) + _ISIS,
-               "isis_sample": _padded(rays.places[:, 1], 0, r) + _ISIS}
+               "isis_sample": padded(rays.places[:, 1], 0, r) + _ISIS}
     for c, name in enumerate(("line", "sample")):
         numbers |= {
-            f"residual_before_{name}_px": _padded(before[:, c], 0, r),
-            f"residual_{name}_px": _padded(after[:, c], 0, r),
-            f"sigma_{name}_px": _padded(rays.sigmas[:, c], 0, r),
-            f"normalised_{name}": _padded(after[:, c] / rays.sigmas[:, c], 0, r),
+            f"residual_before_{name}_px": padded(before[:, c], 0, r),
+            f"residual_{name}_px": padded(after[:, c], 0, r),
+            f"sigma_{name}_px": padded(rays.sigmas[:, c], 0, r),
+            f"normalised_{name}": padded(after[:, c] / rays.sigmas[:, c], 0, r),
         }
     numbers |= {
-        "range_m": _padded(ranges.values, k, 0),
-        "residual_before_range_m": _padded(solution.range_residuals_before, k, 0),
-        "residual_range_m": _padded(solution.range_residuals, k, 0),
-        "sigma_range_m": _padded(ranges.sigmas, k, 0),
-        "normalised_range": _padded(solution.range_residuals / ranges.sigmas, k, 0),
+        "range_m": padded(ranges.values, k, 0),
+        "residual_before_range_m": padded(solution.range_residuals_before, k, 0),
+        "residual_range_m": padded(solution.range_residuals, k, 0),
+        "sigma_range_m": padded(ranges.sigmas, k, 0),
+        "normalised_range": padded(solution.range_residuals / ranges.sigmas, k, 0),
     }
-    _write(path, text, numbers)
+    write_csv(path, text, numbers)
 
 
 def connectivity_csv(connected: Connectivity, path: Path) -> None:
     """Write one row per pair of images that share points or overlap: points by class, area, distance, and a remark."""
-    names, points = [_quoted(name) for name in connected.names], connected.points
+    names, points = [quoted(name) for name in connected.names], connected.points
     remarks = np.select(
         [connected.bridges, (points == 0) & (connected.areas > 0.0), (points > 0) & (connected.gaps > 0.0)], [1, 2, 3]
     )
     text = {
-        "image_a": _picked(names, connected.pairs[:, 0]),
-        "image_b": _picked(names, connected.pairs[:, 1]),
-        "common_points": _whole(points),
-        **{f"{_name(c)}_points": _whole(connected.common[:, c]) for c in PointClass},
-        "remark": _picked(_REMARKS, remarks),
+        "image_a": picked(names, connected.pairs[:, 0]),
+        "image_b": picked(names, connected.pairs[:, 1]),
+        "common_points": whole(points),
+        **{f"{_name(c)}_points": whole(connected.common[:, c]) for c in PointClass},
+        "remark": picked(_REMARKS, remarks),
     }
     numbers = {"overlap_km2": connected.areas / KM**2, "overlap_share": connected.shares, "gap_km": connected.gaps / KM}
-    _write(path, text, numbers)
+    write_csv(path, text, numbers)
 
 
 def _shot_lines(solution: Solution) -> Array:
@@ -304,48 +288,5 @@ def _shot_lines(solution: Solution) -> Array:
     return lines
 
 
-def _columns(names: Sequence[str], values: Array) -> dict[str, Array]:
-    return dict(zip(names, values.T, strict=True))
-
-
-def _padded(values: Array, before: int, after: int) -> Array:
-    return np.pad(values, (before, after), constant_values=np.nan)
-
-
 def _names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> list[str]:
-    return _picked([member.name.lower() for member in kind], codes)
-
-
-def _picked(names: Sequence[str], index: np.ndarray) -> list[str]:
-    return [names[i] for i in index.tolist()]
-
-
-def _whole(values: np.ndarray) -> list[str]:
-    return [str(value) for value in values.tolist()]
-
-
-def _truths(values: np.ndarray) -> list[str]:
-    return _picked(("false", "true"), values.astype(np.int64))
-
-
-def _write(path: Path, text: Mapping[str, Sequence[str]], numbers: Mapping[str, Array]) -> None:
-    """Write a CSV file, columns of text first; numbers read back bit for bit, NaN is an empty field.
-
-    msgspec's JSON gives the shortest digits that do so, in a tenth of the csv module's time.
-    """
-    names, table = list(text.values()), list(numbers.values())
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join([*text, *numbers]) + "\n")
-        for first in range(0, len(names[0]), _CHUNK):
-            some = slice(first, first + _CHUNK)
-            rows = msgspec.json.encode(np.column_stack([column[some] for column in table]).tolist()).decode()
-            figures = rows.replace("null", "")[2:-2].split("],[")
-            lines = zip(*(column[some] for column in names), figures, strict=True)
-            file.write("\n".join(map(",".join, lines)) + "\n")
-
-
-def _quoted(text: str) -> str:
-    """A field of a CSV file, quoted where it must be (RFC 4180)."""
-    if _SPECIAL.isdisjoint(text):
-        return text
-    return '"' + text.replace('"', '""') + '"'
+    return picked([member.name.lower() for member in kind], codes)

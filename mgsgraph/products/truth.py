@@ -27,8 +27,8 @@ def against_truth(solution: Solution, pair: SimulatedPair) -> list[str]:
         after, before = (places[members] - true_places[members] for places in (solution.places, solution.places_before))
         mean = nees(after, solution.covariances[members]).mean() / 3.0
         sentences.append(
-            f"Truth, {point_class.name.lower()} points: error {_rms(before):.1f} m rms before, "
-            f"{_rms(after):.1f} m after; "
+            f"Truth, {point_class.name.lower()} points: error {rms_length(before):.1f} m rms before, "
+            f"{rms_length(after):.1f} m after; "
             f"mean NEES per degree of freedom {mean:.2f} (1 if the stated sigmas are honest; "
             "all points share one orientation, so one draw scatters)."
         )
@@ -45,6 +45,6 @@ def against_truth(solution: Solution, pair: SimulatedPair) -> list[str]:
     return sentences
 
 
-def _rms(errors: Array) -> float:
+def rms_length(errors: Array) -> float:
     """Root mean square length, m."""
     return float(np.sqrt(np.mean(np.einsum("ni,ni->n", errors, errors))))

@@ -61,6 +61,7 @@ def test_bad_input_writes_nothing(mola_case: Path, tmp_path: Path) -> None:
     text = mola_case.read_text(encoding="utf-8")
     mola_case.write_text(text[: text.index("[[mola]]")], encoding="utf-8")
     refused(run("register", mola_case, "--out", out), "no profile of MOLA", tmp_path, ["case"])
+    assert not out.exists()
 
 
 def test_help_names_the_files() -> None:

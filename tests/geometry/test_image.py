@@ -108,6 +108,13 @@ def test_derivatives_of_rays(image: PushbroomImage, angles: Angles | None) -> No
             np.testing.assert_allclose(found[:, :, column], want, rtol=0, atol=1e-8 if which == 0 else 1e-13)
 
 
+@pytest.mark.parametrize("correction", [None, OrientationCorrection(CORRECTION)])
+def test_sightlines_are_the_rays(image: PushbroomImage, correction: OrientationCorrection | None) -> None:
+    places = image.lines * np.array([0.11, 0.63, 0.93]), image.samples * np.array([0.2, 0.7, 0.9])
+    for found, want in zip(image.sightlines(*places, correction), image.rays(*places, correction)[:2], strict=True):
+        np.testing.assert_array_equal(found, want)
+
+
 def away_from_knots(image: PushbroomImage, lines: np.ndarray) -> np.ndarray:
     """Lines moved so that tables and timing do not bend within ten lines: there, differences see both sides."""
     knots = [image.timing.lines(table.times) for table in (image.trajectory.camera, image.trajectory.position)]

@@ -3,14 +3,14 @@
 import json
 import math
 import mmap
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from outside import require
+from runs import figures
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 if not SCRIPTS.is_dir():
@@ -25,17 +25,6 @@ import benchmark_scaling as scaling  # noqa: E402
 import benchmark_table  # noqa: E402
 import nees_peer  # noqa: E402
 import peer_problem as peer  # noqa: E402
-
-
-def figures(**changes: Any) -> dict[str, Any]:
-    """What a run of ours says."""
-    common = {
-        "images": 2, "points": 400, "observations": 800, "converged": True, "message": "fine", "iterations": 3,
-        "cost_final": 100.0 * (1.0 + 1e-10), "seconds_read": 0.1, "seconds_network": 0.1, "seconds_set_up": 0.2,
-        "seconds_solve": 0.5, "seconds_covariance": 0.75, "seconds_per_iteration": 0.1, "peak_memory_mb": 50.0,
-        "bytes_per_observation": 250.0,
-    }  # fmt: skip
-    return common | changes
 
 
 def test_a_page_without_the_peer_says_so() -> None:
@@ -116,11 +105,7 @@ def test_normalised_errors_of_drawn_errors_average_to_one() -> None:
 def test_nees_of_two_draws_of_the_smallest_size(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    if not (blocks.SHARED / "gen.py").is_file():
-        message = f"the peer's generator is not here ({blocks.SHARED})"
-        if os.environ.get("MGSGRAPH_NO_SKIPS"):
-            pytest.fail(message)
-        pytest.skip(message)
+    require(blocks.SHARED / "gen.py", "the peer's generator")
     monkeypatch.setattr(sys, "argv", ["nees_peer.py", "S", "--draws", "2", "--out", str(tmp_path / "nees.md")])
     assert nees_peer.main() == 0
     text = (tmp_path / "nees.md").read_text(encoding="utf-8")

@@ -1,7 +1,6 @@
 """Problems of the C++ peer: files, equations, networks, against its own generator and its published costs; ours."""
 
 import math
-import os
 import re
 import struct
 import sys
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from outside import require
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 if not SCRIPTS.is_dir():
@@ -43,14 +43,8 @@ def generator() -> ModuleType:
 
 
 def require_peer(name: str) -> Path:
-    """A file of the peer, which the project does not ship; MGSGRAPH_NO_SKIPS (set in CI) demands it."""
-    path = SHARED / name
-    if not path.is_file():
-        message = f"the peer is not here ({path})"
-        if os.environ.get("MGSGRAPH_NO_SKIPS"):
-            pytest.fail(message)
-        pytest.skip(message)
-    return path
+    """A file of the peer."""
+    return require(SHARED / name, "the peer")
 
 
 @pytest.fixture(scope="module")

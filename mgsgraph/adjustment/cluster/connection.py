@@ -45,7 +45,8 @@ _GRACE = 2.0
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _alone = threading.Lock()
-"""Held by the task that runs in this process: numba's threads and SPICE's kernel pool serve one at a time."""
+"""Held by the task that runs in this process: SPICE's kernel pool and the partitions held here serve one at a time, and
+a sweep's own threads already take every core."""
 
 
 @dataclass(frozen=True, slots=True)

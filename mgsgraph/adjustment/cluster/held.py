@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.factors.bundle import all_residuals, point_covariances, reduce
 from mgsgraph.factors.rows import Groups, Model, Rows, Target
-from mgsgraph.factors.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM
+from mgsgraph.factors.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, own
 from mgsgraph.geometry.records import Array
 
 HOLD, PLACES = -1, -2
@@ -97,7 +97,7 @@ def carry_out(order: Order) -> Answer:
     held = _find(order)
     if held is None:
         return NOT_HELD
-    constants, x, points = held.source, _own(order.orientation), order.points
+    constants, x, points = held.source, order.orientation, order.points
     if order.task in (COSTS, SYSTEM):
         return _reduce(held, order)
     if order.task == PLACES:
@@ -107,12 +107,11 @@ def carry_out(order: Order) -> Answer:
     if order.task == HOLD:
         return (np.array(weight_of(constants.rows)),)
     assert points is not None
-    points = _own(points)
     if order.task == RESIDUALS:
         return (all_residuals(*constants, x, points),)
     assert order.task == COVARIANCES
     assert order.joint is not None
-    return (point_covariances(*constants, x, _own(order.joint), points),)
+    return (point_covariances(*constants, x, order.joint, points),)
 
 
 def _find(order: Order) -> _Held | None:
@@ -126,17 +125,17 @@ def _find(order: Order) -> _Held | None:
     if held is not None:
         held.used = now
         if order.changes:
-            new = {name: _own(values) for name, values in order.changes.items()}
+            new = {name: own(values) for name, values in order.changes.items()}
             held.source = held.source._replace(rows=held.source.rows._replace(**new))
     return held
 
 
 def _reduce(held: _Held, order: Order) -> Answer:
     """Solve and eliminate; where the points end is kept."""
-    begin = _own(order.points) if order.points is not None else None
+    begin = order.points
     if order.after in held.ends:
         begin = held.ends[order.after][0]
-    found = reduce(*held.source, _own(order.orientation), order.task == SYSTEM, begin)
+    found = reduce(*held.source, order.orientation, order.task == SYSTEM, begin)
     held.ends = {number: end for number, end in held.ends.items() if number in order.kept}
     held.ends[order.number] = found.points, found.states
     return found.piece_cost, found.blocks, found.gradient
@@ -155,9 +154,4 @@ def weight_of(record: tuple[Any, ...]) -> int:
 
 def _own_all(record: Any) -> Any:
     """A record with arrays of its own."""
-    return type(record)(*(_own(value) if isinstance(value, np.ndarray) else value for value in record))
-
-
-def _own(values: NDArray[Any]) -> NDArray[Any]:
-    """What has come over the wire may be read-only; to the kernel that would be another type, to be compiled anew."""
-    return np.require(values, requirements=("C", "A", "W"))
+    return type(record)(*(own(value) if isinstance(value, np.ndarray) else value for value in record))

@@ -134,10 +134,8 @@ class BundleGraph:
         """
         assert reduction.blocks is not None
         layout, gradient = self.layout, self.gradient(reduction)
-        precision, blocks = 1.0 / layout.sigmas**2, layout.blocks
-        graph, width = gtsam.GaussianFactorGraph(), layout.variables.width
-        for v, w, at in zip(blocks.first.tolist(), blocks.second.tolist(), blocks.offset.tolist(), strict=True):
-            block = reduction.blocks[at : at + width[v] * width[w]].reshape(width[v], width[w])
+        precision, graph = 1.0 / layout.sigmas**2, gtsam.GaussianFactorGraph()
+        for v, w, block in layout.blocks.each(reduction.blocks, layout.variables.width):
             if v == w:
                 own = layout.columns_of(v)
                 graph.push_back(

@@ -1,5 +1,6 @@
 """Points sorted by pattern: which sights they have, in pieces that the kernel takes one after the other."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -182,6 +183,12 @@ class PairBlocks:
     """(p,) where its block begins, first variable's columns down, second's across."""
     target: Target
     """The same, as the kernel wants it."""
+
+    def each(self, flat: Array, width: Index) -> Iterator[tuple[int, int, Array]]:
+        """Each pair's variables, v and w, and its block (width[v], width[w]) in a flat array."""
+        widths = width.tolist()
+        for v, w, at in zip(self.first.tolist(), self.second.tolist(), self.offset.tolist(), strict=True):
+            yield v, w, flat[at : at + widths[v] * widths[w]].reshape(widths[v], widths[w])
 
 
 def pair_blocks(variables: Variables, groups: Groups) -> PairBlocks:

@@ -296,22 +296,14 @@ def _start_at_crossings(network: Network, free: Mask, starts: Array) -> None:
     mine = np.flatnonzero(free[rays.point])
     sums, images = RaySums(starts.shape[0]), [mine[k] for k in _by_image(rays.image[mine], count)]
     for image, rows in zip(network.images, images, strict=True):
-        sums.add(rays.point[rows], *_looks(image, rays.places[rows]))
+        sums.add(rays.point[rows], *image.sightlines(*rays.places[rows].T))
     crossing, angle = sums.places()
     usable = free & np.all(np.isfinite(crossing), axis=1) & (angle > _PARALLEL)
     for image, rows in zip(network.images, images, strict=True):  # rays that part meet behind their cameras
-        origins, directions = _looks(image, rays.places[rows])
+        origins, directions = image.sightlines(*rays.places[rows].T)
         ahead = np.einsum("ki,ki->k", crossing[rays.point[rows]] - origins, directions) > 0.0
         usable[rays.point[rows[~ahead]]] = False
     starts[usable] = crossing[usable]
-
-
-def _looks(image: PushbroomImage, places: Array) -> tuple[Array, Array]:
-    """Origins (k, 3) in m and directions (k, 3) of the nominal rays of image places (k, 2)."""
-    pose = image.pose(places[:, 0])
-    look = np.column_stack([image.interior.focal_plane(places[:, 1])[0], np.full(pose.position.shape[0], 1.0)])
-    look[:, 2] *= image.interior.focal_length
-    return pose.position, np.einsum("kji,kj->ki", pose.matrix, look)
 
 
 def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> None:

@@ -1,0 +1,50 @@
+"""Options by which a command line overrules case files."""
+
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.settings import Form, Loss
+
+_OPTIONS = (
+    click.option(
+        "--form",
+        type=click.Choice(["bundle", "explicit"]),
+        help="Points eliminated inside their factors, or as variables of the graph.",
+    ),
+    click.option(
+        "--loss",
+        type=click.Choice(["none", "huber", "cauchy", "tukey"]),
+        help="Robust loss on image coordinates and ranges.",
+    ),
+    click.option(
+        "--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none."
+    ),
+    click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
+    click.option("--no-figures", is_flag=True, help="Write tables only."),
+)
+
+
+def overruling(verb: Callable[..., None]) -> Callable[..., None]:
+    """Give a verb the options that overrule case files; it takes them together, as `wishes` (a `campaign.Wishes`)."""
+
+    @wraps(verb)
+    def with_wishes(
+        *,
+        form: "Form | None",
+        loss: "Loss | None",
+        reject: float | None,
+        no_laser: bool,
+        no_figures: bool,
+        **others: Any,
+    ) -> None:
+        from mgsgraph.campaign import Wishes
+
+        verb(wishes=Wishes(form, loss, reject, not no_laser, not no_figures), **others)
+
+    for option in reversed(_OPTIONS):
+        option(with_wishes)
+    return with_wishes
