@@ -295,10 +295,11 @@ def test_two_groups_of_shots(case_file: Path) -> None:
 
 def tie_points(source: str, kind: PointKind, place: float, sigma: float = 1.0, image: str = "I") -> TiePoints:
     free = kind == PointKind.FREE
+    one = np.ones((1, 2))
+    covariance = np.zeros((1, 3, 3)) if free else sigma**2 * np.eye(3)[None]
     return TiePoints(
-        source, ("P",), [kind], [[place, 0.0, 0.0]], [np.zeros((3, 3)) if free else sigma**2 * np.eye(3)], [0],
-        (image,), [[1.0, 1.0]], [[1.0, 1.0]],
-    )  # type: ignore[arg-type]
+        source, ("P",), np.array([kind]), np.array([[place, 0.0, 0.0]]), covariance, np.array([0]), (image,), one, one
+    )
 
 
 def test_what_two_networks_know_of_a_point() -> None:

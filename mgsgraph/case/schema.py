@@ -199,7 +199,7 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     ground_control: ControlInput | None = None
     """Ground control points."""
     laser: LaserInput | tuple[LaserInput, ...] | bool = False
-    """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false leaves all out."""
+    """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false: none."""
     mola: tuple[MolaInput, ...] = ()
     """Laser profiles of MOLA."""
     terrain: TerrainInput | None = None

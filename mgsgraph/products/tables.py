@@ -42,7 +42,7 @@ FORMAT = 1
 _ISIS = 0.5
 """pixels from our count of lines and samples to that of ISIS."""
 _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; times sigma0 they are scaled to the fit"
-_REMARKS = ("", "bridge", "overlap without common points", "common points without overlap")
+_REMARKS = ("bridge", "overlap without common points", "common points without overlap")
 
 
 def solution_json(solution: Solution, connected: Connectivity | None = None) -> dict[str, Any]:
@@ -265,15 +265,16 @@ def residuals_csv(solution: Solution, path: Path) -> None:
 def connectivity_csv(connected: Connectivity, path: Path) -> None:
     """Write one row per pair of images that share points or overlap: points by class, area, distance, and a remark."""
     names, points = [quoted(name) for name in connected.names], connected.points
-    remarks = np.select(
-        [connected.bridges, (points == 0) & (connected.areas > 0.0), (points > 0) & (connected.gaps > 0.0)], [1, 2, 3]
-    )
+    marks = connected.bridges, (points == 0) & (connected.areas > 0.0), (points > 0) & (connected.gaps > 0.0)
+    remarks = [
+        ", ".join(word for word, there in zip(_REMARKS, row, strict=True) if there) for row in zip(*marks, strict=True)
+    ]
     text = {
         "image_a": picked(names, connected.pairs[:, 0]),
         "image_b": picked(names, connected.pairs[:, 1]),
         "common_points": whole(points),
         **{f"{_name(c)}_points": whole(connected.common[:, c]) for c in PointClass},
-        "remark": picked(_REMARKS, remarks),
+        "remark": [quoted(remark) for remark in remarks],
     }
     numbers = {"overlap_km2": connected.areas / KM**2, "overlap_share": connected.shares, "gap_km": connected.gaps / KM}
     write_csv(path, text, numbers)

@@ -17,10 +17,9 @@ FILE = "project.sqlite"
 """Name of the file in a project's folder."""
 WRITER = "project.writer"
 """Who is changing the project, for the message to whom comes second; without meaning when nobody has the lock."""
-_HEAD = b"SQLite format 3\0"
 _READ_PATIENCE, _COMMIT_PATIENCE = 5_000, 60_000
 """ms that a reader waits for a commit, and a commit for readers."""
-_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT", "SQLITE_SCHEMA")
+_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT")
 _ELSEWHERE = "take a copy of the project's folder back; the results in its folder solutions are files of their own"
 
 
@@ -56,6 +55,8 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
         if thorough:
             _require_sound(connection, folder)
         if write:
+            # a read-only file lets even a transaction for writing begin, and complains at its first change
+            connection.execute("UPDATE meta SET value = value WHERE key = 'format'")
             _migrate(connection, version)
             _say_who(folder)
         yield connection
@@ -112,12 +113,11 @@ def _existing(folder: Path) -> Path:
             raise InputError(str(folder), "is a file", "the folder of a project", start)
         if not path.is_file():
             raise InputError(str(folder), f"is no project: there is no {FILE} in it", remedy=start)
-        with path.open("rb") as file:
-            head = file.read(len(_HEAD))
+        empty = path.stat().st_size == 0  # more than a look would cost a lock: POSIX drops them when any reader closes
     except OSError as error:
         raise InputError(str(folder), f"can't be read ({error.strerror})", remedy="change its permissions") from None
-    if head != _HEAD:
-        raise InputError(str(path), "is damaged, or no SQLite file", remedy=_ELSEWHERE)
+    if empty:
+        raise InputError(str(folder), f"{FILE} is empty", remedy=_ELSEWHERE)
     return path
 
 

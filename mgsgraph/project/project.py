@@ -8,7 +8,7 @@ import secrets
 import shutil
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -100,22 +100,18 @@ class Project:
         """
         shown, target = str(folder), Path(folder).resolve()
         aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.unfinished")
-        try:
+        with _writing(shown):
             _require_free(target, shown)
             aside.mkdir(parents=True)
-            connection = made(aside)
-            try:
+        try:
+            with closing(made(aside)) as connection:
                 project = Project(aside, connection)
                 project._introduce(name or target.name, settings)
                 yield project
                 connection.execute("COMMIT")
-            finally:
-                connection.close()
-            _require_free(target, shown)
-            aside.rename(target)
-        except OSError as error:
-            found = f"can't be written ({error.strerror or error})"
-            raise InputError(shown, found, remedy="choose another folder, where you may write") from None
+            with _writing(shown):
+                _require_free(target, shown)
+                aside.rename(target)
         except sqlite3.Error as error:
             raise refusal(Path(folder), error) from error
         finally:
@@ -269,6 +265,16 @@ def open_project(folder: str | Path, write: bool = False, thorough: bool = False
     path = Path(folder)
     with connected(path, write, thorough) as connection:
         yield Project(path, connection)
+
+
+@contextmanager
+def _writing(shown: str) -> Iterator[None]:
+    """One line for what the system has against a folder."""
+    try:
+        yield
+    except OSError as error:
+        found = f"can't be written ({error.strerror or error})"
+        raise InputError(shown, found, remedy="choose another folder, where you may write") from None
 
 
 def _require_free(target: Path, shown: str) -> None:

@@ -21,10 +21,10 @@ _TOLERANCE = 1e-4
 """pixels: a ten-thousandth of a tie's default sigma; default images reach 1e-6."""
 _SLACK = 0.02
 """Share of an image's length by which ground may lie beyond it and still be looked for in it."""
-_POWERS = np.array([
+_DEGREES = np.array([
     (i, j, k) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i) for k in range(_DEGREE + 1 - i - j)
 ])
-"""(terms, 3) powers of the three directions."""
+"""(terms, 3) degrees in the three directions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +50,7 @@ class Sighting:
         """Which of points (n, 3) in m, body-fixed, it shows well inside its edges, (k,), and their places (k, 2)."""
         scaled = (points - self.middle) @ self.axes.T / self.reach
         near = np.flatnonzero(np.all(np.abs(scaled[:, :2]) < 1.0 + _SLACK, axis=1))
-        places = _terms(scaled[near]) @ self.coefficients
+        places = np.einsum("ni,ij->nj", _terms(scaled[near]), self.coefficients)
         if self.error > _TOLERANCE:
             places, _ = self.image.ground_to_image(points[near], self.true, places[:, 0])
         inside = well_inside(self.image, places)
@@ -80,10 +80,14 @@ def sighting(image: PushbroomImage, true: OrientationCorrection, relief: float) 
     fitted, points = _rays(image, true, spread, highest)
     reach = np.abs((points - middle) @ axes.T).max(axis=0)
     scaled = (points - middle) @ axes.T / reach
-    orthogonal, triangle = np.linalg.qr(_terms(scaled))
-    coefficients = np.linalg.solve(triangle, orthogonal.T @ fitted)
+    terms = _terms(scaled)
+    # the terms are next to orthogonal, so normal equations lose nothing; einsum, for threads of BLAS that wait for each
+    # other on a busy machine take seconds over such small products
+    normal, right = np.einsum("ni,nj->ij", terms, terms), np.einsum("ni,nj->ij", terms, fitted)
+    coefficients = np.linalg.solve(normal, right)
     between, others = _rays(image, true, [0.5 * (nodes[1:] + nodes[:-1]) for nodes in spread], highest)
-    error = np.abs(_terms((others - middle) @ axes.T / reach) @ coefficients - between).max()
+    again = np.einsum("ni,ij->nj", _terms((others - middle) @ axes.T / reach), coefficients)
+    error = np.abs(again - between).max()
     return Sighting(image, true, middle, axes, reach, coefficients, float(error))
 
 
@@ -98,7 +102,7 @@ def _rays(
 
 
 def _terms(scaled: Array) -> Array:
-    """(n, terms) products of powers of coordinates (n, 3)."""
-    powers = scaled[None] ** np.arange(_DEGREE + 1)[:, None, None]
-    i, j, k = _POWERS.T
-    return np.asarray(powers[i, :, 0] * powers[j, :, 1] * powers[k, :, 2]).T
+    """(n, terms) products of Chebyshev's polynomials of coordinates (n, 3)."""
+    values = np.polynomial.chebyshev.chebvander(scaled, _DEGREE)
+    i, j, k = _DEGREES.T
+    return np.asarray(values[:, 0, i] * values[:, 1, j] * values[:, 2, k])

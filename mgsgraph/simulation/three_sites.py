@@ -2,11 +2,10 @@
 
 The sites lie 5,000 to 8,500 km apart, so no narrow image and no single revolution of a polar orbit passes all of them.
 The bridge is what MOC's red wide-angle camera did for its global maps, carried to an extreme: one uninterrupted nadir
-swath of 1024 samples of 240 m over eight revolutions (15.8 hours), while Mars turns each site under
-the orbit on a northbound flight: Eos first, Gusev five revolutions later, Isidis three after that. The places of the sites
-and the orbit are true to life; an image of 710,000 lines, half of them at night, is not, nor that one polynomial
-orientation of its line describes all of it. Its nominal orientation differs from truth by a correction drawn from its
-prior.
+swath of 1024 samples of 240 m over eight revolutions (15.8 hours), while Mars turns each site under the orbit on a
+northbound flight: Eos first, Gusev five revolutions later, Isidis three after that. The places of the sites and the
+orbit are true to life. An image of 710,000 lines, half of them at night, is not, nor that one polynomial orientation
+describes all of it. Its nominal orientation differs from truth by a correction drawn from its prior.
 
 Each tie point of a site is measured in the bridge image, too; that is what ties the campaign together. A pixel there is
 a hundred times as large as in the sites' images: the bridge joins their networks into one, and adds little accuracy.

@@ -70,9 +70,11 @@ def test_the_pair(tmp_path: Path) -> None:
     assert (tmp_path / "demo" / "inputs" / "lidar.json").is_file()
 
 
-@pytest.mark.parametrize("verb", ["demo", "simulate"])
-def test_unknown_sites_are_one_line_with_the_choices(verb: str, tmp_path: Path) -> None:
-    refused(run(verb, "olympus", "--out", tmp_path / "x"), "'olympus'; expected eos, gusev, isidis or pair")
+@pytest.mark.parametrize(
+    ("verb", "choices"), [("demo", "isidis or pair"), ("simulate", "isidis, pair, strip or three-sites")]
+)
+def test_unknown_sites_are_one_line_with_the_choices(verb: str, choices: str, tmp_path: Path) -> None:
+    refused(run(verb, "olympus", "--out", tmp_path / "x"), f"'olympus'; expected eos, gusev, {choices}")
     refused(run(verb, "pair", "--attitude-time-bias", "1", "--out", tmp_path / "x"), "attitude time bias")
     assert not list(tmp_path.iterdir())
 

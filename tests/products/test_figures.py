@@ -376,5 +376,6 @@ def test_one_image(solution: Solution, tmp_path: Path) -> None:
 def test_units_of_the_map(solution: Solution) -> None:
     """5,000 lines of 1.446 ms at 3 km/s are 22 km on the ground, 1,024 samples 2.9 km (PE&RS 2005, MOC-NA)."""
     outline = east_north(footprint(solution.network.images[0]).outline, centre_of(solution.places)) / KM
-    across, down = (float(np.linalg.norm(outline[21] - outline[k])) for k in (0, 42))
+    foot = 32  # the first edge runs along the lines
+    down, across = (float(np.linalg.norm(outline[foot] - outline[k])) for k in (0, 40))
     assert (across, down) == pytest.approx((2.9, 22.0), rel=0.05)

@@ -334,11 +334,11 @@ def test_step_files_are_the_whole(strip: SimulatedStrip, tmp_path: Path) -> None
 
 
 def test_the_case_adjusts_and_its_sigmas_are_honest(tmp_path: Path) -> None:
-    """Ten small strips; 99.9% bands: chi-square with 1080 degrees of freedom for the orientation. Points of a strip
-    share its orientation: at worst one point per pair of images counts, with 90.
+    """Six small strips; 99.9% bands: chi-square with 648 degrees of freedom for the orientation. Points of a strip
+    share its orientation: at worst one point per pair of images counts, with 54.
     """
     orientation, ties, laser, fit = [], [], [], []
-    for seed in range(200, 210):
+    for seed in range(200, 206):
         made = simulate_strip(StripSettings(images=6, ties=40, shots=10), seed)
         case = read_case(write_strip(made, tmp_path))
         solution = adjust(case)
@@ -356,9 +356,9 @@ def test_the_case_adjusts_and_its_sigmas_are_honest(tmp_path: Path) -> None:
             members = solution.members(kind)
             found.append(nees(off[members], solution.covariances[members]).mean() / 3.0)
         fit.append(2.0 * solution.cost_final / solution.fit.degrees_of_freedom)
-    assert 0.86 < np.mean(orientation) < 1.15
-    assert 0.57 < np.mean(ties) < 1.55
-    assert 0.57 < np.mean(laser) < 1.55
+    assert 0.82 < np.mean(orientation) < 1.19
+    assert 0.47 < np.mean(ties) < 1.75
+    assert 0.47 < np.mean(laser) < 1.75
     assert 0.95 < np.mean(fit) < 1.05
 
 

@@ -26,17 +26,20 @@ _MOST_UPDATES = 12
 _REACH = 0.5 * NOTICEABLE
 """Sigmas of a bundle's unknowns below which a change isn't followed any farther: its points can't move by more sigmas
 than they do, and several ways may lead farther, hence the half."""
+_LIKELY = 0.7 * NOTICEABLE
+"""Sigmas by which a probe has to move (or share by which its sigmas have to change) for its bundle to be looked at."""
 _KEPT = 150_000
 """Points that stay laid out for the kernel between two changes (about 1 kB each)."""
+
 
 _Laid = TypeVar("_Laid")
 
 
 class _Kept(Generic[_Laid]):
-    """What was laid out last, up to a number of points; what was asked for longest ago goes first."""
+    """What was made last, up to a total size; what was asked for longest ago goes first."""
 
-    def __init__(self, points: int) -> None:
-        self._most, self._points = points, 0
+    def __init__(self, most: int) -> None:
+        self._most, self._size = most, 0
         self._all: OrderedDict[Members, tuple[int, _Laid]] = OrderedDict()
 
     def get(self, members: Members) -> _Laid | None:
@@ -46,19 +49,19 @@ class _Kept(Generic[_Laid]):
         self._all.move_to_end(members)
         return self._all[members][1]
 
-    def put(self, members: Members, points: int, laid: _Laid) -> None:
+    def put(self, members: Members, size: int, laid: _Laid) -> None:
         """Keep it."""
         self.drop(members)
-        self._all[members] = points, laid
-        self._points += points
-        while self._points > self._most and len(self._all) > 1:
+        self._all[members] = size, laid
+        self._size += size
+        while self._size > self._most and len(self._all) > 1:
             _, (count, _) = self._all.popitem(last=False)
-            self._points -= count
+            self._size -= count
 
     def drop(self, members: Members) -> None:
         """Forget it."""
         if members in self._all:
-            self._points -= self._all.pop(members)[0]
+            self._size -= self._all.pop(members)[0]
 
 
 class Engine:
@@ -136,9 +139,10 @@ class Engine:
         updates, others, converged = self._settle()
         reached = self._reached(set(systems), gone, before)
         self._note(reached, new)
-        bundles = {members: self._placed(members, reached) for members in networks}
+        bundles = {members: self._placed(members, reached.get(members)) for members in networks}
         for members in {*others, *reached} - set(networks):
-            if (now := self._now(members, self._store.bundle(members), reached, members in others)) is not None:
+            bundle = self._store.bundle(members)
+            if (now := self._now(members, bundle, reached.get(members), members in others)) is not None:
                 bundles[members] = now
         return Settled(bundles, reached, updates, len(systems) + len(others), converged)
 
@@ -163,8 +167,7 @@ class Engine:
         found = dict[Members, Bundle]()
         for members in wanted:
             system = self.systems.get(members)
-            joint = {} if system is None else {members: self.joint(system.unknowns)}
-            found[members] = self._placed(members, joint)
+            found[members] = self._placed(members, None if system is None else self.joint(system.unknowns))
         return found
 
     def joint(self, unknowns: Sequence[Unknown]) -> Array:
@@ -316,34 +319,38 @@ class Engine:
             self._sweeps.put(members, len(bundle.network.points), sweep)
         return sweep
 
-    def _now(
-        self, members: Members, bundle: Bundle, joint: Mapping[Members, Array], made: bool
-    ) -> Bundle | None:
-        """A bundle whose points are the same as before: with their places now, if they have moved noticeably; with its
-        new system, if it was made anew; else None.
+    def _now(self, members: Members, bundle: Bundle, joint: Array | None, made: bool) -> Bundle | None:
+        """A bundle whose points are the same as before: with their places now, if they have moved noticeably, and their
+        covariances, if their sigmas have changed by as much; with its new system, if it was made anew; else None.
         """
-        if members in joint and self._moves(members, bundle):
+        system = self.systems.get(members)
+        moved, changed = (False, False) if joint is None else self._probed(members, bundle, joint)
+        if moved and changed:
             return self._placed(members, joint)
-        return replace(bundle, reduced=self.systems.get(members)) if made else None
+        if moved:
+            return replace(bundle, reduced=system, places=self._laid_out(members).places(self.value))
+        return replace(bundle, reduced=system) if made else None
 
-    def _moves(self, members: Members, bundle: Bundle) -> bool:
-        """Whether points of a bundle have moved noticeably, as its probes tell."""
+    def _probed(self, members: Members, bundle: Bundle, joint: Array) -> tuple[bool, bool]:
+        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed, as its probes tell."""
         if (found := self._probes.get(members)) is None:
             chosen = probes(bundle)
             if chosen.size == 0:
-                return False
+                return False, False
             network = part(bundle.network, chosen)
             found = chosen, Sweep(network, self._settings, bundle.places[chosen])
             self._probes.put(members, chosen.size, found)
         chosen, sweep = found
-        variances = np.diagonal(bundle.covariances[chosen], axis1=1, axis2=2)
+        now = sweep.placed(self.value, None, joint)
+        sigmas = np.sqrt(np.diagonal(bundle.covariances[chosen], axis1=1, axis2=2))
         with np.errstate(invalid="ignore", divide="ignore"):
-            moved = np.abs(sweep.places(self.value) - bundle.places[chosen]) / np.sqrt(variances)
-        return bool(np.any(moved > 0.5 * NOTICEABLE))
+            moved = np.abs(now.places - bundle.places[chosen]) / sigmas
+            changed = np.abs(now.sigmas / sigmas - 1.0)
+        return bool(np.any(moved > _LIKELY)), bool(np.any(changed > _LIKELY))
 
-    def _placed(self, members: Members, joint: Mapping[Members, Array]) -> Bundle:
+    def _placed(self, members: Members, joint: Array | None) -> Bundle:
         """A bundle with its points where the present unknowns put them."""
-        return self._laid_out(members).placed(self.value, self.systems.get(members), joint.get(members))
+        return self._laid_out(members).placed(self.value, self.systems.get(members), joint)
 
 
 def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:

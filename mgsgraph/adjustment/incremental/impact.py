@@ -199,10 +199,10 @@ def impact(
         Shared unknowns.
     """
     kept = settled.bundles
-    was = _Was(old)
+    was = _Was(old, kept)
     reached = {unknown for members in settled.reached for unknown in members} | set(after) - set(before)
     names = sorted(u.name for u in reached if u.kind == "image" and u in after)
-    now = {name for one in kept.values() for name in one.network.points.ids}
+    now = {name for members, one in kept.items() if members not in was for name in one.network.points.ids}
     adding = verb == "add"
     return Impact(
         verb,
@@ -239,31 +239,39 @@ def _moved_image(before: Shared | None, after: Shared) -> list[float]:
 
 
 class _Was:
-    """Points of some bundles as they were: row of each by name, places and sigmas (n, 3), NaN in a last row."""
+    """Points of some bundles as they were."""
 
-    def __init__(self, old: Mapping[Members, Bundle]) -> None:
+    def __init__(self, old: Mapping[Members, Bundle], kept: Mapping[Members, Bundle]) -> None:
+        same = {members for members, one in kept.items() if members in old and one.network is old[members].network}
+        self._same = {members: old[members] for members in same}
+        mixed = [one for members, one in old.items() if members not in same]
         nothing = np.full((1, 3), np.nan)
-        self.row = {name: k for k, name in enumerate(n for one in old.values() for n in one.network.points.ids)}
-        self.places = np.concatenate([*(one.places for one in old.values()), nothing])
-        self.sigmas = np.concatenate([*(one.sigmas for one in old.values()), nothing])
+        self.row = {name: k for k, name in enumerate(name for one in mixed for name in one.network.points.ids)}
+        self._places = np.concatenate([*(one.places for one in mixed), nothing])
+        self._sigmas = np.concatenate([*(one.sigmas for one in mixed), nothing])
 
-    def of(self, bundle: Bundle) -> tuple[Array, Array]:
+    def __contains__(self, members: Members) -> bool:
+        """Whether a bundle has the same points as before."""
+        return members in self._same
+
+    def of(self, members: Members, bundle: Bundle) -> tuple[Array, Array]:
         """Places and sigmas (n, 3) of a bundle's points; NaN for those that had none."""
+        if (one := self._same.get(members)) is not None:
+            return one.places, one.sigmas
         rows = np.array([self.row.get(name, -1) for name in bundle.network.points.ids], dtype=np.int64)
-        return self.places[rows], self.sigmas[rows]
+        return self._places[rows], self._sigmas[rows]
 
 
 def _moved_points(kept: Mapping[Members, Bundle], was: _Was) -> MovedPoints:
     """Points that have moved noticeably, and new ones."""
-    parts = [_moved_of(bundle, was) for bundle in kept.values()]
+    parts = [_moved_of(bundle, *was.of(members, bundle)) for members, bundle in kept.items()]
     ids = tuple(name for names, _ in parts for name in names)
     table = np.concatenate([np.zeros((0, 11)), *(values for _, values in parts)])
     return MovedPoints(ids, table[:, 0] > 0.0, table[:, 1:4], table[:, 4], table[:, 5:8], table[:, 8:11])
 
 
-def _moved_of(bundle: Bundle, was: _Was) -> tuple[list[str], Array]:
+def _moved_of(bundle: Bundle, places: Array, sigmas: Array) -> tuple[list[str], Array]:
     """Names, and whether new, three moves, their size in sigmas, three sigmas before and after, (n, 11)."""
-    places, sigmas = was.of(bundle)
     moves = bundle.places - places
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.max(np.abs(moves) / sigmas, axis=1)
@@ -277,10 +285,10 @@ def _moved_of(bundle: Bundle, was: _Was) -> tuple[list[str], Array]:
 def _left_undetermined(kept: Mapping[Members, Bundle], was: _Was) -> tuple[str, ...]:
     """Points that had a place and have none now."""
     found = list[str]()
-    for bundle in kept.values():
+    for members, bundle in kept.items():
         missing = np.isnan(bundle.places[:, 0])
         if np.any(missing):
-            had = np.isfinite(was.of(bundle)[0][:, 0])
+            had = np.isfinite(was.of(members, bundle)[0][:, 0])
             found += [bundle.network.points.ids[k] for k in np.flatnonzero(missing & had).tolist()]
     return tuple(found)
 

@@ -1,0 +1,70 @@
+"""`mgsgraph simulate` of campaigns, as a person uses it, in processes of their own."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def run(*args: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "mgsgraph", *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+def refused(done: subprocess.CompletedProcess[str], says: str) -> None:
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_strip_with_its_steps_adjusts(tmp_path: Path) -> None:
+    out = tmp_path / "strip"
+    done = run("simulate", "strip", "--images", 4, "--ties", 20, "--steps", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert str(out / "case.toml") in done.stdout
+    assert sorted(path.name for path in out.glob("step_*")) == ["step_000", "step_001", "step_002", "step_003"]
+    assert len(json.loads((out / "truth.json").read_text())["ties"]) == 60
+    assert len(list(out.glob("image_*.isd"))) == 4
+    done = run("adjust", out / "case.toml", "--out", tmp_path / "results", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert "4 images" in done.stdout or "STRIP/003X" in done.stdout
+
+
+def test_a_strip_without_steps_has_none(tmp_path: Path) -> None:
+    done = run("simulate", "strip", "--images", 2, "--ties", 20, "--out", tmp_path / "strip")
+    assert done.returncode == 0, done.stderr
+    assert not list((tmp_path / "strip").glob("step_*"))
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("gusev", "--images", 4), "images: given for gusev; expected the site strip"),
+        (("pair", "--ties", 4), "ties: given for pair"),
+        (("three-sites", "--steps"), "steps: given for three-sites"),
+        (("strip", "--images", 1), "images: 1; expected a whole number, at least 2"),
+        (("strip", "--images", 501), "images: 501; expected 2 .. 500"),
+        (("strip", "--ties", 0), "ties: 0"),
+        (("strip", "--attitude-time-bias", 1), "attitude time bias: given for strip"),
+        (("three-sites", "--attitude-time-bias", 1), "attitude time bias: given for three-sites"),
+    ],
+)
+def test_options_are_refused_where_they_mean_nothing(args: tuple[object, ...], says: str, tmp_path: Path) -> None:
+    refused(run("simulate", *args, "--out", tmp_path / "x"), says)
+    assert not list(tmp_path.iterdir())
+
+
+def test_campaigns_are_simulated_but_not_demonstrated(tmp_path: Path) -> None:
+    refused(run("demo", "strip", "--out", tmp_path / "x"), "'strip'; expected eos, gusev, isidis or pair")
+
+
+def test_three_sites_are_written_with_a_folder_for_each(tmp_path: Path) -> None:
+    out = tmp_path / "three"
+    done = run("simulate", "three-sites", "--no-pictures", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in out.iterdir()) == [
+        "case.toml", "eos", "gusev", "image_BRIDGE.isd", "isidis", "network.pvl", "truth.json",
+    ]
+    assert list(json.loads((out / "truth.json").read_text())["coefficients"]) == ["BRIDGE"]

@@ -1,0 +1,122 @@
+-- A project as format 1 had it: a solution was always a batch one.
+PRAGMA application_id = 1296520007;
+CREATE TABLE meta ( -- what this file is
+    key TEXT PRIMARY KEY, -- format, name, created (UTC), version (of mgsgraph), settings (JSON)
+    value TEXT NOT NULL
+) WITHOUT ROWID;
+CREATE TABLE image (
+    id INTEGER PRIMARY KEY AUTOINCREMENT, -- grows in the order in which images came
+    name TEXT NOT NULL UNIQUE,
+    held INTEGER NOT NULL, -- 1: its orientation is not adjusted
+    record BLOB NOT NULL, -- .npz: camera, timing, trajectory, a-priori sigmas of the orientation
+    picture TEXT -- file of its pixels, where known
+);
+CREATE TABLE source ( -- files that an image was read from
+    image INTEGER NOT NULL REFERENCES image,
+    path TEXT NOT NULL,
+    sha256 TEXT NOT NULL,
+    PRIMARY KEY (image, path)
+) WITHOUT ROWID;
+CREATE TABLE shared ( -- adjusted unknowns that points share
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    kind TEXT NOT NULL, -- image: orientation coefficients; shift: of a laser profile or of the terrain model
+    name TEXT NOT NULL,
+    prior BLOB NOT NULL, -- float64 (d), m and rad, a-priori sigmas
+    motion BLOB NOT NULL, -- float64 (d), pixels by which image places move, per m and per rad
+    ground BLOB NOT NULL, -- float64 (3, d), m by which the ground under the image's middle moves, per m and per rad
+    value BLOB NOT NULL, -- float64 (d), m and rad, adjusted
+    covariance BLOB NOT NULL, -- float64 (d, d), for sigma0 = 1
+    UNIQUE (kind, name)
+);
+CREATE TABLE terrain ( -- grids of the terrain model and of the areoid
+    id INTEGER PRIMARY KEY,
+    sha256 TEXT NOT NULL UNIQUE, -- of the record
+    source TEXT NOT NULL,
+    record BLOB NOT NULL -- .npz: posts, m
+);
+CREATE TABLE profile ( -- laser profiles with an unknown horizontal shift
+    id INTEGER PRIMARY KEY,
+    name TEXT NOT NULL UNIQUE,
+    sigma NOT NULL -- m, a-priori, east and north
+);
+CREATE TABLE bundle ( -- all points that feel the same shared unknowns
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    members TEXT NOT NULL UNIQUE, -- JSON: [kind, name] of these unknowns, in order
+    first_point INTEGER NOT NULL, points INTEGER NOT NULL, -- number of the first, and how many
+    first_ray INTEGER NOT NULL, rays INTEGER NOT NULL,
+    first_range INTEGER NOT NULL, ranges INTEGER NOT NULL,
+    terrain INTEGER REFERENCES terrain, -- model that its points lie on
+    terrain_shift_sigma, -- m, a-priori, of that model
+    areoid INTEGER REFERENCES terrain,
+    unknowns TEXT, -- JSON: those of the reduced system, in the order of its columns; NULL where there is none
+    at BLOB, -- float64 (d), m and rad, where the reduced system was made
+    normal BLOB, -- float64 (d, d), per m and rad
+    gradient BLOB, -- float64 (d)
+    cost, -- half the weighted sum of squares of the points' rows there
+    slack -- pixels by which image places may move before it has to be made anew
+);
+CREATE TABLE bundle_image ( -- images with a ray or a range in a bundle
+    image INTEGER NOT NULL REFERENCES image,
+    bundle INTEGER NOT NULL REFERENCES bundle,
+    position INTEGER NOT NULL, -- of the image in the bundle's network
+    PRIMARY KEY (image, bundle)
+) WITHOUT ROWID;
+CREATE INDEX image_of_bundle ON bundle_image (bundle, position);
+CREATE TABLE point (
+    id INTEGER PRIMARY KEY,
+    name TEXT NOT NULL UNIQUE,
+    bundle INTEGER NOT NULL REFERENCES bundle,
+    class INTEGER NOT NULL, -- 0 tie, 1 laser, 2 control
+    kind INTEGER NOT NULL, -- 0 free, 1 constrained, 2 fixed
+    x, y, z, -- m, body-fixed, a-priori; NULL where unknown
+    covariance BLOB, -- float64 (3, 3), m^2, a-priori; NULL for zero
+    profile INTEGER REFERENCES profile, -- laser profile whose shift it shares
+    surface_sigma, -- m, of its height above the terrain model; Inf for none
+    adjusted_x, adjusted_y, adjusted_z, -- m; NULL where undetermined or not adjusted yet
+    sigma_x, sigma_y, sigma_z, -- m, of the adjusted place, for sigma0 = 1
+    adjusted_covariance BLOB -- float64 (3, 3), m^2, for sigma0 = 1; NULL where the place is
+);
+CREATE TABLE ray ( -- image coordinates
+    id INTEGER PRIMARY KEY,
+    point INTEGER NOT NULL REFERENCES point,
+    image INTEGER NOT NULL REFERENCES image,
+    line NOT NULL, sample NOT NULL, -- pixels, the first pixel's centre at (0.5, 0.5)
+    sigma_line NOT NULL, sigma_sample NOT NULL, -- pixels
+    back_projected INTEGER NOT NULL -- 1: a projection with the nominal orientation
+);
+CREATE TABLE range ( -- laser ranges
+    id INTEGER PRIMARY KEY,
+    point INTEGER NOT NULL REFERENCES point,
+    image INTEGER NOT NULL REFERENCES image, -- whose orientation carries it
+    time NOT NULL, -- s TDB past J2000
+    value NOT NULL, -- m, one-way
+    sigma NOT NULL -- m
+);
+CREATE TABLE change ( -- history
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    at TEXT NOT NULL, -- UTC
+    verb TEXT NOT NULL, -- init, add, remove, solve
+    what TEXT NOT NULL,
+    summary TEXT NOT NULL -- JSON
+);
+CREATE TABLE solution (
+    number INTEGER PRIMARY KEY AUTOINCREMENT,
+    change INTEGER NOT NULL, -- the last one that it knows of
+    at TEXT NOT NULL, -- UTC
+    converged INTEGER NOT NULL,
+    message TEXT NOT NULL,
+    cost, -- half the weighted sum of squares
+    sigma0,
+    degrees_of_freedom INTEGER,
+    images INTEGER NOT NULL, points INTEGER NOT NULL, -- how many
+    folder TEXT -- of its products, in the project's folder
+);
+CREATE VIEW measures AS -- for reading: rays with the names of their points and images
+    SELECT point.name AS point, image.name AS image, line, sample, sigma_line, sigma_sample, back_projected
+    FROM ray JOIN point ON point.id = ray.point JOIN image ON image.id = ray.image;
+INSERT INTO meta VALUES ('format', '1');
+INSERT INTO meta VALUES ('name', 'an old one');
+INSERT INTO meta VALUES ('created', '2026-11-01T00:00:00+00:00');
+INSERT INTO meta VALUES ('version', '0.1.0');
+INSERT INTO meta VALUES ('settings', '{}');
+INSERT INTO solution VALUES (1, 0, '2026-11-02T00:00:00+00:00', 1, 'well', 12.5, 1.0, 40, 2, 20, 'solutions/0001');

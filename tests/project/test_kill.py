@@ -1,0 +1,86 @@
+"""A process that is killed while it changes a project leaves the state before its change, or the one after."""
+
+import os
+import shutil
+import signal
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from projects import change, differences, digest
+
+from mgsgraph.adjustment.incremental.state import InMemory
+from mgsgraph.project.project import Project, open_project
+from mgsgraph.project.settings import ProjectSettings
+
+_MOMENTS = 10
+
+
+def change_for_ever(folder: Path) -> None:
+    """What the process does that will be killed: one change after the other, numbered by the history."""
+    while True:
+        with open_project(folder, write=True) as project:
+            number = len(project.changes())
+            change(project.store, number)
+            project.record("change", str(number), {})
+
+
+def killed(folder: Path, after: float) -> None:
+    """Have a process change the project, and kill it after some seconds."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of threads that might hold a lock; none does
+        child = os.fork()
+    if child == 0:
+        try:
+            change_for_ever(folder)
+        finally:
+            os._exit(1)
+    time.sleep(after)
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFSIGNALED(status), "it should have gone on until it was killed"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a process of its own")
+def test_killed_at_any_moment_it_holds_the_state_before_or_after(tmp_path: Path) -> None:
+    folder, replayed, done = tmp_path / "project", InMemory(), 0
+    with Project.create(folder, "killed", ProjectSettings()):
+        pass
+    rng = np.random.default_rng()  # moments are random by nature: the clock decides in any case
+    for _ in range(_MOMENTS):
+        killed(folder, float(rng.uniform(0.02, 0.25)))
+        with open_project(folder, thorough=True) as project:
+            count = len(project.changes())
+            for number in range(done, count):
+                change(replayed, number)
+            done = count
+            assert differences(replayed, project.store) == []
+    assert done > 0
+
+
+def interrupted(folder: Path, copy: Path) -> tuple[str, str]:
+    """A copy of the project as a power cut in the middle of a commit leaves it; digests before and after."""
+    with open_project(folder) as project:
+        before = digest(project.store)
+    with open_project(folder, write=True) as project:
+        project._connection.execute("PRAGMA cache_size = 5")
+        project._connection.execute("PRAGMA cache_spill = ON")
+        for seed in range(4):
+            change(project.store, seed)
+        after = digest(project.store)
+        shutil.copytree(folder, copy)
+    return before, after
+
+
+def test_a_journal_left_over_is_played_back_by_a_reader(tmp_path: Path) -> None:
+    folder = tmp_path / "project"
+    with Project.create(folder, "cut", ProjectSettings()) as project:
+        change(project.store, 9)
+    before, after = interrupted(folder, tmp_path / "copy")
+    assert (tmp_path / "copy" / "project.sqlite-journal").stat().st_size > 0
+    assert before != after
+    for path, expected in ((tmp_path / "copy", before), (folder, after)):
+        with open_project(path, thorough=True) as project:
+            assert digest(project.store) == expected

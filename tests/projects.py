@@ -1,0 +1,136 @@
+"""States of an incremental adjustment for the tests of its stores: random ones, and how two of them compare."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from networks import network, pair, with_shift_and_surface
+
+from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared, Store
+from mgsgraph.network import Network
+from mgsgraph.network.parts import KnownImage, Members, Unknown, bundles, part
+from mgsgraph.products.taken_apart import pack
+
+ODD = (0.0, -0.0, 5e-324, -1.7976931348623157e308, 1e-17, np.nextafter(1.0, 2.0), 3.0)
+"""Numbers that a careless store would change."""
+
+
+class StopHere(Exception):
+    """What a test breaks a change off with."""
+
+
+@cache
+def four_images() -> Network:
+    """The simulated pair with a twin of each image (same geometry, own name), its measures dealt out at random: ties in
+    four bundles, laser points with a profile's shift, ties on a terrain model, one held image.
+    """
+    net = with_shift_and_surface(network(pair(ties=24, shots=9)))
+    twins = tuple(replace(image, name=f"{image.name}'") for image in net.images)
+    rng = np.random.default_rng(5)
+    image = net.rays.image + 2 * rng.integers(0, 2, net.rays.image.size)
+    rays = replace(net.rays, image=image, back_projected=rng.random(image.size) < 0.2)
+    return replace(
+        net, images=(*net.images, *twins), priors=(*net.priors, *net.priors), rays=rays,
+        held=np.array([False, False, False, True]),
+    )  # fmt: skip
+
+
+def images() -> list[KnownImage]:
+    net = four_images()
+    return [KnownImage(i, p, bool(h)) for i, p, h in zip(net.images, net.priors, net.held, strict=True)]
+
+
+def odd(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Numbers of all sizes, some of them odd."""
+    values = rng.normal(size=shape) * 10.0 ** rng.uniform(-12, 12, shape)
+    return np.where(rng.random(shape) < 0.1, rng.choice(ODD, shape), values)
+
+
+def shared_of(rng: np.random.Generator, size: int) -> Shared:
+    shape = {"prior": (size,), "motion": (size,), "ground": (3, size), "value": (size,), "covariance": (size, size)}
+    return Shared(**{field.name: odd(rng, *shape[field.name]) for field in fields(Shared)})
+
+
+def bundle_of(rng: np.random.Generator, members: Members, net: Network) -> Bundle:
+    """Any numbers for what an adjustment would have found."""
+    n, d = len(net.points), sum(18 if unknown.kind == "image" else 2 for unknown in members)
+    reduced = None
+    if members and rng.random() < 0.8:
+        slack = float(rng.choice([np.inf, 0.0, 0.25]))
+        reduced = ReducedSystem(members, odd(rng, d), odd(rng, d, d), odd(rng, d), float(odd(rng, 1)[0]), slack)
+    places, covariances = odd(rng, n, 3), odd(rng, n, 3, 3)
+    lost = rng.random(n) < 0.2
+    places[lost], covariances[lost] = np.nan, np.nan
+    return Bundle(net, reduced, places, covariances)
+
+
+def change(store: Store, seed: int) -> None:
+    """One random change, the same for the same seed and state."""
+    rng, net = np.random.default_rng(seed), four_images()
+    there = set(store.image_names())
+    if len(there) < 4 or rng.random() < 0.1:
+        for known in images():
+            store.put_image(known)
+    members = store.members()
+    gone = [one for one in members if rng.random() < 0.6]
+    free = set(range(len(net.points)))
+    kept = [store.bundle(one).network.points.ids for one in members if one not in gone]
+    free -= {net.points.ids.index(name) for ids in kept for name in ids}
+    chosen = np.array(sorted(i for i in free if rng.random() < 0.7), dtype=np.int64)
+    rng.shuffle(chosen)
+    found = bundles(part(net, chosen)) if chosen.size else {}
+    new = {one: bundle_of(rng, one, network) for one, network in found.items() if one not in members or one in gone}
+    store.replace(gone, new)
+    felt = {unknown for one in new for unknown in one}
+    store.put_shared({unknown: shared_of(rng, 18 if unknown.kind == "image" else 2) for unknown in sorted(felt)})
+    known = sorted(store.shared())
+    if known and rng.random() < 0.3:
+        store.drop_shared([known[int(rng.integers(len(known)))]])
+
+
+def contents(store: Store) -> Iterator[tuple[str, Any]]:
+    """Everything that a store says, in a form that can be compared bit by bit."""
+    yield "images", tuple(store.image_names())
+    for name in store.image_names():
+        yield f"image {name}", pack(store.image(name))
+        yield f"seen by {name}", tuple(store.seen_by(name))
+    for unknown, one in sorted(store.shared().items()):
+        yield from _leaves(f"shared {unknown}", one)
+    reduced = store.reduced()
+    yield "reduced", tuple(reduced)
+    yield "members", tuple(store.members())
+    for members in store.members():
+        bundle = store.bundle(members)
+        yield from _leaves(f"bundle {members}", bundle)
+        if bundle.reduced is not None:
+            yield from _leaves(f"reduced {members}", reduced[members])
+        ids = bundle.network.points.ids
+        yield f"homes {members}", store.homes([*ids, "nowhere"]) == dict.fromkeys(ids, members)
+
+
+def _leaves(where: str, value: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, np.ndarray):
+        yield where, (value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from _leaves(f"{where}.{field.name}", getattr(value, field.name))
+    elif isinstance(value, tuple) and not isinstance(value, Unknown):
+        yield f"{where}, size", len(value)
+        for k, item in enumerate(value):
+            yield from _leaves(f"{where}[{k}]", item)
+    else:
+        yield where, float(value).hex() if isinstance(value, float) else repr(value)
+
+
+def differences(one: Store, other: Store) -> list[str]:
+    """Where two stores say something else."""
+    want, got = dict(contents(one)), dict(contents(other))
+    return [name for name in want | got if want.get(name, "nothing") != got.get(name, "nothing")]
+
+
+def digest(store: Store) -> str:
+    """Of everything in it."""
+    return hashlib.sha256(repr(list(contents(store))).encode()).hexdigest()
