@@ -8,7 +8,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mgsgraph.adjustment.adjust import Adjustment as Adjustment
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
+    from mgsgraph.adjustment.incremental.impact import Impact as Impact
+    from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
     from mgsgraph.adjustment.solution import Solution as Solution
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
@@ -17,22 +20,33 @@ if TYPE_CHECKING:
     from mgsgraph.case import read_case as read_case
     from mgsgraph.errors import InputError as InputError
     from mgsgraph.errors import MgsgraphError as MgsgraphError
+    from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
+    from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
     from mgsgraph.network import Network as Network
+    from mgsgraph.network.parts import KnownImage as KnownImage
     from mgsgraph.products.archive import read_solution as read_solution
     from mgsgraph.products.results import write_results as write_results
+    from mgsgraph.ties import TiePoints as TiePoints
 
 _HOME = {
     "adjust": "mgsgraph.case",
     "adjust_network": "mgsgraph.adjustment.adjust",
+    "Adjustment": "mgsgraph.adjustment.adjust",
     "Case": "mgsgraph.case",
+    "Impact": "mgsgraph.adjustment.incremental.impact",
+    "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
     "InputError": "mgsgraph.errors",
+    "KnownImage": "mgsgraph.network.parts",
+    "LaserProfile": "mgsgraph.geometry.altimetry",
     "MgsgraphError": "mgsgraph.errors",
     "Network": "mgsgraph.network",
     "orientation_profile": "mgsgraph.adjustment.solution",
+    "OrientationPrior": "mgsgraph.geometry.orientation",
     "read_case": "mgsgraph.case",
     "read_solution": "mgsgraph.products.archive",
     "Solution": "mgsgraph.adjustment.solution",
     "SolverSettings": "mgsgraph.adjustment.settings",
+    "TiePoints": "mgsgraph.ties",
     "write_results": "mgsgraph.products.results",
 }
 __all__ = sorted(_HOME)

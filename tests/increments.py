@@ -1,53 +1,94 @@
 """Images that are added one at a time, and what the result is measured against: batch over the same observations."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.altimetry import LaserProfile
-from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, Unknown, without_images
+from mgsgraph.simulation.circle import HEADING, Passage, ground_track, narrow_image, site_at
+from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
-from mgsgraph.ties import TiePoints
+from mgsgraph.simulation.strip_steps import Steps
+from mgsgraph.simulation.strip_whole import merged_profiles, merged_ties
+from mgsgraph.ties import PointKind, TiePoints
+from mgsgraph.units import DEG
 
-Places = dict[str, tuple[np.ndarray, np.ndarray]]
-"""Place (3,) in m and covariance (3, 3) in m^2 of points by name."""
+NOISE = NoiseSettings()
+"""What strips are made with."""
+WITHIN = 0.01
+"""Sigmas that the issue allows the incremental result to differ from batch."""
+
+Observations = list[TiePoints | LaserProfile]
 
 
 @cache
 def strip(images: int = 6, ties: int = 12, shots: int = 5) -> SimulatedStrip:
-    """A short strip; every image shares ground with two or three others."""
+    """The simulator's own strip: pairs along a track, each image shares ground with two or three others."""
     return simulate_strip(StripSettings(images=images, ties=ties, shots=shots), seed=3)
 
 
-def prior(made: SimulatedStrip) -> OrientationPrior:
-    """What the strip's corrections were drawn from."""
-    return made.settings.noise.prior
+@cache
+def fan(images: int = 5, ties: int = 10, shots: int = 4, known: tuple[int, ...] = ()) -> SimulatedStrip:
+    """Images along a track, each tilted otherwise: whatever two of them see converges by at least 9 degrees, so that
+    they may come and go in any order. (Where only nadir images see a point, its height is anyone's guess, and batch and
+    increments may disagree whether it has one.) The nominal orientation of `known` ones is all but true.
+    """
+    settings = StripSettings(images=images, ties=ties, shots=shots)
+    start = Passage(-11e6, site_at(1.58, -0.42), HEADING / np.cos(0.42), settings.altitude)
+    sites, headings = ground_track(start, 2.5 * np.arange(float(images)))
+    steps = Steps(ties, shots, settings.relief, settings.noise)
+    for k, rng in enumerate(np.random.default_rng(5).spawn(images)):
+        tilt = (-20.0, 10.0, -10.0, 20.0, 0.0)[k % 5] * DEG
+        steps.noise = replace(NOISE, position=0.1, angle=1e-7) if k in known else NOISE
+        passage = Passage(-11e6 + 88_775.0 * k, sites[k], float(headings[k]), settings.altitude, tilt)
+        steps.add(narrow_image(f"FAN/{k}", passage, settings.lines, settings.samples, settings.period), rng)
+    taken = tuple(steps.taken)
+    return SimulatedStrip(
+        settings, 5, taken, merged_ties([one.ties for one in taken]), np.concatenate([one.true_ties for one in taken]),
+        merged_profiles([one.laser for one in taken if one.laser]),
+        tuple(one.true_footprints for one in taken if one.true_footprints.size),
+    )  # fmt: skip
+
+
+# --- adding
 
 
 def take(adjustment: IncrementalAdjustment, made: SimulatedStrip, k: int) -> Impact:
     """The strip's next step."""
-    step, noise = made.addition(k), made.settings.noise
-    observations = [one for one in (step.ties, step.laser) if one is not None]
-    return adjustment.add(step.image, observations, noise.prior, noise.tie, noise.shot_image)
+    step = made.addition(k)
+    return adjustment.add(step.image, _there(step.ties, step.laser), NOISE.prior, NOISE.tie, NOISE.shot_image)
 
 
-def grown(made: SimulatedStrip, count: int) -> IncrementalAdjustment:
+def grown(made: SimulatedStrip, count: int, settings: SolverSettings | None = None) -> IncrementalAdjustment:
     """The strip's first images, added one at a time."""
-    adjustment = IncrementalAdjustment()
+    adjustment = IncrementalAdjustment(settings)
     for k in range(count):
         take(adjustment, made, k)
     return adjustment
 
 
-def own_measures(made: SimulatedStrip, image: str) -> list[TiePoints | LaserProfile]:
-    """What one image of a strip sees, whatever the others: measures in it alone, and its own shots' ranges."""
+def _there(*observations: TiePoints | LaserProfile | None) -> Observations:
+    return [one for one in observations if one is not None]
+
+
+def take_alone(adjustment: IncrementalAdjustment, made: SimulatedStrip, k: int) -> Impact:
+    """One of the strip's images in any order: its own measures bring the points that nobody has seen before."""
+    image = made.images[k]
+    return adjustment.add(image, own_measures(made, image.name), NOISE.prior, NOISE.tie, NOISE.shot_image)
+
+
+def own_measures(made: SimulatedStrip, image: str) -> Observations:
+    """What one image of a strip sees: measures in it alone, and the ranges of its own shots."""
     return [_own_ties(made.ties, image), *(_own_shots(laser, image) for laser in made.lasers)]
 
 
@@ -69,24 +110,105 @@ def _own_shots(laser: LaserProfile, image: str) -> LaserProfile:
     )  # fmt: skip
 
 
+def network_of(made: SimulatedStrip, chosen: Sequence[int]) -> Network:
+    """Some images of a strip with all that they see, put together without any incremental adjustment."""
+    images = {made.images[k].name: KnownImage(made.images[k], NOISE.prior) for k in chosen}
+    parts = [part for name in images for part in own_measures(made, name)]
+    network = observed(images, parts, NOISE.tie, NOISE.shot_image)
+    assert network is not None
+    seen = without_images(network, ())  # a profile names shots that none of these shows
+    assert seen is not None
+    return seen
+
+
 def by_image(network: Network) -> list[Network]:
-    """A network taken apart: what each image sees by itself. Images that see nothing go with the first."""
+    """A network taken apart: what each of its images sees by itself."""
     names = {image.name for image in network.images}
     parts = [without_images(network, names - {image.name}) for image in network.images]
     return [one for one in parts if one is not None]
 
 
-def known_images(network: Network) -> list[KnownImage]:
-    """The images of a network."""
-    return [KnownImage(*one) for one in zip(network.images, network.priors, network.held.tolist(), strict=True)]
+# --- comparing
+
+
+Places = dict[str, tuple[np.ndarray, np.ndarray]]
+"""Place (3,) in m and sigmas (3,) in m of points by name; NaN for undetermined ones."""
+State = dict[str, tuple[np.ndarray, np.ndarray]]
+"""Coefficients (d,) and their covariance (d, d), m and rad, of adjusted images by name."""
+
+
+class Distances(NamedTuple):
+    """How far an incremental adjustment lies from batch at most."""
+
+    unknowns: float
+    """Orientation coefficients and shifts, in their sigmas."""
+    points: float
+    """Coordinates of points, in their sigmas; infinite where one of the two has a place and the other has none."""
+    covariances: float
+    """Of the images' coefficients, in units of sigma times sigma."""
+    spreads: float
+    """Of the points' covariances, relative to their largest variance."""
+
+    def within(self, sigmas: float = WITHIN, relative: float = 1e-3) -> bool:
+        """Whether values are within so many sigmas, covariances within a part of themselves."""
+        return max(self.unknowns, self.points) < sigmas and max(self.covariances, self.spreads) < relative
+
+
+def distances(adjustment: IncrementalAdjustment, batch: Solution) -> Distances:
+    """Compare all unknowns and all points, refreshed."""
+    network, values, unknowns, covariances = batch.network, adjustment.values, [0.0], [0.0]
+    for j, image in enumerate(network.images):
+        mine = adjustment.correction(image.name).coefficients
+        if network.held[j]:
+            assert not np.any(mine)
+            continue
+        cov = batch.image_covariance(j)
+        sigmas = np.sqrt(np.diag(cov))
+        unknowns.append(np.max(np.abs(mine - batch.coefficients[j]).ravel() / sigmas))
+        covariances.append(np.max(np.abs(adjustment.covariance(image.name) - cov) / np.outer(sigmas, sigmas)))
+    for p, name in enumerate(network.shift_names):
+        sigmas = np.sqrt(np.diag(batch.shift_covariance(p)))
+        unknowns.append(np.max(np.abs(values[Unknown("shift", name)] - batch.shifts[p]) / sigmas))
+    points, spreads = _of_points(adjustment, batch)
+    return Distances(float(max(unknowns)), points, float(max(covariances)), spreads)
+
+
+def _of_points(adjustment: IncrementalAdjustment, batch: Solution) -> tuple[float, float]:
+    """Of places and of covariances; batch knows every point of the adjustment, and places the same ones."""
+    assert set(adjustment.points()[0]) == set(batch.network.points.ids)
+    _, places, mine = adjustment.points(batch.network.points.ids)
+    if np.any(np.isfinite(places[:, 0]) != batch.determined):
+        return np.inf, np.inf
+    fixed = batch.network.points.kinds == PointKind.FIXED
+    assert not np.any((places - batch.places)[fixed & batch.determined])
+    free = ~fixed & batch.determined
+    away, largest = np.abs(places - batch.places)[free] / batch.sigmas[free], np.max(batch.sigmas**2, axis=1)
+    spread = np.max(np.abs(mine - batch.covariances), axis=(1, 2))[free] / largest[free]
+    return float(np.max(away, initial=0.0)), float(np.max(spread, initial=0.0))
 
 
 def places_of(adjustment: IncrementalAdjustment) -> Places:
     """All points, refreshed."""
-    ids, places, covariances = adjustment.points()
-    return {name: (place, spread) for name, place, spread in zip(ids, places, covariances, strict=True)}
+    ids, places, spread = adjustment.points()
+    return dict(zip(ids, zip(places, np.sqrt(np.diagonal(spread, axis1=1, axis2=2)), strict=True), strict=True))
 
 
-def values_of(adjustment: IncrementalAdjustment) -> dict[str, np.ndarray]:
-    """Orientation coefficients (d,) of all images."""
-    return {name: adjustment.correction(name).coefficients.ravel() for name in adjustment.images}
+def state_of(adjustment: IncrementalAdjustment) -> State:
+    """All adjusted images."""
+    names = [name for name in adjustment.images if not adjustment.store.image(name).held]
+    return {name: (adjustment.correction(name).coefficients.ravel(), adjustment.covariance(name)) for name in names}
+
+
+def apart(one: IncrementalAdjustment, other: tuple[State, Places]) -> float:
+    """Largest difference of a value, in its sigmas, from what was noted before; infinite where other things exist."""
+    state, places = other
+    now, points = state_of(one), places_of(one)
+    if set(now) != set(state) or set(points) != set(places):
+        return float("inf")
+    found = [np.max(np.abs(now[n][0] - state[n][0]) / np.sqrt(np.diag(state[n][1]))) for n in state]
+    for name, (place, sigmas) in places.items():
+        if np.isfinite(place[0]) != np.isfinite(points[name][0][0]):
+            return float("inf")
+        if np.isfinite(place[0]):
+            found.append(np.max(np.abs(points[name][0] - place) / sigmas))
+    return float(max(found, default=0.0))

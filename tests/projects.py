@@ -1,9 +1,11 @@
 """States of an incremental adjustment for the tests of its stores: random ones, and how two of them compare."""
 
 import hashlib
+import shutil
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared,
 from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage, Members, Unknown, bundles, part
 from mgsgraph.products.taken_apart import pack
+from mgsgraph.project.project import open_project
 
 ODD = (0.0, -0.0, 5e-324, -1.7976931348623157e308, 1e-17, np.nextafter(1.0, 2.0), 3.0)
 """Numbers that a careless store would change."""
@@ -86,9 +89,9 @@ def change(store: Store, seed: int) -> None:
     store.replace(gone, new)
     felt = {unknown for one in new for unknown in one}
     store.put_shared({unknown: shared_of(rng, 18 if unknown.kind == "image" else 2) for unknown in sorted(felt)})
-    known = sorted(store.shared())
-    if known and rng.random() < 0.3:
-        store.drop_shared([known[int(rng.integers(len(known)))]])
+    adjusted = sorted(store.shared())
+    if adjusted and rng.random() < 0.3:
+        store.drop_shared([adjusted[int(rng.integers(len(adjusted)))]])
 
 
 def contents(store: Store) -> Iterator[tuple[str, Any]]:
@@ -134,3 +137,20 @@ def differences(one: Store, other: Store) -> list[str]:
 def digest(store: Store) -> str:
     """Of everything in it."""
     return hashlib.sha256(repr(list(contents(store))).encode()).hexdigest()
+
+
+def interrupted(folder: Path, copy: Path) -> tuple[str, str]:
+    """A copy of the project as a power cut in the middle of a commit leaves it; digests before and after."""
+    with open_project(folder) as project:
+        before = digest(project.store)
+    with open_project(folder, write=True) as project:
+        # SQLite hears of these between transactions only
+        for statement in ("COMMIT", "PRAGMA cache_size = 5", "PRAGMA cache_spill = 5", "BEGIN IMMEDIATE"):
+            project._connection.execute(statement)
+        for seed in range(4):
+            change(project.store, seed)
+        after = digest(project.store)
+        shutil.copytree(folder, copy)
+    with (copy / "project.sqlite-journal").open("rb") as journal:
+        assert journal.read(1) != b"\0", "pages were written: the journal is needed"
+    return before, after

@@ -23,7 +23,7 @@ STOREYS = [
     ("mgsgraph.ties",),
     ("mgsgraph.geometry",),
     ("mgsgraph.factors",),
-    ("mgsgraph.units", "mgsgraph.errors"),
+    ("mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook"),
 ]
 ONLY_IN = {
     "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment"),

@@ -106,6 +106,26 @@ def adjust_network(
         return _posterior(settings, name, solved, places_before, clock, sweeper)
 
 
+class Adjustment:
+    """Networks adjusted in one go; `IncrementalAdjustment` takes images as they come.
+
+    Examples
+    --------
+    >>> case = mgsgraph.read_case("case.toml")  # doctest: +SKIP
+    >>> solution = mgsgraph.Adjustment.batch(case.network)  # doctest: +SKIP
+    """
+
+    @staticmethod
+    def batch(
+        network: Network,
+        settings: SolverSettings | None = None,
+        name: str = "adjustment",
+        progress: Progress = lambda _: None,
+    ) -> Solution:
+        """Adjust a network with the default settings, or others; see `adjust_network`."""
+        return adjust_network(network, settings or SolverSettings(), name, progress)
+
+
 @contextmanager
 def _sweeper(layout: Layout, cluster: Connection | None) -> Iterator[Sweeper]:
     """Who goes over the points."""

@@ -13,6 +13,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
+from mgsgraph.notebook import card
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +103,16 @@ class Solution:
     def members(self, point_class: PointClass) -> Index:
         """Determined points of one class."""
         return np.flatnonzero((self.network.points.classes == point_class) & self.determined)
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        rows = [("points", "number", "mean sigma X, Y, Z"), ("", "", "m")]
+        for point_class in PointClass:
+            mine = self.members(point_class)
+            if mine.size:
+                means = ", ".join(f"{value:.3g}" for value in self.sigmas[mine].mean(axis=0))
+                rows.append((point_class.name.lower(), str(mine.size), means))
+        return card(repr(self), [self.message], rows, head=2)
 
     def __repr__(self) -> str:
         state = "converged" if self.converged else "NOT converged"

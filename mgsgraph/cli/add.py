@@ -67,7 +67,8 @@ def _words(addition: "Addition") -> str:
     network = addition.network
     rays, ranges = (0, 0) if network is None else (network.rays.point.size, network.ranges.point.size)
     named = ", ".join(addition.names)
-    return f"{len(addition.names)} images{f' ({named})' if named else ''}, {rays} image measures, {ranges} laser ranges"
+    images = f"{len(addition.names)} image{'' if len(addition.names) == 1 else 's'}{f' ({named})' if named else ''}"
+    return f"{images}, {rays} image measures, {ranges} laser ranges"
 
 
 def _warn(addition: "Addition") -> None:

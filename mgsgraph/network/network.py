@@ -11,6 +11,7 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, ProfileShifts, Ranges, Surface, frozen_mask
+from mgsgraph.notebook import card
 from mgsgraph.ties import PointKind
 
 
@@ -138,6 +139,17 @@ class Network:
             members = np.flatnonzero(self.points.classes == point_class)
             if members.size:
                 yield point_class, members
+
+    def _repr_html_(self) -> str:
+        """For notebooks: each image with its points and rays."""
+        counts = np.bincount(self.rays.image, minlength=len(self.images))
+        shots = np.bincount(self.ranges.image, minlength=len(self.images))
+        rows = [("image", "lines", "samples", "rays", "ranges")]
+        rows += [
+            (image.name, str(image.lines), str(image.samples), str(counts[j]), str(shots[j]))
+            for j, image in enumerate(self.images)
+        ]
+        return card(repr(self), (), rows, head=1)
 
     def __repr__(self) -> str:
         classes = ", ".join(f"{members.size} {name.name.lower()}" for name, members in self.of_class())

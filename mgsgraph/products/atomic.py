@@ -20,8 +20,9 @@ REGISTRATION = "registration.json"
 """File that makes a folder without a solution a registration by this program."""
 
 _OURS = re.compile(
-    r"solution\.(json|npz)|summary\.json|inputs|registration\.(json|csv)|(points|orientation|residuals|discrepancy)\.csv"
-    r"|(residuals|orientation|registration|map|overlay|closeups|discrepancy)(_\d+)?\.(png|svg)"
+    r"solution\.(json|npz)|summary\.json|inputs|registration\.(json|csv)"
+    r"|(points|orientation|residuals|connectivity|discrepancy)\.csv"
+    r"|(residuals|orientation|registration|map|connectivity|overlay|closeups|discrepancy)(_\d+)?\.(png|svg)"
 )
 """Names of what results hold; a folder with anything else in it is not replaced."""
 _REMEDIES = {

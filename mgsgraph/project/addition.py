@@ -50,22 +50,13 @@ class Addition:
     """All measures, with the images (new and known) that they name, and all new images; None without any measure."""
     files: tuple[Path, ...] = ()
     """Files of the measures."""
+    unconnected: tuple[str, ...] = ()
+    """New images that share no point with another one."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the new images."""
         return tuple(one.known.image.name for one in self.images)
-
-    @property
-    def unconnected(self) -> tuple[str, ...]:
-        """New images that share no point with another one, by these measures."""
-        if self.network is None:
-            return self.names
-        rays, count = self.network.rays, len(self.network.images)
-        code = np.unique(rays.point * count + rays.image)
-        shared = np.bincount(code // count, minlength=len(self.network.points))[code // count] > 1
-        joined_ = {self.network.images[j].name for j in np.unique(code[shared] % count).tolist()}
-        return tuple(name for name in self.names if name not in joined_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,11 +125,23 @@ def read_addition(
         networks.append(_on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
     if not networks:
-        return Addition(tuple(new), None, files)
+        return Addition(tuple(new), None, files, tuple(_names(new)))
     network = joined(networks)
     named = [image.name for image in network.images]
     every = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
-    return Addition(tuple(new), with_images(network, every), files)
+    linked = _linked(network, store)
+    unconnected = tuple(name for name in _names(new) if name not in linked)
+    return Addition(tuple(new), with_images(network, every), files, unconnected)
+
+
+def _linked(network: Network, store: ProjectStore) -> set[str]:
+    """Images with a point that another image, of the addition or of the project, sees, too."""
+    known = store.homes(network.points.ids)
+    there = np.array([name in known for name in network.points.ids], dtype=bool)
+    count = len(network.images)
+    point, image = np.divmod(np.unique(network.rays.point * count + network.rays.image), count)
+    shared = there[point] | (np.bincount(point, minlength=len(network.points))[point] > 1)
+    return {network.images[j].name for j in np.unique(image[shared]).tolist()}
 
 
 class _Images:

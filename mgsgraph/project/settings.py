@@ -75,9 +75,16 @@ def read_settings(path: Path) -> tuple[str, ProjectSettings]:
 
 
 def settings_of_case(path: Path) -> ProjectSettings:
-    """The same of a case file."""
+    """The same of a case file; sigmas of measures are those of its first group of each kind."""
     case: CaseInput = decode(path)
-    return ProjectSettings(case.orientation, _absolute(case.spice, path.parent), MeasuresInput(), case.solver)
+    usual = MeasuresInput()
+    measures = MeasuresInput(
+        next((group.sigma_px for group in case.tie_groups), usual.tie_sigma_px),
+        next((group.image_sigma_px for group in case.laser_groups), usual.shot_image_sigma_px),
+        next((profile.range_sigma_m for profile in case.mola), usual.shot_range_sigma_m),
+        next((profile.ground_sigma_m for profile in case.mola), usual.shot_ground_sigma_m),
+    )
+    return ProjectSettings(case.orientation, _absolute(case.spice, path.parent), measures, case.solver)
 
 
 def _absolute(spice: SpiceInput | None, folder: Path) -> SpiceInput | None:

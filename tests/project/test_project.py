@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from projects import StopHere, change, digest, images
+from projects import StopHere, change, digest, images, interrupted
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import OrientationInput, SpiceInput
@@ -166,6 +166,25 @@ def nobody() -> Iterator[Path]:
     for one in (path, path / "project"):
         one.chmod(0o755)
     shutil.rmtree(path)
+
+
+def test_a_read_only_disk_after_a_kill(nobody: Path) -> None:
+    """A journal that can't be played back there: the file alone would show a state between."""
+    os.seteuid(os.getuid())
+    for path in (nobody, nobody / "project.sqlite"):
+        path.chmod(0o755)
+    copy = nobody.parent.parent / f"{nobody.parent.name}-copy"
+    try:
+        interrupted(nobody, copy)
+        for path in (*copy.iterdir(), copy):
+            path.chmod(0o444 if path.is_file() else 0o555)
+        if os.getuid() == 0:
+            os.seteuid(65534)
+        refused(copy, "killed while it changed this")
+    finally:
+        os.seteuid(os.getuid())
+        copy.chmod(0o755)
+        shutil.rmtree(copy)
 
 
 def test_a_read_only_disk(nobody: Path) -> None:

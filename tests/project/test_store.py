@@ -13,7 +13,7 @@ from projects import ODD, StopHere, bundle_of, change, contents, differences, fo
 
 from mgsgraph.adjustment.incremental.state import Bundle, InMemory
 from mgsgraph.network import Network
-from mgsgraph.network.parts import bundles, joined, part, with_images
+from mgsgraph.network.parts import Members, bundles, joined, part, with_images
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
@@ -35,7 +35,7 @@ def store(folder: Path) -> Iterator[ProjectStore]:
         raise StopHere
 
 
-def everything(rng: np.random.Generator) -> dict[object, Bundle]:
+def everything(rng: np.random.Generator) -> dict[Members, Bundle]:
     return {members: bundle_of(rng, members, net) for members, net in bundles(four_images()).items()}
 
 
@@ -48,6 +48,7 @@ def test_it_does_what_the_store_in_memory_does(folder: Path, seeds: list[int]) -
             change(memory, seed)
             change(project.store, seed)
             assert differences(memory, project.store) == []
+        assert project._connection.execute("PRAGMA foreign_key_check").fetchall() == []
         fresh = ProjectStore(project._connection, "fresh")
         assert differences(memory, fresh) == []
         raise StopHere

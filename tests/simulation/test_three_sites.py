@@ -1,6 +1,7 @@
 """Three sites and a bridge: what the bridge sees, and that all of it adjusts as one."""
 
 import tomllib
+
 import numpy as np
 import pytest
 

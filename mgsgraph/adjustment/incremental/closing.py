@@ -11,6 +11,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.parts import KnownImage, Unknown, unknowns
+from mgsgraph.notebook import card
 
 CLOSE = 1e-2
 """Sigmas within which incremental and batch results count as the same."""
@@ -42,6 +43,10 @@ class Closing:
     def close(self) -> bool:
         """Whether all lay within `CLOSE`."""
         return self.worst <= CLOSE
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return card("Closing check", [self.sentence()])
 
     def sentence(self) -> str:
         """What was found."""

@@ -27,7 +27,7 @@ _REACH = 0.5 * NOTICEABLE
 """Sigmas of a bundle's unknowns below which a change isn't followed any farther: its points can't move by more sigmas
 than they do, and several ways may lead farther, hence the half."""
 _LIKELY = 0.7 * NOTICEABLE
-"""Sigmas by which a probe has to move (or share by which its sigmas have to change) for its bundle to be looked at."""
+"""Sigmas by which a probe has to move, or share by which its sigmas have to change, for its bundle to be looked at."""
 _KEPT = 150_000
 """Points that stay laid out for the kernel between two changes (about 1 kB each)."""
 
@@ -130,7 +130,7 @@ class Engine:
             sweep = Sweep(network, self._settings, _places_of(network, places))
             self._sweeps.put(members, len(network.points), sweep)
         systems = self._made(networks)
-        dropped = [*dropped, *self._unfelt(gone, systems)]
+        dropped = [*dropped, *self._unfelt(gone, networks)]
         self._tree.change({unknown: one.prior for unknown, one in new.items()}, systems, gone, dropped)
         for unknown in dropped:
             del self.shared[unknown], self.value[unknown]
@@ -152,6 +152,7 @@ class Engine:
         """Begin again from values of the unknowns and all bundles; places (3,) of points by name, as far as known."""
         self._lay_nothing_out()
         self.shared, self.bundles, kept = dict(shared), set(networks), dict[Members, Bundle]()
+        self.value = {unknown: one.value for unknown, one in shared.items()}
         sweeps = {m: Sweep(network, self._settings, _places_of(network, places)) for m, network in networks.items()}
         found = {members: sweep.system(self.value, self._motion(members)) for members, sweep in sweeps.items()}
         self.systems = {members: system for members, system in found.items() if system is not None}
@@ -194,11 +195,10 @@ class Engine:
                 for unknown in members:
                     self._holding[unknown].discard(members)
 
-    def _unfelt(self, gone: Iterable[Members], systems: Mapping[Members, ReducedSystem]) -> list[Unknown]:
-        """Shifts that no bundle feels any longer."""
-        leaving = set(gone)
-        felt = {unknown for members in leaving for unknown in members if unknown.kind == "shift"}
-        return [u for u in felt if not self._holding[u] - leaving and not any(u in members for members in systems)]
+    def _unfelt(self, gone: Iterable[Members], networks: Iterable[Members]) -> list[Unknown]:
+        """Shifts that no bundle feels any longer, not even one whose points have no place."""
+        felt = {unknown for members in gone for unknown in members if unknown.kind == "shift"}
+        return [unknown for unknown in felt if not any(unknown in m for m in itertools.chain(self.bundles, networks))]
 
     # --- to the true linear system
 
@@ -332,7 +332,7 @@ class Engine:
         return replace(bundle, reduced=system) if made else None
 
     def _probed(self, members: Members, bundle: Bundle, joint: Array) -> tuple[bool, bool]:
-        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed, as its probes tell."""
+        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed: its probes tell."""
         if (found := self._probes.get(members)) is None:
             chosen = probes(bundle)
             if chosen.size == 0:

@@ -1,6 +1,5 @@
 """What a change has done: which images and points moved, by how much and by how many of their sigmas."""
 
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,6 +8,7 @@ import numpy as np
 from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, Settled, Shared
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network.parts import Members, Unknown
+from mgsgraph.notebook import card
 
 _MRAD = 1e-3
 _SHOWN = 12
@@ -164,12 +164,7 @@ class Impact:
 
     def _repr_html_(self) -> str:
         """For notebooks."""
-        head, units, *rows = self._rows()
-        pairs = zip(head, units, strict=True)
-        top = "".join(f"<th>{html.escape(name)}<br>{html.escape(unit)}</th>" for name, unit in pairs)
-        body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-        said = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in self.sentences())
-        return f"<b>{html.escape(repr(self))}</b><ul>{said}</ul><table><tr>{top}</tr>{body}</table>"
+        return card(repr(self), self.sentences(), self._rows(), head=2)
 
 
 _HEAD = ("image", "moved", "position", "pointing", "ground", "sigma before", "after")

@@ -23,7 +23,9 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images, without_images
+from mgsgraph.notebook import card
 from mgsgraph.ties import TiePoints
+from mgsgraph.units import MRAD
 
 Observations = TiePoints | LaserProfile | Sequence[TiePoints | LaserProfile]
 
@@ -56,12 +58,28 @@ class IncrementalAdjustment:
     def __repr__(self) -> str:
         return f"IncrementalAdjustment({len(self.images)} images, {len(self._engine.bundles)} bundles of points)"
 
+    def _repr_html_(self) -> str:
+        """For notebooks: each image with the sigmas of its constant term."""
+        rows = [("image", "position", "pointing"), ("", "m", "mrad")]
+        for name in self.images:
+            if (one := self._engine.shared.get(Unknown("image", name))) is None:
+                rows.append((name, "held", "held"))
+                continue
+            position, pointing = (float(np.linalg.norm(part)) for part in np.split(one.sigmas[:6], 2))
+            rows.append((name, f"{position:.3g}", f"{pointing / MRAD:.3g}"))
+        return card(repr(self), ["Sigmas of the images' position and pointing, as they were last looked at."], rows, 2)
+
     # --- what may be asked
 
     @property
     def images(self) -> list[str]:
         """Names of all images, in the order in which they came."""
         return self.store.image_names()
+
+    @property
+    def values(self) -> Mapping[Unknown, Array]:
+        """Present values (d,) of all shared unknowns, m and rad."""
+        return dict(self._engine.value)
 
     def correction(self, image: str) -> OrientationCorrection:
         """Present orientation correction of an image; zero for a held one."""
@@ -135,8 +153,10 @@ class IncrementalAdjustment:
         """
         if isinstance(images, Network):
             there = set(self.images)
-            new = [one for one in _images_of(images) if one.image.name not in there]
-            return self._change("add", [one.image.name for one in new], new, *self._joined(images))
+            known = [self.store.image(one.image.name) if one.image.name in there else one for one in _images_of(images)]
+            more = [one for one in known if one.image.name not in there]
+            # of images that are there, a network doesn't say anew what is known of them
+            return self._change("add", [one.image.name for one in more], more, *self._joined(with_images(images, known)))
         new = self._new_images(images, prior)
         every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
         addition = observed(_Named(self, new), every, tie_sigma, shot_sigma)
@@ -147,6 +167,7 @@ class IncrementalAdjustment:
 
         Raises InputError for an unknown image.
         """
+        images = tuple(dict.fromkeys(images))
         for image in images:
             self._known(image)
         gone = list(dict.fromkeys(members for image in images for members in self.store.seen_by(image)))

@@ -16,8 +16,9 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
 
-TOLERANCE = 1e-3
-"""Posterior sigmas by which linearisation may put an unknown wrong (a tenth of what is promised)."""
+TOLERANCE = 4e-4
+"""Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`closing.CLOSE`),
+for the errors of bundles add up."""
 _ROBUST_SHARE = 0.05
 """Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
 _PROBES = 48

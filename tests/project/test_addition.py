@@ -1,0 +1,103 @@
+"""What is added meets what is there: known points, known measures, the terrain model."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from projects import StopHere, four_images, images
+
+from mgsgraph.errors import InputError
+from mgsgraph.network import Network, PointClass
+from mgsgraph.network.parts import bundles, joined, part, without_images
+from mgsgraph.project.addition import Addition, NewImage, Wanted, _on_terrain, _unknown_alone, parse_image
+from mgsgraph.project.change import put_in
+from mgsgraph.project.project import Project
+from mgsgraph.project.settings import ProjectSettings
+from mgsgraph.project.store import ProjectStore
+from mgsgraph.ties import PointKind
+
+
+def whole() -> Network:
+    """A network on a terrain model whose own sigma is that of its points."""
+    net = four_images()
+    assert net.surface is not None
+    return replace(net, surface=replace(net.surface, grid=replace(net.surface.grid, vertical_sigma=25.0)))
+
+
+def without(net: Network, *names: str) -> Network:
+    left = without_images(net, names)
+    assert left is not None
+    return left
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[ProjectStore]:
+    """A project that lacks the image SIM/B."""
+    new = tuple(NewImage(known, ()) for known in images() if known.image.name != "SIM/B")
+    with pytest.raises(StopHere), Project.create(tmp_path / "p", "p", ProjectSettings()) as project:  # noqa: PT012
+        put_in(project.store, Addition(new, without(whole(), "SIM/B")))
+        yield project.store
+        raise StopHere
+
+
+def test_of_a_whole_network_only_what_is_new_remains(store: ProjectStore) -> None:
+    net = whole()
+    before = sum(one.network.rays.point.size for one in map(store.bundle, store.members()))
+    left = _unknown_alone(net, store)
+    assert left is not None
+    new = next(j for j, image in enumerate(net.images) if image.name == "SIM/B")
+    known = np.array([name in store.homes(net.points.ids) for name in net.points.ids])
+    assert np.all((left.rays.image == new) | ~known[left.rays.point])
+    assert left.rays.point.size + before == net.rays.point.size
+    assert np.all(left.points.kinds[known] == PointKind.FREE)
+    assert left.ranges.point.size + store.network().ranges.point.size == net.ranges.point.size
+
+
+def test_put_in_one_after_the_other_is_put_in_at_once(store: ProjectStore, tmp_path: Path) -> None:
+    net = whole()
+    added = _unknown_alone(net, store)
+    assert added is not None
+    new = next(known for known in images() if known.image.name == "SIM/B")
+    put_in(store, Addition((NewImage(new, ()),), added))
+    assert set(store.members()) == set(bundles(net))
+    for members, expected in bundles(net).items():
+        found = store.bundle(members).network
+        assert set(found.points.ids) == set(expected.points.ids)
+        order = [found.points.ids.index(name) for name in expected.points.ids]
+        np.testing.assert_array_equal(found.points.kinds[order], expected.points.kinds)
+        np.testing.assert_array_equal(found.points.places[order], expected.points.places)
+        assert found.rays.point.size == expected.rays.point.size
+        assert (found.surface is None) == (expected.surface is None)
+
+
+def test_a_measure_that_contradicts_is_not_dropped(store: ProjectStore) -> None:
+    net = whole()
+    moved = replace(net, rays=replace(net.rays, places=net.rays.places + 1e-9))
+    left = _unknown_alone(moved, store)
+    assert left is not None
+    assert left.rays.point.size == net.rays.point.size
+    with pytest.raises(InputError, match="measured there before"):
+        joined([store.network(), store.own(left)])
+
+
+def test_new_ties_lie_on_the_terrain_model_of_the_project(store: ProjectStore) -> None:
+    net = whole()
+    bare = replace(part(net, np.flatnonzero(net.points.classes == PointClass.TIE)), surface=None)
+    on = _on_terrain(bare, store)
+    assert on.surface is not None
+    assert store.terrain is not None
+    assert on.surface.grid is store.terrain[0]
+    np.testing.assert_array_equal(on.surface.sigmas, 25.0)
+    laser = replace(part(net, np.flatnonzero(net.points.classes == PointClass.LASER)), surface=None)
+    assert _on_terrain(laser, store).surface is None
+
+
+def test_names_before_paths(tmp_path: Path) -> None:
+    odd = tmp_path / "a=b.isd"
+    odd.touch()
+    assert parse_image(str(odd)) == Wanted(odd)
+    assert parse_image("MOC/1=x.isd") == Wanted(Path("x.isd"), "MOC/1")
+    with pytest.raises(InputError, match="empty name"):
+        parse_image("=x.isd")

@@ -1,0 +1,169 @@
+"""init, status, add, remove, solve as a person uses them; what is added in the end equals what batch makes of all."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from projects import digest
+
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
+from mgsgraph.products.archive import read_solution
+from mgsgraph.project.project import open_project
+
+
+def call(*arguments: str | Path) -> int:
+    """A command in this process; its exit status."""
+    return group([str(one) for one in arguments], standalone_mode=False) or 0
+
+
+@pytest.fixture
+def project(case_file: Path, tmp_path: Path) -> Path:
+    call("init", tmp_path / "project", "--case", case_file)
+    return tmp_path / "project"
+
+
+def state(project: Path) -> tuple[str, int]:
+    with open_project(project) as opened:
+        return digest(opened.store), len(opened.changes())
+
+
+def refused(project: Path, said: str, *arguments: str | Path) -> None:
+    """One line, and nothing has changed."""
+    before = state(project)
+    with pytest.raises(InputError, match=said) as caught:
+        call(*arguments)
+    assert "\n" not in str(caught.value)
+    assert state(project) == before
+
+
+def test_from_a_case_to_a_solution_and_back(
+    project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An image that is taken out and added again is where it was, and batch agrees."""
+    folder = case_file.parent
+    assert call("solve", project, "--no-figures") == 0
+    assert call("remove", project, "SIM/B") == 0
+    ties = ("--ties", folder / "network.pvl", "--shots", folder / "lidar.json")
+    assert call("add", project, folder / "image_B.isd", *ties) == 0
+    capsys.readouterr()
+    call("status", project)
+    said = capsys.readouterr().out
+    for words in ("2 images", "20 tie, 8 laser", "incremental 3", "2 changes since the last closing check", "SIM/B"):
+        assert words in said
+    assert call("solve", project, "--no-figures") == 0
+    found = re.search(r"largest difference (\S+) sigmas .*, (\S+) sigmas for point", capsys.readouterr().out)
+    assert found is not None
+    assert max(map(float, found.groups())) < 1e-4
+    first, last = (read_solution(project / "solutions" / name) for name in ("0001", "0004"))
+    assert last.cost_final == pytest.approx(first.cost_final, rel=1e-9)
+    with open_project(project) as opened:
+        assert [change.verb for change in opened.changes()] == ["init", "solve", "remove", "add", "solve"]
+        assert set(opened.sources("SIM/B")) == {str((folder / "image_B.isd").resolve())}
+        row = opened.last_solution()
+        assert row is not None
+        assert (row.cost, row.sigma0, row.folder) == (last.cost_final, last.sigma0, "solutions/0004")
+
+
+def test_images_come_into_an_empty_project(case_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, project = case_file.parent, tmp_path / "project"
+    text = case_file.read_text(encoding="utf-8")
+    (tmp_path / "settings.toml").write_text(
+        "format = 1\n" + text[text.index("[orientation]") : text.index("[ties]")], encoding="utf-8"
+    )
+    call("init", project, "--settings", tmp_path / "settings.toml")
+    call("add", project, f"SIM/A={folder / 'image_A.isd'}")
+    assert "Unconnected: SIM/A" in capsys.readouterr().out
+    call("add", project, folder / "image_B.isd", "--ties", folder / "network.pvl")
+    assert "20 with SIM/A" in capsys.readouterr().out
+    call("solve", project, "--no-figures")
+    assert "Closing check against batch: the same" in capsys.readouterr().out
+
+
+def test_check_changes_nothing(project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (project / "project.sqlite").read_bytes()
+    call("add", project, f"new={case_file.parent / 'image_B.isd'}", "--check")
+    assert "would add 1 image (new)" in capsys.readouterr().out
+    assert (project / "project.sqlite").read_bytes() == before
+
+
+def test_an_image_without_overlap_is_added_and_named(
+    project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for _ in range(2):
+        name = f"alone{_}"
+        call("add", project, f"{name}={case_file.parent / 'image_B.isd'}", "--ties", case_file.parent / "network.pvl")
+        assert f"Unconnected: {name}" in capsys.readouterr().out
+        call("solve", project, "--no-figures")
+    call("status", project)
+    assert "unconnected images: alone0, alone1" in capsys.readouterr().out
+
+
+def test_before_the_first_solution_images_are_only_put_in(
+    project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In whatever order: the state is the same, and so is what batch makes of it."""
+    call("solve", project, "--no-figures")
+    other = project.with_name("other")
+    call("init", other, "--case", case_file)
+    call("remove", other, "SIM/B")
+    capsys.readouterr()
+    folder = case_file.parent
+    ties = ("--ties", folder / "network.pvl", "--shots", folder / "lidar.json")
+    call("add", other, folder / "image_B.isd", *ties)
+    said = capsys.readouterr().out
+    assert "Unconnected" not in said
+    assert "mgsgraph solve" in said
+    call("solve", other, "--no-figures")
+    one, two = (read_solution(path / "solutions" / "0001") for path in (project, other))
+    assert two.cost_final == pytest.approx(one.cost_final, rel=1e-9)
+
+
+def test_what_is_refused(project: Path, case_file: Path, tmp_path: Path) -> None:
+    folder = case_file.parent
+    network = (folder / "network.pvl").read_text(encoding="utf-8")
+    (tmp_path / "other.pvl").write_text(network.replace("SIM/A", "SIM/Y").replace("SIM/B", "SIM/Z"))
+    line = re.search(r"( Line *= )([\d.]+)", network)
+    assert line is not None
+    moved = f"{line.group(1)}{float(line.group(2)) + 1.0}"
+    (tmp_path / "moved.pvl").write_text(network.replace(line.group(), moved, 1))
+    isd = folder / "image_B.isd"
+    refused(project, "in the project already", "add", project, f"SIM/B={isd}")
+    refused(project, "in the project already", "add", project, case_file)
+    refused(project, "given twice", "add", project, f"x={isd}", f"x={isd}")
+    refused(project, "unknown image 'SIM/[YZ]'", "add", project, f"x={isd}", "--ties", tmp_path / "other.pvl")
+    refused(project, "measured there before", "add", project, "--ties", tmp_path / "moved.pvl")
+    refused(project, "no such file", "add", project, tmp_path / "x.isd")
+    refused(project, "at least one", "add", project)
+    refused(project, "no image 'x'", "remove", project, "x")
+    refused(project, "not empty", "init", project)
+    with open_project(project, write=True):
+        for verb in (("solve",), ("add", f"x={isd}"), ("remove", "SIM/B")):
+            with pytest.raises(InputError, match="another mgsgraph process"):
+                call(verb[0], project, *verb[1:])
+
+
+def test_a_result_that_nobody_knows_of_is_swept(project: Path) -> None:
+    """A process was killed between writing the results and saying so."""
+    left = project / "solutions" / "0001"
+    left.mkdir(parents=True)
+    (left / "solution.json").write_text("{}")
+    aside = project / "solutions" / ".0001.0123abcd.unfinished"
+    aside.mkdir()
+    assert call("solve", project, "--no-figures") == 0
+    assert not aside.exists()
+    assert json.loads((left / "solution.json").read_text())["status"] == "converged"
+
+
+def test_bad_input_is_one_line_and_status_2(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "mgsgraph.cli", "status", str(tmp_path)],
+        capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "110"},
+    )  # fmt: skip
+    assert done.returncode == 2
+    said = f"{tmp_path}: is no project: there is no project.sqlite in it; make one with: mgsgraph init {tmp_path}"
+    assert done.stderr.strip() == f"mgsgraph: error: {said}"
