@@ -12,10 +12,12 @@ from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.altimetry import LaserProfile
+from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, Unknown, without_images
-from mgsgraph.simulation.circle import HEADING, Passage, ground_track, narrow_image, site_at
+from mgsgraph.simulation.circle import HEADING, MARS, Passage, ground_track, narrow_image, site_at, terrain_height
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.simulation.strip_steps import Steps
@@ -126,6 +128,18 @@ def by_image(network: Network) -> list[Network]:
     names = {image.name for image in network.images}
     parts = [without_images(network, names - {image.name}) for image in network.images]
     return [one for one in parts if one is not None]
+
+
+def true_terrain(network: Network) -> TerrainGrid:
+    """Posts every 0.004 degrees around the network's points, of the terrain on which strips are simulated."""
+    longitude, latitude, _ = planetocentric(network.points.places[np.isfinite(network.points.places[:, 0])]).T
+    step, half = 0.004 * DEG, 200
+    first = longitude.mean() - half * step, latitude.mean() + half * step
+    places = np.meshgrid(first[0] + step * np.arange(2 * half), first[1] - step * np.arange(2 * half))
+    inside = from_planetocentric(np.stack([*places, np.full_like(places[0], 1e6)], axis=-1).reshape(-1, 3))
+    level, _, _ = intersect_ellipsoid(4.0 * inside, -inside, MARS, 0.0)
+    radii = np.linalg.norm(level, axis=1) + terrain_height(level, StripSettings().relief)
+    return TerrainGrid("made by the test", radii.reshape(places[0].shape), *first, step, step)
 
 
 # --- comparing

@@ -34,11 +34,13 @@ class Footprint:
     name: str
     """Of the image."""
     outline: Array
-    """(k, 3) m, body-fixed, closed: the last place is the first; (0, 3) where the image sees nothing of the body."""
+    """(k, 3) m, body-fixed, closed: the last place is the first; (0, 3) where the image sees nothing of the body, or is
+    too long for an outline (a swath of more than a quarter of the way around)."""
     body: Ellipsoid
     """Which it lies on."""
     whole: bool = True
-    """False where the image looks past the body in part: the outline then runs straight between the places seen."""
+    """False where the image looks past the body in part: the outline then runs straight between the places seen; and for
+    a swath that is too long for an outline."""
 
     def __post_init__(self) -> None:
         outline = frozen(self.outline, f"footprint of {self.name}", (None, 3))
@@ -79,7 +81,7 @@ class Footprint:
         return float(areas([self])[0])
 
     def __repr__(self) -> str:
-        part = "" if self.whole else ", looks past the body in part"
+        part = "" if self.whole else ", not whole"
         return f"Footprint({self.name!r}, {self.area / 1e6:.6g} km^2{part})"
 
 
@@ -120,8 +122,16 @@ def footprint(
     samples = np.concatenate([np.zeros(along), side, np.ones(along), 1.0 - side]) * image.samples
     places, _ = image.image_to_ground(lines, samples, height, correction)
     seen = np.all(np.isfinite(places), axis=1)
-    ring = places[seen] if np.count_nonzero(seen) >= 3 else np.zeros((0, 3))
-    return Footprint(image.name, np.concatenate([ring, ring[:1]]), image.body, bool(np.all(seen)))
+    usable = np.count_nonzero(seen) >= 3 and not _goes_round(places[:along][seen[:along]])
+    ring = places[seen] if usable else np.zeros((0, 3))
+    return Footprint(image.name, np.concatenate([ring, ring[:1]]), image.body, bool(np.all(seen)) and usable)
+
+
+def _goes_round(edge: Array) -> bool:
+    """Whether places along an edge go more than a quarter of the way around the body: outlines lie in one plane."""
+    direction = edge / np.linalg.norm(edge, axis=1)[:, None]
+    chords = np.linalg.norm(np.diff(direction, axis=0), axis=1)
+    return bool(2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0)).sum() > 0.5 * np.pi)
 
 
 def areas(footprints: Sequence[Footprint]) -> Array:

@@ -1,6 +1,6 @@
 """Eos, Gusev and Isidis as one campaign, held together by one bridge image that shows ground of all three.
 
-The sites lie 5,000 to 8,500 km apart, so no narrow image and no single revolution of a polar orbit passes all of them.
+The sites lie 5,000 to 8,000 km apart, so no narrow image and no single revolution of a polar orbit passes all of them.
 The bridge is what MOC's red wide-angle camera did for its global maps, carried to an extreme: one uninterrupted nadir
 swath of 1024 samples of 240 m over eight revolutions (15.8 hours), while Mars turns each site under the orbit on a
 northbound flight: Eos first, Gusev five revolutions later, Isidis three after that. The places of the sites and the

@@ -21,8 +21,8 @@ from increments import (
     strip,
     take,
     take_alone,
+    true_terrain,
 )
-from networks import terrain
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.closing import EXACT
@@ -171,13 +171,16 @@ def test_two_strips_that_a_bridge_joins() -> None:
 
 
 def rich(held: tuple[int, ...] = ()) -> Network:
-    """The fan with a shift of each laser profile, its ties on a rough terrain model that may shift."""
+    """The fan with a shift of each laser profile, its ties on a terrain model that may shift.
+
+    The model is the true one: a rough one is held by so few points at several places, and any of them may be found.
+    """
     net = network_of(fan(FAN, known=held), range(FAN))
     laser = net.points.classes == PointClass.LASER
     of = [name.split("-")[0] if one else "" for name, one in zip(net.points.ids, laser, strict=True)]
     names = tuple(sorted(set(of) - {""}))
     shifts = ProfileShifts(names, np.array([names.index(n) if n else -1 for n in of]), np.full(len(names), 60.0))
-    surface = Surface(terrain(net), np.where(laser, np.inf, 25.0), 150.0)
+    surface = Surface(true_terrain(net), np.where(laser, np.inf, 25.0), 150.0)
     return replace(net, shifts=shifts, surface=surface, held=np.isin(np.arange(FAN), held))
 
 

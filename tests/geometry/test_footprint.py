@@ -16,6 +16,7 @@ from mgsgraph.geometry.footprint import Footprint, footprint, gaps, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.pair import MARS, simulate_pair
+from mgsgraph.simulation.three_sites import bridge_image
 from mgsgraph.units import DEG, KM
 
 SPHERE = Ellipsoid(3.39e6, 3.39e6)
@@ -275,3 +276,12 @@ def test_planetocentric_and_outline_agree() -> None:
     one = footprint(PAIR.images[0])
     back: Array = planetocentric(one.outline)
     np.testing.assert_allclose(np.cos(one.longitude_latitude[:, 0]), np.cos(back[:, 0]), atol=1e-12)
+
+
+def test_a_swath_around_the_body_has_no_outline() -> None:
+    """One of more than a quarter of the way round can't lie in a plane; what it covers is left open, not guessed."""
+    bridge = bridge_image()
+    found = footprint(bridge)
+    assert found.outline.shape == (0, 3)
+    assert not found.whole
+    assert found.area == 0.0
