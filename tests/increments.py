@@ -12,12 +12,12 @@ from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.altimetry import LaserProfile
-from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
+from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, Unknown, without_images
-from mgsgraph.simulation.circle import HEADING, MARS, Passage, ground_track, narrow_image, site_at, terrain_height
+from mgsgraph.simulation.circle import HEADING, MARS, Passage, ground_track, narrow_image, site_at
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.simulation.strip_steps import Steps
@@ -29,10 +29,6 @@ NOISE = NoiseSettings()
 """What strips are made with."""
 WITHIN = 0.01
 """Sigmas that the issue allows the incremental result to differ from batch."""
-
-RELIEF = 25.0
-"""m, of the fan's ground: where terrain is steep, its model's bilinear patches meet at edges, and few points that lie
-on them hold its shift at several places; batch and increments may then end at different ones."""
 
 Observations = list[TiePoints | LaserProfile]
 
@@ -49,7 +45,7 @@ def fan(images: int = 5, ties: int = 10, shots: int = 4, known: tuple[int, ...] 
     they may come and go in any order. (Where only nadir images see a point, its height is anyone's guess, and batch and
     increments may disagree whether it has one.) The nominal orientation of `known` ones is all but true.
     """
-    settings = StripSettings(images=images, ties=ties, shots=shots, relief=RELIEF)
+    settings = StripSettings(images=images, ties=ties, shots=shots)
     start = Passage(-11e6, site_at(1.58, -0.42), HEADING / np.cos(0.42), settings.altitude)
     sites, headings = ground_track(start, 2.5 * np.arange(float(images)))
     steps = Steps(ties, shots, settings.relief, settings.noise)
@@ -134,16 +130,16 @@ def by_image(network: Network) -> list[Network]:
     return [one for one in parts if one is not None]
 
 
-def true_terrain(network: Network) -> TerrainGrid:
-    """Posts every 0.002 degrees around the network's points, of the fan's ground."""
+def slope(network: Network) -> TerrainGrid:
+    """A terrain model of one bilinear patch that falls by a hundredth in either direction. (Where patches meet in edges
+    a few points hold a model's shift at several places, and batch and increments may end at different ones.)
+    """
     longitude, latitude, _ = planetocentric(network.points.places[np.isfinite(network.points.places[:, 0])]).T
-    step, half = 0.002 * DEG, 300
-    first = longitude.mean() - half * step, latitude.mean() + half * step
-    places = np.meshgrid(first[0] + step * np.arange(2 * half), first[1] - step * np.arange(2 * half))
-    inside = from_planetocentric(np.stack([*places, np.full_like(places[0], 1e6)], axis=-1).reshape(-1, 3))
-    level, _, _ = intersect_ellipsoid(4.0 * inside, -inside, MARS, 0.0)
-    radii = np.linalg.norm(level, axis=1) + terrain_height(level, RELIEF)
-    return TerrainGrid("made by the test", radii.reshape(places[0].shape), *first, step, step)
+    at = np.array([longitude.mean(), latitude.mean()])
+    posts = [[at + DEG * np.array([i, j]) for i in (-1.0, 1.0)] for j in (1.0, -1.0)]
+    level = [[np.linalg.norm(site_at(*post)) for post in row] for row in posts]
+    fall = 0.01 * MARS.equatorial * DEG * np.array([[0.0, -1.0], [1.0, 0.0]])
+    return TerrainGrid("made by the test", level + fall, *posts[0][0], 2.0 * DEG, 2.0 * DEG)
 
 
 # --- comparing

@@ -39,8 +39,8 @@ class Footprint:
     body: Ellipsoid
     """Which it lies on."""
     whole: bool = True
-    """False where the image looks past the body in part: the outline then runs straight between the places seen; and for
-    a swath that is too long for an outline."""
+    """False where the image looks past the body in part (the outline then runs straight between the places seen), and
+    for a swath that is too long for an outline."""
 
     def __post_init__(self) -> None:
         outline = frozen(self.outline, f"footprint of {self.name}", (None, 3))

@@ -9,6 +9,40 @@ _AT_ONCE = 1 << 16
 _TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
+class RayAngles:
+    """How far apart the rays of m points point, which come in any order and number."""
+
+    def __init__(self, points: int) -> None:
+        self.count = np.zeros(points, dtype=np.int64)
+        self.normal = np.zeros((points, 6))
+
+    def add(self, point_of_ray: Index, directions: Array) -> Array:
+        """Add rays: which point each belongs to (n,), and directions (n, 3) of any length; (n, 3) of length one."""
+        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        terms = np.column_stack([(i == j) - unit[:, i] * unit[:, j] for i, j in _TRIANGLE])
+        _sum_up(self.normal, point_of_ray, terms)
+        _sum_up(self.count, point_of_ray, 1)
+        return np.asarray(unit)
+
+    def matrices(self, some: slice) -> tuple[Array, Array]:
+        """Sums of (I - u u') of some points, (k, 3, 3), and their smallest eigenvalues over the number of rays, (k,)."""
+        normal = np.empty((self.count[some].size, 3, 3))
+        for k, (i, j) in enumerate(_TRIANGLE):
+            normal[:, i, j] = normal[:, j, i] = self.normal[some, k]
+        return normal, np.linalg.eigvalsh(normal)[:, 0] / np.maximum(self.count[some], 1)
+
+    def angles(self) -> Array:
+        """(m,) rad between the outermost rays, about (of two rays less than 90 deg apart exactly): twice the arc sine
+        of the spread of unit directions; zero for fewer than two.
+        """
+        found = np.zeros(self.count.size)
+        for begin in range(0, self.count.size, _AT_ONCE):
+            some = slice(begin, begin + _AT_ONCE)
+            weakest = np.where(self.count[some] >= 2, self.matrices(some)[1], 0.0)
+            found[some] = 2.0 * np.arcsin(np.sqrt(np.clip(weakest, 0.0, 1.0)))
+        return found
+
+
 class RaySums:
     """Normal equations of the places nearest to the rays of m points, which come in any order and number.
 
@@ -16,41 +50,29 @@ class RaySums:
     """
 
     def __init__(self, points: int) -> None:
-        self._count = np.zeros(points, dtype=np.int64)
-        self._reference = np.zeros((points, 3))
-        self._normal, self._right = np.zeros((points, 6)), np.zeros((points, 3))
+        self._angles = RayAngles(points)
+        self._reference, self._right = np.zeros((points, 3)), np.zeros((points, 3))
 
     def add(self, point_of_ray: Index, origins: Array, directions: Array) -> None:
         """Add rays: which point each belongs to (n,), origins (n, 3) in m and directions (n, 3) of any length."""
-        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
         first, begin = np.unique(point_of_ray, return_index=True)
-        new = self._count[first] == 0
+        new = self._angles.count[first] == 0
         self._reference[first[new]] = origins[begin[new]]
+        unit = self._angles.add(point_of_ray, directions)
         shifted = origins - self._reference[point_of_ray]
         across = shifted - np.einsum("ni,ni->n", unit, shifted)[:, None] * unit
-        terms = np.column_stack([(i == j) - unit[:, i] * unit[:, j] for i, j in _TRIANGLE])
-        if first.size == point_of_ray.size:  # each point once
-            self._normal[point_of_ray] += terms
-            self._right[point_of_ray] += across
-            self._count[point_of_ray] += 1
-        else:
-            np.add.at(self._normal, point_of_ray, terms)
-            np.add.at(self._right, point_of_ray, across)
-            np.add.at(self._count, point_of_ray, 1)
+        _sum_up(self._right, point_of_ray, across)
 
     def places(self) -> tuple[Array, Array]:
         """Places (m, 3) in m, NaN for fewer than two rays or parallel ones; and (m,) the angle in rad between the
-        outermost rays, about (of two rays less than 90 deg apart exactly): twice the arc sine of the spread of unit
-        directions, zero where the place is NaN.
+        outermost rays (`RayAngles.angles`), zero where the place is NaN.
         """
-        found, angle = np.full_like(self._reference, np.nan), np.zeros(self._count.size)
-        for begin in range(0, self._count.size, _AT_ONCE):
+        count = self._angles.count
+        found, angle = np.full_like(self._reference, np.nan), np.zeros(count.size)
+        for begin in range(0, count.size, _AT_ONCE):
             some = slice(begin, begin + _AT_ONCE)
-            normal = np.empty((self._count[some].size, 3, 3))
-            for k, (i, j) in enumerate(_TRIANGLE):
-                normal[:, i, j] = normal[:, j, i] = self._normal[some, k]
-            weakest = np.linalg.eigvalsh(normal)[:, 0] / np.maximum(self._count[some], 1)
-            good = (self._count[some] >= 2) & (weakest > 1e-14)
+            normal, weakest = self._angles.matrices(some)
+            good = (count[some] >= 2) & (weakest > 1e-14)
             normal[~good] = np.eye(3)
             solved = np.linalg.solve(normal, self._right[some, :, None])[:, :, 0] + self._reference[some]
             found[some] = np.where(good[:, None], solved, np.nan)
@@ -89,3 +111,11 @@ def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, point
     count = np.bincount(point_of_ray, minlength=points)
     skew: Array = np.where(np.isfinite(places[:, 0]), np.sqrt(square / np.maximum(count, 1)), np.nan)
     return places, skew, angle
+
+
+def _sum_up(sums: np.ndarray, points: Index, terms: Array | int) -> None:
+    """Add terms to the sums of their points, each point as often as it comes."""
+    if points.size and np.bincount(points).max() > 1:
+        np.add.at(sums, points, terms)
+    else:
+        sums[points] += terms

@@ -59,7 +59,8 @@ class Network:
             frozen_index(self.rays.image, "rays, images", k, m),
             frozen(self.rays.places, "rays, places", (k, 2)),
             sigmas,
-            frozen_mask(np.zeros(k) if self.rays.back_projected is None else self.rays.back_projected, "rays", k),
+            frozen_mask(self.rays.back_projected, "rays: marks of back-projection", k),
+            frozen_mask(self.rays.rejected, "rays: marks of rejection", k),
         )
         ranges = Ranges(
             frozen_index(self.ranges.point, "ranges, points", r, n),
@@ -67,6 +68,7 @@ class Network:
             frozen(self.ranges.times, "ranges, times", (r,)),
             frozen(self.ranges.values, "ranges, values", (r,)),
             range_sigmas,
+            frozen_mask(self.ranges.rejected, "ranges: marks of rejection", r),
         )
         assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shifts_and_surface()

@@ -62,8 +62,7 @@ def part(network: Network, points: Index) -> Network:
     place[points] = np.arange(points.size)
     rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)
     images, image = _renumbered(network.rays.image[rays], network.ranges.image[ranges])
-    own, at = network.points, place
-    covered = network.rays
+    own, seen, shot = network.points, network.rays.chosen(rays), network.ranges.chosen(ranges)
     return Network(
         tuple(network.images[j] for j in images),
         tuple(network.priors[j] for j in images),
@@ -75,20 +74,8 @@ def part(network: Network, points: Index) -> Network:
             own.places[points],
             own.covariances[points],
         ),
-        ImageRays(
-            at[covered.point[rays]],
-            image[covered.image[rays]],
-            covered.places[rays],
-            covered.sigmas[rays],
-            None if covered.back_projected is None else covered.back_projected[rays],
-        ),
-        Ranges(
-            at[network.ranges.point[ranges]],
-            image[network.ranges.image[ranges]],
-            network.ranges.times[ranges],
-            network.ranges.values[ranges],
-            network.ranges.sigmas[ranges],
-        ),
+        replace(seen, point=place[seen.point], image=image[seen.image]),
+        replace(shot, point=place[shot.point], image=image[shot.image]),
         _shifts_of(network, points),
         _surface_of(network, points),
         network.areoid,
@@ -176,9 +163,11 @@ def joined(networks: Sequence[Network]) -> Network:
     place_of, points = _joined_points(networks)
     rays = _joined_rays(networks, place_of, image_of, points.ids, tuple(images))
     ranges = Ranges(
-        *_columns((p[net.ranges.point], j[net.ranges.image], net.ranges.times, net.ranges.values, net.ranges.sigmas)
-                  for net, p, j in zip(networks, place_of, image_of, strict=True))
-    )  # fmt: skip
+        *_columns(
+            (p[one.point], j[one.image], one.times, one.values, one.sigmas, _marks(one.rejected, one.point.size))
+            for one, p, j in zip((net.ranges for net in networks), place_of, image_of, strict=True)
+        )
+    )
     pictures, priors, held = zip(*images.values(), strict=True)
     areoid = next((net.areoid for net in networks if net.areoid is not None), None)
     return Network(
@@ -227,9 +216,9 @@ def _joined_rays(
     ids: tuple[str, ...],
     images: tuple[str, ...],
 ) -> ImageRays:
-    point, image, places, sigmas, projected = _columns(
-        (p[net.rays.point], j[net.rays.image], net.rays.places, net.rays.sigmas, _projected(net))
-        for net, p, j in zip(networks, place_of, image_of, strict=True)
+    point, image, places, sigmas, projected, rejected = _columns(
+        (p[one.point], j[one.image], one.places, one.sigmas, *_flags(one))
+        for one, p, j in zip((net.rays for net in networks), place_of, image_of, strict=True)
     )
     code = np.sort(point * len(images) + image)
     for again in code[:-1][code[1:] == code[:-1]][:1].tolist():
@@ -238,12 +227,15 @@ def _joined_rays(
             f"point {ids[i]}, image {images[j]}", "measured there before", "one measure per image and point",
             "take one of the measures out",
         )  # fmt: skip
-    return ImageRays(point, image, places, sigmas, projected)
+    return ImageRays(point, image, places, sigmas, projected, rejected)
 
 
-def _projected(network: Network) -> Mask:
-    marks = network.rays.back_projected
-    return np.zeros(network.rays.point.size, dtype=bool) if marks is None else marks
+def _flags(rays: ImageRays) -> tuple[Mask, Mask]:
+    return _marks(rays.back_projected, rays.point.size), _marks(rays.rejected, rays.point.size)
+
+
+def _marks(marks: Mask | None, size: int) -> Mask:
+    return np.zeros(size, dtype=bool) if marks is None else marks
 
 
 def _joined_shifts(networks: Sequence[Network], place_of: list[Index], count: int) -> ProfileShifts | None:
@@ -300,13 +292,6 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
     seen[network.rays.point[rays]] = seen[network.ranges.point[ranges]] = True
     if not np.any(seen):
         return None
-    one, other = network.rays, network.ranges
-    left = replace(
-        network,
-        rays=ImageRays(one.point[rays], one.image[rays], one.places[rays], one.sigmas[rays], _projected(network)[rays]),
-        ranges=Ranges(
-            other.point[ranges], other.image[ranges], other.times[ranges], other.values[ranges], other.sigmas[ranges]
-        ),
-    )
+    left = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
     return part(left, np.flatnonzero(seen))
 

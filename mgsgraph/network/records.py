@@ -69,11 +69,11 @@ class GroundPoints:
         return len(self.ids)
 
 
-def frozen_mask(value: ArrayLike, where: str, size: int) -> Mask:
-    """Read-only marks (size,); `where` names them in errors."""
-    mask = np.array(value, dtype=np.bool_)
+def frozen_mask(value: ArrayLike | None, where: str, size: int) -> Mask:
+    """Read-only marks (size,), none set when absent; `where` names them in errors."""
+    mask = np.zeros(size, dtype=np.bool_) if value is None else np.array(value, dtype=np.bool_)
     if mask.shape != (size,):
-        raise InputError(where, f"marks of shape {mask.shape}", f"one for each of {size}")
+        raise InputError(where, f"shape {mask.shape}", f"one for each of {size}")
     mask.flags.writeable = False
     return mask
 
@@ -92,6 +92,15 @@ class ImageRays:
     """(k, 2) pixels, positive."""
     back_projected: Mask | None = None
     """(k,) True for places that are projections with the nominal orientation: they repeat the prior as if measured."""
+    rejected: Mask | None = None
+    """(k,) True for blunders of the last batch adjustment: incremental ones leave them out, batch judges anew."""
+
+    def chosen(self, rows: Index | Mask) -> "ImageRays":
+        """Some of them."""
+        return ImageRays(
+            self.point[rows], self.image[rows], self.places[rows], self.sigmas[rows],
+            _chosen(self.back_projected, rows), _chosen(self.rejected, rows),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,6 +117,19 @@ class Ranges:
     """(r,) m, one-way."""
     sigmas: Array
     """(r,) m, positive."""
+    rejected: Mask | None = None
+    """(r,) True for blunders of the last batch adjustment, as for rays."""
+
+    def chosen(self, rows: Index | Mask) -> "Ranges":
+        """Some of them."""
+        return Ranges(
+            self.point[rows], self.image[rows], self.times[rows], self.values[rows], self.sigmas[rows],
+            _chosen(self.rejected, rows),
+        )  # fmt: skip
+
+
+def _chosen(marks: Mask | None, rows: Index | Mask) -> Mask | None:
+    return None if marks is None else marks[rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

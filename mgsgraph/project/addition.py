@@ -17,7 +17,7 @@ from mgsgraph.geometry.records import Mask
 from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.network import ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, with_images
 from mgsgraph.project.settings import ProjectSettings
@@ -309,7 +309,8 @@ def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
     shifts = network.shifts
     if shifts is not None:
         shifts = ProfileShifts(shifts.names, np.where(known, -1, shifts.profile), shifts.sigmas)
-    return replace(network, points=points, rays=_rays(network, rays), ranges=_ranges(network, ranges), shifts=shifts)
+    left = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
+    return replace(left, points=points, shifts=shifts)
 
 
 def _repeated_rays(network: Network, old: Network, there: np.ndarray) -> Mask:
@@ -334,19 +335,6 @@ def _repeated_ranges(network: Network, old: Network, there: np.ndarray) -> Mask:
     }
     rows = zip(there[network.ranges.point].tolist(), network.ranges.image.tolist(), strict=True)
     return np.array([(point, network.images[image].name) in known for point, image in rows], dtype=bool)
-
-
-def _rays(network: Network, kept: Mask) -> ImageRays:
-    rays = network.rays
-    marks = None if rays.back_projected is None else rays.back_projected[kept]
-    return ImageRays(rays.point[kept], rays.image[kept], rays.places[kept], rays.sigmas[kept], marks)
-
-
-def _ranges(network: Network, kept: Mask) -> Ranges:
-    ranges = network.ranges
-    return Ranges(
-        ranges.point[kept], ranges.image[kept], ranges.times[kept], ranges.values[kept], ranges.sigmas[kept]
-    )
 
 
 def _on_terrain(network: Network, store: ProjectStore) -> Network:

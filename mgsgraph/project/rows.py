@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
 
 _CHUNK = 20_000
@@ -16,8 +16,12 @@ _SIZE = 72
 """bytes of a 3 x 3 matrix."""
 _ZERO, _NAN = np.zeros(9).tobytes(), np.full(9, np.nan).tobytes()
 _PUT_POINT = f"INSERT INTO point VALUES ({', '.join('?' * 18)})"
-_PUT_RAY = "INSERT INTO ray VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
-_PUT_RANGE = "INSERT INTO range VALUES (?, ?, ?, ?, ?, ?)"
+_PUT_RAY = "INSERT INTO ray VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_PUT_RANGE = "INSERT INTO range VALUES (?, ?, ?, ?, ?, ?, ?)"
+_RENEW_POINT = (
+    "UPDATE point SET adjusted_x = ?, adjusted_y = ?, adjusted_z = ?, sigma_x = ?, sigma_y = ?, sigma_z = ?, "
+    "adjusted_covariance = ? WHERE id = ?"
+)
 _POINT = "id, name, class, kind, x, y, z, covariance, profile, surface_sigma"
 _ADJUSTED = "adjusted_x, adjusted_y, adjusted_z, adjusted_covariance"
 
@@ -70,10 +74,10 @@ def put_rays(connection: sqlite3.Connection, network: Network, first_point: int,
     """Write the rays of a bundle; `images` are the numbers of the network's images in their table."""
     rays = network.rays
     run = Run(_next(connection, "ray"), rays.point.size)
-    marks = np.zeros(run.size, dtype=int) if rays.back_projected is None else rays.back_projected.astype(int)
     rows = zip(
         range(run.first, run.first + run.size), (rays.point + first_point).tolist(), images[rays.image].tolist(),
-        *rays.places.T.tolist(), *rays.sigmas.T.tolist(), marks.tolist(), strict=True,
+        *rays.places.T.tolist(), *rays.sigmas.T.tolist(), _marks(rays.back_projected, run), _marks(rays.rejected, run),
+        strict=True,
     )  # fmt: skip
     connection.executemany(_PUT_RAY, rows)
     return run
@@ -85,10 +89,15 @@ def put_ranges(connection: sqlite3.Connection, network: Network, first_point: in
     run = Run(_next(connection, "range"), ranges.point.size)
     rows = zip(
         range(run.first, run.first + run.size), (ranges.point + first_point).tolist(), images[ranges.image].tolist(),
-        ranges.times.tolist(), ranges.values.tolist(), ranges.sigmas.tolist(), strict=True,
+        ranges.times.tolist(), ranges.values.tolist(), ranges.sigmas.tolist(), _marks(ranges.rejected, run),
+        strict=True,
     )  # fmt: skip
     connection.executemany(_PUT_RANGE, rows)
     return run
+
+
+def _marks(marks: Mask | None, run: Run) -> list[int]:
+    return [0] * run.size if marks is None else marks.astype(int).tolist()
 
 
 def _next(connection: sqlite3.Connection, table: str) -> int:
@@ -100,6 +109,16 @@ def _blobs(matrices: Array, usual: bytes) -> list[bytes | None]:
     data = np.ascontiguousarray(matrices).tobytes()
     parts = (data[k : k + _SIZE] for k in range(0, len(data), _SIZE))
     return [None if part == usual else part for part in parts]
+
+
+def renew_points(connection: sqlite3.Connection, run: Run, places: Array, covariances: Array) -> None:
+    """Write where the points of a run are now."""
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+    rows = zip(
+        *places.T.tolist(), *sigmas.T.tolist(), _blobs(covariances, _NAN), range(run.first, run.first + run.size),
+        strict=True,
+    )  # fmt: skip
+    connection.executemany(_RENEW_POINT, rows)
 
 
 class PointRows(NamedTuple):
@@ -145,18 +164,18 @@ def points_of(connection: sqlite3.Connection, run: Run | None, adjusted: bool = 
 
 def rays_of(connection: sqlite3.Connection, run: Run | None, points: Index, images: Index) -> ImageRays:
     """Rays of a run, or all; `points` and `images` are the numbers that their indices stand for."""
-    columns = _all(connection, "point, image, line, sample, sigma_line, sigma_sample, back_projected", "ray", run)
-    point, image, line, sample, sigma_line, sigma_sample, marks = columns
+    names = "point, image, line, sample, sigma_line, sigma_sample, back_projected, rejected"
+    point, image, line, sample, sigma_line, sigma_sample, projected, rejected = _all(connection, names, "ray", run)
     return ImageRays(
         _index(point, points), _index(image, images), np.stack([line, sample], axis=1),
-        np.stack([sigma_line, sigma_sample], axis=1), marks.astype(bool),
+        np.stack([sigma_line, sigma_sample], axis=1), projected.astype(bool), rejected.astype(bool),
     )  # fmt: skip
 
 
 def ranges_of(connection: sqlite3.Connection, run: Run | None, points: Index, images: Index) -> Ranges:
     """Ranges of a run, or all."""
-    point, image, *rest = _all(connection, "point, image, time, value, sigma", "range", run)
-    return Ranges(_index(point, points), _index(image, images), *rest)
+    point, image, *rest, rejected = _all(connection, "point, image, time, value, sigma, rejected", "range", run)
+    return Ranges(_index(point, points), _index(image, images), *rest, rejected.astype(bool))
 
 
 def _index(numbers: Array, known: Index) -> Index:

@@ -96,7 +96,8 @@ TABLES = (
     image INTEGER NOT NULL REFERENCES image,
     line NOT NULL, sample NOT NULL, -- pixels, the first pixel's centre at (0.5, 0.5)
     sigma_line NOT NULL, sigma_sample NOT NULL, -- pixels
-    back_projected INTEGER NOT NULL -- 1: a projection with the nominal orientation
+    back_projected INTEGER NOT NULL, -- 1: a projection with the nominal orientation
+    rejected INTEGER NOT NULL DEFAULT 0 -- 1: a blunder to the last batch adjustment
 )""",
     """CREATE TABLE range ( -- laser ranges
     id INTEGER PRIMARY KEY,
@@ -104,7 +105,8 @@ TABLES = (
     image INTEGER NOT NULL REFERENCES image, -- whose orientation carries it
     time NOT NULL, -- s TDB past J2000
     value NOT NULL, -- m, one-way
-    sigma NOT NULL -- m
+    sigma NOT NULL, -- m
+    rejected INTEGER NOT NULL DEFAULT 0 -- 1: a blunder to the last batch adjustment
 )""",
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -133,6 +135,10 @@ TABLES = (
 """Statements that make an empty project."""
 
 MIGRATIONS: dict[int, tuple[str, ...]] = {
-    1: ("ALTER TABLE solution ADD COLUMN kind TEXT NOT NULL DEFAULT 'batch'",),  # a solution was always a batch
+    1: (
+        "ALTER TABLE solution ADD COLUMN kind TEXT NOT NULL DEFAULT 'batch'",  # a solution was always a batch
+        "ALTER TABLE ray ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",  # nothing was rejected
+        "ALTER TABLE range ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",
+    ),
 }
 """Statements by which a format becomes the next one."""

@@ -16,7 +16,17 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown
 from mgsgraph.products.taken_apart import pack, unpack
-from mgsgraph.project.rows import PointRows, Run, points_of, put_points, put_ranges, put_rays, ranges_of, rays_of
+from mgsgraph.project.rows import (
+    PointRows,
+    Run,
+    points_of,
+    put_points,
+    put_ranges,
+    put_rays,
+    ranges_of,
+    rays_of,
+    renew_points,
+)
 
 _BUNDLE = (
     "id, first_point, points, first_ray, rays, first_range, ranges, terrain, terrain_shift_sigma, areoid, "
@@ -159,6 +169,17 @@ class ProjectStore:
             self._drop(members)
         for members, bundle in new.items():
             self._put(members, bundle)
+
+    def renew(self, bundles: Mapping[Members, Bundle]) -> None:
+        """New systems and places for bundles whose points are the same."""
+        for members, bundle in bundles.items():
+            text = _text(members)
+            run = Run(*self._one("SELECT first_point, points FROM bundle WHERE members = ?", text))
+            renew_points(self._connection, run, bundle.places, bundle.covariances)
+            row = (None,) * 6 if bundle.reduced is None else _reduced_row(bundle.reduced)
+            names = ("unknowns", "at", "normal", "gradient", "cost", "slack")
+            change = ", ".join(f"{name} = ?" for name in names)
+            self._connection.execute(f"UPDATE bundle SET {change} WHERE members = ?", (*row, text))
 
     def _drop(self, members: Members) -> None:
         number, *runs = self._one(

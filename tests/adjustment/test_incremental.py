@@ -17,11 +17,11 @@ from increments import (
     network_of,
     own_measures,
     places_of,
+    slope,
     state_of,
     strip,
     take,
     take_alone,
-    true_terrain,
 )
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -69,6 +69,19 @@ def test_the_adjustment_goes_on_after_the_closing_check() -> None:
         for k in (5, 6):
             take(one, made, k)
         assert distances(one, by_batch(one)).within()
+
+
+@pytest.mark.xfail(strict=True, reason="adopt leaves the store's images as they were: KeyError when they are asked for")
+@pytest.mark.parametrize("images", [2, 3])
+def test_a_solution_of_other_images_is_adopted_with_its_images(images: int) -> None:
+    """Of fewer images, and of images of which one is held now."""
+    made = fan()
+    adjustment, net = grown(made, 3), grown(made, images).network
+    solution = adjust_network(replace(net, held=np.arange(images) == 0), SolverSettings())
+    adjustment.adopt(solution)
+    assert adjustment.images == [image.name for image in net.images]
+    assert distances(adjustment, solution).within(EXACT)
+    assert adjustment.store.image("FAN/0").held
 
 
 # --- in any order, there and back
@@ -177,7 +190,7 @@ def rich(held: tuple[int, ...] = ()) -> Network:
     of = [name.split("-")[0] if one else "" for name, one in zip(net.points.ids, laser, strict=True)]
     names = tuple(sorted(set(of) - {""}))
     shifts = ProfileShifts(names, np.array([names.index(n) if n else -1 for n in of]), np.full(len(names), 60.0))
-    surface = Surface(true_terrain(net), np.where(laser, np.inf, 25.0), 150.0)
+    surface = Surface(slope(net), np.where(laser, np.inf, 250.0), 5000.0)
     return replace(net, shifts=shifts, surface=surface, held=np.isin(np.arange(FAN), held))
 
 
@@ -189,7 +202,6 @@ def rich(held: tuple[int, ...] = ()) -> Network:
         ({"loss": "huber"}, (0, 3)),
         ({"loss": "cauchy"}, ()),
         ({"line": "measured"}, (2,)),
-        ({"angles": "opk-paper"}, ()),
         ({"angles": "opk-peer", "line": "measured", "loss": "huber"}, ()),
     ],
 )
@@ -207,10 +219,8 @@ def test_shifts_terrain_losses_and_held_images(choices: dict[str, Any], held: tu
 
 
 def test_images_that_are_all_held_leave_intersection() -> None:
-    """And the profiles' shifts; there is no orientation to adjust."""
+    """And the shifts; there is no orientation to adjust."""
     net = rich(tuple(range(FAN)))
-    assert net.surface is not None
-    net = replace(net, surface=replace(net.surface, shift_sigma=0.0))
     adjustment = IncrementalAdjustment()
     for one in by_image(net):
         adjustment.add(one)

@@ -1,6 +1,7 @@
 """The layout of random networks: every point once, every constant from where it belongs, blocks that don't overlap."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +13,17 @@ from odd_networks import random_network
 from strategies import along
 
 from mgsgraph.adjustment.graph import Layout, lay_out, patterns
+from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.factors.rows import FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
-from mgsgraph.network import Network
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, Ranges
+from mgsgraph.network.observations import observed
+from mgsgraph.network.parts import KnownImage
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.ties import PointKind
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -74,6 +80,47 @@ def test_pieces_are_all_points_once(piece: int) -> None:
         assert rows.pattern_group.tolist() == sorted(rows.pattern_group.tolist())
 
 
+def outermost_angles(net: Network) -> Array:
+    """Largest angle between any two nominal rays of each point, rad, pair by pair."""
+    found = np.zeros(len(net.points))
+    for i in range(found.size):
+        mine = np.flatnonzero(net.rays.point == i)
+        looks = [net.images[j].rays(*place[:, None])[1][0] for j, place in
+                 zip(net.rays.image[mine], net.rays.places[mine], strict=True)]  # fmt: skip
+        units = [look / np.linalg.norm(look) for look in looks]
+        found[i] = max((np.linalg.norm(np.cross(a, b)) for a in units for b in units), default=0.0)
+    return found
+
+
+def test_points_of_parallel_rays_stay_out_unless_something_else_places_them() -> None:
+    """The same image twice, from one place: the rays of its ties part by what is not known of its pointing, no more."""
+    drawn = simulate_pair(PairSettings(ties=12, shots=5))
+    one = drawn.images[0]
+    twin = replace(one, name="twin")
+    places = one.ground_to_image(drawn.true_ties)[0]
+    n = len(drawn.ties.ids)
+    ties = replace(
+        drawn.ties, measure_point=np.repeat(np.arange(n), 2), measure_image=(one.name, "twin") * n,
+        measures=np.repeat(places, 2, axis=0), measure_sigmas=np.ones((2 * n, 2)),
+    )  # fmt: skip
+    prior = drawn.settings.noise.prior
+    net = observed({one.name: KnownImage(one, prior), "twin": KnownImage(twin, prior)}, [ties])
+    assert net is not None
+    made = lay_out(net, SolverSettings())
+    assert np.all(made.rows.kind == OUT)
+    shot = Ranges(np.array([3]), np.array([0]), one.timing.at(places[3:4, 0])[0] + one.trajectory.epoch,
+                  np.array([4e5]), np.array([1.0]))  # fmt: skip
+    kinds = (made := lay_out(replace(net, ranges=shot), SolverSettings())).network_order(made.rows.kind)
+    assert np.flatnonzero(kinds != OUT).tolist() == [3]
+    apart = replace(ties, measure_image=(one.name, drawn.images[1].name) * n)
+    both = {image.name: KnownImage(image, prior) for image in drawn.images}
+    apart = replace(apart, measures=np.stack(
+        [places, drawn.images[1].ground_to_image(drawn.true_ties)[0]], axis=1).reshape(-1, 2))  # fmt: skip
+    stereo = observed(both, [apart])
+    assert stereo is not None
+    assert not np.any(lay_out(stereo, SolverSettings()).rows.kind == OUT)
+
+
 @settings(max_examples=25)
 @given(seed=SEEDS)
 def test_what_points_are(seed: int) -> None:
@@ -82,7 +129,7 @@ def test_what_points_are(seed: int) -> None:
     kinds = made.network_order(made.rows.kind)
     rays = np.bincount(net.rays.point, minlength=len(net.points))
     expected = np.array([FREE, PRIOR, FIXED])[net.points.kinds]
-    expected[(net.points.kinds == PointKind.FREE) & (rays < 2)] = OUT
+    expected[(net.points.kinds == PointKind.FREE) & ((rays < 2) | parallel(net, outermost_angles(net)))] = OUT
     np.testing.assert_array_equal(kinds, expected)
     held = net.points.kinds != PointKind.FREE
     np.testing.assert_array_equal(made.network_order(made.rows.start)[held], net.points.places[held])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns, Variables
 from mgsgraph.errors import InputError
 from mgsgraph.factors.rows import (
@@ -30,7 +31,7 @@ from mgsgraph.factors.rows import (
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.intersection import RaySums
+from mgsgraph.geometry.intersection import RayAngles, RaySums
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
@@ -94,13 +95,14 @@ def lay_out_rows(
     store = _make_store(network, model, patterns, terms)
     starts = _starting_places(network, known)
     weight = np.zeros((2, int(sum(len(patterns.sights[q]) * n for q, n in store.piece[:, [0, 2]]))))
-    rays = _fill_rays(network, model, store, terms, starts, weight)
+    angles = RayAngles(len(network.points))
+    rays = _fill_rays(network, model, store, terms, starts, weight, angles)
     ranges = _fill_ranges(network, store, terms, weight)
     _fill_ground(network, store, weight)
     places = SightPlaces(rays, ranges, *_fill_surface(network, store, starts, weight))
     order, surface = patterns.point_order, network.surface
     kinds = np.array([FREE, PRIOR, FIXED], dtype=np.int8)[network.points.kinds]
-    kinds[network.undetermined] = OUT
+    kinds[network.undetermined | parallel(network, angles.angles())] = OUT
     grid = None if surface is None else surface.grid
     rows = Rows(
         kind=kinds[order],
@@ -187,9 +189,9 @@ def _by_image(images: Index, count: int) -> list[Index]:
 
 
 def _fill_rays(
-    network: Network, model: Model, store: _Store, terms: list[int], starts: Array, weight: Array
+    network: Network, model: Model, store: _Store, terms: list[int], starts: Array, weight: Array, angles: RayAngles
 ) -> NDArray[np.int32]:
-    """Constants of the image rays; the place of each among all sights."""
+    """Constants of the image rays, and their angles; the place of each among all sights."""
     rays = network.rays
     slots = _ranks(rays.point, rays.image)
     place_among = np.empty(rays.point.size, dtype=np.int32)
@@ -198,6 +200,8 @@ def _fill_rays(
         place, stride, place_among[mine] = store.place(rays.point[mine], slots[mine])
         pose = image.pose(lines)
         detector, slope = image.interior.focal_plane(samples)
+        look = np.column_stack([detector, np.full(mine.size, image.interior.focal_length)])
+        angles.add(rays.point[mine], np.einsum("kji,kj->ki", pose.matrix, look))
         attitude, turning = _attitude(pose, model.angles)
         at = store.put(place, stride, 0, pose.position)
         at = store.put(place, stride, at, attitude)

@@ -21,6 +21,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Members, Unknown, part
+from mgsgraph.ties import PointKind
 
 _MOST_UPDATES = 12
 _REACH = 0.5 * NOTICEABLE
@@ -103,6 +104,7 @@ class Engine:
             self.shared, self.systems, self.bundles = before
             self._lay_nothing_out()
             self.grow()
+            self._take_values()
             raise
 
     def replaced(
@@ -359,6 +361,8 @@ def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:
 
 
 def _places_of(network: Network, places: Mapping[str, Array]) -> Array:
-    """(n, 3) m, NaN where a point isn't among those known."""
+    """(n, 3) m, NaN where a point isn't among those known, or is where its a-priori place says."""
     nowhere = np.full(3, np.nan)
-    return np.array([places.get(name, nowhere) for name in network.points.ids]).reshape(-1, 3)
+    found = np.array([places.get(name, nowhere) for name in network.points.ids]).reshape(-1, 3)
+    found[network.points.kinds == PointKind.FIXED] = np.nan
+    return found

@@ -2,7 +2,8 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -190,7 +191,7 @@ class IncrementalAdjustment:
 
     def adopt(self, solution: Solution) -> None:
         """Take a batch solution over: its images, points and unknowns in the place of all that was there."""
-        engine, network = self._engine, solution.network
+        engine, network = self._engine, _with_rejections(solution)
         there = set(self.images)
         with engine.all_or_nothing():
             for one in _images_of(network):
@@ -273,19 +274,26 @@ class IncrementalAdjustment:
             settled = engine.replaced(gone, networks, self._new_unknowns(new, networks), dropped)
             old |= {members: self.store.bundle(members) for members in settled.bundles if members not in networks}
             report = impact(verb, subjects, settled, old, before, engine.shared)
-            self._keep(settled, gone, new, before)
+            self._keep(settled, gone, networks, new, before)
             for name in subjects if removing else ():
                 self.store.drop_image(name)
         return report.after(time.perf_counter() - began)
 
     def _keep(
-        self, settled: Settled, gone: Sequence[Members], new: Sequence[KnownImage], before: Mapping[Unknown, Shared]
+        self,
+        settled: Settled,
+        gone: Sequence[Members],
+        networks: Iterable[Members],
+        new: Sequence[KnownImage],
+        before: Mapping[Unknown, Shared],
     ) -> None:
         """Write the new state to the store."""
         shared = self._engine.shared
         for one in new:
             self.store.put_image(one)
-        self.store.replace(gone, settled.bundles)
+        there = {members: one for members, one in settled.bundles.items() if members not in networks}
+        self.store.replace(gone, {members: settled.bundles[members] for members in networks})
+        self.store.renew(there)
         self.store.put_shared({unknown: one for unknown, one in shared.items() if one is not before.get(unknown)})
         self.store.drop_shared([unknown for unknown in before if unknown not in shared])
 
@@ -316,6 +324,17 @@ def _images_of(network: Network) -> list[KnownImage]:
         KnownImage(image, prior, bool(held))
         for image, prior, held in zip(network.images, network.priors, network.held, strict=True)
     ]
+
+
+def _with_rejections(solution: Solution) -> Network:
+    """The network of a solution, its blunders marked; points that never had enough rays have none."""
+    network = solution.network
+    rays, ranges, weak = network.rays, network.ranges, network.undetermined
+    return replace(
+        network,
+        rays=replace(rays, rejected=~solution.rays_used & ~weak[rays.point]),
+        ranges=replace(ranges, rejected=~solution.ranges_used & ~weak[ranges.point]),
+    )
 
 
 def _require_finite_prior(one: KnownImage) -> None:

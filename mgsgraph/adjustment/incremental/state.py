@@ -163,7 +163,11 @@ class Store(Protocol):
         ...
 
     def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
-        """Take bundles out and put others in; one that is in both is renewed."""
+        """Take bundles out and put others in, none of which is there."""
+        ...
+
+    def renew(self, bundles: Mapping[Members, Bundle]) -> None:
+        """New systems and places for bundles whose points are the same."""
         ...
 
 
@@ -239,3 +243,7 @@ class InMemory:
             self._home |= dict.fromkeys(bundle.network.points.ids, members)
             for image in bundle.network.images:
                 self._seen_by.setdefault(image.name, {})[members] = None
+
+    def renew(self, bundles: Mapping[Members, Bundle]) -> None:
+        """New systems and places for bundles whose points are the same."""
+        self._bundles |= bundles

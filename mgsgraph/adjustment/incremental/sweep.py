@@ -9,7 +9,7 @@ from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem
-from mgsgraph.adjustment.passes import Selection, determined_points, everything
+from mgsgraph.adjustment.passes import Selection, determined_points
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.factors.bundle import Bundles, Reduction, point_covariances, reduce
 from mgsgraph.geometry.records import Array, Index
@@ -19,7 +19,7 @@ from mgsgraph.network.parts import Unknown, unknowns
 TOLERANCE = 4e-4
 """Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`closing.CLOSE`),
 for the errors of bundles add up."""
-_ROBUST_SHARE = 0.05
+_ROBUST_SHARE = 0.01
 """Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
 _PROBES = 48
 """Points that stand for all of a bundle: their moves are polynomials of the line, of low degree."""
@@ -62,7 +62,9 @@ class Sweep:
         # in the papers' form the places where points begin are part of the model, and must be the nominal ones
         self._layout = lay_out(network, settings, places if settings.line == "predicted" else None)
         self._blocks = group_blocks(self._layout.groups)
-        self._select(self._layout, everything(network))
+        rays, ranges = network.rays.rejected, network.ranges.rejected
+        assert rays is not None and ranges is not None
+        self._select(self._layout, Selection(~rays, ~ranges, network.undetermined.copy()))
         self._last: Reduction | None = None
 
     def reduce(self, values: Mapping[Unknown, Array], system: bool = True) -> Reduction:
