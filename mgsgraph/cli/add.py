@@ -16,7 +16,8 @@ _PATH = click.Path(path_type=Path)
 @click.argument("images", nargs=-1, metavar="[NAME=]IMAGE...")
 @click.option("--ties", type=_PATH, multiple=True, help="Control network with their measures; may be repeated.")
 @click.option("--shots", type=_PATH, multiple=True, help="Laser shots: ISIS lidar (.json) or PEDR; may be repeated.")
-@click.option("--check", is_flag=True, help="Read everything and say what would be added; change nothing.")
+@click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
+@click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
 @click.pass_context
 def add(
     ctx: click.Context,
@@ -25,11 +26,15 @@ def add(
     ties: tuple[Path, ...],
     shots: tuple[Path, ...],
     check: bool,
+    dry_run: bool,
 ) -> None:
     """Add each IMAGE to PROJECT, with the measures of --ties and --shots, and adjust what it touches.
 
     IMAGE is support data (.json, .isd), a MOC label (.img, .lbl, .cub; with the project's kernels) or a case file
     (.toml), which brings everything that it names. NAME is what control networks call it.
+
+    What is printed is the impact: which images and points moved, in metres and in their sigmas. --check ends with the
+    closing check: batch over everything, the largest difference, and batch's result where the two are not the same.
 
     Exit status: 0 added, 1 added and not come to rest, 2 bad input (nothing has changed).
     """
@@ -37,18 +42,23 @@ def add(
     from mgsgraph.errors import InputError
     from mgsgraph.project.addition import parse_image, read_addition
     from mgsgraph.project.change import add as put
+    from mgsgraph.project.change import check as compare
     from mgsgraph.project.project import open_project
 
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
     wanted = [parse_image(text) for text in images]
-    with stage_bar(2) as stages, open_project(project, write=not check) as opened:
+    closing = None
+    with stage_bar(3 if check else 2) as stages, open_project(project, write=not dry_run) as opened:
         with stages.stage("reading"):
             addition = read_addition(opened.store, opened.settings, str(project), wanted, ties, shots)
-        if not check:
+        if not dry_run:
             with stages.stage("adjusting"):
                 impact = put(opened, addition)
-    if check:
+            if check and impact is not None:
+                with stages.stage("closing check"):
+                    closing = compare(opened)
+    if dry_run:
         click.echo(f"{project}: would add {_words(addition)}; nothing was changed")
         _warn(addition)
         return
@@ -60,6 +70,8 @@ def add(
     for sentence in impact.sentences():
         click.echo(f"- {sentence}")
     click.echo(impact.table())
+    if closing is not None:
+        click.echo(f"- {closing.sentence()}")
     ctx.exit(0 if impact.converged else 1)
 
 

@@ -25,7 +25,7 @@ class RayAngles:
         return np.asarray(unit)
 
     def matrices(self, some: slice) -> tuple[Array, Array]:
-        """Sums of (I - u u') of some points, (k, 3, 3), and their smallest eigenvalues over the number of rays, (k,)."""
+        """Sums of (I - u u') of some points, (k, 3, 3), and their least eigenvalues over the number of rays, (k,)."""
         normal = np.empty((self.count[some].size, 3, 3))
         for k, (i, j) in enumerate(_TRIANGLE):
             normal[:, i, j] = normal[:, j, i] = self.normal[some, k]

@@ -1,6 +1,6 @@
 """The changes of a project: each is one transaction of its file, noted in its history."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,13 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.closing import Closing
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+from mgsgraph.adjustment.incremental.rebundling import with_addition, without
 from mgsgraph.adjustment.incremental.state import Bundle
 from mgsgraph.adjustment.passes import Progress
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.network import Network
-from mgsgraph.network.parts import Unknown, bundles, joined, without_images
+from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.project.addition import Addition, NewImage
 from mgsgraph.project.project import Project
 from mgsgraph.project.store import ProjectStore
@@ -70,6 +71,20 @@ def remove(project: Project, images: Sequence[str]) -> Impact | None:
     return impact
 
 
+def check(project: Project, progress: Progress = lambda _: None) -> Closing:
+    """The closing check against batch, without products; batch's result is taken over where it is needed."""
+    closing, solution = _incremental(project).close(project.name, progress)
+    project.record("check", f"{len(solution.network.images)} images", _closing_facts(closing))
+    project.record_batch(solution)
+    return closing
+
+
+def _closing_facts(closing: Closing | None) -> dict[str, Any]:
+    if closing is None or not np.isfinite(closing.worst):
+        return {}
+    return {"largest_difference_sigmas": closing.worst}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
     """What `solve` has done."""
@@ -91,9 +106,7 @@ def solve(project: Project, figures: bool = True, progress: Progress = lambda _:
     else:
         solution = adjust_network(store.network(), settings, name, progress)
         _incremental(project).adopt(solution)
-    summary: dict[str, Any] = {"cost": solution.cost_final, "converged": solution.converged}
-    if closing is not None and np.isfinite(closing.worst):
-        summary["largest_difference_sigmas"] = closing.worst
+    summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
     return Solved(solution, closing, project.keep_solution(solution, figures))
 
@@ -102,34 +115,23 @@ def put_in(store: ProjectStore, addition: Addition) -> None:
     """Images and measures without an adjustment: their bundles wait for one."""
     for one in addition.images:
         store.put_image(one.known)
-    if addition.network is None:
-        return
-    network = store.own(addition.network)
-    there = set(store.members())
-    gone = sorted(set(store.homes(network.points.ids).values()))
-    parts = [*(store.bundle(members).network for members in gone), network]
-    found = bundles(joined(parts))
-    others = [members for members in found if members in there and members not in gone]
-    if others:
-        found = bundles(joined([*parts, *(store.bundle(members).network for members in others)]))
-    store.replace([*gone, *others], {members: _waiting(part) for members, part in found.items()})
+    network = None if addition.network is None else store.own(addition.network)
+    _put_waiting(store, *with_addition(store, network))
 
 
 def _take_out(store: ProjectStore, images: Sequence[str]) -> None:
-    gone = list(dict.fromkeys(members for image in images for members in store.seen_by(image)))
-    left = [rest for members in gone if (rest := without_images(store.bundle(members).network, images)) is not None]
-    found = bundles(joined(left)) if left else {}
-    others = [members for members in found if members in set(store.members()) and members not in gone]
-    if others:
-        found = bundles(joined([*left, *(store.bundle(members).network for members in others)]))
-    store.replace([*gone, *others], {members: _waiting(part) for members, part in found.items()})
+    _put_waiting(store, *without(store, images))
     for name in images:
         store.drop_image(name)
 
 
-def _waiting(network: Network) -> Bundle:
-    n = len(network.points)
-    return Bundle(network, None, np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+def _put_waiting(store: ProjectStore, gone: Sequence[Members], networks: Mapping[Members, Network]) -> None:
+    """Put bundles in the place of others, not adjusted yet."""
+    waiting = dict[Members, Bundle]()
+    for members, network in networks.items():
+        n = len(network.points)
+        waiting[members] = Bundle(network, None, np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+    store.replace(gone, waiting)
 
 
 def _note_sources(project: Project, images: Sequence[NewImage]) -> None:

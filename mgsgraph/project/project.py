@@ -204,14 +204,18 @@ class Project:
         ).fetchone()
         folder = f"{SOLUTIONS}/{number:04d}"
         write_results(solution, self.folder / folder, figures)
+        self.record_batch(solution, folder)
+        return self.folder / folder
+
+    def record_batch(self, solution: Solution, folder: str | None = None) -> int:
+        """Note a batch solution of everything, and the folder of its products, if it has any; its number."""
         network = solution.network
-        self._insert_solution(
+        return self._insert_solution(
             (
                 solution.converged, solution.message, solution.cost_final, solution.sigma0,
                 solution.fit.degrees_of_freedom, len(network.images), len(network.points), folder, "batch",
             )
         )  # fmt: skip
-        return self.folder / folder
 
     def _insert_solution(self, values: tuple[object, ...]) -> int:
         found = self._connection.execute(

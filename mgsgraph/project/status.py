@@ -107,7 +107,8 @@ def _solution(row: SolutionRow) -> list[str]:
         sigma0 = "not defined" if row.sigma0 is None else f"{row.sigma0:.4g}"
         lines.append(
             f"    cost {row.cost:.6g} (half the weighted sum of squares, no unit), sigma0 {sigma0} (no unit), "
-            f"{row.degrees_of_freedom} degrees of freedom; results in {row.folder}"
+            f"{row.degrees_of_freedom} degrees of freedom; "
+            f"{f'results in {row.folder}' if row.folder else 'a closing check, without results'}"
         )
     return lines
 

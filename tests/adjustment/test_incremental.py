@@ -71,7 +71,6 @@ def test_the_adjustment_goes_on_after_the_closing_check() -> None:
         assert distances(one, by_batch(one)).within()
 
 
-@pytest.mark.xfail(strict=True, reason="adopt leaves the store's images as they were: KeyError when they are asked for")
 @pytest.mark.parametrize("images", [2, 3])
 def test_a_solution_of_other_images_is_adopted_with_its_images(images: int) -> None:
     """Of fewer images, and of images of which one is held now."""

@@ -86,7 +86,7 @@ def test_images_come_into_an_empty_project(case_file: Path, tmp_path: Path, caps
 
 def test_check_changes_nothing(project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (project / "project.sqlite").read_bytes()
-    call("add", project, f"new={case_file.parent / 'image_B.isd'}", "--check")
+    call("add", project, f"new={case_file.parent / 'image_B.isd'}", "--dry-run")
     assert "would add 1 image (new)" in capsys.readouterr().out
     assert (project / "project.sqlite").read_bytes() == before
 

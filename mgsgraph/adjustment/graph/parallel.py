@@ -32,14 +32,14 @@ def parallel(network: Network, angles: Array) -> Mask:
 
 
 def _pixel(network: Network, image: int) -> float:
-    """rad across a detector pixel."""
+    """Angle across a detector pixel, rad."""
     interior = network.images[image].interior
     _, slope = interior.focal_plane(np.array([0.5 * network.images[image].samples]))
     return float(np.linalg.norm(slope[0])) / interior.focal_length
 
 
 def _pointing(network: Network, image: int) -> float:
-    """rad, a-priori sigma of the direction of an image's rays, as far as it is known: rotation across the optical axis."""
+    """A-priori sigma of the direction of an image's rays, rad, as far as it is known: rotations across the axis."""
     if network.held[image]:
         return 0.0
     sigmas = network.priors[image].sigmas[0, 3:5]

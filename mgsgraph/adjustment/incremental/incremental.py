@@ -12,6 +12,7 @@ from mgsgraph.adjustment.incremental.closing import EXACT, Closing, closing, sha
 from mgsgraph.adjustment.incremental.engine import Engine
 from mgsgraph.adjustment.incremental.impact import Impact, impact
 from mgsgraph.adjustment.incremental.motion import image_motion
+from mgsgraph.adjustment.incremental.rebundling import with_addition, without
 from mgsgraph.adjustment.incremental.state import InMemory, KnownImage, Settled, Shared, Store
 from mgsgraph.adjustment.passes import Progress
 from mgsgraph.adjustment.settings import SolverSettings
@@ -23,7 +24,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrio
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
-from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images, without_images
+from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images
 from mgsgraph.notebook import card
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import MRAD
@@ -157,11 +158,11 @@ class IncrementalAdjustment:
             known = [self.store.image(one.image.name) if one.image.name in there else one for one in _images_of(images)]
             more = [one for one in known if one.image.name not in there]
             # of images that are there, a network doesn't say anew what is known of them
-            return self._change("add", [one.image.name for one in more], more, *self._joined(with_images(images, known)))
+            return self._added(more, with_images(images, known))
         new = self._new_images(images, prior)
         every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
         addition = observed(_Named(self, new), every, tie_sigma, shot_sigma)
-        return self._change("add", [one.image.name for one in new], new, *self._joined(addition))
+        return self._added(new, addition)
 
     def remove(self, *images: str) -> Impact:
         """Take images out with their measures; points that nothing else sees go, too.
@@ -171,11 +172,7 @@ class IncrementalAdjustment:
         images = tuple(dict.fromkeys(images))
         for image in images:
             self._known(image)
-        gone = list(dict.fromkeys(members for image in images for members in self.store.seen_by(image)))
-        parts = [self.store.bundle(members).network for members in gone]
-        left = [rest for network in parts if (rest := without_images(network, images)) is not None]
-        gone, networks = self._completed(gone, left)
-        return self._change("remove", list(images), [], gone, networks)
+        return self._change("remove", list(images), [], *without(self.store, images))
 
     def close(self, name: str = "adjustment", progress: Progress = lambda _: None) -> tuple[Closing, Solution]:
         """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.
@@ -199,13 +196,18 @@ class IncrementalAdjustment:
             places = dict(zip(network.points.ids, solution.places, strict=True))
             kept = engine.adopted(shared_of(solution), bundles(network), places)
             for one in _images_of(network):
-                if one.image.name not in there:
+                if one.image.name not in there or not _alike(one, self.store.image(one.image.name)):
                     self.store.put_image(one)
             self.store.replace(self.store.members(), kept)
+            for name in there - {image.name for image in network.images}:
+                self.store.drop_image(name)
             self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
             self.store.put_shared(engine.shared)
 
     # --- how
+
+    def _added(self, new: Sequence[KnownImage], addition: Network | None) -> Impact:
+        return self._change("add", [one.image.name for one in new], new, *with_addition(self.store, addition))
 
     def _known(self, image: str) -> KnownImage:
         if image not in set(self.images):
@@ -226,21 +228,6 @@ class IncrementalAdjustment:
                 found = "in the adjustment already" if name in there else "named twice"
                 raise InputError(f"image {name}", found, "an image that is new", "remove it first to replace it")
         return new
-
-    def _joined(self, addition: Network | None) -> tuple[list[Members], dict[Members, Network]]:
-        """Bundles that an addition changes, and what takes their place."""
-        if addition is None:
-            return [], {}
-        gone = sorted(set(self.store.homes(addition.points.ids).values()))
-        return self._completed(gone, [*(self.store.bundle(members).network for members in gone), addition])
-
-    def _completed(self, gone: list[Members], parts: list[Network]) -> tuple[list[Members], dict[Members, Network]]:
-        """Bundles of some parts, together with those that were there before of the same unknowns."""
-        networks = bundles(joined(parts)) if parts else {}
-        others = [members for members in networks if members in self._engine.bundles and members not in gone]
-        if others:
-            networks = bundles(joined([*parts, *(self.store.bundle(members).network for members in others)]))
-        return [*gone, *others], networks
 
     def _new_unknowns(self, new: Sequence[KnownImage], networks: Mapping[Members, Network]) -> dict[Unknown, Shared]:
         """Orientation of new images, and shifts that come with an addition; at zero."""
@@ -324,6 +311,10 @@ def _images_of(network: Network) -> list[KnownImage]:
         KnownImage(image, prior, bool(held))
         for image, prior, held in zip(network.images, network.priors, network.held, strict=True)
     ]
+
+
+def _alike(one: KnownImage, other: KnownImage) -> bool:
+    return one.image is other.image and one.prior is other.prior and one.held == other.held
 
 
 def _with_rejections(solution: Solution) -> Network:

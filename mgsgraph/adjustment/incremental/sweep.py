@@ -63,7 +63,8 @@ class Sweep:
         self._layout = lay_out(network, settings, places if settings.line == "predicted" else None)
         self._blocks = group_blocks(self._layout.groups)
         rays, ranges = network.rays.rejected, network.ranges.rejected
-        assert rays is not None and ranges is not None
+        assert rays is not None
+        assert ranges is not None
         self._select(self._layout, Selection(~rays, ~ranges, network.undetermined.copy()))
         self._last: Reduction | None = None
 
