@@ -96,7 +96,8 @@ def compare(adjustment: IncrementalAdjustment) -> tuple[float, float, float]:
     begin = time.perf_counter()
     solution = adjust_network(network, adjustment.settings)
     seconds = time.perf_counter() - begin
-    found = closing(solution, adjustment.values, dict(zip(ids, places, strict=True)))
+    where = {name: k for k, name in enumerate(ids)}
+    found = closing(solution, adjustment.values, places[[where[name] for name in network.points.ids]])
     return found.orientation, found.points, seconds
 
 

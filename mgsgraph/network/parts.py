@@ -43,6 +43,14 @@ class Unknown(NamedTuple):
         return f"{'image' if self.kind == 'image' else 'shift of'} {self.name}"
 
 
+def known_images(network: Network) -> list[KnownImage]:
+    """The images of a network."""
+    return [
+        KnownImage(image, prior, bool(held))
+        for image, prior, held in zip(network.images, network.priors, network.held, strict=True)
+    ]
+
+
 Members = tuple[Unknown, ...]
 """The shared unknowns that points feel, in order: what tells one bundle from another. A held image has none."""
 

@@ -58,28 +58,27 @@ class Closing:
         )
 
 
-def closing(solution: Solution, values: Mapping[Unknown, Array], places: Mapping[str, Array]) -> Closing:
-    """Compare unknowns, and places (3,) of the points by name, with a batch solution of the same network."""
+def closing(solution: Solution, values: Mapping[Unknown, Array], places: Array) -> Closing:
+    """Compare values of the unknowns and places (n, 3) of the points with a batch solution of the same network."""
     worst, which = 0.0, next(iter(values), Unknown("image", "-"))
     for unknown, batch in shared_of(solution).items():
         off = float(np.max(np.abs(values[unknown] - batch.value) / batch.sigmas))
         if off > worst:
             worst, which = off, unknown
-    point, off = _points(solution, places)
-    return Closing(which, worst, point, off, max(worst, off) > EXACT)
+    k, off = _farthest(solution, places)
+    return Closing(which, worst, solution.network.points.ids[k], off, max(worst, off) > EXACT)
 
 
-def _points(solution: Solution, places: Mapping[str, Array]) -> tuple[str, float]:
-    ids = solution.network.points.ids
-    mine = np.array([places[name] for name in ids]).reshape(-1, 3)
-    known = np.isfinite(mine[:, 0])
+def _farthest(solution: Solution, places: Array) -> tuple[int, float]:
+    """The point that lies farthest off, and its largest difference of a coordinate in its sigma."""
+    known = np.isfinite(places[:, 0])
     with np.errstate(invalid="ignore", divide="ignore"):
-        off = np.max(np.abs(mine - solution.places) / solution.sigmas, axis=1)
+        off = np.max(np.abs(places - solution.places) / solution.sigmas, axis=1)
     off[~known & ~solution.determined] = 0.0
     off[known != solution.determined] = np.inf
     off[known & solution.determined & np.isnan(off)] = 0.0  # a fixed point has no sigma, and stays where it is
     k = int(np.argmax(off))
-    return ids[k], float(off[k])
+    return k, float(off[k])
 
 
 def shared_image(known: KnownImage, angles: Angles) -> Shared:

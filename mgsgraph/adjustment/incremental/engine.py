@@ -14,13 +14,14 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from mgsgraph.adjustment.incremental.motion import image_motion
 from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, Store
 from mgsgraph.adjustment.incremental.sweep import Sweep, probes
 from mgsgraph.adjustment.incremental.tree import Tree
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
-from mgsgraph.network.parts import Members, Unknown, part
+from mgsgraph.network.parts import Members, Unknown, known_images, part
 from mgsgraph.ties import PointKind
 
 _MOST_UPDATES = 12
@@ -156,7 +157,7 @@ class Engine:
         self.shared, self.bundles, kept = dict(shared), set(networks), dict[Members, Bundle]()
         self.value = {unknown: one.value for unknown, one in shared.items()}
         sweeps = {m: Sweep(network, self._settings, _places_of(network, places)) for m, network in networks.items()}
-        found = {members: sweep.system(self.value, self._motion(members)) for members, sweep in sweeps.items()}
+        found = {m: sweep.system(self.value, self._motion(m, sweep.network)) for m, sweep in sweeps.items()}
         self.systems = {members: system for members, system in found.items() if system is not None}
         self.grow()
         for members, sweep in sweeps.items():
@@ -224,14 +225,17 @@ class Engine:
         """Reduced systems at the present values."""
         made = dict[Members, ReducedSystem]()
         for members in bundles:
-            system = self._laid_out(members).system(self.value, self._motion(members))
+            sweep = self._laid_out(members)
+            system = sweep.system(self.value, self._motion(members, sweep.network))
             if system is not None:
                 made[members] = system
         return made
 
-    def _motion(self, members: Members) -> float:
-        """Pixels per rad of the image that has most of them."""
-        return max((float(self.shared[u].motion[3]) for u in members if u.kind == "image"), default=np.inf)
+    def _motion(self, members: Members, network: Network) -> Array:
+        """(2,) pixels per m and per rad of the image of a bundle that has most of them."""
+        moving = [self.shared[unknown].motion for unknown in members if unknown.kind == "image"]
+        moving = moving or [image_motion(one) for one in known_images(network)]  # all of them held
+        return max((motion[[0, 3]] for motion in moving), key=lambda motion: float(motion[1]))
 
     def _take_values(self) -> list[Unknown]:
         """Values from the tree; which unknowns have moved."""

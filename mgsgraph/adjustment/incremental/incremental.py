@@ -14,6 +14,7 @@ from mgsgraph.adjustment.incremental.impact import Impact, impact
 from mgsgraph.adjustment.incremental.motion import image_motion
 from mgsgraph.adjustment.incremental.rebundling import with_addition, without
 from mgsgraph.adjustment.incremental.state import InMemory, KnownImage, Settled, Shared, Store
+from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.passes import Progress
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
@@ -24,7 +25,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrio
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
-from mgsgraph.network.parts import Members, Unknown, bundles, joined, with_images
+from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_images, with_images
 from mgsgraph.notebook import card
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import MRAD
@@ -123,6 +124,10 @@ class IncrementalAdjustment:
             raise InputError("incremental adjustment", "no points", "observations in at least one image")
         return with_images(joined(parts), [self.store.image(name) for name in self.images])
 
+    def _places(self) -> Array:
+        """(n, 3) m of all points in the order of `network`, as they are in store."""
+        return np.concatenate([self.store.bundle(members).places for members in sorted(self._engine.bundles)])
+
     # --- what may be done
 
     def add(
@@ -155,7 +160,8 @@ class IncrementalAdjustment:
         """
         if isinstance(images, Network):
             there = set(self.images)
-            known = [self.store.image(one.image.name) if one.image.name in there else one for one in _images_of(images)]
+            named = ((one.image.name, one) for one in known_images(images))
+            known = [self.store.image(name) if name in there else one for name, one in named]
             more = [one for one in known if one.image.name not in there]
             # of images that are there, a network doesn't say anew what is known of them
             return self._added(more, with_images(images, known))
@@ -179,9 +185,10 @@ class IncrementalAdjustment:
 
         Where anything is farther off than `EXACT` sigmas, what batch has found takes the place of what was there.
         """
-        ids, places, _ = self.points()
-        solution = adjust_network(self.network, self.settings, name, progress)
-        found = closing(solution, self._engine.value, dict(zip(ids, places, strict=True)))
+        network = self.network
+        places = Sweep(network, self.settings, self._places()).places(self._engine.value)
+        solution = adjust_network(network, self.settings, name, progress)
+        found = closing(solution, self._engine.value, places)
         if found.worst > EXACT:
             self.adopt(solution)
         return found, solution
@@ -191,11 +198,11 @@ class IncrementalAdjustment:
         engine, network = self._engine, _with_rejections(solution)
         there = set(self.images)
         with engine.all_or_nothing():
-            for one in _images_of(network):
+            for one in known_images(network):
                 _require_finite_prior(one)
             places = dict(zip(network.points.ids, solution.places, strict=True))
             kept = engine.adopted(shared_of(solution), bundles(network), places)
-            for one in _images_of(network):
+            for one in known_images(network):
                 if one.image.name not in there or not _alike(one, self.store.image(one.image.name)):
                     self.store.put_image(one)
             self.store.replace(self.store.members(), kept)
@@ -240,7 +247,7 @@ class IncrementalAdjustment:
         for members, network in networks.items():
             for unknown in members:
                 if unknown.kind == "shift" and unknown not in self._engine.shared:
-                    motion = max(image_motion(one)[0] for one in _images_of(network))
+                    motion = max(image_motion(one)[0] for one in known_images(network))
                     found[unknown] = shared_shift(network.shift_sigma(unknown.name), motion)
         return found
 
@@ -304,13 +311,6 @@ class _Named(Mapping[str, KnownImage]):
 
     def __len__(self) -> int:
         return len(self._names)
-
-
-def _images_of(network: Network) -> list[KnownImage]:
-    return [
-        KnownImage(image, prior, bool(held))
-        for image, prior, held in zip(network.images, network.priors, network.held, strict=True)
-    ]
 
 
 def _alike(one: KnownImage, other: KnownImage) -> bool:

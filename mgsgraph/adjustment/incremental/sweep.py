@@ -16,7 +16,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
 
-TOLERANCE = 4e-4
+TOLERANCE = 1e-3
 """Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`closing.CLOSE`),
 for the errors of bundles add up."""
 _ROBUST_SHARE = 0.01
@@ -25,17 +25,30 @@ _PROBES = 48
 """Points that stand for all of a bundle: their moves are polynomials of the line, of low degree."""
 
 
-def slack(network: Network, settings: SolverSettings, motion: float) -> float:
+def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array) -> float:
     """Pixels by which image places of a bundle may move before its reduced system has to be made anew.
 
-    The orientation enters the collinearity equations by sines of small angles: a move of p pixels, of w radians each
-    (`motion` = 1/w), leaves p (p w) pixels that the linear system doesn't know. If all n rows of sigma s lie wrong the
-    same way, the unknowns do by n^1/2 p^2 w / s of their sigmas at most, which shall be no more than TOLERANCE.
+    The orientation enters the collinearity equations by sines of small angles: a move of p pixels, of w radians each,
+    leaves p (p w) pixels that the linear system doesn't know. And it moves points along their rays: one whose place has
+    the sigma d by its rows alone, by p d / s of them at the distance r, which changes its rows by p (p d / s) / r. If
+    all rows of sigma s lie wrong the same way, the unknowns do by the root of the sum of these squares over s, of their
+    sigmas at most, which shall be no more than TOLERANCE.
+
+    Parameters
+    ----------
+    network : Network
+    settings : SolverSettings
+    motion : (2,)
+        Pixels per m and per rad, of the image that has most of them.
+    spread : (n,)
+        m^2, variance of each point's place in all directions by its rows alone; NaN for those that take no part.
     """
     if network.rays.point.size == 0:
         return math.inf
-    sigma = float(network.rays.sigmas.min())
-    allowed = math.sqrt(TOLERANCE * sigma * motion / math.sqrt(network.rays.point.size))
+    sigma, distance = float(network.rays.sigmas.min()), motion[1] / motion[0]
+    by_distance = np.nan_to_num(spread)[network.rays.point] / (sigma * distance) ** 2
+    known = math.sqrt(float(np.maximum(by_distance, motion[1] ** -2).sum())) / sigma
+    allowed = math.sqrt(TOLERANCE / known)
     return allowed if settings.loss == "none" else min(allowed, _ROBUST_SHARE * sigma)
 
 
@@ -45,7 +58,7 @@ class Sweep:
     Parameters
     ----------
     network : Network
-        Points that feel the same shared unknowns.
+        Points that feel the same shared unknowns; for `reduce` and `places`, any.
     settings : SolverSettings
     places : (n, 3), optional
         m, where its points are thought to be; NaN where nothing is known.
@@ -67,6 +80,7 @@ class Sweep:
         assert ranges is not None
         self._select(self._layout, Selection(~rays, ~ranges, network.undetermined.copy()))
         self._last: Reduction | None = None
+        self._spread: Array | None = None
 
     def reduce(self, values: Mapping[Unknown, Array], system: bool = True) -> Reduction:
         """All points solved and eliminated at values of the unknowns; points that nothing determines are left out.
@@ -88,7 +102,7 @@ class Sweep:
         self._last = found
         return found
 
-    def system(self, values: Mapping[Unknown, Array], motion: float) -> ReducedSystem | None:
+    def system(self, values: Mapping[Unknown, Array], motion: Array) -> ReducedSystem | None:
         """The reduced system; None without adjusted unknowns or determined points. `motion` as in `slack`."""
         found, layout = self.reduce(values), self._layout
         if layout.columns == 0 or not np.any(determined_points(self._rows)):
@@ -98,21 +112,28 @@ class Sweep:
         bundles = Bundles(layout.rows, layout.groups, self._blocks, layout.model, [group], columns, layout.scales)
         normal, gradient = bundles.dense(found, 0)
         names = tuple(self._names[v] for v in group)
-        allowed = slack(self.network, self._settings, motion)
+        if self._spread is None:  # hardly changes where the points are as near as this
+            self._spread = np.trace(self._covariances(found, None), axis1=1, axis2=2)
+        allowed = slack(self.network, self._settings, motion, self._spread)
         return ReducedSystem(names, found.orientation, normal, gradient, found.cost, allowed)
 
     def placed(self, values: Mapping[Unknown, Array], system: ReducedSystem | None, joint: Array | None) -> Bundle:
         """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of the unknowns in
         the order of the system, absent where it has none.
         """
-        found, layout = self.reduce(values, system=False), self._layout
-        blocks = np.zeros(self._blocks.size)
+        found = self.reduce(values, system=False)
+        return Bundle(self.network, system, self._ordered(found.points), self._covariances(found, joint))
+
+    def _covariances(self, found: Reduction, joint: Array | None) -> Array:
+        """(n, 3, 3) m^2 of the points, NaN for undetermined ones; without `joint`, as if the unknowns were known."""
+        layout, blocks = self._layout, np.zeros(self._blocks.size)
         if joint is not None:
             self._put(blocks, joint)
-        spread = point_covariances(
-            self._rows, layout.groups, self._blocks, layout.model, found.orientation, blocks, found.points
+        return self._ordered(
+            point_covariances(
+                self._rows, layout.groups, self._blocks, layout.model, found.orientation, blocks, found.points
+            )
         )
-        return Bundle(self.network, system, self._ordered(found.points), self._ordered(spread))
 
     def places(self, values: Mapping[Unknown, Array]) -> Array:
         """(n, 3) m, where the unknowns put the points; NaN for undetermined ones."""
