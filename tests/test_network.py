@@ -159,7 +159,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "range to nothing": ({"ranges": one_range(point=[3])}, "ranges, points: index 3 .. 3; expected 0 .. 2"),
     "range from nowhere": ({"ranges": one_range(image=[2])}, "ranges, images: index 2 .. 2; expected 0 .. 1"),
     "timeless range": ({"ranges": one_range(times=[np.nan])}, "ranges, times: nan at [0]"),
-    "short marks": ({"rays": replace(rays(STEREO), back_projected=[True])}, "rays: marks of back-projection: shape (1,)"),
+    "short marks": ({"rays": replace(rays(STEREO), back_projected=[True])}, "marks of back-projection: shape (1,)"),
     "no such profile": ({"shifts": ProfileShifts(("A",), [0, 1, -1], [9.0])}, "profile shifts, profiles: index 0 .. 2"),
     "short profiles": ({"shifts": ProfileShifts(("A",), [0, -1], [9.0])}, "profile shifts, profiles: 2 indices"),
     "short shift sigmas": ({"shifts": ProfileShifts(("A",), [-1] * 3, [])}, "shifts, sigmas: an array of shape (0,)"),

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import sqlite3
+from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -32,6 +33,8 @@ _BUNDLE = (
     "id, first_point, points, first_ray, rays, first_range, ranges, terrain, terrain_shift_sigma, areoid, "
     "unknowns, at, normal, gradient, cost, slack"
 )
+_AT_HAND = 100
+"""Bundles that are kept after they were read: a change looks at the same ones several times."""
 _SHARED = ("prior", "motion", "ground", "value", "covariance")
 
 
@@ -46,6 +49,7 @@ class ProjectStore:
         self._images = dict[str, KnownImage]()
         self._grids = dict[int, TerrainGrid]()
         self._numbers = dict[int, tuple[TerrainGrid, int]]()
+        self._bundles: OrderedDict[Members, Bundle] = OrderedDict()
 
     # --- images
 
@@ -143,7 +147,15 @@ class ProjectStore:
         return [_members(text) for (text,) in rows]
 
     def bundle(self, members: Members) -> Bundle:
-        """A bundle with its points."""
+        """A bundle with its points; of the last ones that were asked for, the same object."""
+        if members not in self._bundles:
+            self._bundles[members] = self._read(members)
+            if len(self._bundles) > _AT_HAND:
+                self._bundles.popitem(last=False)
+        self._bundles.move_to_end(members)
+        return self._bundles[members]
+
+    def _read(self, members: Members) -> Bundle:
         row = self._one(f"SELECT {_BUNDLE} FROM bundle WHERE members = ?", _text(members))
         number, first, points, first_ray, rays, first_range, ranges, terrain, shift_sigma, areoid, *reduced = row
         names, numbers = self._images_of(number)
@@ -164,8 +176,9 @@ class ProjectStore:
         return Bundle(network, system, read.places, read.covariances)
 
     def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
-        """Take bundles out and put others in; one that is in both is renewed."""
+        """Take bundles out and put others in, none of which is there."""
         for members in gone:
+            self._bundles.pop(members, None)
             self._drop(members)
         for members, bundle in new.items():
             self._put(members, bundle)
@@ -173,6 +186,7 @@ class ProjectStore:
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
         """New systems and places for bundles whose points are the same."""
         for members, bundle in bundles.items():
+            self._bundles.pop(members, None)
             text = _text(members)
             run = Run(*self._one("SELECT first_point, points FROM bundle WHERE members = ?", text))
             renew_points(self._connection, run, bundle.places, bundle.covariances)
