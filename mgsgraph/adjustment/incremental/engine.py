@@ -142,11 +142,9 @@ class Engine:
         updates, others, converged = self._settle()
         reached = self._reached(set(systems), gone, before)
         self._note(reached, new)
-        bundles = {members: self._placed(members, reached.get(members)) for members in networks}
-        for members in {*others, *reached} - set(networks):
-            bundle = self._store.bundle(members)
-            if (now := self._now(members, bundle, reached.get(members), members in others)) is not None:
-                bundles[members] = now
+        bundles = self._placed(networks, reached)
+        far = {members: joint for members, joint in reached.items() if members not in networks}
+        bundles |= self._far(others - set(networks), far)
         return Settled(bundles, reached, updates, len(systems) + len(others), converged)
 
     def adopted(
@@ -168,11 +166,9 @@ class Engine:
 
     def refreshed(self, wanted: Iterable[Members]) -> dict[Members, Bundle]:
         """Bundles with their points where the present unknowns put them."""
-        found = dict[Members, Bundle]()
-        for members in wanted:
-            system = self.systems.get(members)
-            found[members] = self._placed(members, None if system is None else self.joint(system.unknowns))
-        return found
+        wanted = list(wanted)
+        joint = {members: self.joint(self.systems[members].unknowns) for members in wanted if members in self.systems}
+        return self._placed(wanted, joint)
 
     def joint(self, unknowns: Sequence[Unknown]) -> Array:
         """Joint covariance (d, d) of some unknowns, m and rad, straight from iSAM2."""
@@ -226,8 +222,7 @@ class Engine:
         made = dict[Members, ReducedSystem]()
         for members in bundles:
             sweep = self._laid_out(members)
-            system = sweep.system(self.value, self._motion(members, sweep.network))
-            if system is not None:
+            if (system := sweep.system(self.value, self._motion(members, sweep.network))) is not None:
                 made[members] = system
         return made
 
@@ -239,10 +234,9 @@ class Engine:
 
     def _take_values(self) -> list[Unknown]:
         """Values from the tree; which unknowns have moved."""
-        found = self._tree.values()
-        moved = [unknown for unknown, value in found.items() if not np.array_equal(value, self.value[unknown])]
-        self.value |= {unknown: found[unknown] for unknown in moved}
-        return moved
+        moved = self._tree.moved()
+        self.value |= moved
+        return list(moved)
 
     def _stale(self, moved: Iterable[Unknown]) -> set[Members]:
         """Bundles of unknowns that have moved farther from where their system was made than its slack."""
@@ -325,26 +319,38 @@ class Engine:
             self._sweeps.put(members, len(bundle.network.points), sweep)
         return sweep
 
-    def _now(self, members: Members, bundle: Bundle, joint: Array | None, made: bool) -> Bundle | None:
-        """A bundle whose points are the same as before: with their places now, if they have moved noticeably, and their
-        covariances, if their sigmas have changed by as much; with its new system, if it was made anew; else None.
-        """
-        system = self.systems.get(members)
-        moved, changed = (False, False) if joint is None else self._probed(members, bundle, joint)
-        if moved and changed:
-            return self._placed(members, joint)
-        if moved:
-            return replace(bundle, reduced=system, places=self._laid_out(members).places(self.value))
-        return replace(bundle, reduced=system) if made else None
+    def _placed(self, bundles: Iterable[Members], joint: Mapping[Members, Array]) -> dict[Members, Bundle]:
+        """Bundles with their points where the present unknowns put them."""
+        return {
+            members: self._laid_out(members).placed(self.value, self.systems.get(members), joint.get(members))
+            for members in bundles
+        }
 
-    def _probed(self, members: Members, bundle: Bundle, joint: Array) -> tuple[bool, bool]:
+    def _far(self, made: Iterable[Members], joint: Mapping[Members, Array]) -> dict[Members, Bundle]:
+        """Bundles whose points are the same as before: those whose system was made anew, with it; and of those reached
+        (with the covariance of their unknowns) the ones that have moved noticeably, with their places now, and their
+        covariances, if their sigmas have changed by as much.
+        """
+        found = {members: self._renewed(members) for members in made}
+        for members, spread in joint.items():
+            moved, changed = self._told(members, spread)
+            if moved and changed:
+                found |= self._placed([members], joint)
+            elif moved:
+                found[members] = replace(self._renewed(members), places=self._laid_out(members).places(self.value))
+        return found
+
+    def _renewed(self, members: Members) -> Bundle:
+        return replace(self._store.bundle(members), reduced=self.systems.get(members))
+
+    def _told(self, members: Members, joint: Array) -> tuple[bool, bool]:
         """Whether points of a bundle have moved noticeably, and whether their sigmas have changed: its probes tell."""
+        bundle = self._store.bundle(members)
         if (found := self._probes.get(members)) is None:
             chosen = probes(bundle)
             if chosen.size == 0:
                 return False, False
-            network = part(bundle.network, chosen)
-            found = chosen, Sweep(network, self._settings, bundle.places[chosen])
+            found = chosen, Sweep(part(bundle.network, chosen), self._settings, bundle.places[chosen])
             self._probes.put(members, chosen.size, found)
         chosen, sweep = found
         now = sweep.placed(self.value, None, joint)
@@ -353,10 +359,6 @@ class Engine:
             moved = np.abs(now.places - bundle.places[chosen]) / sigmas
             changed = np.abs(now.sigmas / sigmas - 1.0)
         return bool(np.any(moved > _LIKELY)), bool(np.any(changed > _LIKELY))
-
-    def _placed(self, members: Members, joint: Array | None) -> Bundle:
-        """A bundle with its points where the present unknowns put them."""
-        return self._laid_out(members).placed(self.value, self.systems.get(members), joint)
 
 
 def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:

@@ -16,7 +16,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
 
-TOLERANCE = 1e-3
+TOLERANCE = 2e-3
 """Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`closing.CLOSE`),
 for the errors of bundles add up."""
 _ROBUST_SHARE = 0.01

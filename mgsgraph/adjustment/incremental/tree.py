@@ -8,6 +8,7 @@ order one, for which the wildfire threshold and the pivots of Cholesky's method 
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 
 import gtsam
 import numpy as np
@@ -32,6 +33,7 @@ class Tree:
         self._slots = dict[Members, int]()
         self._priors = dict[Unknown, int]()
         self._next = 0
+        self._taken = dict[Unknown, Array]()
 
     def __contains__(self, members: Members) -> bool:
         return members in self._slots
@@ -75,6 +77,7 @@ class Tree:
                 self._slots[owner] = int(slot)
         for unknown in dropped:
             del self._keys[unknown], self._scale[unknown]
+            self._taken.pop(unknown, None)
 
     def _factor(self, system: ReducedSystem) -> gtsam.LinearContainerFactor:
         """A reduced system as GTSAM factor, in whitened units."""
@@ -89,8 +92,26 @@ class Tree:
 
     def values(self) -> dict[Unknown, Array]:
         """Present values of all unknowns, m and rad."""
-        found = self._isam.calculateEstimate()
-        return {unknown: found.atVector(key) * self._scale[unknown] for unknown, key in self._keys.items()}
+        self._taken.clear()
+        return self.moved()
+
+    def moved(self) -> dict[Unknown, Array]:
+        """Present values, m and rad, of the unknowns that have moved since the last call, and of new ones."""
+        estimate, found = self._isam.calculateEstimate(), dict[Unknown, Array]()
+        for size, names in self._by_size().items():
+            # many unknowns, of which few have moved: compared all at once
+            now = np.array([estimate.atVector(self._keys[name]) for name in names]).reshape(len(names), size)
+            before = np.array([self._taken.get(name, _nothing(size)) for name in names]).reshape(now.shape)
+            for k in np.flatnonzero(np.any(now != before, axis=1)).tolist():
+                self._taken[names[k]] = now[k]
+                found[names[k]] = now[k] * self._scale[names[k]]
+        return found
+
+    def _by_size(self) -> dict[int, list[Unknown]]:
+        groups = dict[int, list[Unknown]]()
+        for name, scale in self._scale.items():
+            groups.setdefault(scale.size, []).append(name)
+        return groups
 
     def covariance(self, unknowns: Sequence[Unknown]) -> Array:
         """Joint covariance (d, d) of some unknowns, in their order, m and rad, for sigma0 = 1."""
@@ -100,6 +121,11 @@ class Tree:
         joint = self._isam.jointMarginalCovariance(keys)
         blocks = np.block([[joint.at(one, other) for other in keys] for one in keys])
         return np.asarray(blocks * scale[:, None] * scale)
+
+
+@cache
+def _nothing(size: int) -> Array:
+    return np.full(size, np.nan)
 
 
 def _isam() -> gtsam.ISAM2:
