@@ -6,7 +6,7 @@ import platform
 import sqlite3
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from urllib.parse import quote
 
@@ -150,7 +150,8 @@ def _bring_up_to_date(path: Path, folder: Path) -> None:
     except sqlite3.Error as error:
         if not getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY"):
             raise
-        sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=rw", uri=True).execute("SELECT 1 FROM sqlite_master")
+        with closing(sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=rw", uri=True)) as player:
+            player.execute("SELECT 1 FROM sqlite_master")
         return
     try:
         older = _format(reader, folder) < FORMAT
