@@ -122,7 +122,7 @@ def footprint(
     samples = np.concatenate([np.zeros(along), side, np.ones(along), 1.0 - side]) * image.samples
     places, _ = image.image_to_ground(lines, samples, height, correction)
     seen = np.all(np.isfinite(places), axis=1)
-    usable = np.count_nonzero(seen) >= 3 and not _goes_round(places[:along][seen[:along]])
+    usable = int(np.count_nonzero(seen)) >= 3 and not _goes_round(places[:along][seen[:along]])
     ring = places[seen] if usable else np.zeros((0, 3))
     return Footprint(image.name, np.concatenate([ring, ring[:1]]), image.body, bool(np.all(seen)) and usable)
 

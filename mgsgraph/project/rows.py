@@ -174,8 +174,9 @@ def rays_of(connection: sqlite3.Connection, run: Run | None, points: Index, imag
 
 def ranges_of(connection: sqlite3.Connection, run: Run | None, points: Index, images: Index) -> Ranges:
     """Ranges of a run, or all."""
-    point, image, *rest, rejected = _all(connection, "point, image, time, value, sigma, rejected", "range", run)
-    return Ranges(_index(point, points), _index(image, images), *rest, rejected.astype(bool))
+    names = "point, image, time, value, sigma, rejected"
+    point, image, time, value, sigma, rejected = _all(connection, names, "range", run)
+    return Ranges(_index(point, points), _index(image, images), time, value, sigma, rejected.astype(bool))
 
 
 def _index(numbers: Array, known: Index) -> Index:
