@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from mgsgraph.cli.tell import tell
+    from mgsgraph.products.impact import require_writable
     from mgsgraph.project.addition import Addition
 
 _PATH = click.Path(path_type=Path)
@@ -16,6 +18,7 @@ _PATH = click.Path(path_type=Path)
 @click.argument("images", nargs=-1, metavar="[NAME=]IMAGE...")
 @click.option("--ties", type=_PATH, multiple=True, help="Control network with their measures; may be repeated.")
 @click.option("--shots", type=_PATH, multiple=True, help="Laser shots: ISIS lidar (.json) or PEDR; may be repeated.")
+@click.option("--impact", "table", type=_PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
 @click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
 @click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
 @click.pass_context
@@ -25,6 +28,7 @@ def add(
     images: tuple[str, ...],
     ties: tuple[Path, ...],
     shots: tuple[Path, ...],
+    table: Path | None,
     check: bool,
     dry_run: bool,
 ) -> None:
@@ -39,7 +43,9 @@ def add(
     Exit status: 0 added, 1 added and not come to rest, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.stages import stage_bar
+    from mgsgraph.cli.tell import tell
     from mgsgraph.errors import InputError
+    from mgsgraph.products.impact import require_writable
     from mgsgraph.project.addition import parse_image, read_addition
     from mgsgraph.project.change import add as put
     from mgsgraph.project.change import check as compare
@@ -47,6 +53,8 @@ def add(
 
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
+    if table is not None:
+        require_writable(table)
     wanted = [parse_image(text) for text in images]
     closing = None
     with stage_bar(3 if check else 2) as stages, open_project(project, write=not dry_run) as opened:
@@ -67,11 +75,7 @@ def add(
         _warn(addition)
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
         return
-    for sentence in impact.sentences():
-        click.echo(f"- {sentence}")
-    click.echo(impact.table())
-    if closing is not None:
-        click.echo(f"- {closing.sentence()}")
+    tell(impact, closing, table)
     ctx.exit(0 if impact.converged else 1)
 
 

@@ -4,22 +4,29 @@ from pathlib import Path
 
 import click
 
+_PATH = click.Path(path_type=Path)
+
 
 @click.command(short_help="Take images out of a project.")
 @click.argument("project", type=click.Path(path_type=Path))
 @click.argument("images", nargs=-1, required=True, metavar="IMAGE...")
+@click.option("--impact", "table", type=_PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
 @click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
 @click.pass_context
-def remove(ctx: click.Context, project: Path, images: tuple[str, ...], check: bool) -> None:
+def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None, check: bool) -> None:
     """Take each IMAGE (by its name) out of PROJECT with its measures, and adjust what it touched.
 
     Exit status: 0 removed, 1 removed and not come to rest, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.stages import stage_bar
+    from mgsgraph.cli.tell import tell
+    from mgsgraph.products.impact import require_writable
     from mgsgraph.project.change import check as compare
     from mgsgraph.project.change import remove as take_out
     from mgsgraph.project.project import open_project
 
+    if table is not None:
+        require_writable(table)
     closing = None
     with stage_bar(2 if check else 1) as stages, open_project(project, write=True) as opened:
         with stages.stage("adjusting"):
@@ -31,9 +38,5 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], check: bo
     if impact is None:
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
         return
-    for sentence in impact.sentences():
-        click.echo(f"- {sentence}")
-    click.echo(impact.table())
-    if closing is not None:
-        click.echo(f"- {closing.sentence()}")
+    tell(impact, closing, table)
     ctx.exit(0 if impact.converged else 1)

@@ -47,7 +47,11 @@ def test_from_a_case_to_a_solution_and_back(
     """An image that is taken out and added again is where it was, and batch agrees."""
     folder = case_file.parent
     assert call("solve", project, "--no-figures") == 0
-    assert call("remove", project, "SIM/B") == 0
+    moved = folder.parent / "moved.csv"
+    assert call("remove", project, "SIM/B", "--impact", moved) == 0
+    names = moved.read_text(encoding="utf-8").splitlines()
+    assert names[0].startswith("point,new,move_x_m,move_y_m,move_z_m,move_sigmas,sigma_before_x_m")
+    assert [line.split(",")[1] for line in names[1:]] == ["false"] * len(names[1:])
     ties = ("--ties", folder / "network.pvl", "--shots", folder / "lidar.json")
     assert call("add", project, folder / "image_B.isd", *ties) == 0
     capsys.readouterr()

@@ -106,39 +106,57 @@ class Impact:
         if self.neighbours:
             most = sorted(self.neighbours.items(), key=lambda pair: -pair[1])[:5]
             said.append("Shared points: " + ", ".join(f"{count} with {name}" for name, count in most) + ".")
-        old = ~self.images.new
-        if np.any(old):
-            k = int(np.argmax(np.where(old, self.images.in_sigmas, -1.0)))
-            said.append(
-                f"{np.count_nonzero(old)} images reached; most moved is {self.images.names[k]}: "
-                f"{self.images.in_sigmas[k]:.2g} of its sigmas, {self.images.on_ground[k]:.3g} m on the ground."
-            )
-        moved = ~self.points.new
-        if np.any(moved):
-            k = int(np.nanargmax(np.where(moved, self.points.in_sigmas, -1.0)))
-            length = float(np.linalg.norm(self.points.moves[k]))
-            said.append(
-                f"{np.count_nonzero(moved)} points moved by more than {NOTICEABLE} of a sigma; most of all "
-                f"{self.points.ids[k]}: {length:.3g} m, {self.points.in_sigmas[k]:.2g} sigmas."
-            )
-        if np.any(self.points.new):
-            mean = np.nanmean(self.points.sigmas_after[self.points.new], axis=0)
-            said.append(
-                f"{np.count_nonzero(self.points.new)} new points; mean sigmas x, y, z {mean[0]:.3g}, {mean[1]:.3g}, "
-                f"{mean[2]:.3g} m."
-            )
+        said += [*self._of_images(), *self._of_points()]
         if self.undetermined:
-            said.append(f"{len(self.undetermined)} points have too few rays left and are without a place now.")
+            said.append(f"{_many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
         if self.lost:
-            said.append(f"{len(self.lost)} points were seen by no other image and have gone.")
+            said.append(f"{_many(len(self.lost), 'point')} that no other image saw: gone.")
         if not self.converged:
             said.append("It did not come to rest; solve the project anew.")
         return said
 
+    def _of_images(self) -> list[str]:
+        old = ~self.images.new
+        if not np.any(old):
+            return []
+        k = int(np.argmax(np.where(old, self.images.in_sigmas, -1.0)))
+        return [
+            f"{_many(int(np.count_nonzero(old)), 'image')} reached; most moved is {self.images.names[k]}: "
+            f"{self.images.in_sigmas[k]:.2g} of its sigmas, {self.images.on_ground[k]:.3g} m on the ground."
+        ]
+
+    def _of_points(self) -> list[str]:
+        said, points, moved = list[str](), self.points, ~self.points.new
+        if np.any(moved):
+            k = int(np.nanargmax(np.where(moved, points.in_sigmas, -1.0)))
+            said.append(
+                f"{_many(int(np.count_nonzero(moved)), 'point')} moved by more than {NOTICEABLE} of a sigma; most "
+                f"of all {points.ids[k]}: {np.linalg.norm(points.moves[k]):.3g} m, {points.in_sigmas[k]:.2g} sigmas."
+            )
+        if np.any(points.new):
+            mean = ", ".join(f"{value:.3g}" for value in np.nanmean(points.sigmas_after[points.new], axis=0))
+            said.append(f"{_many(int(np.count_nonzero(points.new)), 'new point')}; mean sigmas x, y, z {mean} m.")
+        return said
+
     def table(self) -> str:
         """The images reached as text, most moved first."""
-        rows = (zip(row, _WIDTHS, strict=True) for row in self._rows())
-        return "\n".join("  ".join(cell.rjust(width) for cell, width in row).rstrip() for row in rows)
+        return _aligned(self._rows(), _WIDTHS)
+
+    def points_table(self) -> str:
+        """The points that moved most as text; empty where none did."""
+        points = self.points
+        order = np.argsort(-np.where(points.new, -1.0, points.in_sigmas), kind="stable")
+        order = order[: min(_SHOWN, int(np.count_nonzero(~points.new)))]
+        if order.size == 0:
+            return ""
+        sigmas = [np.linalg.norm(part, axis=1) for part in (points.sigmas_before, points.sigmas_after)]
+        rows = [_POINT_HEAD, ("", "sigmas", "m", "m", "m", "m", "m")]
+        for k in order.tolist():
+            numbers = (points.in_sigmas[k], *points.moves[k], sigmas[0][k], sigmas[1][k])
+            rows.append((points.ids[k][-_WIDTHS[0] :], *(f"{number:.3g}" for number in numbers)))
+        if (more := int(np.count_nonzero(~points.new)) - order.size) > 0:
+            rows.append((f"and {more} more", *[""] * 6))
+        return _aligned(rows, _WIDTHS)
 
     def _rows(self) -> list[tuple[str, ...]]:
         images = self.images
@@ -167,7 +185,17 @@ class Impact:
         return card(repr(self), self.sentences(), self._rows(), head=2)
 
 
+def _aligned(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> str:
+    lines = (zip(row, widths, strict=True) for row in rows)
+    return "\n".join("  ".join(cell.rjust(width) for cell, width in line).rstrip() for line in lines)
+
+
+def _many(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 _HEAD = ("image", "moved", "position", "pointing", "ground", "sigma before", "after")
+_POINT_HEAD = ("point", "moved", "x", "y", "z", "sigma before", "after")
 _UNITS = ("", "sigmas", "m", "mrad", "m", "m", "m")
 _WIDTHS = (28, 8, 9, 9, 9, 13, 9)
 

@@ -1,0 +1,42 @@
+"""The impact of a change as a table: every point that moved, or that is new."""
+
+import secrets
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.adjustment.incremental.impact import Impact
+from mgsgraph.errors import InputError
+from mgsgraph.products.writing import columns, quoted, truths, write_csv
+
+_AXES = ("x", "y", "z")
+
+
+def require_writable(path: Path) -> None:
+    """Raise InputError unless a file may be made there: before a change, not after it."""
+    if path.is_dir():
+        raise InputError(str(path), "is a folder", "a file for the impact (.csv)")
+    if not path.parent.is_dir():
+        raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there", "make it first")
+
+
+def write_impact(impact: Impact, path: Path) -> None:
+    """Write one row per point: name, whether new, move in m and in sigmas, sigmas before and after in m.
+
+    Raises InputError if the file can't be written.
+    """
+    points, aside = impact.points, path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
+    numbers = {
+        **columns([f"move_{axis}_m" for axis in _AXES], points.moves),
+        "move_sigmas": points.in_sigmas,
+        **columns([f"sigma_before_{axis}_m" for axis in _AXES], points.sigmas_before),
+        **columns([f"sigma_{axis}_m" for axis in _AXES], points.sigmas_after),
+    }
+    names = {"point": [quoted(name) for name in points.ids], "new": truths(np.asarray(points.new))}
+    try:
+        write_csv(aside, names, numbers)
+        aside.replace(path)
+    except OSError as error:
+        raise InputError(str(path), f"can't be written ({error.strerror})", "a file that may be written") from None
+    finally:
+        aside.unlink(missing_ok=True)
