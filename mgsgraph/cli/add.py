@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from mgsgraph.cli.tell import tell
-    from mgsgraph.products.impact import require_writable
     from mgsgraph.project.addition import Addition
 
 _PATH = click.Path(path_type=Path)
