@@ -1,8 +1,8 @@
 """What does adding one image cost, and is the result that of batch?
 
-Takes a simulated strip image by image through `IncrementalAdjustment`. Two tables, docs/incremental.md by default:
+Takes a simulated strip image by image through `IncrementalAdjustment`. Two tables, docs/incremental_cost.md by default:
 `--equality N`: after each of N additions the largest difference from batch over the same images, in sigmas; and once
-more after the closing check. `--cost N N ...`: wall time of an addition with so many images there already, of the
+more after the closing check. `--cost N N ...`: wall time of the additions up to so many images, of the
 refreshing of all points, and of batch.
 
     python scripts/benchmark_incremental.py [--equality 40] [--cost 10 100 500] [--ties 2000] [--out FILE]

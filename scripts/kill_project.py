@@ -51,6 +51,8 @@ def trial(before: Path, verb: list[str], moments: int, work: Path) -> Counter[st
     shutil.copytree(before, project)
     length = run(project, verb, None)
     old, new = state(before), state(project)
+    if old == new:
+        raise SystemExit(f"{verb[0]} changes nothing even when nobody kills it")
     for _ in range(moments):
         shutil.rmtree(project)
         shutil.copytree(before, project)

@@ -250,6 +250,8 @@ def _posterior(
         sigmas_without_laser=without_laser,
         seconds=clock.seconds,
         versions=versions(),
+        rays_rejected=~solved.selection.rays,
+        ranges_rejected=~solved.selection.ranges,
     )
 
 

@@ -71,6 +71,10 @@ class Solution:
     """Wall time by stage."""
     versions: Mapping[str, str]
     """Versions of this program and of the libraries that computed."""
+    rays_rejected: Mask | None = None
+    """(k,) True for blunders, as the last pass judged; None where an older version didn't say."""
+    ranges_rejected: Mask | None = None
+    """(r,) the same."""
 
     @property
     def sigma0(self) -> float:

@@ -15,9 +15,6 @@ from mgsgraph.network.network import Network
 from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface
 from mgsgraph.ties import PointKind
 
-TERRAIN = "terrain model"
-"""Name of the terrain model's shift among the shared unknowns (`Network.shift_names`)."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownImage:
@@ -37,7 +34,7 @@ class Unknown(NamedTuple):
     kind: Literal["image", "shift"]
     """Orientation of an image, or horizontal shift of a laser profile or of the terrain model."""
     name: str
-    """Of the image, of the profile, or `TERRAIN`."""
+    """Of the image, of the profile, or "terrain model"."""
 
     def __str__(self) -> str:
         return f"{'image' if self.kind == 'image' else 'shift of'} {self.name}"
@@ -176,6 +173,7 @@ def joined(networks: Sequence[Network]) -> Network:
             for one, p, j in zip((net.ranges for net in networks), place_of, image_of, strict=True)
         )
     )
+    _require_single_ranges(ranges, points.ids, tuple(images))
     pictures, priors, held = zip(*images.values(), strict=True)
     areoid = next((net.areoid for net in networks if net.areoid is not None), None)
     return Network(
@@ -238,6 +236,15 @@ def _joined_rays(
     return ImageRays(point, image, places, sigmas, projected, rejected)
 
 
+def _require_single_ranges(ranges: Ranges, ids: tuple[str, ...], images: tuple[str, ...]) -> None:
+    order = np.lexsort((ranges.values, ranges.times, ranges.image, ranges.point))
+    keys = np.column_stack([ranges.point, ranges.image, ranges.times, ranges.values])[order]
+    for k in np.flatnonzero(np.all(keys[1:] == keys[:-1], axis=1))[:1].tolist():
+        i, j = int(keys[k, 0]), int(keys[k, 1])
+        where = f"point {ids[i]}, image {images[j]}"
+        raise InputError(where, "the same range twice", "one", "take one of them out")
+
+
 def _flags(rays: ImageRays) -> tuple[Mask, Mask]:
     return _marks(rays.back_projected, rays.point.size), _marks(rays.rejected, rays.point.size)
 
@@ -249,8 +256,10 @@ def _marks(marks: Mask | None, size: int) -> Mask:
 def _joined_shifts(networks: Sequence[Network], place_of: list[Index], count: int) -> ProfileShifts | None:
     sigmas = dict[str, float]()
     for net in networks:
-        if net.shifts is not None:
-            sigmas |= dict(zip(net.shifts.names, net.shifts.sigmas.tolist(), strict=True))
+        for name, sigma in () if net.shifts is None else zip(net.shifts.names, net.shifts.sigmas.tolist(), strict=True):
+            if sigmas.setdefault(name, sigma) != sigma:
+                found = f"two a-priori sigmas of its shift, {sigmas[name]:g} and {sigma:g} m"
+                raise InputError(f"profile {name}", found, "one")
     if not sigmas:
         return None
     number, profile = {name: p for p, name in enumerate(sigmas)}, np.full(count, -1)

@@ -18,6 +18,12 @@ def require_writable(path: Path) -> None:
         raise InputError(str(path), "is a folder", "a file for the impact (.csv)")
     if not path.parent.is_dir():
         raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there", "make it first")
+    trial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
+    try:
+        trial.touch(exist_ok=False)
+        trial.unlink()
+    except OSError as error:
+        raise InputError(str(path), f"can't be written ({error.strerror})", "a file that may be written") from None
 
 
 def write_impact(impact: Impact, path: Path) -> None:

@@ -19,7 +19,7 @@ from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.observations import observed
-from mgsgraph.network.parts import KnownImage, joined, with_images
+from mgsgraph.network.parts import KnownImage, joined, part, with_images
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.registration import footprints_in_images
@@ -283,8 +283,8 @@ def _read_mola(path: Path) -> AltimeterShots:
 
 
 def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
-    """The network with points that are there already as free ones, and without the measures that are there already;
-    None where nothing is left.
+    """The network with points that are there already as free ones (but for what is known better now), and without the
+    measures that are there already and the points that have no other; None where nothing is left.
 
     A measure of the same point in the same image with another place stays: it contradicts, and will be refused.
     """
@@ -294,11 +294,10 @@ def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
     old = joined([store.bundle(members).network for members in dict.fromkeys(homes.values())])
     number = {name: i for i, name in enumerate(old.points.ids)}
     there = np.array([number.get(name, -1) for name in network.points.ids])
-    known, of = there >= 0, np.maximum(there, 0)
-    points, before = network.points, old.points
+    points, before, of = network.points, old.points, np.maximum(there, 0)
+    known = (there >= 0) & (points.kinds <= before.kinds[of])  # one that is known better now is taken as it comes
     points = replace(
         points,
-        classes=np.where(known, before.classes[of], points.classes),
         kinds=np.where(known, int(PointKind.FREE), points.kinds),
         places=np.where(known[:, None], before.places[of], points.places),
         covariances=np.where(known[:, None, None], 0.0, points.covariances),
@@ -310,7 +309,8 @@ def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
     if shifts is not None:
         shifts = ProfileShifts(shifts.names, np.where(known, -1, shifts.profile), shifts.sigmas)
     left = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
-    return replace(left, points=points, shifts=shifts)
+    with_rows = np.unique(np.concatenate([left.rays.point, left.ranges.point]))
+    return part(replace(left, points=points, shifts=shifts), with_rows)
 
 
 def _repeated_rays(network: Network, old: Network, there: np.ndarray) -> Mask:
@@ -330,11 +330,20 @@ def _repeated_rays(network: Network, old: Network, there: np.ndarray) -> Mask:
 
 def _repeated_ranges(network: Network, old: Network, there: np.ndarray) -> Mask:
     known = {
-        (point, old.images[image].name)
-        for point, image in zip(old.ranges.point.tolist(), old.ranges.image.tolist(), strict=True)
+        (point, old.images[image].name): (time, value)
+        for point, image, time, value in _range_rows(old, old.ranges.point)
     }
-    rows = zip(there[network.ranges.point].tolist(), network.ranges.image.tolist(), strict=True)
-    return np.array([(point, network.images[image].name) in known for point, image in rows], dtype=bool)
+    rows = _range_rows(network, there[network.ranges.point])
+    return np.array(
+        [known.get((point, network.images[image].name)) == (time, value) for point, image, time, value in rows],
+        dtype=bool,
+    )
+
+
+def _range_rows(network: Network, points: np.ndarray) -> list[tuple[int, int, float, float]]:
+    ranges = network.ranges
+    columns = (points, ranges.image, ranges.times, ranges.values)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def _on_terrain(network: Network, store: ProjectStore) -> Network:

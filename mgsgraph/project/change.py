@@ -27,7 +27,9 @@ def is_solved(project: Project) -> bool:
     """Whether all images have an adjusted orientation, from which an incremental adjustment can go on."""
     store = project.store
     known = store.shared()
-    return all(Unknown("image", name) in known or store.image(name).held for name in store.image_names())
+    felt = {unknown for members in store.members() for unknown in members}
+    adjusted = all(Unknown("image", name) in known or store.image(name).held for name in store.image_names())
+    return adjusted and felt.issubset(known)
 
 
 def _incremental(project: Project) -> IncrementalAdjustment:
@@ -57,7 +59,7 @@ def add(project: Project, addition: Addition) -> Impact | None:
 
 def remove(project: Project, images: Sequence[str]) -> Impact | None:
     """Take images out with their measures, and adjust; None in a project that has never been solved."""
-    store, there = project.store, set(project.store.image_names())
+    store, there, images = project.store, set(project.store.image_names()), list(dict.fromkeys(images))
     for name in images:
         if name not in there:
             known = ", ".join(sorted(there)[:4]) or "it has none"
@@ -101,7 +103,10 @@ def solve(project: Project, figures: bool = True, progress: Progress = lambda _:
     """Adjust everything by batch, compare it with the incremental result, and keep its products."""
     name, settings, store = project.name, project.settings.solver_settings, project.store
     closing: Closing | None = None
-    if is_solved(project) and store.members():
+    if not store.members():
+        found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"
+        raise InputError(str(project.folder), found, "tie points or laser shots", remedy)
+    if is_solved(project):
         closing, solution = _incremental(project).close(name, progress)
     else:
         solution = adjust_network(store.network(), settings, name, progress)

@@ -60,11 +60,21 @@ def connected(folder: Path, write: bool, thorough: bool = False) -> Iterator[sql
             _migrate(connection, version)
             _say_who(folder)
         yield connection
-        connection.execute("COMMIT")
+        _commit(connection, folder)
     except sqlite3.Error as error:
         raise refusal(folder, error) from error
     finally:
         _closed(connection, folder if write else None)
+
+
+def _commit(connection: sqlite3.Connection, folder: Path) -> None:
+    try:
+        connection.execute("COMMIT")
+    except sqlite3.OperationalError as error:
+        if not getattr(error, "sqlite_errorname", "").startswith("SQLITE_BUSY"):
+            raise
+        found = "another process has been reading it for a minute; nothing was changed"
+        raise InputError(str(folder), found, remedy="do it again when that has ended") from None
 
 
 def made(folder: Path) -> sqlite3.Connection:

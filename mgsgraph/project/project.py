@@ -36,7 +36,7 @@ class Change:
     at: str
     """UTC, ISO 8601."""
     verb: str
-    """init, add, remove or solve."""
+    """init, add, remove, solve or check."""
     what: str
     """In a few words."""
     summary: Mapping[str, Any]
@@ -230,7 +230,8 @@ class Project:
         known = {row[0] for row in self._connection.execute("SELECT folder FROM solution WHERE folder IS NOT NULL")}
         solutions = self.folder / SOLUTIONS
         for path in sorted(solutions.iterdir()) if solutions.is_dir() else []:
-            if path.is_dir() and _RESULT.fullmatch(path.name) and f"{SOLUTIONS}/{path.name}" not in known:
+            ours = path.name.startswith(".") or (path / "solution.json").is_file()
+            if path.is_dir() and ours and _RESULT.fullmatch(path.name) and f"{SOLUTIONS}/{path.name}" not in known:
                 shutil.rmtree(path, ignore_errors=True)
 
     # --- counts

@@ -111,7 +111,7 @@ TABLES = (
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
-    verb TEXT NOT NULL, -- init, add, remove, solve
+    verb TEXT NOT NULL, -- init, add, remove, solve, check
     what TEXT NOT NULL,
     summary TEXT NOT NULL -- JSON
 )""",

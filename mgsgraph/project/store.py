@@ -273,6 +273,10 @@ class ProjectStore:
         surface, areoid = network.surface, network.areoid
         if surface is not None:
             surface = replace(surface, grid=self._equal(surface.grid))
+            if (own := self.terrain) is not None and own[0] is not surface.grid:
+                found = "a terrain model that is not the project's, or another part of it"
+                remedy = "leave [terrain] out: the project's serves its ties, too, as far as it reaches"
+                raise InputError(surface.grid.source, found, "the project's own", remedy)
         return replace(network, surface=surface, areoid=None if areoid is None else self._equal(areoid))
 
     def _equal(self, grid: TerrainGrid) -> TerrainGrid:

@@ -25,6 +25,7 @@ from increments import (
 )
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.incremental import engine
 from mgsgraph.adjustment.incremental.closing import EXACT
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import Bundle, InMemory
@@ -326,3 +327,54 @@ def weightless(name: str, *images: int) -> TiePoints:
         measure_point=np.zeros(len(rows), dtype=int), measure_image=tuple(names), measures=ties.measures[rows],
         measure_sigmas=np.full((len(rows), 2), 1e5),
     )  # fmt: skip
+
+
+# --- what a reviewer found
+
+
+def test_points_that_batch_could_not_place_are_no_blunders() -> None:
+    """Nadir images alone: many rays are parallel. Images that converge come later, and make good points of them."""
+    made = strip(4, 30, 5)
+    few = IncrementalAdjustment()
+    for k in (0, 2):
+        take_alone(few, made, k)
+    again = IncrementalAdjustment.of(by_batch(few))
+    rejected = [again.store.bundle(members).network.rays.rejected for members in again.store.members()]
+    assert not any(np.any(marks) for marks in rejected)
+    for k in (1, 3):
+        take_alone(again, made, k)
+    assert distances(again, by_batch(again)).within()
+
+
+def test_blunders_of_batch_stay_out_until_batch_looks_again() -> None:
+    made = fan()
+    net = grown(made, 4).network
+    places = net.rays.places.copy()
+    wrong = int(np.flatnonzero(net.points.classes[net.rays.point] == 0)[3])
+    places[wrong] += 60.0
+    solution = adjust_network(replace(net, rays=replace(net.rays, places=places)), SolverSettings(reject=6.0))
+    assert solution.rays_rejected is not None
+    assert solution.rays_rejected[wrong]
+    adjustment = IncrementalAdjustment.of(solution)
+    marks = sum(int(adjustment.store.bundle(m).network.rays.rejected.sum()) for m in adjustment.store.members())
+    assert marks == np.count_nonzero(solution.rays_rejected)
+    assert distances(adjustment, solution).within()
+
+
+def test_a_change_larger_than_what_is_kept_laid_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "_KEPT", 20)
+    made, adjustment = fan(), IncrementalAdjustment()
+    for k in range(4):
+        take_alone(adjustment, made, k)
+        assert distances(adjustment, by_batch(adjustment)).within()
+
+
+def test_batch_that_does_not_converge_is_not_taken_over() -> None:
+    adjustment = grown(fan(), 3)
+    before = dict(adjustment.values)
+    adjustment.settings = replace(adjustment.settings, max_iterations=1)
+    closing, solution = adjustment.close()
+    assert not solution.converged
+    assert not closing.adopted
+    assert "did not converge" in closing.sentence()
+    assert all(np.array_equal(before[unknown], value) for unknown, value in adjustment.values.items())

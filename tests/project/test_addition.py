@@ -47,8 +47,8 @@ def test_of_a_whole_network_only_what_is_new_remains(store: ProjectStore) -> Non
     before = sum(one.network.rays.point.size for one in map(store.bundle, store.members()))
     left = _unknown_alone(net, store)
     assert left is not None
-    new = next(j for j, image in enumerate(net.images) if image.name == "SIM/B")
-    known = np.array([name in store.homes(net.points.ids) for name in net.points.ids])
+    new = next(j for j, image in enumerate(left.images) if image.name == "SIM/B")
+    known = np.array([name in store.homes(net.points.ids) for name in left.points.ids])
     assert np.all((left.rays.image == new) | ~known[left.rays.point])
     assert left.rays.point.size + before == net.rays.point.size
     assert np.all(left.points.kinds[known] == PointKind.FREE)

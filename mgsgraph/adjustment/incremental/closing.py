@@ -32,7 +32,9 @@ class Closing:
     points: float
     """Largest difference of a coordinate, in its sigma."""
     adopted: bool
-    """Whether batch's result was taken over (something was farther off than `EXACT`)."""
+    """Whether batch's result is to be taken over: it converged, and something is farther off than `EXACT`."""
+    converged: bool
+    """Whether batch converged; else the comparison says nothing."""
 
     @property
     def worst(self) -> float:
@@ -50,6 +52,8 @@ class Closing:
 
     def sentence(self) -> str:
         """What was found."""
+        if not self.converged:
+            return "Closing check against batch: batch did not converge; the incremental result was kept."
         verdict = "the same" if self.close else f"farther apart than {CLOSE:g} sigmas"
         kept = "batch's result was taken over" if self.adopted else "the incremental result was kept"
         return (
@@ -66,7 +70,9 @@ def closing(solution: Solution, values: Mapping[Unknown, Array], places: Array) 
         if off > worst:
             worst, which = off, unknown
     k, off = _farthest(solution, places)
-    return Closing(which, worst, solution.network.points.ids[k], off, max(worst, off) > EXACT)
+    converged = solution.converged
+    adopted = converged and max(worst, off) > EXACT
+    return Closing(which, worst, solution.network.points.ids[k], off, adopted, converged)
 
 
 def _farthest(solution: Solution, places: Array) -> tuple[int, float]:

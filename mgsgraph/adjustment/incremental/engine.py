@@ -87,6 +87,7 @@ class Engine:
 
     def _lay_nothing_out(self) -> None:
         self._sweeps, self._probes = _Kept[Sweep](_KEPT), _Kept[tuple[Index, Sweep]](_KEPT)
+        self._changing = dict[Members, Sweep]()
 
     def grow(self) -> None:
         """The tree of all unknowns and systems: from reduced systems, never from points."""
@@ -130,8 +131,7 @@ class Engine:
         places = places_by_name(self._store.bundle(members) for members in gone)
         self._forget(gone)
         for members, network in networks.items():
-            sweep = Sweep(network, self._settings, _places_of(network, places))
-            self._sweeps.put(members, len(network.points), sweep)
+            self._changing[members] = Sweep(network, self._settings, _places_of(network, places))
         systems = self._made(networks)
         dropped = [*dropped, *self._unfelt(gone, networks)]
         self._tree.change({unknown: one.prior for unknown, one in new.items()}, systems, gone, dropped)
@@ -145,6 +145,7 @@ class Engine:
         bundles = self._placed(networks, reached)
         far = {members: joint for members, joint in reached.items() if members not in networks}
         bundles |= self._far(others - set(networks), far)
+        self._settle_down()
         return Settled(bundles, reached, updates, len(systems) + len(others), converged)
 
     def adopted(
@@ -311,8 +312,16 @@ class Engine:
 
     # --- points
 
+    def _settle_down(self) -> None:
+        """The bundles of a change are in the store from now on."""
+        for members, sweep in self._changing.items():
+            self._sweeps.put(members, len(sweep.network.points), sweep)
+        self._changing = {}
+
     def _laid_out(self, members: Members) -> Sweep:
         """The sweep of a bundle; laid out anew when it isn't at hand any longer."""
+        if members in self._changing:
+            return self._changing[members]
         if (sweep := self._sweeps.get(members)) is None:
             bundle = self._store.bundle(members)
             sweep = Sweep(bundle.network, self._settings, bundle.places)

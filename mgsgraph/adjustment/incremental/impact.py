@@ -9,8 +9,8 @@ from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, Settled, S
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.notebook import card
+from mgsgraph.units import MRAD
 
-_MRAD = 1e-3
 _SHOWN = 12
 """Rows of a printed table."""
 
@@ -150,7 +150,7 @@ class Impact:
         if order.size == 0:
             return ""
         sigmas = [np.linalg.norm(part, axis=1) for part in (points.sigmas_before, points.sigmas_after)]
-        rows = [_POINT_HEAD, ("", "sigmas", "m", "m", "m", "m", "m")]
+        rows: list[tuple[str, ...]] = [_POINT_HEAD, ("", "sigmas", "m", "m", "m", "m", "m")]
         for k in order.tolist():
             numbers = (points.in_sigmas[k], *points.moves[k], sigmas[0][k], sigmas[1][k])
             rows.append((points.ids[k][-_WIDTHS[0] :], *(f"{number:.3g}" for number in numbers)))
@@ -164,7 +164,7 @@ class Impact:
         rows: list[tuple[str, ...]] = [_HEAD, _UNITS]
         for k in order[:_SHOWN].tolist():
             before = "-" if images.new[k] else f"{images.ground_before[k]:.3g}"
-            angle = float(np.linalg.norm(images.moves[k, 3:])) / _MRAD
+            angle = float(np.linalg.norm(images.moves[k, 3:])) / MRAD
             rows.append(
                 (
                     images.names[k][-_WIDTHS[0] :],
@@ -227,13 +227,14 @@ def impact(
     names = sorted(u.name for u in reached if u.kind == "image" and u in after)
     now = {name for members, one in kept.items() if members not in was for name in one.network.points.ids}
     adding = verb == "add"
+    neighbours, linked = _neighbours(subjects, kept)
     return Impact(
         verb,
         tuple(subjects),
         _moved_images(names, before, after),
         _moved_points(kept, was),
-        _neighbours(subjects, kept) if adding else {},
-        tuple(name for name in subjects if adding and not _neighbours([name], kept)),
+        neighbours if adding else {},
+        tuple(name for name in subjects if name not in linked) if adding else (),
         tuple(name for name in was.row if name not in now),
         _left_undetermined(kept, was),
         settled.updates,
@@ -316,17 +317,20 @@ def _left_undetermined(kept: Mapping[Members, Bundle], was: _Was) -> tuple[str, 
     return tuple(found)
 
 
-def _neighbours(subjects: Sequence[str], kept: Mapping[Members, Bundle]) -> dict[str, int]:
-    """Images that share determined points with some others, and how many."""
-    shared, own = dict[str, int](), set(subjects)
+def _neighbours(subjects: Sequence[str], kept: Mapping[Members, Bundle]) -> tuple[dict[str, int], set[str]]:
+    """Images that share determined points with some others, and how many; and all images that share such points."""
+    shared, linked, own = dict[str, int](), set[str](), set(subjects)
     for bundle in kept.values():
         network = bundle.network
         number = {image.name: j for j, image in enumerate(network.images)}
         mine = np.zeros((len(number), len(network.points)), dtype=bool)
         mine[network.rays.image, network.rays.point] = True
         mine &= np.isfinite(bundle.places[:, 0])
+        several = mine.sum(axis=0) > 1
         with_own = np.any(mine[[number[name] for name in own if name in number]], axis=0)
         for name, j in number.items():
+            if np.any(mine[j] & several):
+                linked.add(name)
             if name not in own and (count := int(np.count_nonzero(mine[j] & with_own))):
                 shared[name] = shared.get(name, 0) + count
-    return shared
+    return shared, linked

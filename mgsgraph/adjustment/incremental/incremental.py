@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.closing import EXACT, Closing, closing, shared_image, shared_of, shared_shift
+from mgsgraph.adjustment.incremental.closing import Closing, closing, shared_image, shared_of, shared_shift
 from mgsgraph.adjustment.incremental.engine import Engine
 from mgsgraph.adjustment.incremental.impact import Impact, impact
 from mgsgraph.adjustment.incremental.motion import image_motion
@@ -189,7 +189,7 @@ class IncrementalAdjustment:
         places = Sweep(network, self.settings, self._places()).places(self._engine.value)
         solution = adjust_network(network, self.settings, name, progress)
         found = closing(solution, self._engine.value, places)
-        if found.worst > EXACT:
+        if found.adopted:
             self.adopt(solution)
         return found, solution
 
@@ -318,13 +318,12 @@ def _alike(one: KnownImage, other: KnownImage) -> bool:
 
 
 def _with_rejections(solution: Solution) -> Network:
-    """The network of a solution, its blunders marked; points that never had enough rays have none."""
+    """The network of a solution, its blunders marked."""
     network = solution.network
-    rays, ranges, weak = network.rays, network.ranges, network.undetermined
     return replace(
         network,
-        rays=replace(rays, rejected=~solution.rays_used & ~weak[rays.point]),
-        ranges=replace(ranges, rejected=~solution.ranges_used & ~weak[ranges.point]),
+        rays=replace(network.rays, rejected=solution.rays_rejected),
+        ranges=replace(network.ranges, rejected=solution.ranges_rejected),
     )
 
 

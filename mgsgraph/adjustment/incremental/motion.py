@@ -26,7 +26,7 @@ def image_motion(known: KnownImage) -> Array:
 
 def ground_motion(known: KnownImage, angles: Angles) -> Array:
     """(3, 6 (degree + 1)) by which the ground under an image's middle (u = 0) moves, m per m and per rad of each
-    coefficient, on the ellipsoid; NaN where it looks past the body.
+    coefficient, on the ellipsoid; zero where it looks past the body.
     """
     image, terms = known.image, known.prior.degree + 1
     line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
@@ -39,7 +39,7 @@ def ground_motion(known: KnownImage, angles: Angles) -> Array:
     turned = -pose.matrix[0].T @ _cross(look) @ turn
     jacobian = np.zeros((3, 6 * terms))
     jacobian[:, :3], jacobian[:, 3:6] = by_origin[0], by_direction[0] @ turned
-    return jacobian
+    return jacobian if np.all(np.isfinite(jacobian)) else np.zeros_like(jacobian)
 
 
 def _cross(vector: Array) -> Array:

@@ -43,13 +43,17 @@ def slack(network: Network, settings: SolverSettings, motion: Array, spread: Arr
     spread : (n,)
         m^2, variance of each point's place in all directions by its rows alone; NaN for those that take no part.
     """
-    if network.rays.point.size == 0:
+    distance, squares, least = motion[1] / motion[0], 0.0, math.inf
+    if network.rays.point.size:
+        least = float(network.rays.sigmas.min())
+        by_distance = np.nan_to_num(spread)[network.rays.point] / (least * distance) ** 2
+        squares += float(np.maximum(by_distance, motion[1] ** -2).sum()) / least**2
+    # a range at r turns with the camera: by x across it, it grows by x^2 / 2r
+    squares += float(np.sum((0.5 / (motion[0] ** 2 * distance * network.ranges.sigmas)) ** 2))
+    if squares == 0.0:
         return math.inf
-    sigma, distance = float(network.rays.sigmas.min()), motion[1] / motion[0]
-    by_distance = np.nan_to_num(spread)[network.rays.point] / (sigma * distance) ** 2
-    known = math.sqrt(float(np.maximum(by_distance, motion[1] ** -2).sum())) / sigma
-    allowed = math.sqrt(TOLERANCE / known)
-    return allowed if settings.loss == "none" else min(allowed, _ROBUST_SHARE * sigma)
+    allowed = math.sqrt(TOLERANCE / math.sqrt(squares))
+    return allowed if settings.loss == "none" else min(allowed, _ROBUST_SHARE * least)
 
 
 class Sweep:
