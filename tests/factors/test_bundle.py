@@ -12,7 +12,7 @@ from odd_networks import NETWORKS, case, made, one_seen_twice_by_one_image, rand
 from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns
 from mgsgraph.adjustment.settings import Line, SolverSettings
 from mgsgraph.factors.lanes import LANES
-from mgsgraph.factors.rows import BEHIND, FIXED, GOOD, GROUND, IMAGE, OUT, RANGE, SURFACE, WEAK
+from mgsgraph.factors.rows import BEHIND, FIXED, FREE, GOOD, GROUND, IMAGE, OUT, RANGE, SURFACE, WEAK
 from mgsgraph.ties import PointKind
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -127,11 +127,15 @@ def test_bundle_is_explicit_with_a_robust_loss(loss: str) -> None:
 
 
 def test_a_point_that_nothing_determines_is_as_if_left_out() -> None:
+    """The layout leaves points of parallel rays out beforehand; here one gets through to the kernel."""
     weak, out = case(one_seen_twice_by_one_image()), case(one_seen_twice_by_one_image(), without=((), (), (0,)))
-    first, second = (of_layout(now.layout, now.rows) for now in (weak, out))
+    place = int(weak.layout.patterns.point_place[0])
+    kinds = weak.rows.kind.copy()
+    assert kinds[place] == OUT
+    kinds[place] = FREE
+    first, second = of_layout(weak.layout, weak.rows._replace(kind=kinds)), of_layout(out.layout, out.rows)
     x = state(first)
     found, other = first.reduce(x), second.reduce(x)
-    place = int(weak.layout.patterns.point_place[0])
     assert np.flatnonzero(found.states != GOOD).tolist() == [place]
     assert found.states[place] == WEAK
     assert np.all(other.states == GOOD)

@@ -56,7 +56,7 @@ def test_threads_share_the_same_work(name: str, monkeypatch: pytest.MonkeyPatch)
             results.append(all_results(system, state(system)))
     finally:
         numba.set_num_threads(most)
-    assert calls == [1, 1, 2, 2]
+    assert calls == [2, 2]  # one thread has nothing to divide
     for what, one in results[0].items():
         np.testing.assert_allclose(results[1][what], one, rtol=0.0, atol=1e-12 * np.abs(one).max(), err_msg=what)
 
