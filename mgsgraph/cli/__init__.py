@@ -68,7 +68,8 @@ def main() -> None:
     signal.signal(signal.SIGTERM, interrupt)  # so that nothing half-written stays behind
     try:
         status = group(standalone_mode=False)
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed by the caller
+            sys.stdout.flush()
     except click.ClickException as error:
         error.show()
         sys.exit(2)

@@ -52,7 +52,7 @@ def add(
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
     if table is not None:
-        require_writable(table)
+        require_writable(table, project)
     wanted = [parse_image(text) for text in images]
     closing = None
     with stage_bar(3 if check else 2) as stages, open_project(project, write=not dry_run) as opened:
@@ -69,6 +69,9 @@ def add(
         _warn(addition)
         return
     click.echo(f"{project}: added {_words(addition)}")
+    for one in addition.images:
+        if len(one.files) == 1 and not any(one.known.image.name in (given.name, given.path.stem) for given in wanted):
+            click.echo(f"- {one.files[0]} was taken for {one.known.image.name}, which the ties name; NAME=FILE says it")
     if impact is None:
         _warn(addition)
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")

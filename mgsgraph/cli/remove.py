@@ -26,7 +26,7 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
     from mgsgraph.project.project import open_project
 
     if table is not None:
-        require_writable(table)
+        require_writable(table, project)
     closing = None
     with stage_bar(2 if check else 1) as stages, open_project(project, write=True) as opened:
         with stages.stage("adjusting"):

@@ -12,12 +12,28 @@ from mgsgraph.products.writing import columns, quoted, truths, write_csv
 _AXES = ("x", "y", "z")
 
 
-def require_writable(path: Path) -> None:
-    """Raise InputError unless a file may be made there: before a change, not after it."""
-    if path.is_dir():
-        raise InputError(str(path), "is a folder", "a file for the impact (.csv)")
+_FIRST = "point,new,move_x_m,"
+"""How every such table begins."""
+
+
+def require_writable(path: Path, project: Path) -> None:
+    """Raise InputError unless the table may be made there: before a change, not after it.
+
+    Nothing is overwritten but an earlier table of this kind, and nothing is written into the project's folder.
+    """
+    wanted = "a .csv file outside the project for the impact"
+    if path.suffix.lower() != ".csv":
+        raise InputError(str(path), "a name that doesn't end in .csv", wanted)
+    if path.exists() and not path.is_file():
+        raise InputError(str(path), "is no file", wanted)
     if not path.parent.is_dir():
-        raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there", "make it first")
+        raise InputError(str(path), f"no folder {path.parent}", wanted, "make it first")
+    if path.resolve().is_relative_to(project.resolve()):
+        raise InputError(str(path), "lies in the project's folder", wanted)
+    if path.is_file() and path.stat().st_size:
+        with path.open("rb") as file:
+            if not file.read(len(_FIRST)) == _FIRST.encode():
+                raise InputError(str(path), "a file that is no earlier impact", wanted, "choose another name")
     trial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
     try:
         trial.touch(exist_ok=False)

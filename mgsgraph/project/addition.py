@@ -72,8 +72,8 @@ def parse_image(text: str) -> Wanted:
     name, sign, path = text.partition("=")
     if not sign or Path(text).exists():
         return Wanted(Path(text))
-    if not name:
-        raise InputError(text, "an empty name before '='", "NAME=FILE")
+    if not name.strip() or not name.isprintable():
+        raise InputError(repr(text), "an empty or unprintable name before '='", "NAME=FILE")
     return Wanted(Path(path), name)
 
 
@@ -329,15 +329,19 @@ def _repeated_rays(network: Network, old: Network, there: np.ndarray) -> Mask:
 
 
 def _repeated_ranges(network: Network, old: Network, there: np.ndarray) -> Mask:
+    """Ranges that are there already; InputError for one of the same time with another value."""
     known = {
-        (point, old.images[image].name): (time, value)
+        (point, old.images[image].name, time): value
         for point, image, time, value in _range_rows(old, old.ranges.point)
     }
-    rows = _range_rows(network, there[network.ranges.point])
-    return np.array(
-        [known.get((point, network.images[image].name)) == (time, value) for point, image, time, value in rows],
-        dtype=bool,
-    )
+    marks = list[bool]()
+    for point, image, time, value in _range_rows(network, there[network.ranges.point]):
+        before = known.get((point, network.images[image].name, time))
+        if before is not None and before != value:
+            where = f"laser shot {old.points.ids[point]}, image {network.images[image].name}"
+            raise InputError(where, f"a range of {value:.3f} m, {before:.3f} m before", "one range")
+        marks.append(before is not None)
+    return np.array(marks, dtype=bool)
 
 
 def _range_rows(network: Network, points: np.ndarray) -> list[tuple[int, int, float, float]]:

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.closing import Closing
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
-from mgsgraph.adjustment.incremental.rebundling import with_addition, without
+from mgsgraph.adjustment.incremental.rebundling import require_one_body, with_addition, without
 from mgsgraph.adjustment.incremental.state import Bundle
 from mgsgraph.adjustment.passes import Progress
 from mgsgraph.adjustment.solution import Solution
@@ -118,6 +118,7 @@ def solve(project: Project, figures: bool = True, progress: Progress = lambda _:
 
 def put_in(store: ProjectStore, addition: Addition) -> None:
     """Images and measures without an adjustment: their bundles wait for one."""
+    require_one_body(store, [one.known for one in addition.images])
     for one in addition.images:
         store.put_image(one.known)
     network = None if addition.network is None else store.own(addition.network)

@@ -99,5 +99,5 @@ def test_names_before_paths(tmp_path: Path) -> None:
     odd.touch()
     assert parse_image(str(odd)) == Wanted(odd)
     assert parse_image("MOC/1=x.isd") == Wanted(Path("x.isd"), "MOC/1")
-    with pytest.raises(InputError, match="empty name"):
+    with pytest.raises(InputError, match="empty or unprintable name"):
         parse_image("=x.isd")

@@ -145,6 +145,18 @@ def test_what_is_refused(project: Path, case_file: Path, tmp_path: Path) -> None
     refused(project, "at least one", "add", project)
     refused(project, "no image 'x'", "remove", project, "x")
     refused(project, "not empty", "init", project)
+    moon = json.loads(isd.read_text(encoding="utf-8"))
+    moon["radii"] |= {"semimajor": 1737.4, "semiminor": 1737.4}
+    (tmp_path / "moon.isd").write_text(json.dumps(moon), encoding="utf-8")
+    refused(project, "image moon: a body of 1737.4 km", "add", project, tmp_path / "moon.isd")
+    shots = json.loads((folder / "lidar.json").read_text(encoding="utf-8"))
+    shots["points"][0]["range"] += 0.5
+    (tmp_path / "shots.json").write_text(json.dumps(shots), encoding="utf-8")
+    refused(project, "one range", "add", project, "--shots", tmp_path / "shots.json")
+    for table, said in ((project / "x.csv", "lies in the project"), (isd, ".csv"), (tmp_path, ".csv")):
+        refused(project, said, "remove", project, "SIM/B", "--impact", table)
+    (tmp_path / "mine.csv").write_text("mine\n", encoding="utf-8")
+    refused(project, "no earlier impact", "remove", project, "SIM/B", "--impact", tmp_path / "mine.csv")
     with open_project(project, write=True):
         for verb in (("solve",), ("add", f"x={isd}"), ("remove", "SIM/B")):
             with pytest.raises(InputError, match="another mgsgraph process"):

@@ -11,6 +11,8 @@ from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.notebook import card
 from mgsgraph.units import MRAD
 
+_FAR = 5.0
+"""A-priori sigmas beyond which a new image's correction is remarkable."""
 _SHOWN = 12
 """Rows of a printed table."""
 
@@ -116,11 +118,17 @@ class Impact:
         return said
 
     def _of_images(self) -> list[str]:
-        old = ~self.images.new
+        images, old = self.images, ~self.images.new
+        said = [
+            f"{images.names[k]} lies {images.in_sigmas[k]:.2g} of its a-priori sigmas from where it was thought to be: "
+            "look whether file, name and measures belong together."
+            for k in np.flatnonzero(~old & (images.in_sigmas > _FAR)).tolist()
+        ]
         if not np.any(old):
-            return []
+            return said
         k = int(np.argmax(np.where(old, self.images.in_sigmas, -1.0)))
         return [
+            *said,
             f"{_many(int(np.count_nonzero(old)), 'image')} reached; most moved is {self.images.names[k]}: "
             f"{self.images.in_sigmas[k]:.2g} of its sigmas, {self.images.on_ground[k]:.3g} m on the ground."
         ]

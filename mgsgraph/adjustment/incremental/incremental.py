@@ -12,7 +12,7 @@ from mgsgraph.adjustment.incremental.closing import Closing, closing, shared_ima
 from mgsgraph.adjustment.incremental.engine import Engine
 from mgsgraph.adjustment.incremental.impact import Impact, impact
 from mgsgraph.adjustment.incremental.motion import image_motion
-from mgsgraph.adjustment.incremental.rebundling import with_addition, without
+from mgsgraph.adjustment.incremental.rebundling import require_one_body, with_addition, without
 from mgsgraph.adjustment.incremental.state import InMemory, KnownImage, Settled, Shared, Store
 from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.passes import Progress
@@ -261,6 +261,7 @@ class IncrementalAdjustment:
     ) -> Impact:
         """Put bundles in the place of others, keep what has come of it, and say what has happened."""
         began, engine, removing = time.perf_counter(), self._engine, verb == "remove"
+        require_one_body(self.store, new)
         before = dict(engine.shared)
         old = {members: self.store.bundle(members) for members in gone}
         with engine.all_or_nothing():

@@ -69,7 +69,9 @@ class Tree:
         try:
             result = self._isam.update(factors, values, removed)
         except RuntimeError as error:
-            raise SolverError(f"iSAM2 can't eliminate the change ({str(error).splitlines()[0][:100]})") from None
+            said = " ".join(str(error).split())[:100] or "not positive definite"
+            remedy = "look for sigmas that differ by many orders of magnitude, or adjust by batch"
+            raise SolverError(f"iSAM2 can't eliminate the change ({said}); {remedy}") from None
         for owner, slot in zip(of_slot, result.getNewFactorsIndices(), strict=True):
             if isinstance(owner, Unknown):
                 self._priors[owner] = int(slot)
