@@ -6,8 +6,9 @@ rank-revealing square root of the reduced normal matrix and one more row for the
 Golub & Pereyra 1973).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -127,6 +128,39 @@ def square_root(block: Array, right: Array, cost: float, sigmas: Array) -> tuple
     return jacobian, error
 
 
+def dense(reduction: Reduction, groups: Groups, target: Target, group: int) -> tuple[Array, Array]:
+    """Reduced normal matrix (d, d) and gradient (d,) of a group, which the target keeps by itself."""
+    assert reduction.blocks is not None
+    first, last = groups.member_first[group : group + 2]
+    d = int(groups.member_width[first:last].sum())
+    block = np.zeros((d, d))
+    for rows, columns, at in _blocks(groups, target, group):
+        own = block[rows, columns]
+        own[:] = reduction.blocks[at : at + own.size].reshape(own.shape)
+        block[columns, rows] = own.T
+    at = target.right[first] if last > first else 0
+    return block, reduction.gradient[at : at + d]
+
+
+def sparse(block: Array, groups: Groups, target: Target, group: int) -> Array:
+    """Blocks of the target with the dense matrix (d, d) of one group in its place; zero elsewhere."""
+    blocks = np.zeros(target.size)
+    for rows, columns, at in _blocks(groups, target, group):
+        own = block[rows, columns]
+        blocks[at : at + own.size] = own.ravel()
+    return blocks
+
+
+def _blocks(groups: Groups, target: Target, group: int) -> Iterator[tuple[slice, slice, int]]:
+    """Of the pairs of a group's members: rows and columns in its dense matrix, and where the target has their block."""
+    first, last = groups.member_first[group : group + 2]
+    ends = np.concatenate([[0], np.cumsum(groups.member_width[first:last])]).tolist()
+    parts, start = [slice(a, b) for a, b in pairwise(ends)], int(groups.pair_first[group])
+    for i, rows in enumerate(parts):
+        for j, columns in enumerate(parts[i:], i):
+            yield rows, columns, int(target.pair[start + i * len(parts) + j])
+
+
 class Bundles:
     """The bundle factors of a network; they share one kernel pass per orientation.
 
@@ -182,28 +216,12 @@ class Bundles:
             cost = float(self.group_cost(reduction)[group])
             if jacobians is None:
                 return np.append(np.zeros(d), np.sqrt(2.0 * cost))
-            jacobian, residual = square_root(*self.dense(reduction, group), cost, self.sigmas[own])
+            jacobian, residual = square_root(*dense(reduction, self.groups, self.target, group), cost, self.sigmas[own])
             for k in range(edges.size - 1):
                 jacobians[k] = np.asfortranarray(jacobian[:, edges[k] : edges[k + 1]])
             return residual
 
         return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(d + 1), list(self._keys[group]), error)
-
-    def dense(self, reduction: Reduction, group: int) -> tuple[Array, Array]:
-        """Reduced normal matrix (d, d) and gradient (d,) of a group."""
-        assert reduction.blocks is not None
-        first, last = self.groups.member_first[group : group + 2]
-        widths = self.groups.member_width[first:last]
-        ends = np.concatenate([[0], np.cumsum(widths)])
-        block, start = np.zeros((ends[-1], ends[-1])), self.groups.pair_first[group]
-        for i in range(widths.size):
-            for j in range(i, widths.size):
-                at = self.target.pair[start + i * widths.size + j]
-                own = reduction.blocks[at : at + widths[i] * widths[j]].reshape(widths[i], widths[j])
-                block[ends[i] : ends[i + 1], ends[j] : ends[j + 1]] = own
-                block[ends[j] : ends[j + 1], ends[i] : ends[i + 1]] = own.T
-        at = self.target.right[first] if last > first else 0
-        return block, reduction.gradient[at : at + ends[-1]]
 
     def _orientation(self, values: gtsam.Values) -> Array:
         """Orientation vector of GTSAM values; variables that aren't among them keep the last orientation."""

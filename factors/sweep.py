@@ -143,11 +143,6 @@ def even_parts(rows: Rows, parts: int) -> Index:
     return np.concatenate([[0], np.maximum.accumulate(edges), [costs.size]]).astype(np.int64)
 
 
-def threads() -> int:
-    """How many threads share the work: numba's number (NUMBA_NUM_THREADS)."""
-    return int(numba.get_num_threads())
-
-
 @cache
 def _threads(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="sweep")
@@ -184,7 +179,7 @@ def sweep_all(
 
     The threads' sums are added in their order, so that the result depends on their number alone (in the last digits).
     """
-    count = min(threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
+    count = min(numba.get_num_threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
     edges = even_parts(rows, count) if count > 1 else np.array([0, rows.piece.shape[0]])
     size, base, depth = workspace(rows)
     system = task == SYSTEM

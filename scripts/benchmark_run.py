@@ -8,11 +8,8 @@ import ctypes
 import json
 import os
 import resource
-import secrets
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +18,7 @@ from peer_problem import network, read_problem
 
 from mgsgraph.adjustment.settings import Line
 from mgsgraph.errors import InputError
+from mgsgraph.products.atomic import fresh_file
 
 MEGABYTE = 2.0**20
 """bytes; as the peer counts its own."""
@@ -126,25 +124,11 @@ def write_json(figures: Any, path: Path) -> None:
 
 def write_text(text: str, path: Path) -> None:
     """Write a text file, whole or not at all."""
-    with _beside(path) as aside:
+    with fresh_file(path, remedy=REMEDY) as aside:
         aside.write_text(text, encoding="utf-8")
 
 
 def write_figure(figure: Any, path: Path) -> None:
     """Write a figure of matplotlib as PNG, whole or not at all."""
-    with _beside(path) as aside:
+    with fresh_file(path, remedy=REMEDY) as aside:
         figure.savefig(aside, dpi=110, format="png")
-
-
-@contextmanager
-def _beside(path: Path) -> Iterator[Path]:
-    """A path to write to; what is there takes its place at `path` when all went well."""
-    aside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield aside
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror or error})", remedy=REMEDY) from None
-    finally:
-        aside.unlink(missing_ok=True)

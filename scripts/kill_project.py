@@ -7,13 +7,16 @@ import argparse
 import random
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 
+from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -21,11 +24,19 @@ from mgsgraph.simulation.pair import PairSettings, simulate_pair
 MGSGRAPH = [sys.executable, "-m", "mgsgraph.cli"]
 
 
+TABLES = ("image", "shared", "bundle", "bundle_image", "point", "ray", "range", "terrain", "profile")
+
+
+def contents(project: Path) -> tuple[object, ...]:
+    """All rows of these tables."""
+    with closing(sqlite3.connect(f"{(project / FILE).resolve().as_uri()}?mode=ro", uri=True)) as file:
+        return tuple(tuple(file.execute(f"SELECT * FROM {name}").fetchall()) for name in TABLES)
+
+
 def state(project: Path) -> tuple[object, ...]:
     """Everything in the file but the times at which it happened, and which result folders are known."""
-    tables = ("image", "shared", "bundle", "bundle_image", "point", "ray", "range", "terrain", "profile")
-    with open_project(project, thorough=True) as opened:
-        rows = tuple(tuple(opened._connection.execute(f"SELECT * FROM {name}").fetchall()) for name in tables)
+    with open_project(project, thorough=True) as opened:  # plays back the journal of a process that was killed
+        rows = contents(project)
         history = tuple((change.verb, change.what) for change in opened.changes())
         last = opened.last_solution("batch")
         if last is not None and last.folder is not None and not (project / last.folder / "solution.json").is_file():

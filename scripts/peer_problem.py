@@ -11,8 +11,6 @@ stays, and samples count against camera y. What is added to (omega, phi, kappa) 
 there (FROM_PEER). Residuals are the peer's, but for the sign of the lines.
 """
 
-import os
-import secrets
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -33,6 +31,7 @@ from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
+from mgsgraph.products.atomic import fresh_file
 from mgsgraph.ties import PointKind
 from mgsgraph.units import MM
 
@@ -202,18 +201,10 @@ def write_problem(problem: PeerProblem, path: str | Path) -> None:
         one.shape[0] for one in (problem.orientation, problem.places, problem.u, problem.ranges)
     )
     head = (_MAGIC, images, points, rays, shots, problem.ties, problem.focal_mm, problem.pixel_mm)
-    aside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with aside.open("wb") as file:
-            file.write(_HEADER.pack(*head))
-            for name, kind, _ in _sections(images, points, rays, shots):
-                file.write(np.ascontiguousarray(getattr(problem, name), kind).tobytes())
-        os.replace(aside, path)
-    except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror or error})") from None
-    finally:
-        aside.unlink(missing_ok=True)
+    with fresh_file(path) as aside, aside.open("wb") as file:
+        file.write(_HEADER.pack(*head))
+        for name, kind, _ in _sections(images, points, rays, shots):
+            file.write(np.ascontiguousarray(getattr(problem, name), kind).tobytes())
 
 
 # --- the peer's equations

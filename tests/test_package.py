@@ -23,7 +23,7 @@ STOREYS = [
     ("mgsgraph.ties",),
     ("mgsgraph.geometry",),
     ("mgsgraph.factors",),
-    ("mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook"),
+    ("mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook", "mgsgraph.wording"),
 ]
 ONLY_IN = {
     "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment"),

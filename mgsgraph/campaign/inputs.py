@@ -1,6 +1,5 @@
 """What a case is made from: its file and all files that it names, with their checksums."""
 
-import hashlib
 import os
 from collections.abc import Iterator
 from functools import cache
@@ -8,6 +7,7 @@ from pathlib import Path
 
 from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.errors import InputError
+from mgsgraph.io.checksum import sha256_of
 
 _BESIDE = (".lbl", ".img", ".imq", ".cub")
 """Endings of files that belong together: a label, and the pixels or posts that it describes."""
@@ -86,5 +86,4 @@ def _checksum(path: Path) -> str | None:
 @cache
 def _of_content(path: Path, size: int, changed: int) -> str:
     """SHA-256 of a file; kernels and terrain models that many cases share are read once."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return sha256_of(path)

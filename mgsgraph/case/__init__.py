@@ -178,15 +178,20 @@ def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterSh
 
 
 def _read_shots(entry: MolaInput, folder: Path) -> AltimeterShots:
-    """PEDR binary by its ending (.b), else a table."""
+    leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
+    return read_shots(folder / entry.pedr, entry.clock_bias_s, entry.version, leap_seconds)
+
+
+def read_shots(
+    path: Path, clock_bias: float = 0.0, version: str | None = None, leap_seconds: Path | None = None
+) -> AltimeterShots:
+    """Shots of MOLA: PEDR binary by its ending (.b), else a table; see `io.pedr` and `io.pedr_text`."""
     from mgsgraph.io.pedr import read_pedr
     from mgsgraph.io.pedr_text import read_pedr_text
 
-    path = folder / entry.pedr
     if path.suffix.lower() == ".b":
-        return read_pedr(path, entry.clock_bias_s, entry.version)
-    leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
-    return read_pedr_text(path, entry.clock_bias_s, entry.version, leap_seconds)
+        return read_pedr(path, clock_bias, version)
+    return read_pedr_text(path, clock_bias, version, leap_seconds)
 
 
 def _read_terrain(wanted: CaseInput, folder: Path) -> tuple[TerrainGrid | None, TerrainGrid | None]:

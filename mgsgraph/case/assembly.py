@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from mgsgraph.case.schema import LaserInput, MolaInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots, LaserProfile
-from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network.observations import nominal_ground, over_terrain, require_inside
 from mgsgraph.registration import footprints_in_images
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import KM
@@ -137,17 +137,10 @@ class Parts:
         empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
         ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
         shifts = self._profile_shifts() if self._shifts else None
-        surface = self._surface(points, rays, terrain.around(self._ground(rays))) if terrain else None
-        areoid = areoid.around(self._ground(rays)) if areoid else None
+        ground = nominal_ground(self._images, rays) if terrain or areoid else np.zeros((0, 3))
+        surface = self._surface(points, rays, terrain.around(ground)) if terrain else None
+        areoid = areoid.around(ground) if areoid else None
         return Network(self._images, priors, held, points, rays, ranges, shifts, surface, areoid)
-
-    def _ground(self, rays: ImageRays) -> Array:
-        """Where rays meet the ellipsoid, (k, 3) in m."""
-        ground = np.empty((rays.point.size, 3))
-        for j, image in enumerate(self._images):
-            mine = rays.image == j
-            ground[mine], _ = image.image_to_ground(*rays.places[mine].T)
-        return ground
 
     def _profile_shifts(self) -> ProfileShifts:
         names, sigmas, members = zip(*self._shifts, strict=True)
@@ -159,9 +152,7 @@ class Parts:
     def _surface(self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid) -> Surface:
         """Tie points on the terrain model, whose horizontal place is one unknown for all of them."""
         sigmas = np.full(len(points), np.inf)
-        members, first_rays = np.unique(rays.point, return_index=True)
-        longitude, latitude, _ = planetocentric(self._ground(rays)[first_rays]).T
-        radius, _, _ = terrain.radius(longitude, latitude)
+        members, radius = over_terrain(self._images, rays, terrain)
         there = np.isfinite(radius)
         body = self._images[0].body
         if np.any(np.abs(radius[there] - body.equatorial) > 0.05 * body.equatorial):
@@ -215,15 +206,5 @@ class Parts:
         where = {name: k for k, name in reversed(list(enumerate(names)))}
         index = {name: self._image(name, f"{source}, point {ids[int(point[k])]}") for name, k in where.items()}
         image = np.array([index[name] for name in names], dtype=np.int64)
-        self._require_inside(ids, image, places, point, source)
+        require_inside(self._images, image, places, [ids[i] for i in point.tolist()], source)
         return image
-
-    def _require_inside(self, ids: Sequence[str], image: Index, places: Array, point: Index, source: str) -> None:
-        """Measures lie on their image."""
-        size = np.array([(im.lines, im.samples) for im in self._images], dtype=np.float64)[image]
-        for k in np.flatnonzero(np.any((places < 0.0) | (places > size), axis=1))[:1]:
-            raise InputError(
-                f"{source}, point {ids[int(point[k])]}, image {self._images[image[k]].name}",
-                f"line {places[k, 0] + 0.5:g}, sample {places[k, 1] + 0.5:g} (counted from 1)",
-                f"a place inside {size[k, 0]:g} lines x {size[k, 1]:g} samples",
-            )

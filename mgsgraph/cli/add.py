@@ -81,11 +81,13 @@ def add(
 
 
 def _words(addition: "Addition") -> str:
+    from mgsgraph.wording import many
+
     network = addition.network
     rays, ranges = (0, 0) if network is None else (network.rays.point.size, network.ranges.point.size)
     named = ", ".join(addition.names)
-    images = f"{len(addition.names)} image{'' if len(addition.names) == 1 else 's'}{f' ({named})' if named else ''}"
-    return f"{images}, {rays} image measures, {ranges} laser ranges"
+    images = many(len(addition.names), "image")
+    return f"{images}{f' ({named})' if named else ''}, {rays} image measures, {ranges} laser ranges"
 
 
 def _warn(addition: "Addition") -> None:

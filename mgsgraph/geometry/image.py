@@ -119,6 +119,12 @@ class PushbroomImage:
         """du/dline."""
         return 2.0 / self.lines
 
+    @property
+    def pixel_angle(self) -> float:
+        """Angle across a detector pixel in the middle of the image, rad."""
+        _, slope = self.interior.focal_plane(np.array([0.5 * self.samples]))
+        return float(np.linalg.norm(slope[0])) / self.interior.focal_length
+
     def pose(self, lines: Array, correction: OrientationCorrection | None = None) -> Pose:
         """Exterior orientation at lines (n,), rates per line; corrected when a correction is given."""
         times, period = self.timing.at(lines)

@@ -81,7 +81,7 @@ class Connectivity:
         if not self.bridges[row]:
             return ()
         links = self.links[self.links != row]
-        parts = _groups(len(self.footprints), self.pairs[links])
+        parts = groups(len(self.footprints), self.pairs[links])
         return min((part for part in parts if np.isin(self.pairs[row], part).any()), key=len)
 
     def __repr__(self) -> str:
@@ -127,7 +127,7 @@ def connectivity(network: Network, footprints: Sequence[Footprint], used: Mask |
         areas=areas,
         shares=share[at],
         gaps=distances,
-        islands=tuple(_groups(m, pairs[points > 0])),
+        islands=tuple(groups(m, pairs[points > 0])),
         bridges=bridges,
         cut_images=cut_images,
         spine=_spine(m, pairs, points),
@@ -168,7 +168,7 @@ def common_points(network: Network, used: Mask | None = None) -> Index:
 def islands(network: Network, used: Mask | None = None) -> list[list[int]]:
     """Groups of images that hang together by common points, largest first; more than one means a broken block."""
     joined = np.argwhere(np.triu(common_points(network, used), 1))
-    return [list(group) for group in _groups(len(network.images), joined)]
+    return [list(group) for group in groups(len(network.images), joined)]
 
 
 def _common_by_class(network: Network, used: Mask | None) -> Index:
@@ -199,7 +199,7 @@ def _neighbours(images: int, pairs: Index) -> list[list[tuple[int, int]]]:
     return found
 
 
-def _groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
+def groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
     """Images that pairs (p, 2) join, largest group first, then by their first image."""
     beside, left, groups = _neighbours(images, pairs), set(range(images)), []
     for start in range(images):

@@ -6,10 +6,12 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
+from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.network import Network
-from mgsgraph.network.parts import KnownImage, joined
+from mgsgraph.network.parts import KnownImage, image_columns, joined
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, Ranges
 from mgsgraph.ties import PointKind, TiePoints
 
@@ -80,20 +82,50 @@ def _numbered(images: Mapping[str, KnownImage], named: Sequence[str], source: st
 def _network(
     known: list[KnownImage], points: GroundPoints, rays: ImageRays, ranges: Ranges, source: str
 ) -> Network:
-    pictures = tuple(one.image for one in known)
-    size = np.array([(image.lines, image.samples) for image in pictures], dtype=np.float64)
-    _require_inside(rays, size, points, pictures, source)
-    held = np.array([one.held for one in known], dtype=bool)
-    return Network(pictures, tuple(one.prior for one in known), held, points, rays, ranges)
+    columns = image_columns(known)
+    require_inside(columns[0], rays.image, rays.places, [points.ids[i] for i in rays.point.tolist()], source)
+    return Network(*columns, points, rays, ranges)
 
 
-def _require_inside(
-    rays: ImageRays, size: Array, points: GroundPoints, images: tuple[PushbroomImage, ...], source: str
+def require_inside(
+    images: Sequence[PushbroomImage], image: Index, places: Array, names: Sequence[str], source: str
 ) -> None:
-    limits = size[rays.image]
-    for k in np.flatnonzero(np.any((rays.places < 0.0) | (rays.places > limits), axis=1))[:1]:
+    """Raise InputError unless all measures lie on their images.
+
+    Parameters
+    ----------
+    images : sequence of PushbroomImage
+    image : (k,)
+        Number of each measure's image.
+    places : (k, 2)
+        line, sample.
+    names : sequence of str
+        Of the measures' points.
+    source : str
+        What to call the measures in errors.
+    """
+    size = np.array([(one.lines, one.samples) for one in images], dtype=np.float64)[image]
+    for k in np.flatnonzero(np.any((places < 0.0) | (places > size), axis=1))[:1]:
         raise InputError(
-            f"{source}, point {points.ids[rays.point[k]]}, image {images[rays.image[k]].name}",
-            f"line {rays.places[k, 0] + 0.5:g}, sample {rays.places[k, 1] + 0.5:g} (counted from 1)",
-            f"a place inside {limits[k, 0]:g} lines x {limits[k, 1]:g} samples",
+            f"{source}, point {names[k]}, image {images[image[k]].name}",
+            f"line {places[k, 0] + 0.5:g}, sample {places[k, 1] + 0.5:g} (counted from 1)",
+            f"a place inside {size[k, 0]:g} lines x {size[k, 1]:g} samples",
         )
+
+
+def over_terrain(images: Sequence[PushbroomImage], rays: ImageRays, grid: TerrainGrid) -> tuple[Index, Array]:
+    """Points with rays (p,), and the radius (p,) in m of the terrain model where the first ray of each meets the
+    ellipsoid; NaN beside the model.
+    """
+    points, first = np.unique(rays.point, return_index=True)
+    longitude, latitude, _ = planetocentric(nominal_ground(images, rays.chosen(first))).T
+    return points, grid.radius(longitude, latitude)[0]
+
+
+def nominal_ground(images: Sequence[PushbroomImage], rays: ImageRays) -> Array:
+    """(k, 3) m, where rays meet the ellipsoid with the nominal orientation; NaN for those that miss it."""
+    ground = np.empty((rays.point.size, 3))
+    for j, image in enumerate(images):
+        mine = rays.image == j
+        ground[mine], _ = image.image_to_ground(*rays.places[mine].T)
+    return ground

@@ -48,6 +48,12 @@ def known_images(network: Network) -> list[KnownImage]:
     ]
 
 
+def image_columns(known: Sequence[KnownImage]) -> tuple[tuple[PushbroomImage, ...], tuple[OrientationPrior, ...], Mask]:
+    """Images, priors and marks of held ones, as a network has them; the way back from `known_images`."""
+    held = np.array([one.held for one in known], dtype=bool)
+    return tuple(one.image for one in known), tuple(one.prior for one in known), held
+
+
 Members = tuple[Unknown, ...]
 """The shared unknowns that points feel, in order: what tells one bundle from another. A held image has none."""
 
@@ -161,8 +167,7 @@ def joined(networks: Sequence[Network]) -> Network:
     """
     if len(networks) == 1:
         return networks[0]
-    images = {image.name: (image, prior, bool(held)) for net in networks
-              for image, prior, held in zip(net.images, net.priors, net.held, strict=True)}  # fmt: skip
+    images = {one.image.name: one for net in networks for one in known_images(net)}
     number = {name: j for j, name in enumerate(images)}
     image_of = [np.array([number[image.name] for image in net.images], dtype=np.int64) for net in networks]
     place_of, points = _joined_points(networks)
@@ -174,10 +179,9 @@ def joined(networks: Sequence[Network]) -> Network:
         )
     )
     _require_single_ranges(ranges, points.ids, tuple(images))
-    pictures, priors, held = zip(*images.values(), strict=True)
     areoid = next((net.areoid for net in networks if net.areoid is not None), None)
     return Network(
-        pictures, priors, np.array(held), points, rays, ranges,
+        *image_columns(list(images.values())), points, rays, ranges,
         _joined_shifts(networks, place_of, len(points)), _joined_surface(networks, place_of, len(points)), areoid,
     )  # fmt: skip
 
@@ -287,12 +291,12 @@ def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
     """A network with all of these images, in their order; those that no measure names are in it, too."""
     place = {one.image.name: j for j, one in enumerate(images)}
     number = np.array([place[image.name] for image in network.images], dtype=np.int64)
-    rays, ranges = network.rays, network.ranges
+    rays, ranges, (pictures, priors, held) = network.rays, network.ranges, image_columns(images)
     return replace(
         network,
-        images=tuple(one.image for one in images),
-        priors=tuple(one.prior for one in images),
-        held=np.array([one.held for one in images], dtype=bool),
+        images=pictures,
+        priors=priors,
+        held=held,
         rays=replace(rays, image=number[rays.image]),
         ranges=replace(ranges, image=number[ranges.image]),
     )

@@ -58,7 +58,7 @@ def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
     """
     shown, target = str(path), Path(path).resolve()
     require_replaceable(path, record)
-    aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.unfinished")
+    aside = beside(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         aside.mkdir()
@@ -69,6 +69,29 @@ def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
         raise _refusal(shown, error) from None
     finally:
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def beside(path: Path) -> Path:
+    """A name in the same folder under which something is made before it takes its place."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
+
+
+@contextmanager
+def fresh_file(path: Path, expected: str = "", remedy: str = "") -> Iterator[Path]:
+    """A path to write a file to; what is there takes its place at `path` when all went well.
+
+    `expected` and `remedy` are words of the InputError that is raised where it can't be written.
+    """
+    aside = beside(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield aside
+        aside.replace(path)
+    except OSError as error:
+        found = f"can't be written ({error.strerror or error})"
+        raise InputError(str(path), found, expected, remedy) from None
+    finally:
+        aside.unlink(missing_ok=True)
 
 
 def require_replaceable(path: str | Path, record: str = RECORD) -> None:

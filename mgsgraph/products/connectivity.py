@@ -7,8 +7,8 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Index
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
-from mgsgraph.products.wording import NAMED, listed, many, some
 from mgsgraph.units import KM
+from mgsgraph.wording import NAMED, listed, many, some
 
 WEAKEST = 5
 """Joints named as the weakest."""

@@ -31,12 +31,12 @@ from mgsgraph.products.registration import root_mean_square
 from mgsgraph.products.registration_tables import discrepancy_json, write_registration_into
 from mgsgraph.products.results import write_into
 from mgsgraph.products.truth import against_truth, nees, rms_length
-from mgsgraph.products.wording import listed, many
 from mgsgraph.products.writing import plain
 from mgsgraph.registration import Misregistration
 from mgsgraph.simulation.site import SimulatedImage, SimulationOptions
 from mgsgraph.simulation.terrain import grid_shift
 from mgsgraph.units import ARCMIN, ARCSEC
+from mgsgraph.wording import listed, many
 
 SUMMARY = "summary.json"
 """File of the demo's figures."""

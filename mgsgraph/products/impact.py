@@ -1,12 +1,12 @@
 """The impact of a change as a table: every point that moved, or that is new."""
 
-import secrets
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.errors import InputError
+from mgsgraph.products.atomic import beside, fresh_file
 from mgsgraph.products.writing import columns, quoted, truths, write_csv
 
 _AXES = ("x", "y", "z")
@@ -14,6 +14,7 @@ _AXES = ("x", "y", "z")
 
 _FIRST = "point,new,move_x_m,"
 """How every such table begins."""
+_WRITABLE = "a file that may be written"
 
 
 def require_writable(path: Path, project: Path) -> None:
@@ -34,12 +35,12 @@ def require_writable(path: Path, project: Path) -> None:
         with path.open("rb") as file:
             if not file.read(len(_FIRST)) == _FIRST.encode():
                 raise InputError(str(path), "a file that is no earlier impact", wanted, "choose another name")
-    trial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
+    trial = beside(path)
     try:
         trial.touch(exist_ok=False)
         trial.unlink()
     except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror})", "a file that may be written") from None
+        raise InputError(str(path), f"can't be written ({error.strerror})", _WRITABLE) from None
 
 
 def write_impact(impact: Impact, path: Path) -> None:
@@ -47,7 +48,7 @@ def write_impact(impact: Impact, path: Path) -> None:
 
     Raises InputError if the file can't be written.
     """
-    points, aside = impact.points, path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
+    points = impact.points
     numbers = {
         **columns([f"move_{axis}_m" for axis in _AXES], points.moves),
         "move_sigmas": points.in_sigmas,
@@ -55,10 +56,5 @@ def write_impact(impact: Impact, path: Path) -> None:
         **columns([f"sigma_{axis}_m" for axis in _AXES], points.sigmas_after),
     }
     names = {"point": [quoted(name) for name in points.ids], "new": truths(np.asarray(points.new))}
-    try:
+    with fresh_file(path, _WRITABLE) as aside:
         write_csv(aside, names, numbers)
-        aside.replace(path)
-    except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror})", "a file that may be written") from None
-    finally:
-        aside.unlink(missing_ok=True)

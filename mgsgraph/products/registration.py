@@ -16,9 +16,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.products.wording import listed, many
 from mgsgraph.registration import Corrections, Misregistration, Registration, discrepancy, footprints_in_images
 from mgsgraph.ties import TiePoints
+from mgsgraph.wording import listed, many
 
 _FEWEST_TIES = 3
 """Common tie points without which two images can't be compared."""

@@ -21,9 +21,9 @@ from mgsgraph.products.merit import (
     ray_statistics,
     used_ray_counts,
 )
-from mgsgraph.products.wording import NAMED, cells, listed, many, short, some, span, three
 from mgsgraph.ties import PointKind
 from mgsgraph.units import ARCSEC, MRAD
+from mgsgraph.wording import NAMED, cells, listed, many, short, some, span, three
 
 _ODDS = 0.0027
 """Chance (three sigma) of taking mere noise for something worth a sentence, in a whole solution."""

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.case import read_case
+from mgsgraph.adjustment.incremental.state import ImagesByName
+from mgsgraph.case import read_case, read_shots
 from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import AltimeterShots, LaserProfile
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Mask
@@ -18,8 +18,8 @@ from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
-from mgsgraph.network.observations import observed
-from mgsgraph.network.parts import KnownImage, joined, part, with_images
+from mgsgraph.network.observations import observed, over_terrain
+from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.registration import footprints_in_images
@@ -115,12 +115,11 @@ def read_addition(
     _require_new(_names(new), there, where)
     known = [*there, *_names(new)]
     _require_known(tie_points, known)
-    mapping = _Images(store, new)
+    mapping = ImagesByName(store, [one.known for one in new])
     profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
-    measures = observed(
-        mapping.of(tie_points, profiles), [*tie_points, *profiles],
-        settings.measures.tie_sigma_px, settings.measures.shot_image_sigma_px,
-    )  # fmt: skip
+    sigmas = settings.measures
+    every: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
+    measures = observed(mapping, every, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
     if measures is not None and (measures := _unknown_alone(measures, store)) is not None:
         networks.append(_on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
@@ -128,10 +127,10 @@ def read_addition(
         return Addition(tuple(new), None, files, tuple(_names(new)))
     network = joined(networks)
     named = [image.name for image in network.images]
-    every = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
+    pictures = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
     linked = _linked(network, store)
     unconnected = tuple(name for name in _names(new) if name not in linked)
-    return Addition(tuple(new), with_images(network, every), files, unconnected)
+    return Addition(tuple(new), with_images(network, pictures), files, unconnected)
 
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:
@@ -142,24 +141,6 @@ def _linked(network: Network, store: ProjectStore) -> set[str]:
     point, image = np.divmod(np.unique(network.rays.point * count + network.rays.image), count)
     shared = there[point] | (np.bincount(point, minlength=len(network.points))[point] > 1)
     return {network.images[j].name for j in np.unique(image[shared]).tolist()}
-
-
-class _Images:
-    """Images by name: new ones, and those of the project, read when they are asked for."""
-
-    def __init__(self, store: ProjectStore, new: Sequence[NewImage]) -> None:
-        self._store, self._new = store, {one.known.image.name: one.known for one in new}
-
-    def __getitem__(self, name: str) -> KnownImage:
-        return self._new[name] if name in self._new else self._store.image(name)
-
-    def of(self, ties: Sequence[TiePoints], profiles: Sequence[LaserProfile]) -> dict[str, KnownImage]:
-        """Those that measures name, as far as they are there."""
-        there = {*self._new, *self._store.image_names()}
-        named = {name for one in ties for name in one.measure_image}
-        for profile in profiles:
-            named |= {*profile.measure_image, *(name for names in profile.simultaneous for name in names)}
-        return {name: self[name] for name in sorted(named & there)}
 
 
 def _names(new: Sequence[NewImage]) -> list[str]:
@@ -173,8 +154,7 @@ def images_of_case(path: Path) -> tuple[list[NewImage], Network, str]:
     """Images and network of a case file, and what it is called."""
     case, wanted = read_case(path), decode(path)
     new = []
-    for j, (entry, image) in enumerate(zip(wanted.images, case.network.images, strict=True)):
-        known = KnownImage(image, case.network.priors[j], bool(case.network.held[j]))
+    for j, (entry, known) in enumerate(zip(wanted.images, known_images(case.network), strict=True)):
         file = entry.isd or entry.label
         files = (path, path.parent / file) if file else (path,)
         new.append(NewImage(known, files, case.pictures[j] if case.pictures else None))
@@ -255,7 +235,7 @@ def _profile(
     """Shots of an ISIS lidar file; or, of a MOLA profile, those in the image taken along with it."""
     if path.suffix.lower() == ".json":
         return read_lidar(path)
-    shots, sigmas = _read_mola(path), settings.measures
+    shots, sigmas = read_shots(path), settings.measures
     pictures = images or [store.image(name).image for name in store.image_names()]
     seen = footprints_in_images(tuple(pictures), shots)
     usable = shots.ground & np.isfinite(shots.ranges)
@@ -270,13 +250,6 @@ def _profile(
     return taken.profile(
         sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[int(owners[0])].name, path.stem
     )
-
-
-def _read_mola(path: Path) -> AltimeterShots:
-    from mgsgraph.io.pedr import read_pedr
-    from mgsgraph.io.pedr_text import read_pedr_text
-
-    return read_pedr(path) if path.suffix.lower() == ".b" else read_pedr_text(path)
 
 
 # --- points that are there already
@@ -356,13 +329,8 @@ def _on_terrain(network: Network, store: ProjectStore) -> Network:
     if terrain is None or network.surface is not None:
         return network
     grid, shift_sigma = terrain
-    members, first = np.unique(network.rays.point, return_index=True)
-    ground = np.full((members.size, 3), np.nan)
-    for j, image in enumerate(network.images):
-        mine = network.rays.image[first] == j
-        ground[mine], _ = image.image_to_ground(*network.rays.places[first[mine]].T)
-    longitude, latitude, _ = planetocentric(ground).T
-    usable = np.isfinite(grid.radius(longitude, latitude)[0]) & (network.points.classes[members] == PointClass.TIE)
+    members, radius = over_terrain(network.images, network.rays, grid)
+    usable = np.isfinite(radius) & (network.points.classes[members] == PointClass.TIE)
     sigmas = np.full(len(network.points), np.inf)
     sigmas[members[usable]] = grid.vertical_sigma or np.inf
     return replace(network, surface=Surface(grid, sigmas, shift_sigma)) if np.any(usable) else network

@@ -1,10 +1,8 @@
 """A kept project: a folder with an SQLite file (the state, one transaction per change) and its solutions' products."""
 
-import hashlib
 import importlib.metadata
 import json
 import re
-import secrets
 import shutil
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,6 +14,8 @@ from typing import Any
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
+from mgsgraph.io.checksum import sha256_of
+from mgsgraph.products.atomic import beside
 from mgsgraph.products.results import write_results
 from mgsgraph.project.connection import WRITER, connected, made, refusal
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
@@ -99,7 +99,7 @@ class Project:
             If the folder exists and isn't empty, or can't be written.
         """
         shown, target = str(folder), Path(folder).resolve()
-        aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.unfinished")
+        aside = beside(target)
         with _writing(shown):
             _require_free(target, shown)
             aside.mkdir(parents=True)
@@ -150,7 +150,7 @@ class Project:
     def add_sources(self, image: str, files: Iterable[Path], picture: Path | None = None) -> None:
         """Remember the files that an image was read from, by path and digest, and that of its pixels."""
         (number,) = self._connection.execute("SELECT id FROM image WHERE name = ?", (image,)).fetchone()
-        rows = [(number, str(file.resolve()), _digest(file)) for file in files]
+        rows = [(number, str(file.resolve()), sha256_of(file)) for file in files]
         self._connection.executemany("INSERT OR REPLACE INTO source VALUES (?, ?, ?)", rows)
         if picture is not None:
             self._connection.execute("UPDATE image SET picture = ? WHERE id = ?", (str(picture.resolve()), number))
@@ -287,11 +287,6 @@ def _require_free(target: Path, shown: str) -> None:
         raise InputError(shown, "exists and is a file", "a folder for the project", "choose another one")
     if target.is_dir() and any(entry.name != WRITER for entry in target.iterdir()):
         raise InputError(shown, "exists and is not empty", "an absent or empty folder", "choose another one")
-
-
-def _digest(file: Path) -> str:
-    with file.open("rb") as opened:
-        return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
 def _now() -> str:

@@ -1,9 +1,14 @@
 """What a project holds, as text for the terminal; read from the file's counts, without its points."""
 
 from collections import Counter, defaultdict
+from itertools import pairwise
+
+import numpy as np
 
 from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import groups
 from mgsgraph.project.project import Change, Project, SolutionRow
+from mgsgraph.wording import many, some
 
 _NAMED = 6
 _HISTORY = 10
@@ -12,7 +17,7 @@ _HISTORY = 10
 def status(project: Project) -> str:
     """Images, points, measures, how they hang together, the last solution and the last changes; several lines."""
     names = project.store.image_names()
-    lines = [f"{project.name}: a project of {_count(len(names), 'image')}, made {project.created}"]
+    lines = [f"{project.name}: a project of {many(len(names), 'image')}, made {project.created}"]
     lines += ["", *_contents(project)]
     lines += ["", *_connections(project, names)]
     lines += ["", *_solutions(project, bool(names))]
@@ -38,24 +43,12 @@ def _contents(project: Project) -> list[str]:
 
 def islands(names: list[str], bundles: list[tuple[str, int, int]]) -> list[list[str]]:
     """Images that hang together by common points, largest island first; `bundles` as `Project.bundle_images`."""
-    leader = {name: name for name in names}
-
-    def find(name: str) -> str:
-        while leader[name] != name:
-            leader[name] = leader[leader[name]]
-            name = leader[name]
-        return name
-
-    of_bundle = defaultdict[int, list[str]](list)
+    number, of_bundle = {name: j for j, name in enumerate(names)}, defaultdict[int, list[int]](list)
     for name, bundle, _ in bundles:
-        of_bundle[bundle].append(name)
-    for first, *others in of_bundle.values():
-        for other in others:
-            leader[find(other)] = find(first)
-    found = defaultdict[str, list[str]](list)
-    for name in names:
-        found[find(name)].append(name)
-    return sorted(found.values(), key=lambda island: -len(island))
+        of_bundle[bundle].append(number[name])
+    pairs = [pair for images in of_bundle.values() for pair in pairwise(images)]
+    found = groups(len(names), np.array(pairs, dtype=np.int64).reshape(-1, 2))
+    return [[names[j] for j in island] for island in found]
 
 
 def _connections(project: Project, names: list[str]) -> list[str]:
@@ -67,11 +60,11 @@ def _connections(project: Project, names: list[str]) -> list[str]:
     lines = ["Connections"]
     if several:
         sizes = ", ".join(str(len(island)) for island in several)
-        word = "all hang together" if len(several) == 1 and not alone else f"{_count(len(several), 'island')}"
+        word = "all hang together" if len(several) == 1 and not alone else f"{many(len(several), 'island')}"
         lines.append(f"  images by common points: {word} ({sizes} images)")
     for island in several[1:]:
-        lines.append(f"    apart from the largest: {_some(island)}")
-    lines.append(f"  unconnected images: {_some(alone) if alone else 'none'}")
+        lines.append(f"    apart from the largest: {some(island, len(island), _NAMED)}")
+    lines.append(f"  unconnected images: {some(alone, len(alone), _NAMED) if alone else 'none'}")
     return lines
 
 
@@ -91,7 +84,7 @@ def _solutions(project: Project, images: bool) -> list[str]:
     ]  # fmt: skip
     if unchecked:
         lines.append(
-            f"  {_count(len(unchecked), 'change')} since the last closing check against batch; "
+            f"  {many(len(unchecked), 'change')} since the last closing check against batch; "
             f"next: mgsgraph solve {project.folder}"
         )
     else:
@@ -101,7 +94,7 @@ def _solutions(project: Project, images: bool) -> list[str]:
 
 def _solution(row: SolutionRow) -> list[str]:
     state = "converged" if row.converged else "NOT converged"
-    size = f"{_count(row.images, 'image')}, {_count(row.points, 'point')}"
+    size = f"{many(row.images, 'image')}, {many(row.points, 'point')}"
     lines = [f"  {row.kind} {row.number}, {row.at}: {state}, {size}"]
     if row.cost is not None:
         sigma0 = "not defined" if row.sigma0 is None else f"{row.sigma0:.4g}"
@@ -124,11 +117,3 @@ def _change(change: Change) -> str:
         facts.append(f"largest difference to batch {found['largest_difference_sigmas']:.2g} sigmas")
     told = f" ({', '.join(facts)})" if facts else ""
     return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{told}"
-
-
-def _count(number: int, word: str) -> str:
-    return f"{number} {word}{'' if number == 1 else 's'}"
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")

@@ -15,7 +15,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network, ProfileShifts, Surface
-from mgsgraph.network.parts import KnownImage, Members, Unknown
+from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
 from mgsgraph.products.taken_apart import pack, unpack
 from mgsgraph.project.rows import (
     PointRows,
@@ -29,10 +29,12 @@ from mgsgraph.project.rows import (
     renew_points,
 )
 
+_REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
+"""Columns of a reduced system; NULL in a bundle that has none."""
 _BUNDLE = (
-    "id, first_point, points, first_ray, rays, first_range, ranges, terrain, terrain_shift_sigma, areoid, "
-    "unknowns, at, normal, gradient, cost, slack"
-)
+    "id", "first_point", "points", "first_ray", "rays", "first_range", "ranges",
+    "terrain", "terrain_shift_sigma", "areoid", *_REDUCED,
+)  # fmt: skip
 _AT_HAND = 100
 """Bundles that are kept after they were read: a change looks at the same ones several times."""
 _SHARED = ("prior", "motion", "ground", "value", "covariance")
@@ -115,8 +117,7 @@ class ProjectStore:
     def reduced(self) -> dict[Members, ReducedSystem]:
         """The reduced systems of all bundles that have one, without any of their points."""
         rows = self._ask(
-            "SELECT members, unknowns, at, normal, gradient, cost, slack FROM bundle "
-            "WHERE unknowns IS NOT NULL ORDER BY id"
+            f"SELECT members, {', '.join(_REDUCED)} FROM bundle WHERE unknowns IS NOT NULL ORDER BY id"
         )
         found = dict[Members, ReducedSystem]()
         for text, own, *rest in rows:
@@ -156,15 +157,13 @@ class ProjectStore:
         return self._bundles[members]
 
     def _read(self, members: Members) -> Bundle:
-        row = self._one(f"SELECT {_BUNDLE} FROM bundle WHERE members = ?", _text(members))
+        row = self._one(f"SELECT {', '.join(_BUNDLE)} FROM bundle WHERE members = ?", _text(members))
         number, first, points, first_ray, rays, first_range, ranges, terrain, shift_sigma, areoid, *reduced = row
         names, numbers = self._images_of(number)
         read = points_of(self._connection, Run(first, points))
         known = [self.image(name) for name in names]
         network = Network(
-            tuple(one.image for one in known),
-            tuple(one.prior for one in known),
-            np.array([one.held for one in known], dtype=bool),
+            *image_columns(known),
             read.points,
             rays_of(self._connection, Run(first_ray, rays), read.numbers, numbers),
             ranges_of(self._connection, Run(first_range, ranges), read.numbers, numbers),
@@ -190,10 +189,9 @@ class ProjectStore:
             text = _text(members)
             run = Run(*self._one("SELECT first_point, points FROM bundle WHERE members = ?", text))
             renew_points(self._connection, run, bundle.places, bundle.covariances)
-            row = (None,) * 6 if bundle.reduced is None else _reduced_row(bundle.reduced)
-            names = ("unknowns", "at", "normal", "gradient", "cost", "slack")
-            change = ", ".join(f"{name} = ?" for name in names)
-            self._connection.execute(f"UPDATE bundle SET {change} WHERE members = ?", (*row, text))
+            change = ", ".join(f"{name} = ?" for name in _REDUCED)
+            row = (*_reduced_row(bundle.reduced), text)
+            self._connection.execute(f"UPDATE bundle SET {change} WHERE members = ?", row)
 
     def _drop(self, members: Members) -> None:
         number, *runs = self._one(
@@ -206,7 +204,7 @@ class ProjectStore:
         self._connection.execute("DELETE FROM bundle WHERE id = ?", (number,))
 
     def _put(self, members: Members, bundle: Bundle) -> None:
-        network, reduced, connection = bundle.network, bundle.reduced, self._connection
+        network, connection = bundle.network, self._connection
         surface = network.surface
         (number,) = self._one("SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'bundle'")
         images = self._numbers_of(tuple(image.name for image in network.images))
@@ -214,13 +212,13 @@ class ProjectStore:
         rays = put_rays(connection, network, points.first, images)
         ranges = put_ranges(connection, network, points.first, images)
         connection.execute(
-            f"INSERT INTO bundle (members, {_BUNDLE}) VALUES ({', '.join('?' * 17)})",
+            f"INSERT INTO bundle (members, {', '.join(_BUNDLE)}) VALUES ({', '.join('?' * (1 + len(_BUNDLE)))})",
             (
                 _text(members), number, *points, *rays, *ranges,
                 None if surface is None else self._number(surface.grid),
                 None if surface is None else surface.shift_sigma,
                 None if network.areoid is None else self._number(network.areoid),
-                *((None,) * 6 if reduced is None else _reduced_row(reduced)),
+                *_reduced_row(bundle.reduced),
             ),
         )  # fmt: skip
         connection.executemany(
@@ -236,9 +234,7 @@ class ProjectStore:
         images, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
         read = points_of(self._connection, None, adjusted=False)
         return Network(
-            tuple(one.image for one in known),
-            tuple(one.prior for one in known),
-            np.array([one.held for one in known], dtype=bool),
+            *image_columns(known),
             read.points,
             rays_of(self._connection, None, read.numbers, images),
             ranges_of(self._connection, None, read.numbers, images),
@@ -377,6 +373,8 @@ def _reduced(unknowns: Members, at: bytes, normal: bytes, gradient: bytes, cost:
     )
 
 
-def _reduced_row(reduced: ReducedSystem) -> tuple[object, ...]:
+def _reduced_row(reduced: ReducedSystem | None) -> tuple[object, ...]:
+    if reduced is None:
+        return (None,) * len(_REDUCED)
     arrays = (array.tobytes() for array in (reduced.at, reduced.normal, reduced.gradient))
     return _text(reduced.unknowns), *arrays, float(reduced.cost), float(reduced.slack)

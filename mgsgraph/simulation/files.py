@@ -1,7 +1,7 @@
 """A simulated pair as files, each in the format in which real data come: support data, network, shots, and the case."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import SimulatedPair
+from mgsgraph.simulation.strip import SimulatedStrip
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG, KM, MM, MRAD
 
@@ -43,7 +44,7 @@ def write_pair(pair: SimulatedPair, folder: Path) -> Path:
         **{image_file(image): json_text(support_data(image)) for image in pair.images},
         "network.pvl": network_text(pair.ties),
         "lidar.json": lidar_text((pair.laser,)),
-        "truth.json": json_text(_truth(pair)),
+        "truth.json": truth_text(pair, (pair.laser,), (pair.true_footprints,)),
         "case.toml": case_text("simulated pair", pair.images, pair.settings.noise),
     })
     return folder / "case.toml"
@@ -213,17 +214,23 @@ def _apriori(place: Array, covariance: Array) -> list[float]:
     return [float(value) for value in matrix[np.triu_indices(3)]]
 
 
-def _truth(pair: SimulatedPair) -> dict[str, Any]:
-    """What an adjustment should find: m and rad, body-fixed."""
-    return {
-        "seed": pair.seed,
+def truth_text(
+    made: SimulatedPair | SimulatedStrip, lasers: Sequence[LaserProfile], footprints: Sequence[Array]
+) -> str:
+    """What an adjustment should find: m and rad, body-fixed; `footprints` are the true ones (m, 3) of each profile."""
+    return json_text({
+        "seed": made.seed,
         "coefficients": {
             image.name: true.coefficients.tolist()
-            for image, true in zip(pair.images, pair.true_corrections, strict=True)
+            for image, true in zip(made.images, made.true_corrections, strict=True)
         },
-        "ties": dict(zip(pair.ties.ids, pair.true_ties.tolist(), strict=True)),
-        "footprints": dict(zip(pair.laser.ids, pair.true_footprints.tolist(), strict=True)),
-    }
+        "ties": dict(zip(made.ties.ids, made.true_ties.tolist(), strict=True)),
+        "footprints": {
+            name: place
+            for laser, places in zip(lasers, footprints, strict=True)
+            for name, place in zip(laser.ids, places.tolist(), strict=True)
+        },
+    })
 
 
 def case_text(name: str, images: tuple[PushbroomImage, ...], noise: NoiseSettings) -> str:

@@ -4,7 +4,6 @@ A network of a hundred thousand points takes seconds to write and to read, one o
 """
 
 from pathlib import Path
-from typing import Any
 
 from mgsgraph.simulation.files import (
     case_text,
@@ -13,6 +12,7 @@ from mgsgraph.simulation.files import (
     lidar_text,
     network_text,
     support_data,
+    truth_text,
     write_texts,
 )
 from mgsgraph.simulation.strip import SimulatedStrip
@@ -43,7 +43,7 @@ def write_strip(strip: SimulatedStrip, folder: Path, steps: bool = False) -> Pat
     texts = {image_file(image): json_text(support_data(image)) for image in strip.images}
     texts["network.pvl"] = network_text(strip.ties, *_NETWORK)
     texts["lidar.json"] = lidar_text(strip.lasers)
-    texts["truth.json"] = json_text(_truth(strip))
+    texts["truth.json"] = truth_text(strip, strip.lasers, strip.true_footprints)
     texts["case.toml"] = case_text("simulated strip", strip.images, strip.settings.noise)
     for k in range(len(strip.images)) if steps else ():
         texts |= _step(strip, k)
@@ -55,21 +55,3 @@ def _step(strip: SimulatedStrip, k: int) -> dict[str, str]:
     _, ties, laser = strip.addition(k)
     texts = {f"step_{k:03d}/ties.pvl": network_text(ties, *_NETWORK)} if ties.ids else {}
     return texts | ({f"step_{k:03d}/lidar.json": lidar_text((laser,))} if laser else {})
-
-
-def _truth(strip: SimulatedStrip) -> dict[str, Any]:
-    """What an adjustment should find: m and rad, body-fixed."""
-    footprints = {
-        name: place
-        for laser, places in zip(strip.lasers, strip.true_footprints, strict=True)
-        for name, place in zip(laser.ids, places.tolist(), strict=True)
-    }
-    return {
-        "seed": strip.seed,
-        "coefficients": {
-            image.name: true.coefficients.tolist()
-            for image, true in zip(strip.images, strip.true_corrections, strict=True)
-        },
-        "ties": dict(zip(strip.ties.ids, strip.true_ties.tolist(), strict=True)),
-        "footprints": footprints,
-    }

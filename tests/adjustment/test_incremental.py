@@ -239,8 +239,23 @@ def test_the_terrain_s_shift_stays_while_points_without_a_place_lie_on_it() -> N
     impact = adjustment.remove("FAN/0")
     assert impact.undetermined
     assert distances(adjustment, by_batch(adjustment)).within()
+    adjustment.add(by_image(net)[4])
+    adjustment.remove("FAN/4")  # which has nothing to do with the other one's points
+    assert Unknown("shift", "terrain model") in adjustment.values
     adjustment.add(by_image(net)[0])
     assert distances(adjustment, by_batch(adjustment)).within()
+
+
+def test_a_shift_goes_with_the_last_points_that_feel_it() -> None:
+    net = rich()
+    adjustment = IncrementalAdjustment()
+    for one in by_image(net):
+        adjustment.add(one)
+    for left in (4, 3, 2, 1):
+        adjustment.remove(f"FAN/{left}")
+        shifts = {unknown.name for unknown in adjustment.values if unknown.kind == "shift"}
+        assert shifts == set(adjustment.network.shift_names)
+    assert len(shifts) < len(net.shift_names)
 
 
 # --- what is there already

@@ -58,6 +58,7 @@ def test_options_are_refused_where_they_mean_nothing(args: tuple[object, ...], s
 
 def test_campaigns_are_simulated_but_not_demonstrated(tmp_path: Path) -> None:
     refused(run("demo", "strip", "--out", tmp_path / "x"), "'strip'; expected eos, gusev, isidis or pair")
+    assert not list(tmp_path.iterdir())
 
 
 def test_three_sites_are_written_with_a_folder_for_each(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from odd_networks import NETWORKS, case, made, one_seen_twice_by_one_image, rand
 
 from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns
 from mgsgraph.adjustment.settings import Line, SolverSettings
+from mgsgraph.factors.bundle import dense
 from mgsgraph.factors.lanes import LANES
 from mgsgraph.factors.rows import BEHIND, FIXED, FREE, GOOD, GROUND, IMAGE, OUT, RANGE, SURFACE, WEAK
 from mgsgraph.ties import PointKind
@@ -188,7 +189,7 @@ def test_the_bundles_own_blocks_are_the_shared_ones() -> None:
     matrix, gradient = np.zeros((layout.columns, layout.columns)), np.zeros(layout.columns)
     for group, members in enumerate(layout.group_variables):
         at = np.concatenate([np.arange(layout.columns)[layout.columns_of(v)] for v in members])
-        block, right = bundles.dense(parts, group)
+        block, right = dense(parts, bundles.groups, bundles.target, group)
         matrix[np.ix_(at, at)] += block
         gradient[at] += right
     assert whole.blocks is not None

@@ -180,7 +180,7 @@ def test_a_read_only_disk_after_a_kill(nobody: Path) -> None:
             path.chmod(0o444 if path.is_file() else 0o555)
         if os.getuid() == 0:
             os.seteuid(65534)
-        refused(copy, "killed while it changed this")
+        assert "disk is read-only" in refused(copy, "killed while it changed this")
     finally:
         os.seteuid(os.getuid())
         copy.chmod(0o755)
@@ -203,7 +203,7 @@ def test_what_is_no_project(folder: Path, tmp_path: Path) -> None:
     refused(folder / "project.sqlite", "is a file")
     (tmp_path / "text").mkdir()
     (tmp_path / "text" / "project.sqlite").write_text("What is this?")
-    refused(tmp_path / "text", "is damaged")
+    assert "project.sqlite is damaged" in refused(tmp_path / "text", "is damaged")
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "project.sqlite").touch()
     refused(tmp_path / "empty", "is empty", write=True)
@@ -212,7 +212,9 @@ def test_what_is_no_project(folder: Path, tmp_path: Path) -> None:
     other.execute("CREATE TABLE meta (key, value)")
     other.commit()
     other.close()
+    before = (tmp_path / "foreign" / "project.sqlite").read_bytes()
     refused(tmp_path / "foreign", "another program", write=True)
+    assert (tmp_path / "foreign" / "project.sqlite").read_bytes() == before
 
 
 def test_damage_is_named(folder: Path) -> None:

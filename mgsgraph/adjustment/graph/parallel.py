@@ -25,17 +25,10 @@ def parallel(network: Network, angles: Array) -> Mask:
     if network.surface is not None:
         free &= ~np.isfinite(network.surface.sigmas)
     unsure = np.array([_pointing(network, j) for j in range(len(network.images))])[rays.image]
-    pixel = np.array([_pixel(network, j) for j in range(len(network.images))])[rays.image]
+    pixel = np.array([image.pixel_angle for image in network.images])[rays.image]
     sigma = np.zeros(free.size)
     np.maximum.at(sigma, rays.point, np.hypot(unsure, pixel * rays.sigmas.max(axis=1)))
     return np.asarray(free & (angles < np.minimum(_TIMES * np.sqrt(2.0) * sigma, _MOST)))
-
-
-def _pixel(network: Network, image: int) -> float:
-    """Angle across a detector pixel, rad."""
-    interior = network.images[image].interior
-    _, slope = interior.focal_plane(np.array([0.5 * network.images[image].samples]))
-    return float(np.linalg.norm(slope[0])) / interior.focal_length
 
 
 def _pointing(network: Network, image: int) -> float:

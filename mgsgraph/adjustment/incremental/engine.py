@@ -5,7 +5,6 @@ than their slack, until none has. What has to be looked at afterwards is found b
 bundle to bundle, for as long as points can move by a noticeable part of a sigma.
 """
 
-import itertools
 from collections import OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from mgsgraph.adjustment.incremental.motion import image_motion
-from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, Store
+from mgsgraph.adjustment.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, Store, stretches
 from mgsgraph.adjustment.incremental.sweep import Sweep, probes
 from mgsgraph.adjustment.incremental.tree import Tree
 from mgsgraph.adjustment.settings import SolverSettings
@@ -78,18 +77,20 @@ class Engine:
 
     def __init__(self, settings: SolverSettings, store: Store) -> None:
         self._settings, self._store = settings, store
-        self.shared = store.shared()
-        self.systems = store.reduced()
-        self.bundles = set(store.members())
+        self._begin(store.shared(), store.reduced())
+
+    def _begin(self, shared: dict[Unknown, Shared], systems: dict[Members, ReducedSystem]) -> None:
+        """Stand as unknowns and systems say, with no points laid out."""
+        self.shared, self.systems = shared, systems
         self._lay_nothing_out()
-        self.grow()
+        self._grow()
         self._take_values()
 
     def _lay_nothing_out(self) -> None:
         self._sweeps, self._probes = _Kept[Sweep](_KEPT), _Kept[tuple[Index, Sweep]](_KEPT)
         self._changing = dict[Members, Sweep]()
 
-    def grow(self) -> None:
+    def _grow(self) -> None:
         """The tree of all unknowns and systems: from reduced systems, never from points."""
         self._tree, self.value = Tree(), {unknown: one.value for unknown, one in self.shared.items()}
         self._holding: defaultdict[Unknown, set[Members]] = defaultdict(set)
@@ -99,14 +100,11 @@ class Engine:
     @contextmanager
     def all_or_nothing(self) -> Iterator[None]:
         """Whatever fails within, the engine stands as it did."""
-        before = dict(self.shared), dict(self.systems), set(self.bundles)
+        before = dict(self.shared), dict(self.systems)
         try:
             yield
         except BaseException:
-            self.shared, self.systems, self.bundles = before
-            self._lay_nothing_out()
-            self.grow()
-            self._take_values()
+            self._begin(*before)
             raise
 
     def replaced(
@@ -137,7 +135,6 @@ class Engine:
         self._tree.change({unknown: one.prior for unknown, one in new.items()}, systems, gone, dropped)
         for unknown in dropped:
             del self.shared[unknown], self.value[unknown]
-        self.bundles |= set(networks)
         self._take(systems)
         updates, others, converged = self._settle()
         reached = self._reached(set(systems), gone, before)
@@ -153,12 +150,12 @@ class Engine:
     ) -> dict[Members, Bundle]:
         """Begin again from values of the unknowns and all bundles; places (3,) of points by name, as far as known."""
         self._lay_nothing_out()
-        self.shared, self.bundles, kept = dict(shared), set(networks), dict[Members, Bundle]()
+        self.shared, kept = dict(shared), dict[Members, Bundle]()
         self.value = {unknown: one.value for unknown, one in shared.items()}
         sweeps = {m: Sweep(network, self._settings, _places_of(network, places)) for m, network in networks.items()}
         found = {m: sweep.system(self.value, self._motion(m, sweep.network)) for m, sweep in sweeps.items()}
         self.systems = {members: system for members, system in found.items() if system is not None}
-        self.grow()
+        self._grow()
         for members, sweep in sweeps.items():
             system = found[members]
             joint = None if system is None else self.joint(system.unknowns)
@@ -188,17 +185,18 @@ class Engine:
 
     def _forget(self, gone: Iterable[Members]) -> None:
         for members in gone:
-            self.bundles.discard(members)
             self._sweeps.drop(members)
             self._probes.drop(members)
             if self.systems.pop(members, None) is not None:
                 for unknown in members:
                     self._holding[unknown].discard(members)
 
-    def _unfelt(self, gone: Iterable[Members], networks: Iterable[Members]) -> list[Unknown]:
+    def _unfelt(self, gone: Sequence[Members], networks: Iterable[Members]) -> list[Unknown]:
         """Shifts that no bundle feels any longer, not even one whose points have no place."""
         felt = {unknown for members in gone for unknown in members if unknown.kind == "shift"}
-        return [unknown for unknown in felt if not any(unknown in m for m in itertools.chain(self.bundles, networks))]
+        doubtful = [unknown for unknown in felt if not self._holding[unknown]]
+        left = {*self._store.members()} - {*gone} | {*networks} if doubtful else set()  # all bundles are many to read
+        return [unknown for unknown in doubtful if not any(unknown in members for members in left)]
 
     # --- to the true linear system
 
@@ -246,12 +244,10 @@ class Engine:
 
     def _distance(self, system: ReducedSystem) -> float:
         """Pixels by which image places can have moved since a system was made."""
-        start, farthest = 0, 0.0
-        for unknown in system.unknowns:
-            value = self.value[unknown]
-            step = value - system.at[start : start + value.size]
+        farthest = 0.0
+        for unknown, mine in stretches(system.unknowns, self.value).items():
+            step = self.value[unknown] - system.at[mine]
             farthest = max(farthest, float(np.abs(step) @ self.shared[unknown].motion))
-            start += value.size
         return farthest
 
     # --- how far a change reaches
@@ -286,9 +282,8 @@ class Engine:
         wanted = set(unknowns)
         for names, joint in known.items():
             if wanted.issubset(names):
-                sizes = [self.value[unknown].size for unknown in names]
-                place = dict(zip(names, itertools.accumulate(sizes, initial=0), strict=False))
-                mine = np.concatenate([np.arange(place[u], place[u] + self.value[u].size) for u in unknowns])
+                place, columns = stretches(names, self.value), np.arange(joint.shape[0])
+                mine = np.concatenate([columns[place[unknown]] for unknown in unknowns])
                 return np.asarray(joint[np.ix_(mine, mine)])
         known[unknowns] = self.joint(unknowns)
         return known[unknowns]
@@ -301,11 +296,8 @@ class Engine:
         """Values and covariances of the unknowns reached, for the records of the store."""
         found = dict[Unknown, Array]()
         for members, joint in reached.items():
-            start = 0
-            for unknown in self.systems[members].unknowns:
-                end = start + self.value[unknown].size
-                found[unknown] = joint[start:end, start:end]
-                start = end
+            place = stretches(self.systems[members].unknowns, self.value)
+            found |= {unknown: joint[mine, mine] for unknown, mine in place.items()}
         found |= {unknown: self.joint([unknown]) for unknown in new if unknown not in found}
         for unknown, covariance in found.items():
             self.shared[unknown] = replace(self.shared[unknown], value=self.value[unknown], covariance=covariance)

@@ -10,6 +10,7 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.notebook import card
 from mgsgraph.units import MRAD
+from mgsgraph.wording import many
 
 _FAR = 5.0
 """A-priori sigmas beyond which a new image's correction is remarkable."""
@@ -110,9 +111,9 @@ class Impact:
             said.append("Shared points: " + ", ".join(f"{count} with {name}" for name, count in most) + ".")
         said += [*self._of_images(), *self._of_points()]
         if self.undetermined:
-            said.append(f"{_many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
+            said.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
         if self.lost:
-            said.append(f"{_many(len(self.lost), 'point')} that no other image saw: gone.")
+            said.append(f"{many(len(self.lost), 'point')} that no other image saw: gone.")
         if not self.converged:
             said.append("It did not come to rest; solve the project anew.")
         return said
@@ -129,7 +130,7 @@ class Impact:
         k = int(np.argmax(np.where(old, self.images.in_sigmas, -1.0)))
         return [
             *said,
-            f"{_many(int(np.count_nonzero(old)), 'image')} reached; most moved is {self.images.names[k]}: "
+            f"{many(int(np.count_nonzero(old)), 'image')} reached; most moved is {self.images.names[k]}: "
             f"{self.images.in_sigmas[k]:.2g} of its sigmas, {self.images.on_ground[k]:.3g} m on the ground."
         ]
 
@@ -138,12 +139,12 @@ class Impact:
         if np.any(moved):
             k = int(np.nanargmax(np.where(moved, points.in_sigmas, -1.0)))
             said.append(
-                f"{_many(int(np.count_nonzero(moved)), 'point')} moved by more than {NOTICEABLE} of a sigma; most "
+                f"{many(int(np.count_nonzero(moved)), 'point')} moved by more than {NOTICEABLE} of a sigma; most "
                 f"of all {points.ids[k]}: {np.linalg.norm(points.moves[k]):.3g} m, {points.in_sigmas[k]:.2g} sigmas."
             )
         if np.any(points.new):
             mean = ", ".join(f"{value:.3g}" for value in np.nanmean(points.sigmas_after[points.new], axis=0))
-            said.append(f"{_many(int(np.count_nonzero(points.new)), 'new point')}; mean sigmas x, y, z {mean} m.")
+            said.append(f"{many(int(np.count_nonzero(points.new)), 'new point')}; mean sigmas x, y, z {mean} m.")
         return said
 
     def table(self) -> str:
@@ -196,10 +197,6 @@ class Impact:
 def _aligned(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> str:
     lines = (zip(row, widths, strict=True) for row in rows)
     return "\n".join("  ".join(cell.rjust(width) for cell, width in line).rstrip() for line in lines)
-
-
-def _many(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 _HEAD = ("image", "moved", "position", "pointing", "ground", "sigma before", "after")

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from mgsgraph.adjustment.incremental.engine import Engine
 from mgsgraph.adjustment.incremental.impact import Impact, impact
 from mgsgraph.adjustment.incremental.motion import image_motion
 from mgsgraph.adjustment.incremental.rebundling import require_one_body, with_addition, without
-from mgsgraph.adjustment.incremental.state import InMemory, KnownImage, Settled, Shared, Store
+from mgsgraph.adjustment.incremental.state import ImagesByName, InMemory, KnownImage, Settled, Shared, Store
 from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.passes import Progress
 from mgsgraph.adjustment.settings import SolverSettings
@@ -59,7 +59,7 @@ class IncrementalAdjustment:
         return found
 
     def __repr__(self) -> str:
-        return f"IncrementalAdjustment({len(self.images)} images, {len(self._engine.bundles)} bundles of points)"
+        return f"IncrementalAdjustment({len(self.images)} images, {len(self.store.members())} bundles of points)"
 
     def _repr_html_(self) -> str:
         """For notebooks: each image with the sigmas of its constant term."""
@@ -102,7 +102,7 @@ class IncrementalAdjustment:
 
         Undetermined points have NaN. Raises InputError for an unknown name.
         """
-        homes = set(self._engine.bundles) if ids is None else set(self.store.homes(ids).values())
+        homes = set(self.store.members()) if ids is None else set(self.store.homes(ids).values())
         fresh = list(self._engine.refreshed(sorted(homes)).values())
         names = tuple(name for one in fresh for name in one.network.points.ids)
         places = np.concatenate([np.zeros((0, 3)), *(one.places for one in fresh)])
@@ -119,14 +119,17 @@ class IncrementalAdjustment:
     @property
     def network(self) -> Network:
         """Everything as one network, images in the order in which they came."""
-        parts = [self.store.bundle(members).network for members in sorted(self._engine.bundles)]
+        return self._everything()[0]
+
+    def _everything(self) -> tuple[Network, Array]:
+        """All of it as one network, and the places (n, 3) in m of its points as they are in store."""
+        read = map(self.store.bundle, sorted(self.store.members()))
+        parts = [(one.network, one.places) for one in read]  # covariances, nine numbers a point, aren't kept meanwhile
         if not parts:
             raise InputError("incremental adjustment", "no points", "observations in at least one image")
-        return with_images(joined(parts), [self.store.image(name) for name in self.images])
-
-    def _places(self) -> Array:
-        """(n, 3) m of all points in the order of `network`, as they are in store."""
-        return np.concatenate([self.store.bundle(members).places for members in sorted(self._engine.bundles)])
+        networks, places = zip(*parts, strict=True)
+        images = [self.store.image(name) for name in self.images]
+        return with_images(joined(networks), images), np.concatenate(places)
 
     # --- what may be done
 
@@ -167,7 +170,7 @@ class IncrementalAdjustment:
             return self._added(more, with_images(images, known))
         new = self._new_images(images, prior)
         every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
-        addition = observed(_Named(self, new), every, tie_sigma, shot_sigma)
+        addition = observed(ImagesByName(self.store, new), every, tie_sigma, shot_sigma)
         return self._added(new, addition)
 
     def remove(self, *images: str) -> Impact:
@@ -185,8 +188,8 @@ class IncrementalAdjustment:
 
         Where anything is farther off than `EXACT` sigmas, what batch has found takes the place of what was there.
         """
-        network = self.network
-        places = Sweep(network, self.settings, self._places()).places(self._engine.value)
+        network, stored = self._everything()
+        places = Sweep(network, self.settings, stored).places(self._engine.value)
         solution = adjust_network(network, self.settings, name, progress)
         found = closing(solution, self._engine.value, places)
         if found.adopted:
@@ -291,27 +294,6 @@ class IncrementalAdjustment:
         self.store.renew(there)
         self.store.put_shared({unknown: one for unknown, one in shared.items() if one is not before.get(unknown)})
         self.store.drop_shared([unknown for unknown in before if unknown not in shared])
-
-
-class _Named(Mapping[str, KnownImage]):
-    """Images by name: new ones, and those of an adjustment, read when they are asked for."""
-
-    def __init__(self, adjustment: IncrementalAdjustment, new: Sequence[KnownImage]) -> None:
-        self._store, self._new = adjustment.store, {one.image.name: one for one in new}
-        self._names = [*self._new, *adjustment.images]
-
-    def __getitem__(self, name: str) -> KnownImage:
-        if name in self._new:
-            return self._new[name]
-        if name not in self._names:
-            raise KeyError(name)
-        return self._store.image(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 def _alike(one: KnownImage, other: KnownImage) -> bool:

@@ -14,8 +14,7 @@ def image_motion(known: KnownImage) -> Array:
     """(6 (degree + 1),) pixels by which image places move, at most, per m and per rad of each coefficient."""
     image = known.image
     middle = np.array([[0.5 * image.lines, 0.5 * image.samples]])
-    _, slope = image.interior.focal_plane(middle[:, 1])
-    per_radian = image.interior.focal_length / float(np.linalg.norm(slope[0]))
+    per_radian = 1.0 / image.pixel_angle
     ground, _ = image.image_to_ground(*middle.T)
     position = image.pose(middle[:, 0]).position
     distance = float(np.linalg.norm(ground[0] - position[0]))

@@ -4,8 +4,9 @@ A bundle is all points that feel the same shared unknowns. Its reduced system (p
 orientation) is all that the tree of iSAM2 ever sees of it; its points are asked for only when a change touches them.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import Protocol
 
 import numpy as np
@@ -40,6 +41,12 @@ class ReducedSystem:
         d = np.size(self.at)
         for name, shape in (("at", (d,)), ("normal", (d, d)), ("gradient", (d,))):
             assign(self, **{name: frozen(getattr(self, name), f"reduced system, {name}", shape)})
+
+
+def stretches(unknowns: Sequence[Unknown], vectors: Mapping[Unknown, Array]) -> dict[Unknown, slice]:
+    """Where each of some unknowns lies in a joint vector of theirs, in this order; `vectors` has one (d,) of each."""
+    ends = accumulate((vectors[unknown].size for unknown in unknowns), initial=0)
+    return {unknown: slice(*two) for unknown, two in zip(unknowns, pairwise(ends), strict=True)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,6 +176,25 @@ class Store(Protocol):
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
         """New systems and places for bundles whose points are the same."""
         ...
+
+
+class ImagesByName(Mapping[str, KnownImage]):
+    """New images, and those of a store, read when they are asked for."""
+
+    def __init__(self, store: Store, new: Sequence[KnownImage]) -> None:
+        self._store, self._new = store, {one.image.name: one for one in new}
+        self._names = dict.fromkeys([*self._new, *store.image_names()])
+
+    def __getitem__(self, name: str) -> KnownImage:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._new[name] if name in self._new else self._store.image(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 class InMemory:

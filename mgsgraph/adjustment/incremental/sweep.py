@@ -11,7 +11,7 @@ from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem
 from mgsgraph.adjustment.passes import Selection, determined_points
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors.bundle import Bundles, Reduction, point_covariances, reduce
+from mgsgraph.factors.bundle import Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
@@ -92,7 +92,7 @@ class Sweep:
         Raises PointBehindCamera. Terrain patches follow their points.
         """
         shared, last = self._vector(values), self._last
-        if last is not None and np.array_equal(last.orientation, shared) and (last.blocks is not None or not system):
+        if last is not None and last.serves(shared, system):
             return last
         found = self._reduced(shared, system)
         strong = without_weak(self._layout, found, self._selection)
@@ -112,9 +112,7 @@ class Sweep:
         if layout.columns == 0 or not np.any(determined_points(self._rows)):
             return None
         (group,) = layout.group_variables
-        columns = [[layout.columns_of(v) for v in group]]
-        bundles = Bundles(layout.rows, layout.groups, self._blocks, layout.model, [group], columns, layout.scales)
-        normal, gradient = bundles.dense(found, 0)
+        normal, gradient = dense(found, layout.groups, self._blocks, 0)
         names = tuple(self._names[v] for v in group)
         if self._spread is None:  # hardly changes where the points are as near as this
             self._spread = np.trace(self._covariances(found, None), axis1=1, axis2=2)
@@ -130,12 +128,11 @@ class Sweep:
 
     def _covariances(self, found: Reduction, joint: Array | None) -> Array:
         """(n, 3, 3) m^2 of the points, NaN for undetermined ones; without `joint`, as if the unknowns were known."""
-        layout, blocks = self._layout, np.zeros(self._blocks.size)
-        if joint is not None:
-            self._put(blocks, joint)
+        layout, target = self._layout, self._blocks
+        blocks = np.zeros(target.size) if joint is None else sparse(joint, layout.groups, target, 0)
         return self._ordered(
             point_covariances(
-                self._rows, layout.groups, self._blocks, layout.model, found.orientation, blocks, found.points
+                self._rows, layout.groups, target, layout.model, found.orientation, blocks, found.points
             )
         )
 
@@ -157,20 +154,9 @@ class Sweep:
             vector[layout.columns_of(v)] = values[self._names[v]]
         return vector
 
-    def _put(self, blocks: Array, joint: Array) -> None:
-        """Blocks of a joint covariance where the kernel looks for them."""
-        width = self._layout.groups.member_width
-        ends = np.concatenate([[0], np.cumsum(width)])
-        for i in range(width.size):
-            for j in range(i, width.size):
-                at = self._blocks.pair[i * width.size + j]
-                block = joint[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
-                blocks[at : at + block.size] = block.ravel()
-
     def _ordered(self, values: Array) -> Array:
-        layout: Layout = self._layout
-        ordered = layout.network_order(values)
-        ordered[~layout.network_order(determined_points(self._rows))] = np.nan
+        ordered = self._layout.network_order(values)
+        ordered[~self._layout.network_order(determined_points(self._rows))] = np.nan
         return ordered
 
 

@@ -6,14 +6,13 @@ one that was made at the present values (`incremental`). Unknowns are held in un
 order one, for which the wildfire threshold and the pivots of Cholesky's method mean the same everywhere.
 """
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.incremental.state import ReducedSystem
+from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.parts import Members, Unknown
@@ -84,10 +83,9 @@ class Tree:
     def _factor(self, system: ReducedSystem) -> gtsam.LinearContainerFactor:
         """A reduced system as GTSAM factor, in whitened units."""
         keys = [self._keys[unknown] for unknown in system.unknowns]
-        scales = [self._scale[unknown] for unknown in system.unknowns]
-        edges, scale = np.cumsum([0, *(part.size for part in scales)]), np.concatenate(scales)
+        scale = np.concatenate([self._scale[unknown] for unknown in system.unknowns])
         normal, right = system.normal * scale[:, None] * scale, -system.gradient * scale
-        at, parts = gtsam.Values(), [slice(a, b) for a, b in itertools.pairwise(edges.tolist())]
+        at, parts = gtsam.Values(), list(stretches(system.unknowns, self._scale).values())
         for key, part in zip(keys, parts, strict=True):
             at.insert(key, (system.at / scale)[part])
         return gtsam.LinearContainerFactor(_hessian(keys, parts, normal, right, 2.0 * system.cost), at)

@@ -2,7 +2,10 @@
 
 import math
 
-from mgsgraph.geometry.records import Array
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 NAMED = 4
 """How many of a kind are named before the rest is only counted."""
@@ -42,9 +45,9 @@ def listed(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
 
 
-def some(names: list[str], total: int) -> str:
-    """Names that stand for `total` of them."""
-    named = names[:NAMED]
+def some(names: list[str], total: int, most: int = NAMED) -> str:
+    """Names that stand for `total` of them, `most` at the most."""
+    named = names[:most]
     return ", ".join(named) + (f" and {total - len(named)} more" if total > len(named) else "")
 
 
