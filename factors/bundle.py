@@ -14,8 +14,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.factors.design import most_columns
+from mgsgraph.factors.reliability import NUMBERS
 from mgsgraph.factors.rows import NO_LOSS, Groups, Model, Rows, Target
-from mgsgraph.factors.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, sweep_all
+from mgsgraph.factors.sweep import COSTS, COVARIANCES, DESIGN, RELIABILITY, RESIDUALS, SYSTEM, sweep_all
 
 Array = NDArray[np.float64]
 
@@ -79,6 +81,33 @@ def point_covariances(
     """
     values = np.zeros((points.shape[0], 3, 3))
     sweep_all(rows, groups, target, model, orientation, COVARIANCES, points, joint=joint, values=values)
+    return values
+
+
+def reliability(
+    rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, joint: Array, points: Array
+) -> Array:
+    """What each row of each sight says of itself (t, 3, 7): whitened residual, its row of H, effect on its point.
+
+    H (3 columns) is the covariance of the adjusted measures in units of their own, 1 minus which is the residuals'; the
+    effect (3 columns) is how far, in m, an error of one sigma in the row moves the point. An image ray has two rows, a
+    range and a height above the terrain one, a ground prior three (whitened). Rows that don't take part are zero, those
+    of points left out or not determined NaN. `joint` as for `point_covariances`.
+    """
+    values = np.zeros((rows.weight.shape[1], 3, NUMBERS))
+    sweep_all(rows, groups, target, model, orientation, RELIABILITY, points, joint=joint, values=values)
+    return values
+
+
+def design(rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, points: Array) -> Array:
+    """Whitened rows of each sight (t, 3, 4 + c) with points at (n, 3): the residual, the derivatives by the point per m,
+    and those by the unknowns that the sight feels per m and rad: six columns of each basis term, then single ones.
+
+    With a robust loss each is scaled by the root of its weight. Rows that don't take part, or that a sight hasn't, are
+    zero.
+    """
+    values = np.zeros((rows.weight.shape[1], 3, most_columns(rows)))
+    sweep_all(rows, groups, target, model, orientation, DESIGN, points, values=values)
     return values
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mgsgraph.factors.elimination import ROW, SPARE, block_place, couple_all, multiply_add, sight_columns
 from mgsgraph.factors.lanes import BASIS, COUPLING, LANES, NORMAL, PAIR, PRODUCT, STATE, STATE_WIDTH, lane
+from mgsgraph.factors.pose import pose_components
 from mgsgraph.factors.rows import OUT, WEAK
 from mgsgraph.factors.tile import sights_of
 
@@ -18,7 +19,7 @@ MIDDLE = SPARE + 3 * STATE_WIDTH * LANES
 @lane
 def entry_columns(rows, i, e):
     """Columns of a sight's e-th entry: the components of a basis term, or a single one."""
-    return min(6, rows.sight_width[i]) if e < rows.sight_terms[i] else 1
+    return pose_components(rows.sight_width[i]) if e < rows.sight_terms[i] else 1
 
 
 @lane
@@ -36,7 +37,7 @@ def state_covariance(rows, groups, target, group, joint, i, j, n, w, s, t):
     for k in range(STATE_WIDTH * STATE_WIDTH):
         for l in range(n):
             w[PAIR + k * LANES + l] = 0.0
-    components_i, components_j = min(6, rows.sight_width[i]), min(6, rows.sight_width[j])
+    components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
     entry_i, entry_j = rows.sight_entry[i], rows.sight_entry[j]
     for p in range(rows.sight_terms[i]):
         for q in range(rows.sight_terms[j]):

@@ -27,6 +27,7 @@ from mgsgraph.factors.lanes import (
     lane,
     summing,
 )
+from mgsgraph.factors.pose import pose_components
 from mgsgraph.factors.rows import BEHIND, GOOD, WEAK, Rows
 from mgsgraph.factors.tile import any_state, row_count, sights_of
 
@@ -39,7 +40,7 @@ SPARE = DELTA
 @lane
 def sight_columns(rows, i):
     """Columns of the unknowns that a sight feels: components per basis term, and their number altogether."""
-    components = min(6, rows.sight_width[i])
+    components = pose_components(rows.sight_width[i])
     return components, components * rows.sight_terms[i] + rows.sight_shared[i]
 
 
@@ -189,7 +190,7 @@ def sum_products(n, w, register, first, count, sums, at):
 def sum_terms(rows, i, j, n, w, s, t, sums, at):
     """Add K_ij, weighted with the products of basis values, to `sums`: component by component, product by product."""
     count = products(rows.sight_terms[i], rows.sight_terms[j], i == j, n, w, s, t)
-    components_i, components_j = min(6, rows.sight_width[i]), min(6, rows.sight_width[j])
+    components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
     for a in range(components_i if count > 0 else 0):
         for b in range(a if i == j else 0, components_j):
             k = PAIR + (STATE_WIDTH * a + b) * LANES
@@ -224,14 +225,14 @@ def direction_times(first_width, second_width, n, w, direction, out):
 @lane
 def term_sums(rows, i, j):
     """Room for the sums over products of basis values."""
-    return min(6, rows.sight_width[i]) * rows.sight_terms[i] * min(6, rows.sight_width[j]) * rows.sight_terms[j]
+    return sight_columns(rows, i)[0] * rows.sight_terms[i] * sight_columns(rows, j)[0] * rows.sight_terms[j]
 
 
 @lane
 def sum_shared(rows, i, j, n, w, s, t, sums, at):
     """The same for single columns, from `at`: those of j with everything of i, then those of i with the terms of j."""
     width_i, width_j = rows.sight_width[i], rows.sight_width[j]
-    components_i, components_j = min(6, width_i), min(6, width_j)
+    components_i, components_j = pose_components(width_i), pose_components(width_j)
     terms_i, terms_j = rows.sight_terms[i], rows.sight_terms[j]
     shared_i, shared_j = s + BASIS + 2 * terms_i * LANES, t + BASIS + 2 * terms_j * LANES
     for f in range(rows.sight_shared[j]):
@@ -257,7 +258,7 @@ def sum_right(rows, groups, target, group, i, n, w, s, gradient):
     first = groups.member_first[group]
     for t in range(terms):
         place = target.right[first + rows.entry_member[entry + t]] + rows.entry_inside[entry + t]
-        for a in range(min(6, width)):
+        for a in range(pose_components(width)):
             gradient[place + a] += dot(n, w, s + RIGHT + a * LANES, s + BASIS + t * LANES)
     direction = s + BASIS + 2 * terms * LANES
     for e in range(entry + terms, entry + terms + rows.sight_shared[i]):
@@ -317,7 +318,7 @@ def block_place(rows, groups, target, group, i, j):
 @lane
 def spread_terms(rows, groups, target, group, i, j, sums, at, blocks):
     """Add a pair's sums over products of basis values to the blocks."""
-    components_i, components_j = min(6, rows.sight_width[i]), min(6, rows.sight_width[j])
+    components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
     entry_i, entry_j, terms = rows.sight_entry[i], rows.sight_entry[j], rows.sight_terms[j]
     count = terms * (terms + 1) // 2 if i == j else rows.sight_terms[i] * terms
     for p in range(rows.sight_terms[i]):
@@ -349,7 +350,7 @@ def spread_shared(rows, groups, target, group, i, j, sums, at, blocks):
     """The same for single columns, in the order of `sum_shared`."""
     terms_i, terms_j = rows.sight_terms[i], rows.sight_terms[j]
     entry_i, entry_j = rows.sight_entry[i], rows.sight_entry[j]
-    components_i, components_j = min(6, rows.sight_width[i]), min(6, rows.sight_width[j])
+    components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
     for f in range(rows.sight_shared[j]):
         own = entry_j + terms_j + f
         for a in range(components_i if terms_i > 0 else 0):
@@ -383,6 +384,6 @@ def spread(rows, groups, target, pattern, sums, blocks):
 
 def most_sums(rows: Rows) -> int:
     """Room for the sums of any pattern."""
-    columns = np.minimum(6, rows.sight_width) * rows.sight_terms + rows.sight_shared
+    columns = np.where(rows.sight_width < 6, 3, 6) * rows.sight_terms + rows.sight_shared
     ends = np.concatenate([[0], np.cumsum(columns)])[rows.pattern_sight]
     return int(np.diff(ends).max(initial=0)) ** 2

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors.lanes import BASIS, BY_POINT, BY_STATE, CARRY, FRONT, LANES, RESIDUAL, STATE_WIDTH
+from mgsgraph.factors.pose import pose_components
 from mgsgraph.factors.rows import IMAGE, NO_LOSS, Groups, Model, Rows, Target
 from mgsgraph.factors.sweep import RESIDUALS, still, sweep
 from mgsgraph.factors.tile import row_count, workspace
@@ -68,7 +69,7 @@ class Sight:
         basis = self._registers(BASIS, 2 * terms).reshape(2, terms)
         values = basis[0] + self._registers(CARRY, 1) * basis[1]
         jacobian = np.zeros((self.count, columns))
-        components = min(6, self._width)
+        components = int(pose_components.py_func(self._width))
         for t in range(terms):
             first = int(rows.entry_column[t])
             jacobian[:, first : first + components] += values[t] * state[:, :components]

@@ -23,6 +23,14 @@ from mgsgraph.factors.rows import OPK_PAPER
 
 
 @lane
+def pose_components(width):
+    """Components of a state that a basis term moves: place and rotation, or the place alone; never focal length or
+    range bias, which are single columns.
+    """
+    return 6 if width >= 6 else 3
+
+
+@lane
 def correct(rows, sight, x, n, w, s, width, rates):
     """DELTA (`width` components) and, if `rates`, RATE: what the unknowns x do to a sight, CARRY lines from its own."""
     for a in range(STATE_WIDTH):
@@ -36,7 +44,7 @@ def correct(rows, sight, x, n, w, s, width, rates):
     for t in range(terms):
         basis, column = s + BASIS + t * LANES, rows.entry_column[entry + t]
         rate = basis + terms * LANES
-        for a in range(min(6, width)):
+        for a in range(pose_components(width)):
             value = x[column + a]
             if rates:
                 for l in range(n):

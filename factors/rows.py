@@ -169,6 +169,20 @@ def one_sight(rows: Rows, groups: Groups, model: Model, point: int, sight: int) 
     )
 
 
+def of_points(rows: Rows, piece: int, inside: Index) -> Rows:
+    """Rows of some points of one piece, by their places in it; tables of patterns, sights and entries stay whole."""
+    pattern, first, count, number, sight = rows.piece[piece].tolist()
+    last = [rows.data.size, rows.weight.shape[1]] if piece + 1 == len(rows.piece) else rows.piece[piece + 1, 3:].tolist()
+    return rows._replace(
+        kind=rows.kind[first + inside],
+        start=rows.start[first + inside],
+        data=rows.data[number : last[0]].reshape(-1, count)[:, inside].ravel(),
+        weight=rows.weight[:, sight : last[1]].reshape(2, -1, count)[:, :, inside].reshape(2, -1),
+        piece=np.array([[pattern, 0, inside.size, 0, 0]]),
+        terrain_cell=rows.terrain_cell[first + inside] if rows.terrain_cell.size else rows.terrain_cell,
+    )
+
+
 def partition(rows: Rows, first_piece: int, last_piece: int) -> Rows:
     """Rows of the points of some neighbouring pieces, first_piece .. last_piece - 1, by themselves.
 

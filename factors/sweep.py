@@ -15,17 +15,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mgsgraph.factors.covariance import covariance_tile
+from mgsgraph.factors.design import design_tile
 from mgsgraph.factors.elimination import eliminate_tile, most_sums, spread
 from mgsgraph.factors.lanes import ACTIVE, COST, FRONT, LANES, PLACE, RESIDUAL, STATE, lane, registers
+from mgsgraph.factors.reliability import reliability_tile
 from mgsgraph.factors.rows import BEHIND, GROUND, IMAGE, SURFACE, Groups, Model, Rows, Target
 from mgsgraph.factors.tile import any_state, load, sights_of, solve_tile, workspace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-COSTS, SYSTEM, COVARIANCES, RESIDUALS = 0, 1, 2, 3
+COSTS, SYSTEM, COVARIANCES, RESIDUALS, RELIABILITY, DESIGN = 0, 1, 2, 3, 4, 5
 """What a sweep is for: costs of the best places; the reduced system there, too; covariances, or residuals of all rows,
-taking part or not, at given places.
+taking part or not, or reliability or design of those that take part, at given places.
 """
 
 _WORTHWHILE = 5000.0
@@ -101,8 +103,9 @@ def _compiled(sources: str) -> Any:
 
         COSTS and SYSTEM begin at `places` (n, 3) and leave the best ones there, with states (n,) and the cost of each
         piece in costs (m,); SYSTEM adds the reduced normal matrix to `blocks` and the gradient to `gradient`.
-        COVARIANCES takes the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3) covariances, or
-        (t, 2, 1) residuals. `work` and `sums` are scratch.
+        COVARIANCES and RELIABILITY take the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3)
+        covariances, (t, 2, 1) residuals, (t, 3, 7) `reliability.NUMBERS` or (t, 3, c) rows as in `design`. `work` and
+        `sums` are scratch.
         """
         w = registers(work)
         if len(sources) == 0:
@@ -123,6 +126,10 @@ def _compiled(sources: str) -> Any:
                     covariance_tile(rows, groups, target, pattern, blocks, point, n, w, base, depth, values)
                 elif task == RESIDUALS:
                     store_residuals(rows, piece, first, n, w, base, depth, values[:, :, 0])
+                elif task == RELIABILITY:
+                    reliability_tile(rows, groups, target, piece, first, blocks, n, w, base, depth, values)
+                elif task == DESIGN:
+                    design_tile(rows, piece, first, n, w, base, depth, values)
             if task <= SYSTEM:
                 costs[piece] = cost
             if task == SYSTEM and (piece + 1 == last_piece or rows.piece[piece + 1, 0] != pattern):

@@ -52,15 +52,33 @@ class PointBehindCamera(InputError):
 
 
 class WeakNetwork(MgsgraphError, ArithmeticError):
-    """A network whose datum is not determined; names the weak directions and the images that share them."""
+    """A network with directions that nothing determines: its datum, or orientation that no measure tells.
 
-    def __init__(self, directions: Sequence[str], count: int) -> None:
-        others = f" (and {count - len(directions)} more directions)" if count > len(directions) else ""
-        super().__init__(
-            f"the network is too weak to solve: nothing determines {'; or '.join(directions)}{others}; "
-            "give these a finite a-priori sigma, or give ground control or laser rows"
-        )
-        self.directions, self.count = tuple(directions), count
+    Parameters
+    ----------
+    directions : sequence of str
+        Some of them, by image and axis.
+    count : int
+        All of them.
+    datum : str
+        Those that move the whole network, in words; empty for none.
+    of_datum : int
+        How many these are.
+    """
+
+    def __init__(self, directions: Sequence[str], count: int, datum: str = "", of_datum: int = 0) -> None:
+        more = count - of_datum - len(directions)
+        others = "; or ".join(directions) + (f" (and {more} more)" if more > 0 else "")
+        if datum:
+            found = f"the datum is not determined: {datum} of the whole network"
+            found += f"; besides, nothing determines {others}" if others else ""
+            remedy = "give a control point, laser ranges or finite priors"
+        else:
+            found = f"nothing determines {others}"
+            remedy = "give these a finite a-priori sigma, or give ground control or laser rows"
+        super().__init__(f"the network is too weak to solve ({count} undetermined): {found}; {remedy}")
+        whole = (f"{datum} of the whole network",) if datum else ()
+        self.directions, self.count, self.of_datum = (*whole, *directions), count, of_datum
 
 
 class SolverError(MgsgraphError, ArithmeticError):

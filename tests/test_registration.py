@@ -60,6 +60,7 @@ class LinearTrajectory:
     coverage: tuple[float, float]
     start: np.ndarray
     rate: np.ndarray
+    spin: np.ndarray | None = None
 
     def require(self, times: np.ndarray, where: str, slack: float = 0.0) -> None: ...
 

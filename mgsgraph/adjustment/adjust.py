@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mgsgraph.adjustment.analysis.datum import require_strength
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.shared import shared_values
 from mgsgraph.adjustment.passes import (
     Progress,
     Selection,
@@ -28,7 +30,6 @@ from mgsgraph.adjustment.posterior import (
     fit,
     orientation_covariance,
     point_covariances,
-    require_strength,
     residuals,
 )
 from mgsgraph.adjustment.settings import SolverSettings
@@ -60,6 +61,7 @@ def adjust_network(
     name: str = "adjustment",
     progress: Progress = lambda _: None,
     cluster: Connection | None = None,
+    left_in: Selection | None = None,
 ) -> Solution:
     """Adjust a network.
 
@@ -73,6 +75,8 @@ def adjust_network(
         Called with every iteration.
     cluster : Connection, optional
         Whose workers hold the points, in partitions (`cluster.open_cluster`); this process when absent.
+    left_in : Selection, optional
+        Rays and ranges that take part; all when absent. Not together with a blunder limit, which judges all anew.
 
     Returns
     -------
@@ -93,12 +97,13 @@ def adjust_network(
     clock = _Clock()
     if cluster is not None:
         require_bundles(settings, cluster.where)
+    network.require_felt()
     layout = lay_out(network, settings)
     clock.stop("set up")
     with _sweeper(layout, cluster) as sweeper:
         if cluster is not None:
             clock.stop("send to workers")
-        selection, before = _nominal(layout, sweeper)
+        selection, before = _nominal(layout, sweeper, left_in)
         solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
         clock.stop("solve")
         places_before = _places_before(layout, before)
@@ -152,6 +157,7 @@ class Prediction:
 
 def predict(network: Network, settings: SolverSettings) -> Prediction:
     """Covariances that an adjustment of the network will have; raises what `adjust_network` raises before solving."""
+    network.require_felt()
     layout = lay_out(network, settings)
     selection, before = _nominal(layout)
     rows, nominal = selection.rows(layout), np.zeros(layout.columns)
@@ -168,12 +174,14 @@ def predict(network: Network, settings: SolverSettings) -> Prediction:
     )
 
 
-def _nominal(layout: Layout, sweeper: Sweeper = IN_PROCESS) -> tuple[Selection, Reduction]:
+def _nominal(
+    layout: Layout, sweeper: Sweeper = IN_PROCESS, left_in: Selection | None = None
+) -> tuple[Selection, Reduction]:
     """All points that are determined, and their reduction with the nominal orientation.
 
     Raises PointBehindCamera, and WeakNetwork where nothing determines some direction of the orientation.
     """
-    selection = everything(layout.network)
+    selection = left_in or everything(layout.network)
     nominal = np.zeros(layout.columns)
     before = BundleGraph(layout, selection.rows(layout), sweeper).reduction(nominal)
     strong = without_weak(layout, before, selection)
@@ -200,7 +208,7 @@ def _posterior(
     determined = layout.network_order(determined_points(rows))
     found = residuals(layout, orientation, solved.points, sweeper)
     merit = fit(layout, rows, orientation, solved.points, found)
-    if settings.reject > 0.0:  # points whose rays were rejected are shown where all their rays put them
+    if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
         found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
     found_before = residuals(layout, np.zeros(layout.columns), places_before, sweeper)
     never = solved.selection.out[network.rays.point]
@@ -213,7 +221,7 @@ def _posterior(
         joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
         covariances = point_covariances(layout, rows, orientation, solved.points, joint, sweeper)
     clock.stop("covariance")
-    profiles = range(len(network.images), layout.variables.first.size)
+    profiles = range(len(network.images), len(network.images) + len(network.shift_names))
     coefficients = tuple(
         np.zeros_like(prior.sigmas) if network.held[j] else orientation[layout.columns_of(j)].reshape(-1, 6)
         for j, prior in enumerate(network.priors)
@@ -252,6 +260,7 @@ def _posterior(
         versions=versions(),
         rays_rejected=~solved.selection.rays,
         ranges_rejected=~solved.selection.ranges,
+        shared=shared_values(network, layout.variables, orientation),
     )
 
 

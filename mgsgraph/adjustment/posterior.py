@@ -8,23 +8,16 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from mgsgraph.adjustment.analysis.datum import POORLY, defects, scaled_normal
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, point_key, variable_key
+from mgsgraph.adjustment.graph.shared import footprint_shifts, shared_values
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
 from mgsgraph.adjustment.square_root import SquareRoot
-from mgsgraph.errors import WeakNetwork
 from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
-
-_WEAK = 1e-13
-"""Eigenvalue of the scaled normal matrix, relative to the largest, below which a direction isn't determined."""
-_POORLY = 1e-9
-"""The same, to name what made a factorisation fail."""
-_NAMED = 0.1
-"""Share of a weak direction from which a coefficient is named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,15 +89,16 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
 
 
 def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
-    """(p, 3) m: how far the a-priori places of network points are moved by their profiles' shifts."""
-    network, shift = layout.network, np.zeros((points.size, 3))
+    """(p, 3) m: how far profiles' shifts and altimeters' boresights move the a-priori places of network points."""
+    network = layout.network
+    shift = footprint_shifts(network, shared_values(network, layout.variables, orientation))[points]
     if network.shifts is None:
         return shift
     profile = network.shifts.profile[points]
     moved = profile >= 0
     first = layout.variables.first[len(network.images) + profile[moved]]
     both = orientation[np.stack([first, first + 1], axis=1)]
-    shift[moved] = np.einsum("pk,pkj->pj", both, east_north(network.points.places[points[moved]]))
+    shift[moved] += np.einsum("pk,pkj->pj", both, east_north(network.points.places[points[moved]]))
     return shift
 
 
@@ -127,10 +121,10 @@ def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCov
     except RuntimeError as error:
         if "Indeterminate" not in str(error):
             raise
-        normal = _scaled_normal(graph.layout, reduction)
-        weak, count = _weak_directions(graph.layout, normal, _POORLY)
-        if count:
-            raise WeakNetwork(weak, count) from None
+        normal = scaled_normal(graph.layout, reduction)
+        weak = defects(graph.layout, normal, POORLY)
+        if weak.number:
+            raise weak.error() from None
         return _in_one_clique(graph.layout, normal)
 
 
@@ -185,57 +179,3 @@ def explicit_covariances(
             first_points.push_back(point_key(i))
     _, reduced = linear.eliminatePartialMultifrontal(first_points)
     return _marginals(layout, reduced), covariances
-
-
-def require_strength(layout: Layout, reduction: Reduction) -> None:
-    """Raise WeakNetwork, naming the directions that nothing determines, before anything is solved.
-
-    Only needed where some coefficient has no prior: a prior on each determines all of them.
-    """
-    if np.any(np.isinf(layout.sigmas)):
-        weak, count = _weak_directions(layout, _scaled_normal(layout, reduction), _WEAK)
-        if count:
-            raise WeakNetwork(weak, count)
-
-
-def _weak_directions(layout: Layout, normal: Array, limit: float) -> tuple[list[str], int]:
-    """The weakest directions of the orientation in words (two at most), and how many there are.
-
-    Weak is what has an eigenvalue of the normal matrix, in units of `Layout.scales`, below `limit` of the largest.
-    """
-    values, vectors = np.linalg.eigh(normal)
-    weak = vectors[:, values < limit * max(values[-1], 1.0)]
-    return [_in_words(layout, weak[:, k]) for k in range(min(weak.shape[1], 2))], weak.shape[1]
-
-
-def _scaled_normal(layout: Layout, reduction: Reduction) -> Array:
-    """(columns, columns) full normal matrix in units of `Layout.scales`."""
-    scales = layout.scales
-    normal = np.diag(np.where(np.isinf(layout.sigmas), 0.0, 1.0))
-    assert reduction.blocks is not None
-    for v, w, block in layout.blocks.each(reduction.blocks, layout.variables.width):
-        rows, columns = layout.columns_of(v), layout.columns_of(w)
-        normal[rows, columns] += block * scales[rows][:, None] * scales[columns]
-        if v != w:
-            normal[columns, rows] = normal[rows, columns].T
-    return np.asarray(normal)
-
-
-def _in_words(layout: Layout, direction: Array) -> str:
-    """A direction of the orientation vector: which coefficients of which images make it up."""
-    terms = ("constant", "linear", "quadratic", "cubic")
-    share = direction**2 / np.sum(direction**2)
-    names: list[str] = []
-    for column in np.argsort(-share)[:3]:
-        if share[column] < _NAMED and names:
-            break
-        variable = max(v for v in layout.variables.adjusted() if layout.columns_of(v).start <= column)
-        inside = int(column) - layout.columns_of(variable).start
-        if variable >= layout.variables.images:
-            shifted = layout.network.shift_names[variable - layout.variables.images]
-            names.append(f"{('east', 'north')[inside]} shift of {shifted}")
-            continue
-        image, (power, component) = variable, divmod(inside, 6)
-        term = terms[power] if power < len(terms) else f"u^{power}"
-        names.append(f"{term} {COMPONENTS[component]} of image {layout.network.images[image].name}")
-    return " with ".join(names)

@@ -10,9 +10,11 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
+from mgsgraph.network.corrections import adjusted_image, correction_parts
 from mgsgraph.notebook import card
 
 
@@ -39,11 +41,12 @@ class Solution:
     fit: Fit
     """sigma0 and degrees of freedom."""
     coefficients: tuple[Array, ...]
-    """Per image (degree + 1, 6) in m and rad; zero for a held one."""
+    """Per image (degree + 1, 6) in m and rad, its own alone (`correction` has the whole); zero for a held one."""
     shifts: Array
     """(p, 2) m, east and north, horizontal shifts of laser profiles and of the terrain model (network.shift_names)."""
     joint_covariance: JointCovariance
-    """Of all orientation coefficients (variable j is image j), and after them the shifts, m and rad, for sigma0 = 1."""
+    """Of all orientation coefficients (variable j is image j), after them the shifts and then the shared unknowns; m,
+    rad and s, for sigma0 = 1."""
     places_before: Array
     """(n, 3) m: a-priori places, and for free points the intersection of their rays with the nominal orientation."""
     places: Array
@@ -75,6 +78,8 @@ class Solution:
     """(k,) True for blunders, as the last pass judged; None where an older version didn't say."""
     ranges_rejected: Mask | None = None
     """(r,) the same."""
+    shared: tuple[Array, ...] = ()
+    """Value of each of the network's shared unknowns, in the unit of its kind: (1,), or (3,) of a boresight."""
 
     @property
     def sigma0(self) -> float:
@@ -91,13 +96,44 @@ class Solution:
         """Number of steps tried."""
         return len(self.history)
 
+    @property
+    def values(self) -> list[Array]:
+        """Value (width,) of each variable of the joint covariance: images, then shifts, then shared unknowns."""
+        return [*(one.ravel() for one in self.coefficients), *self.shifts, *self.shared]
+
+    def image(self, image: int) -> PushbroomImage:
+        """One image with its adjusted focal length; its trajectory is the nominal one (`correction`)."""
+        return adjusted_image(self.network, image, self.values)
+
     def correction(self, image: int) -> OrientationCorrection:
-        """Orientation correction of one image."""
-        return OrientationCorrection(self.coefficients[image], self.settings.angles)
+        """Whole orientation correction of one image: its own, and what shared unknowns do to it."""
+        values, parts = self.values, correction_parts(self.network, image, self.settings.angles)
+        whole = sum(part @ values[variable] for variable, part in parts.items())
+        return OrientationCorrection(np.reshape(whole, (-1, 6)), self.settings.angles)
+
+    def correction_covariance(self, *images: int) -> Array:
+        """Joint covariance (d, d) of the coefficients of images' whole corrections, as `correction` has them, row after
+        row, for sigma0 = 1.
+        """
+        parts = [correction_parts(self.network, image, self.settings.angles) for image in images]
+        variables = sorted({variable for part in parts for variable in part})
+        width, rows = self.joint_covariance.square_root.width, [next(iter(part.values())).shape[0] for part in parts]
+        joint = np.block([
+            [part.get(v, np.zeros((size, width[v]))) for v in variables] for part, size in zip(parts, rows, strict=True)
+        ])  # fmt: skip
+        return np.asarray(joint @ self.joint_covariance.of(variables) @ joint.T)
 
     def image_covariance(self, image: int) -> Array:
-        """Covariance (6 (degree + 1), 6 (degree + 1)) of one image's coefficients, m and rad; zero when held."""
+        """Covariance (6 (degree + 1), 6 (degree + 1)) of one image's own coefficients, m and rad; zero when held."""
         return self.joint_covariance.block(image, image)
+
+    def shared_variable(self, shared: int) -> int:
+        """Variable of a shared unknown in the joint covariance."""
+        return len(self.coefficients) + len(self.network.shift_names) + shared
+
+    def shared_covariance(self, shared: int) -> Array:
+        """Covariance (width, width) of one shared unknown, in its unit squared, for sigma0 = 1."""
+        return self.joint_covariance.block(self.shared_variable(shared), self.shared_variable(shared))
 
     def shift_covariance(self, profile: int) -> Array:
         """Covariance (2, 2) in m^2 of one horizontal shift, for sigma0 = 1."""
@@ -148,8 +184,8 @@ class OrientationProfile:
     angles_sigma: Array
     """(n, 3) rad, of the adjusted one, for sigma0 = 1."""
     rotation: Array
-    """(n, 3) rad, correction as a small rotation about the camera's axes: x across the detector (pitch), y along it
-    (roll), z the optical axis (yaw)."""
+    """(n, 3) rad, correction as a small rotation about the camera's axes: of one whose detector lies along y, x is
+    roll and y is pitch; z, the optical axis, is yaw."""
     rotation_sigma: Array
     """(n, 3) rad, its sigma, for sigma0 = 1."""
 
@@ -162,14 +198,15 @@ class OrientationProfile:
 def orientation_profile(solution: Solution, image: int, places: int = 31) -> OrientationProfile:
     """Exterior orientation of one image at evenly spaced lines from its first to its last (the papers' 31 samples).
 
-    Sigmas by the law of error propagation from the joint covariance of the image's coefficients.
+    Sigmas by the law of error propagation from the joint covariance of the image's coefficients and of what it shares
+    with others.
     """
     picture = solution.network.images[image]
     lines = np.linspace(0.0, float(picture.lines), places)
     correction, u = solution.correction(image), picture.normalised(lines)
     before, after = picture.pose(lines), picture.pose(lines, correction)
     basis, _ = polynomial(u, correction.coefficients.shape[0] - 1)
-    spread = solution.image_covariance(image).reshape(basis.shape[1], 6, basis.shape[1], 6)
+    spread = solution.correction_covariance(image).reshape(basis.shape[1], 6, basis.shape[1], 6)
     covariance = np.einsum("np,piqj,nq->nij", basis, spread, basis)
     turn = correction.axes(before, u)
     about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)

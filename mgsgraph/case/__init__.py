@@ -4,7 +4,7 @@ Paths are relative to the case file.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.groups import merged, with_sigmas
-from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, OrientationInput, decode
+from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, OrientationInput, SpiceInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
@@ -96,9 +96,26 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
     settings = SolverSettings(**{name: getattr(wanted.solver, name) for name in wanted.solver.__struct_fields__})
     held = np.array([image.held for image in wanted.images])
     network = parts.network(priors, held, *_read_terrain(wanted, folder))
+    network = _with_shared(network, wanted, path, laser)
     _require_seeing_images(network)
     pictures = tuple(folder / image.label if image.label else None for image in wanted.images)
     return Case(wanted.name, path, network, settings, ties, profiles, pictures, fits)
+
+
+def _with_shared(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
+    """The network with the unknowns that its images share; those of the laser go with its rows."""
+    if not wanted.shared:
+        return network
+    names = [image.name for image in network.images]
+    shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
+    if not laser:
+        shared = tuple(one for one in shared if not one.kind.of_laser)
+    try:
+        network = replace(network, shared=shared)
+        network.require_felt()
+        return network
+    except InputError as error:
+        raise error.within(str(path)) from None
 
 
 def _require_seeing_images(network: Network) -> None:
@@ -121,7 +138,7 @@ def _read_images(
 ) -> tuple[tuple[PushbroomImage, ...], tuple[PolynomialFit, ...]]:
     images, fits = list[PushbroomImage](), list[PolynomialFit]()
     for j, (entry, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
-        image = _read_image(entry, wanted, path.parent, f"{path}, images[{j}]")
+        image = read_image(entry, wanted.spice, path.parent, f"{path}, images[{j}]")
         if orientation.nominal == "polynomial":
             image, fit = fit_polynomials(image, orientation.nominal_order)
             fits.append(fit)
@@ -129,8 +146,8 @@ def _read_images(
     return tuple(images), tuple(fits)
 
 
-def _read_image(entry: ImageInput, wanted: CaseInput, folder: Path, where: str) -> PushbroomImage:
-    """From image support data, or from a label and SPICE kernels."""
+def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
+    """From image support data, or from a label and SPICE kernels; `where` names the table in errors."""
     if (entry.isd is None) == (entry.label is None):
         found = "neither isd nor label" if entry.isd is None else "both isd and label"
         raise InputError(where, found, "one of them")
@@ -140,7 +157,7 @@ def _read_image(entry: ImageInput, wanted: CaseInput, folder: Path, where: str) 
     from mgsgraph.io.moc import read_moc  # SPICE takes its time to load; only those who need it wait
 
     assert entry.label is not None
-    kernels = entry.kernels or (wanted.spice.kernels if wanted.spice else ())
+    kernels = entry.kernels or (spice.kernels if spice else ())
     if not kernels:
         raise InputError(where, "a label without kernels", "kernels = [...] here or in [spice]")
     return read_moc(
@@ -151,7 +168,7 @@ def _read_image(entry: ImageInput, wanted: CaseInput, folder: Path, where: str) 
         constants=entry.constants,
         attitude_bias=MGS_ATTITUDE_BIAS if entry.attitude_bias_s is None else entry.attitude_bias_s,
         position_bias=entry.position_bias_s,
-        interval=wanted.spice.sampling_s if wanted.spice else 0.1,
+        interval=spice.sampling_s if spice else 0.1,
     )
 
 

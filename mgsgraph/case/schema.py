@@ -2,6 +2,7 @@
 
 import math
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,7 +15,9 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.isd import Observer
 from mgsgraph.io.text import read_text
+from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
+from mgsgraph.wording import listed
 
 FORMAT = 1
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
@@ -161,6 +164,53 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of its horizontal place as a whole, which becomes an unknown."""
 
 
+class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """An unknown that several images share, with its a-priori sigma about zero in the unit that fits its kind."""
+
+    kind: Literal[
+        "attitude-time bias", "position-time bias", "camera boresight", "altimeter boresight", "range bias",
+        "focal length",
+    ]  # fmt: skip
+    """What it is."""
+    images: tuple[str, ...] = ()
+    """Names of the images that share it; all when absent."""
+    name: str = ""
+    """What to call it in reports; its kind when absent."""
+    sigma_s: Sigma | None = None
+    """Of a time bias."""
+    sigma_mrad: float | list[float] | None = None
+    """Of a boresight: about the camera's axes x, y, z alike, or three numbers."""
+    sigma_m: Sigma | None = None
+    """Of a range bias or a focal length."""
+
+    def unknown(self, names: Sequence[str], where: str) -> SharedUnknown:
+        """The record; `names` are those of all images, and `where` names this table in errors."""
+        kind = SharedKind(self.kind)
+        wanted = _SHARED_SIGMAS[kind.unit]
+        given = {key: value for key in _SHARED_SIGMAS.values() if (value := getattr(self, key)) is not None}
+        if set(given) != {wanted}:
+            raise InputError(where, listed(list(given)) if given else "no sigma", f"{wanted} for {self.kind}")
+        for name in self.images:
+            if name not in names:
+                found, known = f"the image {name!r}", ", ".join(list(names)[:4])
+                raise InputError(f"{where}, images", found, f"some of the case's images ({known})")
+        for name in [name for k, name in enumerate(self.images) if name in self.images[:k]][:1]:
+            raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
+        members = [list(names).index(name) for name in self.images or names]
+        if wanted == "sigma_mrad":
+            sigmas = _three_sigmas(given[wanted], f"{where}, {wanted}") * MRAD
+        else:
+            sigmas = np.array([given[wanted]])
+        try:
+            return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
+        except InputError as error:
+            raise error.within(where) from None
+
+
+_SHARED_SIGMAS = {"s": "sigma_s", "rad": "sigma_mrad", "m": "sigma_m"}
+"""Key of a shared unknown's sigma by its unit."""
+
+
 class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """SPICE kernels for all images that name none of their own."""
 
@@ -204,6 +254,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Laser profiles of MOLA."""
     terrain: TerrainInput | None = None
     """Terrain model."""
+    shared: tuple[SharedInput, ...] = ()
+    """Unknowns that several images share."""
     spice: SpiceInput | None = None
     """SPICE kernels."""
     solver: SolverInput = SolverInput()

@@ -13,10 +13,12 @@ from mgsgraph.errors import MgsgraphError
 _VERBS = {
     "add": "Add images to a project, and adjust what they touch.",
     "adjust": "Adjust a case: orientation, ground points and their sigmas.",
+    "analyze": "Ask the covariance of an adjustment: sigmas, honesty, reliability, what is weak.",
     "check": "Read and validate a case, say what is in it, solve nothing.",
     "campaign": "Adjust many cases, here or on a cluster, with a record of what is done.",
     "demo": "Simulate a study site, adjust it, and say what was wrong and what is right now.",
     "init": "Make a project, to which images are added as they come.",
+    "plan": "Rank what might be observed next by what it would do to the sigmas.",
     "register": "Project laser footprints into the images, and say by how much the images contradict.",
     "remove": "Take images out of a project, and adjust what they touched.",
     "simulate": "Write the files of a simulated study site, in the formats of the mission's archive.",

@@ -1,7 +1,7 @@
 """What a person sees while the adjustment runs: a bar over iterations, and a word when the kernel is being compiled."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import click
@@ -11,6 +11,8 @@ from mgsgraph.adjustment.batch import Iteration
 
 _PATIENCE = 4.0
 """s after which the silence is explained."""
+_SHORTLY = 2.0
+"""s before a bar appears: what is done sooner needs none."""
 
 
 @contextmanager
@@ -25,6 +27,18 @@ def iteration_bar(verbose: bool, most: int) -> Iterator["IterationBar"]:
     finally:
         timer.cancel()
         bar.close()
+
+
+@contextmanager
+def counting_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """Progress over a known number of things, on standard error (where that is a terminal) after two seconds."""
+    with tqdm(desc=what, unit=unit, leave=False, disable=None, delay=_SHORTLY) as bar:
+
+        def show(done: int, most: int) -> None:
+            bar.total = most
+            bar.update(done - bar.n)
+
+        yield show
 
 
 class IterationBar:

@@ -74,6 +74,11 @@ class ExteriorOrientation(Protocol):
         """First and last time, s past the epoch, at which it holds."""
         ...
 
+    @property
+    def spin(self) -> Array | None:
+        """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes; None where unknown."""
+        ...
+
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
         ...

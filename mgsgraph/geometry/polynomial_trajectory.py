@@ -36,6 +36,8 @@ class PolynomialTrajectory:
     """(order + 1, 3) m, body-fixed X, Y, Z; row k belongs to s^k."""
     angles: Array
     """(order + 1, 3) rad, omega, phi, kappa as in `rotation.omega_phi_kappa`; row k belongs to s^k."""
+    spin: Array | None = None
+    """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes; None where unknown."""
 
     def __post_init__(self) -> None:
         where = "polynomial trajectory"
@@ -46,6 +48,8 @@ class PolynomialTrajectory:
         if not position.size or not angles.size:
             raise InputError(where, "no coefficients", "at least the constant ones")
         assign(self, position=position, angles=angles)
+        if self.spin is not None:
+            assign(self, spin=frozen(self.spin, f"{where}, spin", (3,)))
 
     @property
     def coverage(self) -> tuple[float, float]:
@@ -157,8 +161,9 @@ def fit_polynomials(
         powers = np.polynomial.legendre.leg2poly(fitted[:, column])
         coefficients[: powers.size, column] = powers
     trajectory = PolynomialTrajectory(
-        image.trajectory.epoch, float(start), float(stop), coefficients[:, :3], coefficients[:, 3:]
-    )
+        image.trajectory.epoch, float(start), float(stop), coefficients[:, :3], coefficients[:, 3:],
+        image.trajectory.spin,
+    )  # fmt: skip
     exchanged = replace(image, trajectory=trajectory)
     dense = np.linspace(-1.0, 1.0, _DENSE * (samples - 1) + 1)
     fit = PolynomialFit(order, samples, _misfit(image, exchanged, s), _misfit(image, exchanged, dense))

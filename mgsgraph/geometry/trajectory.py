@@ -151,6 +151,12 @@ class Trajectory:
         tables = (self.position, self.camera, self.body)
         return max(float(t.times[0]) for t in tables), min(float(t.times[-1]) for t in tables)
 
+    @property
+    def spin(self) -> Array:
+        """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes: of its table."""
+        _, turning = self.body.at(self.body.times[[0, -1]])
+        return np.asarray(turning.mean(axis=0))
+
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
         start, stop = self.coverage

@@ -7,3 +7,5 @@ from mgsgraph.network.records import PointClass as PointClass
 from mgsgraph.network.records import ProfileShifts as ProfileShifts
 from mgsgraph.network.records import Ranges as Ranges
 from mgsgraph.network.records import Surface as Surface
+from mgsgraph.network.shared import SharedKind as SharedKind
+from mgsgraph.network.shared import SharedUnknown as SharedUnknown

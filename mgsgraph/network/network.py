@@ -11,6 +11,7 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, ProfileShifts, Ranges, Surface, frozen_mask
+from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.notebook import card
 from mgsgraph.ties import PointKind
 
@@ -37,6 +38,8 @@ class Network:
     """Terrain model as control."""
     areoid: TerrainGrid | None = None
     """Radii of the areoid, for the heights of the points; no observation."""
+    shared: tuple[SharedUnknown, ...] = ()
+    """Unknowns that several images share: biases of clocks and ranges, boresights, focal lengths."""
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
@@ -73,6 +76,10 @@ class Network:
         assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shifts_and_surface()
         self._require_shots_covered()
+        require_unique(tuple(one.name for one in self.shared), "shared unknowns")
+        for one in self.shared:
+            for j in one.images[one.images >= m][:1]:
+                raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
 
     def _require_shifts_and_surface(self) -> None:
         n = len(self.points)
@@ -106,6 +113,28 @@ class Network:
             worst = mine[np.argmax(np.maximum(start - since, since - stop))]
             where = f"laser shot {self.points.ids[self.ranges.point[worst]]}, image {self.images[j].name}"
             trajectory.require(self.ranges.times[[worst]] - trajectory.epoch, where)
+
+    def require_felt(self) -> None:
+        """Raise InputError unless some rows feel each shared unknown: before an adjustment that is to find them."""
+        for one in self.shared:
+            where = f"shared unknown {one.name!r}"
+            if one.kind is SharedKind.ALTIMETER_BORESIGHT:
+                rows, felt = "laser footprint with a range", self.beams(one)[0].size > 0
+            else:
+                rows = "range" if one.kind is SharedKind.RANGE_BIAS else "measured point"
+                felt = one.kind.felt_by_rays and bool(np.any(np.isin(self.rays.image, one.images)))
+                felt |= one.kind.felt_by_ranges and bool(np.any(np.isin(self.ranges.image, one.images)))
+            if not felt:
+                raise InputError(where, f"no {rows} of its images", "some that feel it", "take it out")
+
+    def beams(self, shared: SharedUnknown) -> tuple[Index, Index]:
+        """Constrained points whose footprint an altimeter's boresight moves, ascending, and the range of each: the
+        first that it has from one of the unknown's images.
+        """
+        constrained = self.points.kinds[self.ranges.point] == PointKind.CONSTRAINED
+        mine = np.flatnonzero(np.isin(self.ranges.image, shared.images) & constrained)
+        points, first = np.unique(self.ranges.point[mine], return_index=True)
+        return points, mine[first]
 
     @property
     def shift_names(self) -> tuple[str, ...]:

@@ -64,11 +64,21 @@ def unknowns(network: Network) -> Members:
     return (*images, *(Unknown("shift", name) for name in network.shift_names))
 
 
+def require_nothing_shared(network: Network) -> None:
+    """Raise InputError where images share unknowns: what is kept bundle by bundle can't hold them."""
+    for one in network.shared:
+        raise InputError(
+            f"shared unknown {one.name!r}", f"{one.kind} in what is adjusted image by image",
+            "orientation and shifts alone", "adjust such a case as a whole (`mgsgraph adjust`), or take [[shared]] out",
+        )
+
+
 def part(network: Network, points: Index) -> Network:
     """Some points (n,) of a network, in the order given, with their rows and with the images and shifts that they feel.
 
     Without points, or without any of their rows in an image, there is no network: the points' images are its images.
     """
+    require_nothing_shared(network)
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)
@@ -165,6 +175,8 @@ def joined(networks: Sequence[Network]) -> Network:
     InputError
         When one image measures a point twice, or parts contradict each other (class, a-priori place, terrain model).
     """
+    for net in networks:
+        require_nothing_shared(net)
     if len(networks) == 1:
         return networks[0]
     images = {one.image.name: one for net in networks for one in known_images(net)}
@@ -289,6 +301,7 @@ def _joined_surface(networks: Sequence[Network], place_of: list[Index], count: i
 
 def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
     """A network with all of these images, in their order; those that no measure names are in it, too."""
+    require_nothing_shared(network)
     place = {one.image.name: j for j, one in enumerate(images)}
     number = np.array([place[image.name] for image in network.images], dtype=np.int64)
     rays, ranges, (pictures, priors, held) = network.rays, network.ranges, image_columns(images)

@@ -71,8 +71,9 @@ def _require_shapes(solution: Solution) -> None:
     network = solution.network
     n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size
     shifts = len(network.shift_names)
-    width = np.array([prior.sigmas.size for prior in network.priors] + [2] * shifts)
-    adjusted = np.append(~network.held, np.ones(shifts, dtype=bool))
+    shared = [one.sigmas.size for one in network.shared]
+    width = np.array([prior.sigmas.size for prior in network.priors] + [2] * shifts + shared)
+    adjusted = np.append(~network.held, np.ones(shifts + len(shared), dtype=bool))
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     expected: dict[str, tuple[int, ...]] = {
         "shifts": (shifts, 2),
@@ -96,3 +97,6 @@ def _require_shapes(solution: Solution) -> None:
     shapes = [part.shape for part in solution.coefficients]
     if shapes != [prior.sigmas.shape for prior in network.priors]:
         raise InputError("coefficients", f"shapes {shapes[:5]}", "those of the priors", _ANEW)
+    values = [value.shape for value in solution.shared]
+    if values != [(size,) for size in shared]:
+        raise InputError("shared", f"shapes {values[:5]}", "those of the network's shared unknowns", _ANEW)

@@ -7,7 +7,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mgsgraph.errors import InputError
@@ -18,9 +18,16 @@ RECORD = "solution.json"
 """File that makes a folder a result of an adjustment by this program."""
 REGISTRATION = "registration.json"
 """File that makes a folder without a solution a registration by this program."""
+PLAN = "plan.json"
+"""File that makes a folder without either a plan by this program."""
+ANALYSIS = "analysis.json"
+"""File that makes a folder without any of them an analysis by this program."""
 
 _OURS = re.compile(
     r"solution\.(json|npz)|summary\.json|inputs|registration\.(json|csv)"
+    r"|plan\.(json|csv|png|svg)"
+    r"|analysis\.json|(components(_iterated)?|reliability)\.csv|sigmas\.tif|sigmas_[A-Za-z0-9._-]+\.(csv|png|svg)"
+    r"|(sigma_map|quantiles)\.(png|svg)"
     r"|(points|orientation|residuals|connectivity|discrepancy)\.csv"
     r"|(residuals|orientation|registration|map|connectivity|overlay|closeups|discrepancy)(_\d+)?\.(png|svg)"
 )
@@ -91,7 +98,8 @@ def fresh_file(path: Path, expected: str = "", remedy: str = "") -> Iterator[Pat
         found = f"can't be written ({error.strerror or error})"
         raise InputError(str(path), found, expected, remedy) from None
     finally:
-        aside.unlink(missing_ok=True)
+        with suppress(OSError):  # gone, or never made
+            aside.unlink()
 
 
 def require_replaceable(path: str | Path, record: str = RECORD) -> None:
@@ -118,7 +126,7 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
 
 def _kind(folder: Path) -> str | None:
     """The file by which a folder is known as ours, RECORD before others; None for a foreign folder."""
-    return next((name for name in (RECORD, REGISTRATION) if _is_ours(folder / name)), None)
+    return next((name for name in (RECORD, REGISTRATION, PLAN, ANALYSIS) if _is_ours(folder / name)), None)
 
 
 def _is_ours(path: Path) -> bool:

@@ -218,17 +218,17 @@ def against_truth(
         for j, image in enumerate(images):
             if not np.any(seen[j]):
                 continue
-            correction = solution.correction(j)
+            adjusted, correction = solution.image(j), solution.correction(j)
             inside = np.where(seen[j, :, None], places[:, j], np.nan)
             orientation.append(BeforeAfter(
                 registered.name,
                 misregistration(image, shots, inside, None, points),
-                _predicted(misregistration(image, shots, inside, correction, points), points, solution, j),
+                _predicted(misregistration(adjusted, shots, inside, correction, points), points, solution, j),
             ))
             footprints.append(BeforeAfter(
                 registered.name,
                 misregistration(image, shots, inside),
-                misregistration(image, shots, inside, correction, registered.points),
+                misregistration(adjusted, shots, inside, correction, registered.points),
             ))
         both = np.flatnonzero(np.all(seen, axis=0))
         if both.size:
@@ -267,9 +267,9 @@ def _inside(image: PushbroomImage, places: Array) -> Mask:
 
 def _predicted(found: Misregistration, points: Array, solution: Solution, image: int) -> Misregistration:
     """The same with the sigmas that the orientation's covariance predicts for the places of the points (n, 3)."""
-    picture, correction = solution.network.images[image], solution.correction(image)
+    picture, correction = solution.image(image), solution.correction(image)
     places, jacobian = place_jacobian(picture, points[found.shots], correction)
-    return _with_sigmas(found, jacobian, solution.image_covariance(image), on_ground(
+    return _with_sigmas(found, jacobian, solution.correction_covariance(image), on_ground(
         picture, places, points[found.shots], correction
     ))
 
@@ -292,7 +292,7 @@ def _between(
     nominal = OrientationCorrection(np.zeros((1, 6)))
     before, _, _ = contradiction((nominal, nominal))
     after, jacobian, metres = contradiction(corrections)
-    return BeforeAfter(profile, before, _with_sigmas(after, jacobian, solution.joint_covariance.of((0, 1)), metres))
+    return BeforeAfter(profile, before, _with_sigmas(after, jacobian, solution.correction_covariance(0, 1), metres))
 
 
 def _contradiction(

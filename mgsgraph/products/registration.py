@@ -175,7 +175,7 @@ def _of_solution(case: Case, solution: Solution) -> tuple[tuple[PushbroomImage, 
                 f"{image.lines} x {image.samples} as in the case", "adjust the case again",
             )
     chosen = [rows[image.name] for image in case.network.images]
-    return tuple(solution.network.images[j] for j in chosen), [solution.correction(j) for j in chosen]
+    return tuple(solution.image(j) for j in chosen), [solution.correction(j) for j in chosen]
 
 
 def _adjusted_places(name: str, shots: AltimeterShots, solution: Solution, rows: Mapping[str, int]) -> Array:

@@ -7,6 +7,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.products.archive import ARCHIVE, write_archive
 from mgsgraph.products.atomic import RECORD, fresh_folder
 from mgsgraph.products.connectivity import solution_connectivity
+from mgsgraph.products.shared import shared_csv
 from mgsgraph.products.tables import connectivity_csv, orientation_csv, points_csv, residuals_csv, solution_json
 
 
@@ -47,6 +48,9 @@ def write_into(solution: Solution, folder: Path, figures: bool = True) -> list[s
     connectivity_csv(connected, folder / "connectivity.csv")
     write_archive(solution, folder / ARCHIVE)
     names = [RECORD, "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv", ARCHIVE]
+    if solution.network.shared:
+        shared_csv(solution, folder / "shared.csv")
+        names.append("shared.csv")
     if not figures:
         return names
     from mgsgraph.products.figures import write_figures  # matplotlib takes its time; only those who draw wait for it

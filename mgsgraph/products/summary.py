@@ -21,6 +21,7 @@ from mgsgraph.products.merit import (
     ray_statistics,
     used_ray_counts,
 )
+from mgsgraph.products.shared import shared_statements, shared_table
 from mgsgraph.ties import PointKind
 from mgsgraph.units import ARCSEC, MRAD
 from mgsgraph.wording import NAMED, cells, listed, many, short, some, span, three
@@ -49,6 +50,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
         *_fits(solution, rays),
         *_datum(solution),
         *control_statements(solution),
+        *shared_statements(solution),
         *_constant_residuals(solution, rays),
         *_left_out(solution),
         *connectivity_statements(connected or solution_connectivity(solution)),
@@ -224,6 +226,7 @@ def summary_table(solution: Solution) -> str:
     """Images, points, ranges and sigma0 as aligned text of at most 110 columns."""
     rays = ray_statistics(solution)
     sections = [_head(solution), _image_table(solution, rays), _point_table(solution), _range_lines(solution)]
+    sections.append(shared_table(solution))
     seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
     return "\n\n".join([section for section in sections if section] + [f"Seconds: {seconds}"])
 

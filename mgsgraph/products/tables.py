@@ -31,6 +31,7 @@ from mgsgraph.products.merit import (
     rejected_points,
     used_ray_counts,
 )
+from mgsgraph.products.shared import shared_json
 from mgsgraph.products.summary import statements
 from mgsgraph.products.writing import columns, padded, picked, plain, quoted, truths, whole, write_csv
 from mgsgraph.ties import PointKind
@@ -75,6 +76,7 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "ranges": _ranges(solution),
         "laser_effect": _laser_effect(solution),
         "control": control_json(solution),
+        "shared": shared_json(solution),
         "sigmas": _sigmas(solution),
         "settings": dataclasses.asdict(solution.settings),
         "seconds": dict(solution.seconds),

@@ -13,6 +13,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -183,6 +184,10 @@ def _field_types(kind: Any) -> dict[str, Any]:
 def _scalar(value: Any, kind: Any, where: str) -> Any:
     if isinstance(value, dict):
         value = float(value["float"])
+    if isinstance(kind, type) and issubclass(kind, StrEnum):
+        if value not in tuple(kind):
+            raise InputError(where, f"{value!r}", f"one of {', '.join(kind)}", _NEWER)
+        return kind(value)
     if isinstance(kind, type) and not (isinstance(value, kind) or (kind is float and isinstance(value, int))):
         raise InputError(where, f"{value!r}", f"a value of type {kind.__name__}", _ANEW)
     return value

@@ -18,6 +18,7 @@ from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.simulation.circle import CENTRE, HEADING, Passage, narrow_image, on_ground, site_at
 from mgsgraph.simulation.circle import MARS as MARS
 from mgsgraph.simulation.circle import terrain_height as terrain_height
+from mgsgraph.simulation.instrument import InstrumentErrors, as_it_was, misplaced
 from mgsgraph.simulation.observations import (
     MARGIN,
     free_points,
@@ -104,7 +105,9 @@ class SimulatedPair:
         return f"SimulatedPair({names}; {self.ties!r}; {self.laser!r}; seed {self.seed})"
 
 
-def simulate_pair(settings: PairSettings | None = None, seed: int = 1) -> SimulatedPair:
+def simulate_pair(
+    settings: PairSettings | None = None, seed: int = 1, errors: InstrumentErrors | None = None
+) -> SimulatedPair:
     """Simulate a stereo pair with laser ranges; the same settings and seed give the same pair.
 
     Parameters
@@ -113,6 +116,8 @@ def simulate_pair(settings: PairSettings | None = None, seed: int = 1) -> Simula
         The default pair when absent.
     seed : int
         zero or positive; orientation, ties and shots are drawn from streams of their own.
+    errors : InstrumentErrors, optional
+        What is wrong with camera and altimeter, alike in both images; the images stay nominal. None when absent.
 
     Raises
     ------
@@ -134,8 +139,10 @@ def simulate_pair(settings: PairSettings | None = None, seed: int = 1) -> Simula
         for name, epoch, off_nadir in (("SIM/A", _EPOCHS[0], 0.0), ("SIM/B", _EPOCHS[1], settings.off_nadir))
     )
     true = tuple(settings.noise.correction(of_orientation) for _ in images)
-    ties, true_ties = _tie_points(images, true, settings, of_ties)
-    laser, footprints = _laser_profile(images, true, settings, of_shots)
+    errors = errors or InstrumentErrors()
+    taken = tuple(as_it_was(image, errors) for image in images)
+    ties, true_ties = _tie_points(taken, true, settings, of_ties)
+    laser, footprints = _laser_profile(taken, true, settings, errors, of_shots)
     return SimulatedPair(settings, seed, images, true, ties, true_ties, laser, footprints)
 
 
@@ -177,6 +184,7 @@ def _laser_profile(
     images: tuple[PushbroomImage, ...],
     corrections: tuple[OrientationCorrection, ...],
     settings: PairSettings,
+    errors: InstrumentErrors,
     rng: np.random.Generator,
 ) -> tuple[LaserProfile, Array]:
     """Shots along the first image's optical axis, evenly spaced in time, and their true footprints (n, 3) in m."""
@@ -185,12 +193,15 @@ def _laser_profile(
     places, seen = _project(images, corrections, shots.points)
     if not np.all(seen):
         raise InputError(SOURCE, f"images that share {seen.sum()} of {n} laser footprints", remedy=_NO_OVERLAP)
+    believed = shots.points
+    if np.any(errors.altimeter_boresight):
+        believed = misplaced(images[0], shots.times - images[0].trajectory.epoch, shots.points, errors)
     laser = profile(
         SOURCE,
         tuple(f"SHOT{i + 1:05d}" for i in range(n)),
         shots.times,
-        shots.ranges + noise.range * rng.standard_normal(n),
-        shots.points + noise.ground * rng.standard_normal((n, 3)),
+        shots.ranges + errors.range_bias + noise.range * rng.standard_normal(n),
+        believed + noise.ground * rng.standard_normal((n, 3)),
         ((images[0].name,),) * n,
         np.repeat(np.arange(n), len(images)),
         tuple(image.name for image in images) * n,

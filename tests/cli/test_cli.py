@@ -49,7 +49,7 @@ def test_help(arguments: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("adjst",), "adjust, check"),
+        (("adjst",), "adjust, analyze, check"),
         (("adjust",), "CASE"),
         (("adjust", "x.toml"), "--out"),
         (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"),

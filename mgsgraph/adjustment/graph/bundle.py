@@ -29,7 +29,7 @@ def point_key(point: int) -> int:
 
 
 def shift_key(profile: int) -> int:
-    """GTSAM key of the horizontal shift of a laser profile (or, after them, of the terrain model)."""
+    """GTSAM key of the horizontal shift of a laser profile; after these, of the terrain model and of what is shared."""
     return int(gtsam.symbol("s", profile))
 
 

@@ -81,7 +81,7 @@ def explicit_graph(
 def _factor(layout: Layout, rows: Rows, i: int, pattern: int, j: int, weights: Array) -> gtsam.CustomFactor:
     """Factor of the j-th sight of a point (place in the layout)."""
     sight, network = layout.patterns.sights[pattern][j], layout.network
-    felt = [sight.variable] if sight.variable >= 0 else []
+    felt = sight.variables
     label = f"point {network.points.ids[layout.point_order[i]]}"
     if sight.image >= 0:
         label += f", image {network.images[sight.image].name}"

@@ -97,7 +97,8 @@ class Layout:
         if surface is None:
             return self
         if self.network.terrain_moves:
-            points = points - np.einsum("k,nkj->nj", shared[-2:], east_north(self.rows.start))
+            terrain = self.columns_of(len(self.network.images) + len(self.network.shift_names) - 1)
+            points = points - np.einsum("k,nkj->nj", shared[terrain], east_north(self.rows.start))
         cells = surface.grid.cells(points)
         held = np.isfinite(surface.sigmas[self.point_order]) & (self.rows.kind != OUT)
         if np.array_equal(cells[held], self.rows.terrain_cell[held]):
@@ -147,11 +148,14 @@ def _variables(network: Network) -> Variables:
     if network.surface is not None and network.terrain_moves:
         shifts = np.append(shifts, network.surface.shift_sigma)
     sigmas += [np.full(2, sigma) for sigma in shifts]
+    angular = [np.arange(part.size) % 6 >= 3 for part in sigmas]
+    sigmas += [shared.sigmas for shared in network.shared]
+    angular += [np.full(shared.kind.width, shared.kind.unit == "rad") for shared in network.shared]
     width = np.array([part.size for part in sigmas], dtype=np.int64)
-    adjusted = np.concatenate([~network.held, np.ones(shifts.size, dtype=bool)])
+    adjusted = np.concatenate([~network.held, np.ones(shifts.size + len(network.shared), dtype=bool)])
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     kept = [part for part, taken in zip(sigmas, adjusted, strict=True) if taken]
-    angular = [np.arange(part.size) % 6 >= 3 for part in kept]
+    angular = [part for part, taken in zip(angular, adjusted, strict=True) if taken]
     return Variables(
         len(network.images),
         first,

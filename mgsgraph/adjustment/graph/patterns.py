@@ -8,16 +8,17 @@ import numpy as np
 
 from mgsgraph.factors.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.network import Network
+from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variables:
-    """Unknowns that points share: orientation coefficients of images, horizontal shifts of profiles and of the terrain.
+    """Unknowns that points share: orientation coefficients of images, horizontal shifts of profiles and of the terrain,
+    and those of `Network.shared`.
 
-    Variable j is image j, variable `images` + p is profile p, and the last one may be the terrain model. A held image
-    has no columns.
+    Variable j is image j, variable `images` + p is profile p, after the profiles may come the terrain model, and then
+    come the shared unknowns. A held image has no columns.
     """
 
     images: int
@@ -49,17 +50,33 @@ class Sight(NamedTuple):
     image: int
     """Image that carries it; -1 for none."""
     variable: int
-    """Variable that it feels; -1 for none (a held image, a prior that doesn't move)."""
+    """Image or shift that it feels; -1 for none (a held image, a prior that doesn't move)."""
+    felt: tuple[int, ...] = ()
+    """Variables of the shared unknowns that it feels, ascending."""
+    columns: int = 0
+    """Columns of these together."""
+    wide: bool = False
+    """Whether its state has one component more: the focal length of an image, the bias of a range."""
 
     @property
     def width(self) -> int:
         """Components of its state."""
-        return 6 if self.kind == IMAGE else 3
+        return (6 if self.kind == IMAGE else 3) + self.wide
+
+    @property
+    def shift(self) -> int:
+        """Single columns of a shift eastward and northward."""
+        return 2 if self.kind in (GROUND, SURFACE) and self.variable >= 0 else 0
 
     @property
     def shared(self) -> int:
-        """Single columns that it feels: a shift eastward and northward."""
-        return 2 if self.kind in (GROUND, SURFACE) and self.variable >= 0 else 0
+        """Single columns that it feels: a shift's, then those of shared unknowns."""
+        return self.shift + self.columns
+
+    @property
+    def variables(self) -> tuple[int, ...]:
+        """All variables that it feels."""
+        return (self.variable, *self.felt) if self.variable >= 0 else self.felt
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +109,7 @@ def sort_points(network: Network, variables: Variables) -> Patterns:
     signature = _signatures(network, len(variables.first))
     _, example, pattern = np.unique(signature, return_index=True, return_inverse=True)
     sights = _sights(network, variables, example)
-    sets = [tuple(sorted({sight.variable for sight in mine if sight.variable >= 0})) for mine in sights]
+    sets = [tuple(sorted({v for sight in mine for v in sight.variables})) for mine in sights]
     group_variables = tuple(sorted(set(sets)))
     number = {members: g for g, members in enumerate(group_variables)}
     group = np.array([number[members] for members in sets], dtype=np.int64)
@@ -141,21 +158,51 @@ def _sights(network: Network, variables: Variables, example: Index) -> list[tupl
     position = np.full(len(network.points), -1, dtype=np.int64)
     position[example] = np.arange(example.size)
     sights: list[list[Sight]] = [[] for _ in range(example.size)]
+    felt = {kind: [_columns_of(network, mine) for mine in felt_by(network, kind)] for kind in (IMAGE, RANGE)}
     for kind, table in ((IMAGE, network.rays), (RANGE, network.ranges)):
         mine = np.flatnonzero(position[table.point] >= 0)
         for k in mine[np.argsort(table.image[mine], kind="stable")]:
             image = int(table.image[k])
             variable = image if variables.first[image] >= 0 else -1
-            sights[position[table.point[k]]].append(Sight(kind, image, variable))
+            sights[position[table.point[k]]].append(Sight(kind, image, variable, *felt[kind][image]))
     surface, shifts = network.surface, network.shifts
-    terrain = variables.first.size - 1 if network.terrain_moves else -1
+    terrain = variables.images + len(network.shift_names) - 1 if network.terrain_moves else -1
+    moved = beams_felt(network, example)
     for q, i in enumerate(example):
         if network.points.kinds[i] == PointKind.CONSTRAINED:
             profile = -1 if shifts is None else int(shifts.profile[i])
-            sights[q].append(Sight(GROUND, -1, profile + variables.images if profile >= 0 else -1))
+            variable = profile + variables.images if profile >= 0 else -1
+            sights[q].append(Sight(GROUND, -1, variable, *_columns_of(network, moved[q])))
         if surface is not None and np.isfinite(surface.sigmas[i]):
             sights[q].append(Sight(SURFACE, -1, terrain))
     return [tuple(mine) for mine in sights]
+
+
+def felt_by(network: Network, kind: int) -> list[list[int]]:
+    """Of each image the shared unknowns that its rays (IMAGE) or its ranges (RANGE) feel, ascending."""
+    felt: list[list[int]] = [[] for _ in network.images]
+    for k, shared in enumerate(network.shared):
+        if shared.kind.felt_by_rays if kind == IMAGE else shared.kind.felt_by_ranges:
+            for j in shared.images.tolist():
+                felt[j].append(k)
+    return felt
+
+
+def beams_felt(network: Network, points: Index) -> list[list[int]]:
+    """Of each of some points the altimeters' boresights that move its a-priori place, ascending."""
+    felt: list[list[int]] = [[] for _ in range(points.size)]
+    for k, shared in enumerate(network.shared):
+        if shared.kind is SharedKind.ALTIMETER_BORESIGHT:
+            for q in np.flatnonzero(np.isin(points, network.beams(shared)[0])).tolist():
+                felt[q].append(k)
+    return felt
+
+
+def _columns_of(network: Network, felt: list[int]) -> tuple[tuple[int, ...], int, bool]:
+    """Variables of some shared unknowns, their columns together, and whether they need a wider state."""
+    first, kinds = len(network.images) + len(network.shift_names), [network.shared[k].kind for k in felt]
+    wide = any(kind in (SharedKind.FOCAL_LENGTH, SharedKind.RANGE_BIAS) for kind in kinds)
+    return tuple(first + k for k in felt), sum(kind.width for kind in kinds), wide
 
 
 def make_groups(variables: Variables, group_variables: tuple[tuple[int, ...], ...]) -> Groups:

@@ -6,13 +6,14 @@ and the axes along which shifts move them: the constants that the kernel reads, 
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns, Variables
+from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.errors import InputError
 from mgsgraph.factors.rows import (
     CAMERA,
@@ -24,6 +25,7 @@ from mgsgraph.factors.rows import (
     OPK_PEER,
     OUT,
     PRIOR,
+    RANGE,
     Model,
     Rows,
     components,
@@ -35,9 +37,10 @@ from mgsgraph.geometry.intersection import RayAngles, RaySums
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.network import Network
+from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
 
+_Component = TypeVar("_Component", int, Index)
 _PARALLEL = 1e-12
 """rad: rays closer to parallel than this start on the ellipsoid instead of at their intersection."""
 
@@ -65,7 +68,7 @@ class _Store:
         inside = at - first
         return start + stride * self.before[pattern, slots] + inside, stride, sights + slots * stride + inside
 
-    def put(self, place: Index, stride: Index, component: int, values: Array) -> int:
+    def put(self, place: Index, stride: Index, component: _Component, values: Array) -> _Component:
         """Store components from `component` on, (k,) or (k, c) or (k, c, d) values; which component comes next."""
         flat = values.reshape(place.size, math.prod(values.shape[1:]))
         for c in range(flat.shape[1]):
@@ -96,8 +99,9 @@ def lay_out_rows(
     starts = _starting_places(network, known)
     weight = np.zeros((2, int(sum(len(patterns.sights[q]) * n for q, n in store.piece[:, [0, 2]]))))
     angles = RayAngles(len(network.points))
-    rays = _fill_rays(network, model, store, terms, starts, weight, angles)
-    ranges = _fill_ranges(network, store, terms, weight)
+    effects = SharedEffects(network, model)
+    rays = _fill_rays(network, model, store, terms, effects, starts, weight, angles)
+    ranges = _fill_ranges(network, store, terms, effects, weight)
     _fill_ground(network, store, weight)
     places = SightPlaces(rays, ranges, *_fill_surface(network, store, starts, weight))
     order, surface = patterns.point_order, network.surface
@@ -150,10 +154,10 @@ def _sight_tables(
             bases = terms[sight.image] if sight.image >= 0 else 0
             table.append((sight.kind, sight.width, bases, sight.shared, len(entries)))
             focal.append(network.images[sight.image].interior.focal_length if sight.kind == IMAGE else 0.0)
-            inside = [6 * t for t in range(bases)] + list(range(sight.shared))
-            if inside:
-                first, place = int(variables.first[sight.variable]), members.index(sight.variable)
-                entries += [(first + step, place, step) for step in inside]
+            inside = [(sight.variable, 6 * t) for t in range(bases)]
+            inside += [(sight.variable, step) for step in range(sight.shift)]
+            inside += [(v, step) for v in sight.felt for step in range(int(variables.width[v]))]
+            entries += [(int(variables.first[v]) + step, members.index(v), step) for v, step in inside]
     columns = np.array(table, dtype=np.int64).reshape(-1, 5).T
     column, member, inside_of = np.array(entries, dtype=np.int64).reshape(-1, 3).T
     sizes = [len(sights) for sights in patterns.sights]
@@ -189,7 +193,14 @@ def _by_image(images: Index, count: int) -> list[Index]:
 
 
 def _fill_rays(
-    network: Network, model: Model, store: _Store, terms: list[int], starts: Array, weight: Array, angles: RayAngles
+    network: Network,
+    model: Model,
+    store: _Store,
+    terms: list[int],
+    effects: SharedEffects,
+    starts: Array,
+    weight: Array,
+    angles: RayAngles,
 ) -> NDArray[np.int32]:
     """Constants of the image rays, and their angles; the place of each among all sights."""
     rays = network.rays
@@ -214,12 +225,13 @@ def _fill_rays(
         if terms[j]:
             basis, rate = polynomial(image.normalised(lines), terms[j] - 1)
             both = np.concatenate([basis, rate * image.normalised_rate], axis=1)
-            store.put(place, stride, at, basis if model.line == MEASURED else both)
+            at = store.put(place, stride, at, basis if model.line == MEASURED else both)
+        store.put(place, stride, at, effects.of(IMAGE, j, image.normalised(lines)))
     weight[:, place_among] = 1.0 / rays.sigmas.T
     return place_among
 
 
-def _fill_ranges(network: Network, store: _Store, terms: list[int], weight: Array) -> Index:
+def _fill_ranges(network: Network, store: _Store, terms: list[int], effects: SharedEffects, weight: Array) -> Index:
     """Constants of the ranges; the instrument is where the camera is at the shot's time."""
     ranges = network.ranges
     slots = _ranks(ranges.point, ranges.image) + network.ray_counts[ranges.point]
@@ -232,8 +244,10 @@ def _fill_ranges(network: Network, store: _Store, terms: list[int], weight: Arra
         place, stride, place_among[mine] = store.place(ranges.point[mine], slots[mine])
         at = store.put(place, stride, 0, image.trajectory.pose(since).position)
         at = store.put(place, stride, at, ranges.values[mine])
+        u = image.normalised(image.timing.lines(since))
         if terms[j]:
-            store.put(place, stride, at, polynomial(image.normalised(image.timing.lines(since)), terms[j] - 1)[0])
+            at = store.put(place, stride, at, polynomial(u, terms[j] - 1)[0])
+        store.put(place, stride, at, effects.of(RANGE, j, u))
     weight[0, place_among] = 1.0 / ranges.sigmas
     return place_among
 
@@ -254,9 +268,16 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
     store.put(place, stride, 0, network.points.places[known])
     store.put(place, stride, 3, root[:, *np.triu_indices(3)])
     weight[0, among] = 1.0
+    after = np.full(known.size, 9)
     if network.shifts is not None:
         moved = network.shifts.profile[known] >= 0
         store.put(place[moved], stride[moved], 9, east_north(network.points.places[known[moved]]))
+        after[moved] += 6
+    for one in network.shared:
+        if one.kind is SharedKind.ALTIMETER_BORESIGHT:
+            points, motion = footprint_motion(network, one)
+            mine = np.searchsorted(known, points)
+            after[mine] = store.put(place[mine], stride[mine], after[mine], motion)
 
 
 def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array) -> tuple[Index, Index]:

@@ -112,7 +112,7 @@ def registration_offsets(solution: Solution, image: int, most: int | None = None
     measured = of_point[laser]
     start = np.where(np.isnan(measured[:, 0]), 0.5 * picture.lines, measured[:, 0])
     before, _ = picture.ground_to_image(network.points.places[laser], start=start)
-    after, _ = picture.ground_to_image(solution.places[laser], solution.correction(image), start)
+    after, _ = solution.image(image).ground_to_image(solution.places[laser], solution.correction(image), start)
     with np.errstate(invalid="ignore"):
         inside = np.all((after >= 0.0) & (after <= [picture.lines, picture.samples]), axis=1)
     kept = np.flatnonzero(inside | ~np.isnan(measured[:, 0]))
@@ -127,13 +127,12 @@ def registration_discrepancy(solution: Solution, first: Registration, second: Re
     They are carried along the ground, at the points' heights, because images may differ in scale, skew and direction
     of flight. What a horizontal displacement of the footprints does to both images cancels.
     """
-    images = solution.network.images
     shared, i, j = np.intersect1d(first.points, second.points, return_indices=True)
     both = np.all(np.isfinite(first.offset_after[i] + second.offset_after[j]), axis=1)
     shared, i, j = shared[both], i[both], j[both]
     order = np.argsort(first.lines[i], kind="stable")
     shared, i, j = shared[order], i[order], j[order]
-    one, two = images[first.image], images[second.image]
+    one, two = solution.image(first.image), solution.image(second.image)
     places = solution.places[shared]
     height = geodetic(places, two.body)[:, 2]
     _, to_ground = two.image_to_ground(

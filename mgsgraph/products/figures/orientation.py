@@ -27,7 +27,7 @@ from mgsgraph.units import ARCSEC
 
 _PER_SHEET = 4
 _PLACES = 101
-_ROWS = ("X (m)", "Y (m)", "Z (m)", "about x,\npitch (arcsec)", "about y,\nroll (arcsec)", "about z,\nyaw (arcsec)")
+_ROWS = ("X (m)", "Y (m)", "Z (m)", "about x\n(arcsec)", "about y\n(arcsec)", "about z\n(arcsec)")
 
 
 def orientation_sheets(solution: Solution) -> Iterator[Sheet]:

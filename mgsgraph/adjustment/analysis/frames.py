@@ -1,0 +1,217 @@
+"""Orientation coefficients in the terms of a flight: along, across and radial; roll, pitch and yaw.
+
+Position: radial is upward from the body's centre, along is the level part of the (body-fixed) flight direction, across
+is to the left, where the orbit's normal points. Rotation: yaw is about the optical axis, out of the lens, roll about
+the direction of flight as the camera sees it, pitch about the third axis, to the right for a camera that looks down;
+so a positive pitch lifts the view forward, and a positive roll to the left, whichever way the detector is built in.
+All are taken at mid-image.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import get_args
+
+import numpy as np
+
+from mgsgraph.adjustment.graph import Layout
+from mgsgraph.factors.rows import CAMERA, OPK_PAPER, OPK_PEER
+from mgsgraph.geometry.body import intersect_ellipsoid
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import Angles, OrientationCorrection
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.rotation import skew
+from mgsgraph.units import DEG
+
+FLIGHT = ("along-track position", "across-track position", "radial position", "roll", "pitch", "yaw")
+"""The six axes of an image."""
+BODY = ("position X", "position Y", "position Z", *FLIGHT[3:])
+"""The same of an image so long that its flight has no one direction."""
+_LONG = 10.0 * DEG
+"""Arc from mid-image to either end from which an image is that long."""
+_ANGLES: dict[int, Angles] = dict(zip((CAMERA, OPK_PAPER, OPK_PEER), get_args(Angles), strict=True))
+_ORDERS = ("constant", "linear", "quadratic", "cubic")
+_PER_SECOND = 1e-3
+"""rad/s, about what a camera turns that looks down all along a low orbit: what a second of time bias counts for."""
+_LEVEL = 1e-9
+"""Sine below which a direction counts as parallel to another."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightFrame:
+    """How one image's six components of a coefficient become its six axes, at mid-image."""
+
+    axes: tuple[str, ...]
+    """Names of the six axes."""
+    turn: Array
+    """(6, 6) m and rad: amounts along the axes = turn @ components."""
+    ground: Array
+    """(2, 6) m along and across the flight on the ground, per m and rad of the axes; NaN where no pairing makes sense:
+    where the optical axis misses the body, or the image is too long."""
+    reach: Array
+    """(6,) m per m and rad: what positions move, what roll and pitch move at the distance of the ground, and what yaw
+    moves there at the end of the detector."""
+
+    def orthogonal(self, sigmas: Array) -> Array:
+        """(6, 6) orthogonal: shares in units of the axes' own sigmas from components in units of `sigmas` (6,).
+
+        For sigmas alike in X, Y, Z, and in the three rotations, the turn itself; else the orthogonal matrix nearest to
+        the turn in those units, so that shares still sum up to one.
+        """
+        scaled = self.turn * sigmas
+        left, _, right = np.linalg.svd(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+        return np.asarray(left @ right)
+
+
+def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFrame:
+    """Axes of one image from its nominal orientation."""
+    middle = np.array([0.5 * image.lines])
+    pose = image.pose(middle)
+    level = flight_axes(pose.position[0], pose.velocity[0])
+    matrix = pose.matrix[0]
+    correction = OrientationCorrection(np.zeros((1, 6)), angles)
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = np.eye(3) if (long := _is_long(image)) else level
+    about = camera_axes(matrix @ level[0])
+    turn[3:, 3:] = about @ correction.axes(pose, np.zeros(1))[0]
+    origin, look = image.sightlines(middle, np.array([0.5 * image.samples]))
+    place, by_origin, by_look = (part[0] for part in intersect_ellipsoid(origin, look, image.body))
+    distance = float(np.linalg.norm(place - origin[0]))
+    moved = np.concatenate([by_origin @ turn[:3, :3].T, by_look @ -skew(look[0]) @ matrix.T @ about.T], axis=1)
+    if not np.isfinite(distance):  # what looks past the body sees it about as far as the ground lies below
+        distance = float(np.linalg.norm(pose.position[0])) - image.body.polar
+    end = image.sightlines(middle, np.zeros(1))[1]
+    width = distance * float(np.linalg.norm(end - look) / np.linalg.norm(look))
+    return FlightFrame(
+        BODY if long else FLIGHT,
+        turn,
+        np.full((2, 6), np.nan) if long else level[:2] @ moved,
+        np.array([1.0, 1.0, 1.0, distance, distance, width]),
+    )
+
+
+def flight_axes(position: Array, velocity: Array) -> Array:
+    """(3, 3) rows: unit vectors along, across (left) and radial (up), body-fixed."""
+    up = position / np.linalg.norm(position)
+    along = velocity - up * (up @ velocity)
+    if np.linalg.norm(along) <= _LEVEL * np.linalg.norm(velocity):  # a camera that stands still: any level direction
+        along = np.cross(np.eye(3)[np.argmin(np.abs(up))], up)
+    along = along / np.linalg.norm(along)
+    return np.stack([along, np.cross(up, along), up])
+
+
+def camera_axes(forward: Array) -> Array:
+    """(3, 3) rows: axes of roll, pitch and yaw in the camera's frame, from the flight's direction (3,) in it."""
+    roll = np.array([forward[0], forward[1], 0.0])
+    size = float(np.linalg.norm(roll))
+    roll = roll / size if size > _LEVEL else np.array([1.0, 0.0, 0.0])  # a camera that looks along its flight
+    yaw = np.array([0.0, 0.0, 1.0])
+    return np.stack([roll, np.cross(yaw, roll), yaw])
+
+
+def _is_long(image: PushbroomImage) -> bool:
+    lines = np.linspace(0.0, float(image.lines), 9)
+    positions = image.pose(lines).position
+    units = positions / np.linalg.norm(positions, axis=1, keepdims=True)
+    return bool(np.min(units @ units[4]) < np.cos(_LONG))
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One column of the orientation in the terms of the flight."""
+
+    variable: int
+    """Which shared unknown: images in order, then shifts."""
+    owner: str
+    """Image, profile or unknown whose it is, as "image NAME"."""
+    name: str
+    """Axis, or what the unknown is."""
+    order: int
+    """Of the polynomial; 0 for what is none."""
+    unit: str
+    """m or rad; s of a shared bias of time."""
+    polynomial: bool = True
+    """Whether there are other orders beside it."""
+
+    def __str__(self) -> str:
+        if not self.polynomial:
+            return self.name
+        return f"{_ORDERS[self.order] if self.order < len(_ORDERS) else f'u^{self.order}'} {self.name}"
+
+
+class Frames:
+    """All columns of a layout in the terms of its images' flights; frames are made as they are asked for."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self._frames: dict[int, FlightFrame] = {}
+
+    def of(self, image: int) -> FlightFrame:
+        """Frame of one image."""
+        if image not in self._frames:
+            angles = _ANGLES[self.layout.model.angles]
+            self._frames[image] = flight_frame(self.layout.network.images[image], angles)
+        return self._frames[image]
+
+    def turned(self, directions: Array) -> Array:
+        """(columns, k) orthogonal turn of directions, in units of the scales, from components to axes."""
+        result = directions.copy()
+        for image, rows, scales in self._blocks():
+            result[rows] = self.of(image).orthogonal(scales) @ directions[rows]
+        return result
+
+    def amounts(self, directions: Array) -> Array:
+        """(columns, k) m and rad, amounts along the axes of directions in units of the scales."""
+        result = directions * self.layout.scales[:, None]
+        for image, rows, scales in self._blocks():
+            result[rows] = self.of(image).turn @ (directions[rows] * scales[:, None])
+        return result
+
+    def moved(self, columns: slice, directions: Array) -> Array:
+        """(c, k) m, what directions (c, k) on the columns of whole variables move, axis by axis.
+
+        Directions are in units of the scales; what images share counts as in its first one.
+        """
+        result = directions * self.layout.scales[columns][:, None]
+        for image, rows, _ in self._blocks():
+            if columns.start <= rows.start < columns.stop:
+                mine = slice(rows.start - columns.start, rows.stop - columns.start)
+                result[mine] = self.of(image).reach[:, None] * (self.of(image).turn @ result[mine])
+        for k, shared in enumerate(self.layout.network.shared):
+            rows = self.layout.columns_of(self.layout.variables.first.size - len(self.layout.network.shared) + k)
+            if columns.start <= rows.start < columns.stop and shared.kind.unit != "m":
+                distance = self.of(int(shared.images[0])).reach[4]
+                turning = _PER_SECOND if shared.kind.unit == "s" else 1.0
+                result[rows.start - columns.start : rows.stop - columns.start] *= distance * turning
+        return result
+
+    @cached_property
+    def axes(self) -> list[Axis]:
+        """Name of each column."""
+        names = []
+        for variable in self.layout.variables.adjusted():
+            width = int(self.layout.variables.width[variable])
+            names += [self._axis(variable, inside) for inside in range(width)]
+        return names
+
+    def _blocks(self) -> Iterator[tuple[int, slice, Array]]:
+        """Image, columns and their scales, of each coefficient of each image that is adjusted."""
+        scales = self.layout.scales
+        for image in self.layout.variables.adjusted():
+            columns = self.layout.columns_of(image)
+            if image < self.layout.variables.images:
+                for first in range(columns.start, columns.stop, 6):
+                    yield image, slice(first, first + 6), scales[first : first + 6]
+
+    def _axis(self, variable: int, inside: int) -> Axis:
+        network, images = self.layout.network, self.layout.variables.images
+        if variable < images:
+            order, component = divmod(inside, 6)
+            owner = f"image {network.images[variable].name}"
+            return Axis(variable, owner, self.of(variable).axes[component], order, "m" if component < 3 else "rad")
+        shift = variable - images
+        if shift < len(network.shift_names):
+            return Axis(variable, network.shift_names[shift], f"{('east', 'north')[inside]} shift", 0, "m", False)
+        shared = network.shared[shift - len(network.shift_names)]
+        name = " ".join([*([shared.kind] if shared.kind not in shared.name else []), shared.kind.components[inside]])
+        return Axis(variable, f"shared unknown {shared.name}", name.strip() or "value", 0, shared.kind.unit, False)

@@ -1,0 +1,141 @@
+"""Which measures and priors share one assumption about their sigma, and a network with these sigmas scaled."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.adjustment.graph import Layout
+from mgsgraph.errors import InputError
+from mgsgraph.factors.rows import GROUND
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
+
+_CLASS = {PointClass.TIE: "tie", PointClass.LASER: "laser", PointClass.CONTROL: "control"}
+POSITION, POINTING, SHIFTS = "position priors", "pointing priors", "shifts"
+RANGES, GROUND_PRIORS, HEIGHTS = "ranges", "ground priors", "surface heights"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grouping:
+    """Groups of rows whose sigmas may be wrong by one factor; each a number, g of them."""
+
+    names: tuple[str, ...]
+    """(g,) each once."""
+    rays: Index
+    """(k,) group of each image ray."""
+    ranges: Index
+    """(r,) of each range."""
+    ground: Index
+    """(n,) of the a-priori place of each point; of no meaning for points without one."""
+    heights: Index
+    """(n,) of each point's height above the terrain model; of no meaning where it has none."""
+    unknowns: tuple[Index, ...]
+    """Of the priors of each variable's columns: images, then shifts, then shared unknowns."""
+
+    def __post_init__(self) -> None:
+        parts = [self.rays, self.ranges, self.ground, self.heights, *self.unknowns]
+        if any(part.size and not 0 <= part.min() <= part.max() < len(self.names) for part in parts):
+            raise InputError("grouping", "a group without a name", f"numbers 0 .. {len(self.names) - 1}")
+
+    def of_sights(self, layout: Layout) -> Index:
+        """(t,) group of each sight of a layout."""
+        places, rows = layout.places, layout.rows
+        found = np.full(rows.weight.shape[1], -1)
+        found[places.rays], found[places.ranges] = self.rays, self.ranges
+        found[places.heights] = self.heights[places.on_terrain]
+        for pattern, first, count, _, among in rows.piece.tolist():
+            sights = slice(rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1])
+            for i in np.flatnonzero(rows.sight_kind[sights] == GROUND).tolist():
+                of_points = self.ground[layout.point_order[first : first + count]]
+                found[among + i * count : among + (i + 1) * count] = of_points
+        return found
+
+    def of_columns(self, layout: Layout) -> Index:
+        """(columns,) group of each adjusted column's prior."""
+        parts = [self.unknowns[v] for v in layout.variables.adjusted()]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+
+
+def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Grouping:
+    """The usual groups: image points of ties, of laser shots and of control, ranges, ground priors, heights, position
+    and pointing priors, shifts, and one of each kind of shared unknown. Groups without any row are left out.
+
+    Image places that are projections with the nominal orientation are no measures and make a group of their own.
+
+    Parameters
+    ----------
+    network : Network
+    image_kinds : sequence of str, optional
+        What kind each image is of (a camera, nadir or oblique): tie image points get a group per kind.
+    """
+    rays = network.rays
+    if image_kinds is not None and len(image_kinds) != len(network.images):
+        expected = f"one for each of {len(network.images)} images"
+        raise InputError("grouping, image kinds", f"{len(image_kinds)}", expected)
+    classes = network.points.classes[rays.point]
+    of_ray = np.array([f"{_CLASS[PointClass(c)]} image points" for c in range(len(PointClass))], dtype=object)[classes]
+    if image_kinds is not None:
+        ties = classes == PointClass.TIE
+        of_ray[ties] = [f"tie image points, {image_kinds[j]}" for j in rays.image[ties].tolist()]
+    if rays.back_projected is not None:
+        of_ray[rays.back_projected] = [f"{name}, back-projected" for name in of_ray[rays.back_projected]]
+    parts = [np.where(np.arange(prior.sigmas.size) % 6 < 3, POSITION, POINTING) for prior in network.priors]
+    parts += [np.full(2, SHIFTS) for _ in network.shift_names]
+    parts += [np.full(shared.sigmas.size, f"{shared.kind} priors") for shared in network.shared]
+    n = len(network.points)
+    ground = np.full(n if np.any(network.points.covariances) else 0, GROUND_PRIORS)
+    heights = np.full(0 if network.surface is None else n, HEIGHTS)
+    labels = [of_ray.astype(str), np.full(network.ranges.point.size, RANGES), ground, heights]
+    labels += [part for j, part in enumerate(parts) if j >= len(network.held) or not network.held[j]]
+    names = list(dict.fromkeys(name for part in labels for name in dict.fromkeys(part.tolist())))
+    number = {name: g for g, name in enumerate(names)}
+
+    def numbered(part: Sequence[str]) -> Index:
+        return np.array([number.get(name, 0) for name in part], dtype=np.int64)
+
+    def every(name: str, size: int) -> Index:
+        return np.full(size, number.get(name, 0))
+
+    return Grouping(
+        tuple(names),
+        numbered(of_ray.tolist()),
+        every(RANGES, network.ranges.point.size),
+        every(GROUND_PRIORS, n),
+        every(HEIGHTS, n),
+        tuple(numbered(part.tolist()) for part in parts),
+    )
+
+
+def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
+    """The network with the sigmas of each group times its factor (g,)."""
+    factors = np.asarray(factors, dtype=np.float64)
+    if factors.shape != (len(grouping.names),) or not np.all(np.isfinite(factors) & (factors > 0.0)):
+        raise InputError("factors of sigmas", f"{factors}", f"{len(grouping.names)} positive numbers")
+    images, shifts = len(network.images), len(network.shift_names)
+    of_unknown = [factors[part] for part in grouping.unknowns]
+    profiles, surface = network.shifts, network.surface
+    if profiles is not None:
+        own = np.array([of_unknown[images + p][0] for p in range(len(profiles.names))]).reshape(-1)
+        profiles = ProfileShifts(profiles.names, profiles.profile, profiles.sigmas * own)
+    if surface is not None:
+        moved = surface.shift_sigma * (of_unknown[images + shifts - 1][0] if network.terrain_moves else 1.0)
+        surface = Surface(surface.grid, surface.sigmas * factors[grouping.heights], float(moved))
+    own_covariances = network.points.covariances * factors[grouping.ground][:, None, None] ** 2
+    return replace(
+        network,
+        priors=tuple(
+            OrientationPrior(prior.sigmas * of_unknown[j].reshape(prior.sigmas.shape))
+            for j, prior in enumerate(network.priors)
+        ),
+        points=replace(network.points, covariances=own_covariances),
+        rays=replace(network.rays, sigmas=network.rays.sigmas * factors[grouping.rays][:, None]),
+        ranges=replace(network.ranges, sigmas=network.ranges.sigmas * factors[grouping.ranges]),
+        shifts=profiles,
+        surface=surface,
+        shared=tuple(
+            replace(shared, sigmas=shared.sigmas * of_unknown[images + shifts + k])
+            for k, shared in enumerate(network.shared)
+        ),
+    )

@@ -1,0 +1,198 @@
+"""A network linearised at its solution: the rows of its points, and those of measures that nobody has made."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
+from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, residuals
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.factors.bundle import design
+from mgsgraph.factors.design import OWN
+from mgsgraph.factors.rows import GROUND, IMAGE, OUT, Rows, of_points
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.ties import PointKind
+
+ROWS = {IMAGE: 2, GROUND: 3}
+"""Rows of a sight; one of any other kind."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointRows:
+    """Whitened rows of some points that feel the same unknowns in the same way; m points, r rows, c columns."""
+
+    variables: tuple[int, ...]
+    """Shared unknowns that they feel, in the order of the columns."""
+    residuals: Array
+    """(m, r) measured minus predicted, in sigmas."""
+    by_point: Array
+    """(m, r, 3) per m."""
+    by_shared: Array
+    """(m, r, c) per m and rad."""
+    sight: Index
+    """(r,) sight, counted within the points' pattern, that each row belongs to."""
+    row: Index
+    """(r,) which row of it: line 0, sample 1; x, y, z of a ground prior."""
+
+    def eliminated(self) -> tuple[Array, Array]:
+        """The points as functions of the shared unknowns x and of noise e (3,) of their own, of unit covariance:
+        point = K x + N e with K (m, 3, c) = -V^-1 W' and N (m, 3, 3) = L^-T, V = B'B = L L', W' = B'J.
+        """
+        turned = np.swapaxes(self.by_point, 1, 2)
+        normal = turned @ self.by_point
+        noise = np.swapaxes(np.linalg.solve(np.linalg.cholesky(normal), np.eye(3)), 1, 2)
+        return -np.linalg.solve(normal, turned @ self.by_shared), noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearised:
+    """A network where it is linearised, and the covariance of the unknowns that its points share."""
+
+    layout: Layout
+    """All rows."""
+    settings: SolverSettings
+    """How they were laid out."""
+    rows: Rows
+    """Those that take part."""
+    orientation: Array
+    """(columns,) shared unknowns, m and rad."""
+    points: Array
+    """(n, 3) m, layout order."""
+    joint: JointCovariance
+    """Of the shared unknowns, for sigma0 = 1."""
+
+    @property
+    def network(self) -> Network:
+        """What was adjusted."""
+        return self.layout.network
+
+    @property
+    def values(self) -> list[Array]:
+        """Value (width,) of each variable, m, rad and s; zero for held images."""
+        variables = self.layout.variables
+        return [
+            self.orientation[variables.columns_of(v)] if first >= 0 else np.zeros(variables.width[v])
+            for v, first in enumerate(variables.first.tolist())
+        ]
+
+    def fit(self) -> Fit:
+        """Weighted squares, observations and unknowns of the rows that take part."""
+        found = residuals(self.layout, self.orientation, self.points)
+        return fit(self.layout, self.rows, self.orientation, self.points, found)
+
+    def place_of(self, point: int) -> int:
+        """Place in the layout of a network point that takes part; InputError where nothing determines it."""
+        place = int(self.layout.patterns.point_place[point])
+        if self.rows.kind[place] == OUT:
+            where = f"point {self.network.points.ids[point]}"
+            raise InputError(where, "its measures determine no place, or were rejected", "a point that was adjusted")
+        return place
+
+    def rows_of(self, point: int) -> PointRows:
+        """Rows of one network point that takes part."""
+        place = self.place_of(point)
+        piece = int(np.searchsorted(self.rows.piece[:, 1], place, side="right")) - 1
+        return self._rows_of(piece, np.array([place - self.rows.piece[piece, 1]]))
+
+    def rows_of_piece(self, piece: int) -> PointRows:
+        """Rows of all points of a piece of the layout, taking part or not."""
+        return self._rows_of(piece, np.arange(self.rows.piece[piece, 2]))
+
+    def _rows_of(self, piece: int, inside: Index) -> PointRows:
+        rows = of_points(self.rows, piece, inside)
+        return point_rows(self.layout, rows, self.orientation, self.points[self.rows.piece[piece, 1] + inside])
+
+    def pair_blocks(self, layout: Layout) -> Array:
+        """Covariance of the shared unknowns in the blocks of a layout, this one's or that of `asked`."""
+        blocks = layout.blocks
+        return self.joint.pairs(blocks.first, blocks.second, blocks.offset)
+
+    def asked(self, places: Array, rays: ImageRays, known: bool) -> Layout:
+        """Layout of places (m, 3) in m that nobody has measured, on the same shared unknowns.
+
+        Rays of known places stand alone; the others' intersect in them.
+        """
+        network, m = self.network, places.shape[0]
+        kinds, ids = np.full(m, PointKind.FIXED if known else PointKind.FREE), tuple(f"place {k}" for k in range(m))
+        points = GroundPoints(ids, np.full(m, PointClass.TIE), kinds, places, np.zeros((m, 3, 3)))
+        none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
+        shifts, surface = network.shifts, network.surface
+        bare = replace(
+            network,
+            points=points,
+            rays=rays,
+            ranges=Ranges(none, none, empty, empty, empty),
+            shifts=None if shifts is None else ProfileShifts(shifts.names, np.full(m, -1), shifts.sigmas),
+            surface=None if surface is None else Surface(surface.grid, np.full(m, np.inf), surface.shift_sigma),
+        )
+        return lay_out(bare, self.settings, places)
+
+
+def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) -> PointRows:
+    """Rows of the points (m, 3) of one piece, which is all that `rows` holds of the layout's."""
+    pattern, _, count, _, _ = rows.piece[0].tolist()
+    group, first = int(rows.pattern_group[pattern]), int(rows.pattern_sight[pattern])
+    sights = np.arange(first, rows.pattern_sight[pattern + 1])
+    numbers = design(rows, layout.groups, layout.blocks.target, layout.model, orientation, points)
+    of_row = [(i - first, row) for i in sights for row in range(ROWS.get(int(rows.sight_kind[i]), 1))]
+    sight, row = np.array(of_row, dtype=np.int64).reshape(-1, 2).T
+    mine = numbers.reshape(-1, count, *numbers.shape[1:])[sight, :, row].transpose(1, 0, 2)
+    members = slice(*layout.groups.member_first[group : group + 2])
+    width = layout.groups.member_width[members]
+    by_shared = np.zeros((count, sight.size, int(width.sum())))
+    for k, places in enumerate(_columns(rows, first + sight, np.cumsum(width) - width)):
+        np.add.at(by_shared, (slice(None), k, places), mine[:, k, OWN : OWN + places.size])
+    return PointRows(layout.group_variables[group], mine[:, :, 0], mine[:, :, 1:OWN], by_shared, sight, row)
+
+
+def _columns(rows: Rows, sights: Index, first_of_member: Index) -> list[Index]:
+    """Of each row's sight, where its numbers go among the columns of the group."""
+    found = []
+    for i in sights.tolist():
+        entry, terms, shared = (int(table[i]) for table in (rows.sight_entry, rows.sight_terms, rows.sight_shared))
+        mine = slice(entry, entry + terms + shared)
+        begin = first_of_member[rows.entry_member[mine]] + rows.entry_inside[mine]
+        found.append(np.concatenate([(begin[:terms, None] + np.arange(6)).ravel(), begin[terms:]]))
+    return found
+
+
+def at_solution(solution: Solution) -> Linearised:
+    """A network at its solution, with the rows that took part in it."""
+    settings, network, out = solution.settings, solution.network, ~solution.determined
+    layout = lay_out(network, settings, _starts(settings, solution.places))
+    orientation = np.concatenate([np.zeros(0), *(solution.values[v] for v in layout.variables.adjusted())])
+    points = np.where(out[:, None], 0.0, solution.places)[layout.point_order]
+    layout = layout.following(points, orientation)
+    points[layout.rows.kind == OUT] = 0.0
+    rows = layout.active(solution.rays_used | out[network.rays.point], solution.ranges_used, out)
+    return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance)
+
+
+def at_values(network: Network, settings: SolverSettings, values: Sequence[Array], places: Array) -> Linearised:
+    """A network at given values of its variables (m and rad) and places (n, 3) of its points; NaN for points that
+    nothing determines. Blunders, as the network marks them, stay out.
+    """
+    layout = lay_out(network, settings, _starts(settings, places))
+    orientation = np.concatenate([np.zeros(0), *(values[v] for v in layout.variables.adjusted())])
+    out = ~np.all(np.isfinite(places), axis=1)
+    points = np.where(out[:, None], 0.0, places)[layout.point_order]
+    layout = layout.following(points, orientation)
+    rows = layout.active(_unmarked(network.rays.rejected), _unmarked(network.ranges.rejected), out)
+    graph = BundleGraph(layout, rows)
+    joint = orientation_covariance(graph, graph.reduction(orientation, points=points))
+    return Linearised(layout, settings, rows, orientation, points, joint)
+
+
+def _starts(settings: SolverSettings, places: Array) -> Array | None:
+    """Where points begin: in the papers' form that is part of the model (image motion per line), and stays nominal."""
+    return places if settings.line == "predicted" else None
+
+
+def _unmarked(rejected: Mask | None) -> Mask:
+    assert rejected is not None  # a network fills them in
+    return ~rejected

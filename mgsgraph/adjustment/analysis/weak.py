@@ -1,0 +1,213 @@
+"""What is weak: the directions of which an adjustment has learnt least, in words.
+
+The posterior covariance S of the shared unknowns in units of what was known before, D^-1 S D^-1 with the a-priori
+sigmas D, has eigenvalues in 0 .. 1: the share of the a-priori variance that the measures left standing. (In place of an
+infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.)
+
+Many directions are often equally weak: whatever position and pointing of one image do to each other's favour, no
+measure ever tells. Directions whose sigmas differ by less than 1 % are therefore turned to simple structure (`simple`)
+and sorted by what they move, in m; their variances are no longer exactly eigenvalues, but within that 1 %.
+
+In a network of more than some 100 images there are hundreds of equals, and a handful of eigenvectors is a mixture of
+all of them. There Lanczos's method tells how weak the weakest is, and single images' own directions, as weak as that
+to 1 %, are named before any eigenvector.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.frames import Frames
+from mgsgraph.adjustment.analysis.simple import simple_basis
+from mgsgraph.adjustment.analysis.words import Part, in_words, parts_of
+from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.square_root import SquareRoot
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+
+_DENSE = 2000
+"""Columns up to which the whole matrix is decomposed."""
+_LANCZOS = 1e-4
+"""Relative accuracy of Lanczos's eigenvalues; those of equals hardly converge any further."""
+_EQUAL = 0.01
+"""Difference of sigmas up to which directions are equally weak."""
+_TURNED = 60
+"""Directions, of equals, that are turned to simple structure at least: those that move most."""
+
+
+class _Run(NamedTuple):
+    """Directions that are equally weak."""
+
+    vectors: Array
+    """(columns, k) orthonormal."""
+    number: int
+    """How many such directions there are, k or more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeakDirection:
+    """A direction of the shared unknowns of which little was learnt."""
+
+    ratio: float
+    """Its sigma over the a-priori one."""
+    sigma: float
+    """m or rad, how far one sigma moves the axis of its main part."""
+    unit: str
+    """Of that: m or rad."""
+    parts: tuple[Part, ...]
+    """Largest share first; shares below 1 % are left out."""
+    words: str
+    """What it is, and how weak."""
+    equals: int
+    """Directions, it among them, that are as weak to 1 %; at least as many where not all were found."""
+    direction: Array
+    """(columns,) unit vector, in units of the a-priori sigmas (`Layout.scales`)."""
+
+    def __str__(self) -> str:
+        return self.words
+
+
+def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, ...]:
+    """The directions of which the adjustment has learnt least, weakest first.
+
+    Parameters
+    ----------
+    solution : Solution
+    count : int
+        How many are wanted.
+
+    Raises
+    ------
+    InputError
+        When `count` is not positive, or all orientation was held.
+    """
+    layout = lay_out(solution.network, solution.settings, solution.places)
+    return weakest(layout, solution.joint_covariance, count)
+
+
+def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[WeakDirection, ...]:
+    """The same of a covariance that belongs to a layout."""
+    if count < 1:
+        raise InputError("weak directions, count", f"{count}", "1 or more")
+    if joint.columns == 0 or joint.columns != layout.columns:
+        raise InputError(
+            "weak directions", f"a covariance of {joint.columns} unknowns",
+            f"one of {layout.columns or 'at least one'}, as the network has",
+            "give an adjustment with free orientation",
+        )  # fmt: skip
+    frames, found = Frames(layout), list[WeakDirection]()
+    values, vectors = spectrum(joint, layout.scales, min(count, layout.columns))
+    runs = _runs(values, vectors)
+    if values.size < layout.columns:
+        runs = chain(_own(frames, joint, float(values[0]), count), runs)
+    for run in runs:
+        if len(found) >= count:
+            break
+        for direction in _legible(frames, run, max(_TURNED, count))[:, : count - len(found)].T:
+            variance = (direction / layout.scales) @ apply_covariance(joint.square_root, direction / layout.scales)
+            found.append(_described(frames, direction, float(np.sqrt(variance)), run.number))
+    return tuple(found)
+
+
+def spectrum(joint: JointCovariance, scales: Array, count: int, dense: int = _DENSE) -> tuple[Array, Array]:
+    """Eigenvalues, largest first, and eigenvectors (columns, k) of the covariance in units of `scales` (columns,).
+
+    All of them up to `dense` columns; above, by Lanczos's method on the square root, the first `count` (and some more).
+    """
+    if joint.columns <= max(dense, count + 1):
+        values, vectors = np.linalg.eigh(joint.dense() / scales / scales[:, None])
+        return values[::-1], vectors[:, ::-1]
+    from scipy.sparse.linalg import LinearOperator, eigsh  # slow to import
+
+    size, root = joint.columns, joint.square_root
+    operator = LinearOperator(
+        (size, size), matvec=lambda x: apply_covariance(root, x.ravel() / scales) / scales, dtype=np.float64
+    )
+    start = np.random.default_rng(1).normal(size=size)  # the same result each time
+    few = min(size, max(4 * count, 40))
+    values, vectors = eigsh(operator, k=count, which="LA", v0=start, tol=_LANCZOS, ncv=few)
+    order = np.argsort(-values)
+    return values[order], vectors[:, order]
+
+
+def apply_covariance(root: SquareRoot, vector: Array) -> Array:
+    """Covariance times a vector (columns,): forward from the leaves to the root of the cliques' tree, and back."""
+    work = vector.copy()
+    for clique in range(root.sizes.size - 1, -1, -1):
+        columns, rows = root.columns_of[clique], root.rows_of(clique)
+        for a, b, inverse in root.triangles[clique]:
+            work[columns[a:b]] = inverse.T @ work[columns[a:b]]
+            work[columns[b:]] -= rows[a:b, b:].T @ work[columns[a:b]]
+    for clique in range(root.sizes.size):
+        columns, rows = root.columns_of[clique], root.rows_of(clique)
+        for a, b, inverse in root.triangles[clique][::-1]:
+            work[columns[a:b]] = inverse @ (work[columns[a:b]] - rows[a:b, b:] @ work[columns[b:]])
+    return work
+
+
+def _own(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_Run]:
+    """Directions of single images that are as weak as the weakest, where there are `count`; those that move most."""
+    layout, found = frames.layout, list[tuple[slice, Array]]()
+    for variable in layout.variables.adjusted():
+        columns = layout.columns_of(variable)
+        scales = layout.scales[columns]
+        values, vectors = np.linalg.eigh(joint.block(variable, variable) / scales / scales[:, None])
+        weak = vectors[:, values >= largest * (1.0 - _EQUAL) ** 2]
+        found.append((columns, _longest(weak, frames.moved(columns, weak))))
+    each = [(columns, vector) for columns, vectors in found for vector in vectors.T]
+    if len(each) < count:
+        return
+    lengths = [np.linalg.norm(frames.moved(columns, vectors), axis=0) for columns, vectors in found]
+    chosen = np.argsort(-np.concatenate(lengths), kind="stable")[: max(_TURNED, count)]
+    together = np.zeros((layout.columns, chosen.size))
+    for place, k in enumerate(chosen):
+        together[each[k][0], place] = each[k][1]
+    yield _Run(together, len(each))
+
+
+def _runs(values: Array, vectors: Array) -> Iterator[_Run]:
+    """Runs of equally weak directions."""
+    first, sigmas = 0, np.sqrt(np.maximum(values, 0.0))
+    while first < sigmas.size:
+        last = max(int(np.searchsorted(-sigmas, -sigmas[first] * (1.0 - _EQUAL), side="right")), first + 1)
+        yield _Run(vectors[:, first:last], last - first)
+        first = last
+
+
+def _longest(vectors: Array, moved: Array) -> Array:
+    """Directions turned to the main axes of what they move, (columns or c, k) m, the longest first."""
+    return np.asarray(vectors @ np.linalg.eigh(moved.T @ moved)[1][:, ::-1])
+
+
+def _legible(frames: Frames, run: _Run, most: int) -> Array:
+    """(columns, k) directions of one run, `most` at the most, turned to simple structure, what moves most first."""
+    every, vectors = slice(0, run.vectors.shape[0]), run.vectors
+    if vectors.shape[1] > most:
+        vectors = _longest(vectors, frames.moved(every, vectors))[:, :most]
+    vectors = vectors @ simple_basis(frames.turned(vectors))
+    length = np.linalg.norm(frames.moved(every, vectors), axis=0)
+    return np.asarray(vectors[:, np.argsort(-np.round(length, 3), kind="stable")])
+
+
+def _described(frames: Frames, direction: Array, ratio: float, equals: int) -> WeakDirection:
+    turned = frames.turned(direction[:, None])[:, 0]
+    direction = direction * (1.0 if turned[np.argmax(np.abs(np.round(turned, 9)))] >= 0.0 else -1.0)
+    parts = parts_of(frames, direction)
+    main = parts[0]
+    variable = frames.layout.sigmas[frames.layout.columns_of(main.axis.variable)]
+    before = "1 km and 10 mrad (nothing was known before)" if np.any(np.isinf(variable)) else "what was known before"
+    direction.flags.writeable = False
+    return WeakDirection(
+        ratio=ratio,
+        sigma=abs(main.amount) * ratio,
+        unit=main.axis.unit,
+        parts=parts,
+        words=f"{in_words(frames, parts, ratio)}, {ratio:.2f} of {before}",
+        equals=equals,
+        direction=direction,
+    )

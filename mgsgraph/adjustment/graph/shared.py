@@ -1,0 +1,79 @@
+"""Directions of the network's shared unknowns in the states of the sights that feel them."""
+
+import numpy as np
+
+from mgsgraph.adjustment.graph.patterns import Variables, felt_by
+from mgsgraph.factors.rows import CAMERA, IMAGE, OPK_PAPER, RANGE, Model
+from mgsgraph.geometry.orientation import Angles, polynomial
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network, SharedKind, SharedUnknown
+from mgsgraph.network.shared import DEGREE, beam_motion, image_effect
+
+
+class SharedEffects:
+    """What each image's shared unknowns do to the state of its rays and of its ranges."""
+
+    def __init__(self, network: Network, model: Model) -> None:
+        angles: Angles = (
+            "camera" if model.angles == CAMERA else "opk-paper" if model.angles == OPK_PAPER else "opk-peer"
+        )
+        self._kinds = {
+            kind: [[network.shared[k].kind for k in mine] for mine in felt_by(network, kind)]
+            for kind in (IMAGE, RANGE)
+        }
+        self._effects = {
+            (j, kind): image_effect(network.images[j], kind, angles)
+            for of_images in self._kinds.values()
+            for j, kinds in enumerate(of_images)
+            for kind in kinds
+            if kind.moves_pose
+        }
+
+    def of(self, sight: int, image: int, u: Array) -> Array:
+        """(n, columns, width) directions in the states of an image's rays (IMAGE) or ranges (RANGE) at normalised
+        lines u (n,), in m and rad (or of the last component) per unit.
+        """
+        kinds = self._kinds[sight][image]
+        pose = 6 if sight == IMAGE else 3
+        own = [kind for kind in kinds if not kind.moves_pose]
+        width = pose + bool(own)
+        found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
+        basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
+        for kind in kinds:
+            if kind.moves_pose:
+                effect = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
+                found[:, column : column + kind.width, :pose] = effect[:, :, :pose]
+            else:
+                found[:, column, pose] = 1.0
+            column += kind.width
+        return found
+
+
+def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:
+    """Points (p,), ascending, whose footprint an altimeter's boresight moves, and how: (p, 3, 3) m per rad, a row per
+    camera axis.
+    """
+    assert shared.kind is SharedKind.ALTIMETER_BORESIGHT
+    points, chosen = network.beams(shared)
+    ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
+    for j in np.unique(ranges.image).tolist():
+        mine, image = ranges.image == j, network.images[j]
+        since = ranges.times[mine] - image.trajectory.epoch
+        motion[mine] = beam_motion(image, since, network.points.places[points[mine]])
+    return points, motion
+
+
+def shared_values(network: Network, variables: Variables, orientation: Array) -> tuple[Array, ...]:
+    """Value (width,) of each shared unknown, in the vector (columns,) of all that points share."""
+    first = len(network.images) + len(network.shift_names)
+    return tuple(orientation[variables.columns_of(first + k)] for k in range(len(network.shared)))
+
+
+def footprint_shifts(network: Network, values: tuple[Array, ...]) -> Array:
+    """(n, 3) m by which the values of all shared unknowns move a-priori places."""
+    moved = np.zeros((len(network.points), 3))
+    for shared, value in zip(network.shared, values, strict=True):
+        if shared.kind is SharedKind.ALTIMETER_BORESIGHT:
+            points, motion = footprint_motion(network, shared)
+            moved[points] += np.einsum("k,pkc->pc", value, motion)
+    return moved

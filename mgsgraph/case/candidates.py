@@ -1,0 +1,300 @@
+"""A candidates file (TOML): images, laser profiles and control points that might be observed; units in the key names.
+
+Paths are relative to the file. What is there is read, and becomes candidates over a network that was adjusted.
+"""
+
+import tomllib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from mgsgraph.adjustment.planning.candidates import (
+    Candidate,
+    PlannedShots,
+    PlannedTies,
+    planned_control,
+    planned_image,
+    planned_profile,
+)
+from mgsgraph.adjustment.planning.scene import Scene
+from mgsgraph.adjustment.planning.standing import Standing
+from mgsgraph.case import read_image, read_shots
+from mgsgraph.case.schema import FORMAT, ImageInput, OrientationInput, Positive, Sigma, SpiceInput
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north, from_geodetic, from_planetocentric
+from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
+from mgsgraph.geometry.records import Array
+from mgsgraph.io.lidar import read_lidar
+from mgsgraph.io.text import read_text
+from mgsgraph.network.parts import KnownImage
+from mgsgraph.registration import footprints_in_images
+from mgsgraph.units import DEG
+
+_MOST_TIES, _MOST_SHOTS = 100_000, 1_000_000
+
+
+class CandidateImage(ImageInput, forbid_unknown_fields=True, frozen=True):
+    """An image that might be added: as in a case file, and the tie points that it would get."""
+
+    ties: Annotated[int, msgspec.Meta(ge=0, le=_MOST_TIES)] | None = None
+    """New tie points on an even grid over each overlap with an image of the network; 20 when neither this nor
+    ties_per_cell is said."""
+    ties_per_cell: Positive | None = None
+    """New tie points in each cell of the overlap, instead."""
+    cell_px: Positive = 512.0
+    """Side of such a cell, in the image of the two that covers less ground."""
+    sigma_px: Sigma = 1.0
+    """Sigma of line and sample of these; in the candidate measure_sigma_px, where that is said."""
+    existing: bool = False
+    """Whether tie points of the network that it shows are measured in it, too."""
+    everywhere: bool = True
+    """Whether a new tie point is measured in all images that show it, or in the two of the overlap alone."""
+
+    def planned(self, where: str) -> PlannedTies:
+        """As the planner takes them."""
+        if self.ties is not None and self.ties_per_cell is not None:
+            raise InputError(where, "both ties and ties_per_cell", "one of them")
+        count = 20 if self.ties is None else self.ties
+        return PlannedTies(
+            count, self.ties_per_cell, self.cell_px, self.sigma_px, self.measure_sigma_px, self.existing,
+            self.everywhere,
+        )  # fmt: skip
+
+
+class CandidateProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A laser profile that might be taken in: its shots' file, or the track of an image of the network."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1)]
+    """What to call it."""
+    file: str | None = None
+    """ISIS lidar data (.json), PEDR binary (.b) or table: footprints and times count, ranges and heights needn't."""
+    image: str | None = None
+    """Image of the network whose trajectory carries the ranges; with a file, found by its times when absent."""
+    every_s: Positive | None = None
+    """Without a file: a shot every so many seconds at the nadir of the image, from its first line to its last."""
+    range_sigma_m: Sigma = 10.0
+    """Sigma of the ranges."""
+    ground_sigma_m: Sigma = 10.0
+    """Sigma of each footprint in each direction."""
+    shift_sigma_m: Sigma | None = None
+    """Sigma of the profile's common horizontal error, which becomes an unknown; absent: none."""
+    image_sigma_px: Sigma | None = None
+    """Sigma of the footprints' image coordinates, in all images that show them; absent: they aren't measured."""
+    ranges: bool = True
+    """Use the ranges."""
+
+
+class CandidateControl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A ground control point that might be surveyed."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1)]
+    """What to call it."""
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
+    """East."""
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
+    """Geodetic with height_m, planetocentric with radius_m."""
+    height_m: float | None = None
+    """Above the ellipsoid."""
+    radius_m: Positive | None = None
+    """From the body's centre, instead."""
+    sigma_m: Sigma | list[Sigma] = 1.0
+    """Sigma of the place: one number, or eastward, northward and upward."""
+    sigma_px: Sigma = 1.0
+    """Sigma of line and sample in the images."""
+    images: tuple[str, ...] | None = None
+    """Images in which it would be measured; all that show it when absent."""
+
+
+class CandidatesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A candidates file."""
+
+    format: int
+    """Version of this layout: that of case files."""
+    orientation: OrientationInput = OrientationInput()
+    """For images without sigmas of their own."""
+    spice: SpiceInput | None = None
+    """SPICE kernels for images that name none."""
+    images: tuple[CandidateImage, ...] = ()
+    """Images."""
+    profiles: tuple[CandidateProfile, ...] = ()
+    """Laser profiles."""
+    control: tuple[CandidateControl, ...] = ()
+    """Control points."""
+
+
+def read_candidates(
+    path: str | Path, standing: Standing, progress: Callable[[int, int], None] = lambda _done, _most: None
+) -> tuple[Candidate, ...]:
+    """Read a candidates file and everything that it names, and plan the measures of each candidate.
+
+    Parameters
+    ----------
+    path : path
+        TOML file.
+    standing : Standing
+        The network over which they are planned.
+    progress : callable
+        Called with how many are planned, and how many there are.
+
+    Raises
+    ------
+    InputError
+        With the place, the finding and the remedy: no candidate, unknown keys, a name that is in the network already.
+    """
+    path = Path(path)
+    wanted = decode_candidates(path)
+    kinds = (wanted.images, wanted.profiles, wanted.control)
+    names = [one.name for kind in kinds for one in kind]
+    if not names:
+        expected = "at least one of [[images]], [[profiles]] and [[control]]"
+        raise InputError(str(path), "no candidate", expected)
+    for name in sorted({one for one in names if names.count(one) > 1})[:1]:
+        raise InputError(str(path), f"two candidates named {name!r}", "each name once")
+    scene, found = Scene(standing), list[Candidate]()
+    plans = [
+        *(partial(_image, scene, one, wanted, path, k) for k, one in enumerate(wanted.images)),
+        *(partial(_profile, scene, one, path, k) for k, one in enumerate(wanted.profiles)),
+        *(partial(_control, scene, one, path, k) for k, one in enumerate(wanted.control)),
+    ]
+    for planned in plans:
+        try:
+            found.append(planned())
+        except InputError as error:
+            raise error if str(path) in str(error) else error.within(str(path)) from None
+        progress(len(found), len(plans))
+    return tuple(found)
+
+
+def decode_candidates(path: Path) -> CandidatesInput:
+    """A candidates file's tables, validated; InputError with the path of what is wrong."""
+    try:
+        table = tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
+    version = table.get("format")
+    if version != FORMAT:
+        found = "no key 'format'" if version is None else f"format {version!r}"
+        raise InputError(str(path), found, f"format = {FORMAT}", "write it at the head of the candidates file")
+    try:
+        return msgspec.convert(table, CandidatesInput, strict=False)
+    except msgspec.ValidationError as error:
+        what, _, place = str(error).partition(" - at `$.")
+        where = f"{path}, {place.rstrip('`')}" if place else str(path)
+        raise InputError(where, what[0].lower() + what[1:], remedy="see docs/plan.md") from None
+
+
+def _image(scene: Scene, entry: CandidateImage, wanted: CandidatesInput, path: Path, k: int) -> Candidate:
+    where = f"{path}, images[{k}]"
+    orientation = entry.orientation or wanted.orientation
+    prior = orientation.prior(f"{where}.orientation" if entry.orientation else f"{path}, orientation")
+    ties = entry.planned(where)
+    if entry.name in scene.views:
+        found = f"the image {entry.name!r}, which is in the network already"
+        raise InputError(where, found, "a new image", "take it out of the candidates")
+    image = read_image(entry, wanted.spice, path.parent, where)
+    if image.body != scene.network.images[0].body:
+        raise InputError(where, "an image of another body than the network's", "one body")
+    if orientation.nominal == "polynomial":
+        image, _ = fit_polynomials(image, orientation.nominal_order)
+    return planned_image(scene, KnownImage(image, prior, entry.held), ties)
+
+
+def _profile(scene: Scene, entry: CandidateProfile, path: Path, k: int) -> Candidate:
+    where = f"{path}, profiles[{k}]"
+    if (entry.file is None) == (entry.every_s is None):
+        found = "neither file nor every_s" if entry.file is None else "both file and every_s"
+        raise InputError(where, found, "a file, or image and every_s")
+    if entry.image is not None:
+        _require_image(scene, entry.image, where)
+    elif entry.file is None:
+        raise InputError(where, "every_s without image", "the image of the network along whose track shots are planned")
+    if entry.file is None:
+        times, footprints, image = _track(scene, entry, where)
+    elif entry.file.lower().endswith(".json"):
+        times, footprints, image = _of_lidar(scene, entry, path.parent / entry.file)
+    else:
+        times, footprints, image = _of_pedr(scene, entry, path.parent / entry.file)
+    n = times.size
+    shots = PlannedShots(
+        times, footprints, image if entry.ranges else None, np.full(n, entry.range_sigma_m),
+        np.broadcast_to(np.eye(3) * entry.ground_sigma_m**2, (n, 3, 3)), entry.shift_sigma_m, entry.image_sigma_px,
+    )  # fmt: skip
+    return planned_profile(scene, entry.name, shots)
+
+
+_Shots = tuple[Array, Array, str | None]
+"""Times (n,) in s TDB past J2000, footprints (n, 3) in m, and the image that carries the ranges."""
+
+
+def _track(scene: Scene, entry: CandidateProfile, where: str) -> _Shots:
+    """Shots at the nadir of an image, evenly in time about its middle."""
+    assert entry.image is not None
+    assert entry.every_s is not None
+    view = scene.views[entry.image]
+    first, last = view.image.timing.at(np.array([0.0, float(view.image.lines)]))[0] + view.image.trajectory.epoch
+    count = int((last - first) / entry.every_s) + 1
+    if count > _MOST_SHOTS:
+        raise InputError(f"{where}, every_s", f"{count} shots", f"at most {_MOST_SHOTS}", "take a longer interval")
+    times = 0.5 * (first + last) + entry.every_s * (np.arange(count) - 0.5 * (count - 1))
+    return times, scene.below(view.positions(times), view.height), entry.image
+
+
+def _of_lidar(scene: Scene, entry: CandidateProfile, path: Path) -> _Shots:
+    """Shots of ISIS lidar data that were taken along with one image of the network (or with the one named)."""
+    profile = read_lidar(path)
+    named = {name for names in profile.simultaneous for name in names if name in scene.views}
+    owner = entry.image or _only(sorted(named), str(path))
+    if owner is None:
+        return profile.times, profile.footprints, None
+    mine = np.array([owner in names for names in profile.simultaneous], dtype=bool)
+    return profile.times[mine], profile.footprints[mine], owner
+
+
+def _of_pedr(scene: Scene, entry: CandidateProfile, path: Path) -> _Shots:
+    """Shots of MOLA that fall in images: those taken along with one of them (or with the one named), if any were."""
+    shots, views = read_shots(path), list(scene.views.values())
+    images, corrections = [view.image for view in views], [view.correction for view in views]
+    seen = footprints_in_images(images, shots, corrections)
+    along = seen.inside & seen.simultaneous & shots.ground
+    owners = [image.name for image, mine in zip(images, along, strict=True) if np.any(mine)]
+    owner = entry.image or _only(owners, str(path))
+    number = {image.name: j for j, image in enumerate(images)}
+    taken = np.any(seen.inside, axis=0) & shots.ground if owner is None else along[number[owner]]
+    return shots.times[taken], shots.footprints[taken], owner
+
+
+def _only(owners: list[str], source: str) -> str | None:
+    if len(owners) > 1:
+        found = f"shots simultaneous with {' and '.join(owners[:3])}"
+        raise InputError(source, found, "one image", "name it: image = ... in [[profiles]]")
+    return owners[0] if owners else None
+
+
+def _control(scene: Scene, entry: CandidateControl, path: Path, k: int) -> Candidate:
+    where = f"{path}, control[{k}]"
+    if (entry.height_m is None) == (entry.radius_m is None):
+        found = "neither height_m nor radius_m" if entry.height_m is None else "both height_m and radius_m"
+        raise InputError(where, found, "one of them")
+    for name in entry.images or ():
+        _require_image(scene, name, where)
+    at = entry.longitude_deg * DEG, entry.latitude_deg * DEG
+    if entry.height_m is not None:
+        place = from_geodetic(np.array([*at, entry.height_m]), scene.network.images[0].body)
+    else:
+        place = from_planetocentric(np.array([[*at, entry.radius_m]]))[0]
+    sigmas = np.atleast_1d(np.asarray(entry.sigma_m, dtype=np.float64))
+    if sigmas.size not in (1, 3):
+        raise InputError(f"{where}, sigma_m", f"{sigmas.size} numbers", "one, or three: eastward, northward, upward")
+    axes = np.concatenate([east_north(place[None])[0], place[None] / np.linalg.norm(place)])
+    covariance = axes.T @ np.diag(np.broadcast_to(sigmas, 3) ** 2) @ axes
+    return planned_control(scene, entry.name, place, covariance, entry.sigma_px, entry.images)
+
+
+def _require_image(scene: Scene, name: str, where: str) -> None:
+    if name not in scene.views:
+        known = ", ".join(list(scene.views)[:4])
+        raise InputError(where, f"the image {name!r}", f"an image of the network ({known})")

@@ -1,0 +1,220 @@
+"""Unknowns that several images share (a clock's error, a boresight, a bias), and what each does to a sight.
+
+What one does to an image is a small change of its pose, proportional to the unknown: a *polynomial of the line* like
+the image's own orientation correction, so that the two add up to one correction (`Solution.correction`). An
+attitude-time bias turns the camera by its inertial angular velocity (from the sampled attitude: the noise of a CK's
+records is smoothed out); a position-time bias moves it by its inertial velocity. The body goes on turning by its own
+clock, so both together are a shift of the lines' times except for that: some 240 m/s times the cosine of the latitude
+on Mars.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import Angles
+from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.trajectory import Pose
+
+DEGREE = 5
+"""Of the polynomials: the velocity of an orbit's arc of 20 deg is one to 2e-9, of 60 deg to 1e-6."""
+_PLACES = 31
+"""Evenly spread lines to which they are fitted, first and last among them."""
+_MISFIT = 1e-3
+"""Share of its largest value that a polynomial may be off; not of angular velocities, which carry the CK's noise."""
+
+
+class SharedKind(StrEnum):
+    """What an unknown is."""
+
+    ATTITUDE_TIME = "attitude-time bias"
+    """s: attitude at time t is the nominal one of t + bias."""
+    POSITION_TIME = "position-time bias"
+    """s: position at time t is the nominal one of t + bias; of the ranges, too."""
+    CAMERA_BORESIGHT = "camera boresight"
+    """rad: a small rotation of the camera about its own axes x, y, z."""
+    ALTIMETER_BORESIGHT = "altimeter boresight"
+    """rad: a small rotation of the laser's beam about the camera's axes; moves a-priori footprints."""
+    RANGE_BIAS = "range bias"
+    """m: what measured ranges are too long."""
+    FOCAL_LENGTH = "focal length"
+    """m: to be added to the nominal one."""
+
+    @property
+    def width(self) -> int:
+        """Number of columns: three angles, or one."""
+        return 3 if self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT) else 1
+
+    @property
+    def unit(self) -> str:
+        """Unit of its values."""
+        if self in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME):
+            return "s"
+        return "rad" if self.width == 3 else "m"
+
+    @property
+    def moves_pose(self) -> bool:
+        """Whether it changes where the camera is or how it stands."""
+        return self in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME, SharedKind.CAMERA_BORESIGHT)
+
+    @property
+    def felt_by_rays(self) -> bool:
+        """Whether image rays feel it."""
+        return self.moves_pose or self is SharedKind.FOCAL_LENGTH
+
+    @property
+    def felt_by_ranges(self) -> bool:
+        """Whether laser ranges feel it: they begin where the camera is, and know nothing of attitude."""
+        return self in (SharedKind.POSITION_TIME, SharedKind.RANGE_BIAS)
+
+    @property
+    def of_laser(self) -> bool:
+        """Whether only laser rows feel it."""
+        return self in (SharedKind.ALTIMETER_BORESIGHT, SharedKind.RANGE_BIAS)
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of its columns; one empty name where there is but one."""
+        return ("x", "y", "z") if self.width == 3 else ("",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedUnknown:
+    """One unknown that several images share: of a camera, an orbit, an altimeter."""
+
+    name: str
+    """What to call it in reports, each once."""
+    kind: SharedKind
+    """What it is."""
+    images: Index
+    """(m,) images that share it, each once."""
+    sigmas: Array
+    """(1,) or, of a boresight, (3,): a-priori, about zero, in the kind's unit; finite."""
+
+    def __post_init__(self) -> None:
+        where = f"shared unknown {self.name!r}"
+        if not self.name:
+            raise InputError("shared unknown", "an empty name", "what to call it")
+        images = frozen_index(self.images, f"{where}, images", np.size(self.images), 2**31)
+        if images.size == 0 or np.unique(images).size != images.size:
+            raise InputError(f"{where}, images", f"{images.tolist()[:10]}", "at least one image, each once")
+        sigmas = frozen(self.sigmas, f"{where}, sigmas", (self.kind.width,))
+        if sigmas.min() <= 0.0:
+            raise InputError(f"{where}, sigmas", f"{sigmas.min()} {self.kind.unit}", "positive sigmas")
+        assign(self, images=images, sigmas=sigmas)
+
+    def of(self, image: int) -> bool:
+        """Whether an image shares it."""
+        return bool(np.any(self.images == image))
+
+
+def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Array:
+    """What a unit of an unknown that moves the pose does to an image's orientation correction.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        With its nominal orientation.
+    kind : SharedKind
+        One that `moves_pose`.
+    angles : Angles
+        What the rotation part of corrections is.
+
+    Returns
+    -------
+    (kind.width, DEGREE + 1, 6)
+        Coefficients of u^0, u^1, ... in m and rad per s or rad of the unknown.
+
+    Raises
+    ------
+    InputError
+        For a time bias, where the nominal orientation doesn't say how the body turns; where the image is so long that
+        no polynomial describes the effect.
+    """
+    lines = np.linspace(0.0, float(image.lines), _PLACES)
+    pose = image.pose(lines)
+    effect = np.zeros((kind.width, _PLACES, 6))
+    if kind is SharedKind.CAMERA_BORESIGHT:
+        for axis in range(3):
+            effect[axis, :, 3 + axis] = 1.0
+    else:
+        period, spin = image.timing.at(lines)[1][:, None], _spin(image)
+        if kind is SharedKind.ATTITUDE_TIME:
+            effect[0, :, 3:] = pose.turning / period + pose.matrix @ spin
+        else:
+            effect[0, :, :3] = pose.velocity / period + np.cross(spin, pose.position)
+    if angles != "camera":
+        effect[:, :, 3:] = [_added_angles(pose, angles, turned) for turned in effect[:, :, 3:]]
+    return _fitted(image, kind, image.normalised(lines), effect)
+
+
+def _spin(image: PushbroomImage) -> Array:
+    """(3,) rad/s, body-fixed."""
+    spin = image.trajectory.spin
+    if spin is None:
+        raise InputError(
+            f"image {image.name}", "a nominal orientation that doesn't say how fast the body turns",
+            "one read from support data or kernels, for a time bias", "adjust the case again",
+        )
+    return spin
+
+
+def _added_angles(pose: Pose, angles: Angles, turned: Array) -> Array:
+    """(n, 3) rad added to omega, phi, kappa by small rotations (n, 3) about the camera axes."""
+    paper = angles == "opk-paper"
+    nominal = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
+    return np.asarray(np.linalg.solve(rotation.angle_axes(nominal, paper), turned[:, :, None])[:, :, 0])
+
+
+def _fitted(image: PushbroomImage, kind: SharedKind, u: Array, effect: Array) -> Array:
+    """Coefficients (c, DEGREE + 1, 6) of values (c, n, 6) at u (n,), by least squares in Legendre's basis."""
+    basis = np.polynomial.legendre.legvander(u, DEGREE)
+    values = np.moveaxis(effect, 1, 0).reshape(u.size, -1)
+    fitted = np.linalg.lstsq(basis, values, rcond=None)[0]
+    off, largest = np.abs(basis @ fitted - values).max(), np.abs(values).max(initial=0.0)
+    if kind is not SharedKind.ATTITUDE_TIME and off > _MISFIT * largest:
+        raise InputError(
+            f"image {image.name}, {kind}", f"an effect that no polynomial of degree {DEGREE} describes",
+            "a shorter image", "leave this image out of it",
+        )
+    plain = np.zeros((DEGREE + 1, values.shape[1]))
+    for column in range(values.shape[1]):
+        powers = np.polynomial.legendre.leg2poly(fitted[:, column])
+        plain[: powers.size, column] = powers
+    return np.moveaxis(plain.reshape(DEGREE + 1, effect.shape[0], 6), 1, 0)
+
+
+def beam_motion(image: PushbroomImage, times: Array, footprints: Array) -> Array:
+    """(n, 3, 3) m per rad: how far a footprint moves when the laser's beam turns about the camera's axis x, y or z.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        Whose camera the laser flies with.
+    times : (n,)
+        s past its trajectory's epoch, of the shots.
+    footprints : (n, 3)
+        m, body-fixed.
+    """
+    pose = image.trajectory.pose(times)
+    return np.cross(pose.matrix, (footprints - pose.position)[:, None])
+
+
+def ground_shift(image: PushbroomImage, kind: SharedKind) -> Array:
+    """(kind.width, 3) m per s or rad: how far the ground moves that the middle of an image shows (or, by the
+    altimeter's boresight, a footprint there), level with the ellipsoid.
+    """
+    line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
+    place, _ = image.image_to_ground(line, sample)
+    pose = image.pose(line)
+    arm, up = place - pose.position, place[0] / np.array([image.body.equatorial] * 2 + [image.body.polar]) ** 2
+    if kind is SharedKind.ALTIMETER_BORESIGHT:
+        moved = np.cross(pose.matrix[0], arm)
+    else:
+        effect = image_effect(image, kind, "camera")[:, 0]
+        moved = effect[:, :3] + np.cross(effect[:, 3:] @ pose.matrix[0], arm)
+    return np.asarray(moved - arm * (moved @ up)[:, None] / (arm @ up)[:, None])

@@ -1,0 +1,371 @@
+"""What the covariance knows, section by section: text for the terminal, records for analysis.json, tables, figures."""
+
+import json
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.components import Components, components_of, honest_sigmas
+from mgsgraph.adjustment.analysis.honesty import chi_square_test, residual_statistics
+from mgsgraph.adjustment.analysis.levels import Levels
+from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.adjustment.analysis.posterior import Posterior
+from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
+from mgsgraph.adjustment.analysis.snooping import Snooping, snoop
+from mgsgraph.adjustment.analysis.suspects import Suspect, suspects
+from mgsgraph.adjustment.analysis.weak import WeakDirection, weakest
+from mgsgraph.products.answers import Answer, Questions, answered
+from mgsgraph.products.atomic import ANALYSIS, PROGRAM, fresh_folder
+from mgsgraph.products.sigma_raster import write_sigma_raster
+from mgsgraph.products.writing import picked, plain, quoted, write_csv
+from mgsgraph.units import MRAD
+from mgsgraph.wording import many, some
+
+_FLIGHT = ("along", "across", "radial", "roll", "pitch", "yaw")
+_KINDS = ("image coordinate", "range", "a-priori place", "height", "prior")
+
+
+def _nothing(folder: Path, figures: bool) -> list[str]:
+    return []
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One part of an analysis."""
+
+    key: str
+    """Its key in analysis.json."""
+    text: str
+    """Lines for a person."""
+    record: Any
+    """The same for a program, units in the keys."""
+    write: Callable[[Path, bool], list[str]] = _nothing
+    """Writes its own files into a folder, with figures or without; their names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What an analysis is to hold."""
+
+    questions: Questions = field(default_factory=Questions)
+    """Asked of the posterior."""
+    curves: tuple[str, ...] = ()
+    """Images along whose lines sigmas are wanted."""
+    raster: tuple[str, ...] | None = None
+    """Images over whose overlap sigmas are wanted, empty for all; None for no raster."""
+    cell: float | None = None
+    """m, side of the raster's cells."""
+    sigma: float = 1.0
+    """px, of the measures of the raster's points."""
+    honesty: bool = False
+    """Global test, variance components, statistics of residuals."""
+    iterated: bool = False
+    """Variance components by adjusting again and again."""
+    suspects: int = 0
+    """Rows of the table by suspicion; 0 for no reliability."""
+    snooped: bool = False
+    """Adjust again without what data snooping finds."""
+    weak: int = 0
+    """Weak directions to be named."""
+    levels: Levels = field(default_factory=Levels)
+    """Sizes of tests."""
+
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing in particular was asked: then the summary is given."""
+        return not (
+            self.questions or self.curves or self.raster is not None or self.honesty or self.iterated or self.suspects
+            or self.snooped or self.weak
+        )  # fmt: skip
+
+
+def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Section]:
+    """Sections in the order in which they are read, each when it is ready.
+
+    Raises InputError where something asked about isn't in the solution.
+    """
+    if wanted.questions:
+        yield _answers(list(answered(posterior, wanted.questions)))
+    for image in wanted.curves:
+        yield _curve(posterior, image)
+    if wanted.raster is not None:
+        yield _raster(posterior, wanted)
+    if wanted.honesty:
+        yield _honesty(posterior, name)
+    if wanted.iterated:
+        yield _iterated(posterior)
+    if wanted.suspects:
+        yield _reliability(reliability(posterior.linearised, wanted.levels), wanted.suspects)
+    if wanted.snooped:
+        yield _snooped(snoop(posterior.network, posterior.linearised.settings, wanted.levels))
+    if wanted.weak:
+        yield _weak(weakest(posterior.linearised.layout, posterior.linearised.joint, wanted.weak))
+
+
+def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures: bool = True) -> list[str]:
+    """Write analysis.json and the sections' tables and figures to a folder that appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else than an earlier analysis, or can't be written.
+    """
+    with fresh_folder(folder, ANALYSIS) as aside:
+        record: dict[str, Any] = {"program": PROGRAM, "format": 1, "name": name}
+        names = [ANALYSIS]
+        for section in sections:
+            record.setdefault(section.key, []).append(section.record)
+            names += section.write(aside, figures)
+        text = json.dumps(plain(record), indent=1, allow_nan=False, ensure_ascii=False)
+        (aside / ANALYSIS).write_text(text + "\n", encoding="utf-8", newline="\n")
+    return names
+
+
+def _answers(found: Sequence[Answer]) -> Section:
+    return Section("answers", "\n".join(one.text for one in found), [one.record for one in found])
+
+
+def _curve(posterior: Posterior, image: str) -> Section:
+    picture = posterior.network.images[posterior.image_number(image)]
+    poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
+    lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
+    shown = sigmas / np.repeat([1.0, MRAD], 3)
+    names = [f"sigma_{axis}_{unit}" for axis, unit in zip(_FLIGHT, ("m",) * 3 + ("mrad",) * 3, strict=True)]
+    file = f"sigmas_{re.sub(r'[^A-Za-z0-9.-]+', '_', image)}"
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        write_csv(
+            folder / f"{file}.csv", {"image": [quoted(image)] * lines.size},
+            {"line": lines, **dict(zip(names, shown.T, strict=True))},
+        )  # fmt: skip
+        if not figures:
+            return [f"{file}.csv"]
+        from mgsgraph.products.figures.sheet import plain_style, save  # matplotlib takes its time
+        from mgsgraph.products.figures.sigmas import curve_sheet
+
+        with plain_style():
+            return [f"{file}.csv", *save(curve_sheet(poses, file), folder)]
+
+    head = " ".join(f"{axis:>9}" for axis in _FLIGHT)
+    rows = [f"{lines[k]:>9.0f} " + " ".join(f"{value:9.4g}" for value in shown[k]) for k in range(0, lines.size, 10)]
+    text = f"Sigmas along image {image} (m; mrad)\n{'line':>9} {head}\n" + "\n".join(rows)
+    return Section("curves", text, {"image": image, "lines": lines, **dict(zip(names, shown.T, strict=True))}, write)
+
+
+def _raster(posterior: Posterior, wanted: Wanted) -> Section:
+    grid = sigma_grid(posterior, wanted.raster or (), wanted.cell, wanted.sigma)
+    body = posterior.network.images[0].body
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        write_sigma_raster(grid, body, folder / "sigmas.tif")
+        if not figures:
+            return ["sigmas.tif"]
+        from mgsgraph.products.figures.sheet import plain_style, save
+        from mgsgraph.products.figures.sigmas import raster_sheet
+
+        with plain_style():
+            return ["sigmas.tif", *save(raster_sheet(grid, "sigma_map"), folder)]
+
+    _, rows, columns = grid.values.shape
+    record = {
+        "images": list(grid.images), "measure_sigma_px": grid.sigma, "cell_m": grid.step * body.equatorial,
+        "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
+        "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
+    }  # fmt: skip
+    return Section("raster", f"{grid.statement[0].upper()}{grid.statement[1:]}.", record, write)
+
+
+def _honesty(posterior: Posterior, name: str) -> Section:
+    at = posterior.linearised
+    test, components = chi_square_test(at.fit()), components_of(at)
+    statistics = residual_statistics(at)
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        _components_csv(components, folder / "components.csv")
+        if not figures:
+            return ["components.csv"]
+        from mgsgraph.products.figures.quantiles import write_quantile_figure
+
+        return ["components.csv", *write_quantile_figure(statistics, name, folder)]
+
+    lines = [f"{test.words()}.", "By what factor the sigmas of each group are wrong:", components.words()]
+    lines += ["Normalised residuals, shares beside what a normal law promises:", *(one.words() for one in statistics)]
+    record = {
+        "global_test": {
+            "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
+            "p_larger": test.larger, "passed": test.passed, "alpha": test.alpha,
+        },
+        "components": _components_record(components),
+        "residuals": [
+            {
+                "group": one.name, "residuals": one.values.size, "independent": one.effective, "mean": one.mean,
+                "rms": one.rms, "skewness": one.skewness, "excess_kurtosis": one.kurtosis,
+                "beyond_1_2_3_sigma": one.beyond, "p": one.p_value,
+            }
+            for one in statistics
+        ],
+    }  # fmt: skip
+    return Section("honesty", "\n".join(lines), record, write)
+
+
+def _components_record(found: Components) -> dict[str, Any]:
+    return {
+        "exact": found.exact,
+        "groups": [
+            {
+                "group": one.name, "judgement": str(one.judgement), "rows": one.rows, "redundancy": one.redundancy,
+                "squares": one.squares, "factor": one.factor, "sigma_of_factor": one.sigma,
+                "interval_99": one.interval(),
+            }
+            for one in found.groups
+        ],
+        "correlation_of_squared_factors": found.correlation,
+    }  # fmt: skip
+
+
+def _components_csv(found: Components, path: Path) -> None:
+    text = {
+        "group": [quoted(one.name) for one in found.groups],
+        "judgement": [str(one.judgement) for one in found.groups],
+    }
+    low, high = np.array([one.interval() for one in found.groups]).T
+    numbers = {
+        name: np.array([float(getattr(one, name)) for one in found.groups])
+        for name in ("rows", "redundancy", "squares", "factor", "sigma", "foerstner")
+    }
+    write_csv(path, text, {**numbers, "factor_low_99": low, "factor_high_99": high})
+
+
+def _iterated(posterior: Posterior) -> Section:
+    found = honest_sigmas(posterior.network, posterior.linearised.settings)
+    record = {
+        "converged": found.converged, "passes": len(found.history), **_components_record(found.components),
+        "sigma0": found.solution.sigma0,
+    }  # fmt: skip
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        _components_csv(found.components, folder / "components_iterated.csv")
+        return ["components_iterated.csv"]
+
+    text = f"Scaled and adjusted again, until all factors were one:\n{found.words()}"
+    return Section("iterated", text, record, write)
+
+
+def _reliability(found: Reliability, most: int) -> Section:
+    worst = suspects(found, most)
+    over = [one for one in worst if one.over]
+    lines = [
+        f"{len(found)} measures, redundancy {found.degrees_of_freedom:.1f}; tests by Baarda: alpha "
+        f"{found.levels.alpha:g}, power {found.levels.power:g}, critical value {found.critical:.3g}, found at "
+        f"{found.levels.shift:.3g} sigmas",
+        f"{many(found.suspected.size, 'test')} over the critical value ({found.levels.alpha * len(found):.1f} of "
+        f"{len(found)} good measures would be); nothing controls {many(found.uncontrolled.size, 'measure')}"
+        + (f", e.g. {_named(found, found.uncontrolled)}" if found.uncontrolled.size else ""),
+        f"By suspicion, what can't be told apart together ({many(len(over), 'group')} over):",
+        f"{'w':>8} {'residual':>11} {'MDB':>10} {'moves its point':>15} {'r':>6}",
+    ]
+    for one in worst:
+        lines += [_suspect_line(found, one, int(k), first=n == 0) for n, k in enumerate(one.measures[:6])]
+        if one.measures.size > 6:
+            lines.append(f"{'':>8} ... and {one.measures.size - 6} more that can't be told apart from it")
+    record = {
+        "alpha": found.levels.alpha, "power": found.levels.power, "critical": found.critical,
+        "shift_sigmas": found.levels.shift, "measures": len(found), "redundancy": found.degrees_of_freedom,
+        "over": int(found.suspected.size), "uncontrolled": int(found.uncontrolled.size),
+        "suspects": [
+            {"w": one.test, "over": one.over, "measures": [found.name(int(k)) for k in one.measures]} for one in worst
+        ],
+    }  # fmt: skip
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        reliability_csv(found, folder / "reliability.csv")
+        return ["reliability.csv"]
+
+    return Section("reliability", "\n".join(lines), record, write)
+
+
+def _named(found: Reliability, measures: np.ndarray) -> str:
+    names = [found.name(int(k)) for k in measures[:4]]
+    return some(names, int(measures.size))
+
+
+def _suspect_line(found: Reliability, group: Suspect, k: int, first: bool) -> str:
+    table, unit = found.measures, found.unit(k)
+    scale, unit = (MRAD, "mrad") if unit == "rad" else (1.0, unit)
+    figures = (
+        f"{table.test[k]:8.2f}", f"{table.residual[k] / scale:8.3g} {unit:<4}"[:13],
+        f"{table.detectable[k] / scale:7.3g} {unit}",
+        f"{table.effect[k]:8.3g} m" if np.isfinite(table.effect[k]) else "-",
+    )
+    mark = " over" if group.over and first else ""
+    lead = "" if first else "  = "
+    return (
+        f"{figures[0]} {figures[1]:>11} {figures[2]:>10} {figures[3]:>15} {table.redundancy[k]:6.3f} {lead}"
+        f"{found.name(k)}{mark}"
+    )
+
+
+def reliability_csv(found: Reliability, path: Path) -> None:
+    """Write one row per scalar measure, the largest test first; units in `unit`, effect in m."""
+    table, order = found.measures, found.order(len(found))
+    network = found.at.network
+    names = {
+        "measure": [quoted(found.name(k)) for k in order.tolist()],
+        "kind": picked(_KINDS, table.kind[order]),
+        "point": [quoted(network.points.ids[i]) if i >= 0 else "" for i in table.point[order].tolist()],
+        "image": [quoted(network.images[j].name) if j >= 0 else "" for j in table.image[order].tolist()],
+        "unit": [found.unit(k) for k in order.tolist()],
+    }
+    numbers = {
+        "w": table.test, "residual": table.residual, "sigma": table.sigma, "redundancy": table.redundancy,
+        "minimal_detectable_blunder": table.detectable, "effect_m": table.effect, "external": table.external,
+        "joint_test": table.joint, "joint_dimensions": table.dimensions,
+    }  # fmt: skip
+    finite = {name: np.where(np.isfinite(values), values, np.nan)[order] for name, values in numbers.items()}
+    write_csv(path, names, finite)
+
+
+def _snooped(found: Snooping) -> Section:
+    lines = [
+        f"Data snooping took out {many(len(found.removals), 'group')} of measures in "
+        f"{many(found.adjustments, 'adjustment')}" + ("" if found.complete else ", and stopped before it was through")
+        + f"; {many(len(found.readmitted), 'group')} taken back in the end; sigma0 is {found.solution.sigma0:.4g} now"
+    ]
+    lines += [
+        f"{np.sqrt(one.test):8.2f} (limit {np.sqrt(one.critical):.2f})  {some(one.names, len(one.names))}"
+        for one in found.removals[:30]
+    ]
+    if len(found.removals) > 30:
+        lines.append(f"... and {len(found.removals) - 30} more")
+    record = {
+        "adjustments": found.adjustments, "complete": found.complete, "sigma0": found.solution.sigma0,
+        "removed": [
+            {"measures": list(one.names), "test": one.test, "dimensions": one.dimensions, "critical": one.critical}
+            for one in found.removals
+        ],
+        "readmitted": [list(one.names) for one in found.readmitted],
+    }  # fmt: skip
+    return Section("snooping", "\n".join(lines), record)
+
+
+def _weak(found: Sequence[WeakDirection]) -> Section:
+    lines = ["Of what least was learnt (sigma after over sigma before):"]
+    lines += [f"{one.ratio:8.3f}  {one.words}" for one in found]
+    record = [
+        {
+            "ratio": one.ratio, "sigma": one.sigma, "unit": one.unit, "words": one.words, "equals": one.equals,
+            "parts": [
+                {
+                    "of": part.axis.owner, "axis": str(part.axis), "share": part.share,
+                    f"amount_{part.axis.unit}": part.amount,
+                }
+                for part in one.parts
+            ],
+        }
+        for one in found
+    ]  # fmt: skip
+    return Section("weak", "\n".join(lines), record)

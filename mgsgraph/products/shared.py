@@ -1,0 +1,244 @@
+"""Unknowns that images share, and whether they can be told apart from along-track pointing.
+
+*Likeness* is the cosine of the angle between what two unknowns do to the measures, points free and priors left out: at
+1 the measures cannot tell them apart, whatever the sigmas are. *Correlation* is the posterior's, priors included.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.square_root import SquareRoot
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import SharedKind, SharedUnknown
+from mgsgraph.network.shared import ground_shift
+from mgsgraph.products.writing import quoted, write_csv
+from mgsgraph.units import MRAD
+from mgsgraph.wording import some
+
+_CORRELATED = 0.9
+"""Correlation with a constant pitch, and share of the a-priori sigma that is left, above which something is said."""
+_ALIKE = 0.99
+"""Likeness from which the measures count as unable to tell two unknowns apart."""
+_TAKES_PART = 0.1
+"""Share of the largest pitch from which an image is named among those that together do the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedEstimate:
+    """One column of a shared unknown: its value, and what it may be taken for. Units of reports: s, mrad, m."""
+
+    name: str
+    """Of the unknown."""
+    kind: SharedKind
+    """What it is."""
+    axis: str
+    """x, y or z of the camera, of a boresight; else empty."""
+    unit: str
+    """s, mrad or m."""
+    value: float
+    """In that unit."""
+    sigma: float
+    """Its standard deviation, for sigma0 = 1."""
+    prior_sigma: float
+    """The same beforehand."""
+    image: str
+    """Image whose constant pitch (`pitch_axis`) it is most like; empty where all are held."""
+    correlation: float
+    """With that pitch."""
+    likeness: float
+    """With that pitch, 0 to 1."""
+    together: float
+    """Likeness with the best mixture of constant pitches of all its images, 0 to 1."""
+    mixture: tuple[str, ...]
+    """Images of this mixture."""
+    ground: float
+    """m on the ground, per unit of it, in the middle of that image; NaN where it moves none there."""
+
+
+def shared_estimates(solution: Solution) -> list[SharedEstimate]:
+    """All columns of all shared unknowns, in their order."""
+    return [one for k in range(len(solution.network.shared)) for one in _columns(solution, k)]
+
+
+def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
+    shared, values = solution.network.shared[k], solution.shared[k]
+    factor = MRAD if shared.kind.unit == "rad" else 1.0
+    sigmas = np.sqrt(np.diag(solution.shared_covariance(k)))
+    images = shared.images[~solution.network.held[shared.images]]
+    correlation, likeness, shares, together = _with_pitch(solution, k, images)
+    found = []
+    for c, axis in enumerate(shared.kind.components):
+        nearest = int(np.argmax(np.maximum(np.abs(correlation[c]), likeness[c]))) if images.size else -1
+        named = images[nearest] if images.size else shared.images[0]
+        strong = np.abs(shares[c]) > _TAKES_PART * np.abs(shares[c]).max(initial=0.0)
+        found.append(SharedEstimate(
+            shared.name, shared.kind, axis, "mrad" if factor == MRAD else shared.kind.unit,
+            float(values[c]) / factor, float(sigmas[c]) / factor, float(shared.sigmas[c]) / factor,
+            solution.network.images[named].name if images.size else "",
+            float(correlation[c, nearest]) if images.size else float("nan"),
+            float(likeness[c, nearest]) if images.size else float("nan"),
+            float(together[c]),
+            tuple(solution.network.images[j].name for j in images[strong].tolist()),
+            _ground(solution, shared, int(named), c) * factor,
+        ))  # fmt: skip
+    return found
+
+
+def _ground(solution: Solution, shared: SharedUnknown, image: int, column: int) -> float:
+    """Metres per s or rad in the middle of an image."""
+    if not (shared.kind.moves_pose or shared.kind is SharedKind.ALTIMETER_BORESIGHT):
+        return float("nan")
+    return float(np.linalg.norm(ground_shift(solution.network.images[image], shared.kind)[column]))
+
+
+def _with_pitch(solution: Solution, k: int, images: Index) -> tuple[Array, Array, Array, Array]:
+    """Correlation and likeness (c, m) of an unknown's columns with the constant pitches of images, how much (c, m) of
+    each pitch makes up their best mixture, and the likeness (c,) with that.
+    """
+    joint, variable = solution.joint_covariance, solution.shared_variable(k)
+    root, width, m = joint.square_root, solution.network.shared[k].kind.width, images.size
+    axes = [_axes(solution, j) for j in images.tolist()]
+    pitches = [pitch_axis(solution.network.images[j]) for j in images.tolist()]
+    correlation = np.empty((width, m))
+    for place, j in enumerate(images.tolist()):
+        pitch = pitches[place] @ axes[place]
+        variance = pitch @ joint.block(j, j)[3:6, 3:6] @ pitch
+        own = np.diag(joint.block(variable, variable))
+        correlation[:, place] = pitch @ joint.block(j, variable)[3:6] / np.sqrt(variance * own)
+    columns = np.concatenate([
+        *(root.first[j] + np.arange(3, 6) for j in images.tolist()), root.first[variable] + np.arange(width)
+    ])  # fmt: skip
+    priors = [solution.network.priors[j].sigmas[0, 3:] for j in images.tolist()]
+    known = _information(root, columns) - np.diag(1.0 / np.concatenate([*priors, solution.network.shared[k].sigmas])**2)
+    turn = np.zeros((columns.size, m + width))
+    for place in range(m):
+        turn[3 * place : 3 * place + 3, place] = np.linalg.solve(axes[place], pitches[place])
+    turn[3 * m :, m:] = np.eye(width)
+    normal = turn.T @ known @ turn
+    size = np.sqrt(np.maximum(np.diag(normal), np.finfo(np.float64).tiny))
+    cosine = normal / np.outer(size, size)
+    shares = np.linalg.lstsq(cosine[:m, :m], cosine[:m, m:], rcond=1e-10)[0]
+    together = np.sqrt(np.clip(np.einsum("mc,mc->c", shares, cosine[:m, m:]), 0.0, 1.0))
+    return correlation, np.minimum(np.abs(cosine[m:, :m]), 1.0), (shares / size[:m, None]).T, together
+
+
+def pitch_axis(image: PushbroomImage) -> Array:
+    """(3,) unit, in camera axes: along the detector, so that turning about it lifts the camera's view forward."""
+    middle = np.array([0.5 * image.samples])
+    along = np.append(image.interior.focal_plane(middle)[1][0], 0.0)
+    pose = image.pose(np.array([0.5 * image.lines]))
+    forward = np.cross(along, [0.0, 0.0, 1.0]) @ pose.matrix[0] @ pose.velocity[0]
+    return np.asarray(along / np.linalg.norm(along) * np.sign(forward))
+
+
+def _axes(solution: Solution, image: int) -> Array:
+    """(3, 3) how the camera turns about its axes, per rad of each rotation component, in the middle of an image."""
+    picture, middle = solution.network.images[image], np.zeros(1)
+    pose = picture.pose(np.array([0.5 * picture.lines]))
+    return np.asarray(solution.correction(image).axes(pose, middle)[0])
+
+
+def _information(root: SquareRoot, columns: Index) -> Array:
+    """(d, d) of the information on some columns, all others held."""
+    information, place = np.zeros((columns.size,) * 2), np.full(root.columns, -1)
+    place[columns] = np.arange(columns.size)
+    for clique, members in enumerate(root.columns_of):
+        wanted = place[members]
+        there = wanted >= 0
+        rows = root.rows_of(clique)[:, there]
+        information[np.ix_(wanted[there], wanted[there])] += rows.T @ rows
+    return information
+
+
+# --- reports
+
+
+def shared_json(solution: Solution) -> list[dict[str, Any]]:
+    """For solution.json; units in the keys."""
+    return [
+        {
+            "name": one.name, "kind": str(one.kind), "axis": one.axis or None,
+            f"value_{one.unit}": one.value, f"sigma_{one.unit}": one.sigma, f"prior_sigma_{one.unit}": one.prior_sigma,
+            "image": one.image or None, "correlation_with_pitch": one.correlation, "likeness_to_pitch": one.likeness,
+            "likeness_to_pitches": one.together, f"ground_m_per_{one.unit}": one.ground,
+        }
+        for one in shared_estimates(solution)
+    ]  # fmt: skip
+
+
+def shared_csv(solution: Solution, path: Path) -> None:
+    """Write one row per column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
+    found = shared_estimates(solution)
+    text = {
+        "name": [quoted(one.name) for one in found],
+        "kind": [str(one.kind) for one in found],
+        "axis": [one.axis for one in found],
+        "unit": [one.unit for one in found],
+        "image": [quoted(one.image) for one in found],
+    }
+    numbers = {
+        "value": [one.value for one in found],
+        "sigma": [one.sigma for one in found],
+        "prior_sigma": [one.prior_sigma for one in found],
+        "correlation_with_pitch": [one.correlation for one in found],
+        "likeness_to_pitch": [one.likeness for one in found],
+        "likeness_to_pitches": [one.together for one in found],
+        "ground_m_per_unit": [one.ground for one in found],
+    }
+    write_csv(path, text, {name: np.array(values) for name, values in numbers.items()})
+
+
+def shared_statements(solution: Solution) -> list[str]:
+    """A sentence or two about each column."""
+    return [" ".join([_value(one), *_warnings(one)]) for one in shared_estimates(solution)]
+
+
+def _value(one: SharedEstimate) -> str:
+    parts = (one.kind if one.name != one.kind else "", f"axis {one.axis}" if one.axis else "")
+    what = f" ({', '.join(part for part in parts if part)})" if any(parts) else ""
+    return (
+        f"{one.name[0].upper()}{one.name[1:]}{what}: {one.value:+.3g} {one.unit}, sigma {one.sigma:.2g} {one.unit} "
+        f"(beforehand {one.prior_sigma:.2g} {one.unit})."
+    )
+
+
+def _warnings(one: SharedEstimate) -> list[str]:
+    found = []
+    ground = "" if np.isnan(one.ground) else f" 1 {one.unit} of it is {one.ground:.0f} m on the ground there."
+    figures = f"likeness {one.likeness:.2f}, correlation {one.correlation:.2f}"
+    if one.likeness > _ALIKE:
+        found.append(
+            f"The measures cannot tell it apart from a constant pitch of image {one.image} ({figures}): only what is "
+            f"known of the two beforehand does.{ground}"
+        )
+    elif abs(one.correlation) > _CORRELATED:
+        found.append(f"It can hardly be told apart from a constant pitch of image {one.image} ({figures}).{ground}")
+    elif one.together > _ALIKE:
+        found.append(
+            f"The measures cannot tell it apart from constant pitches of {some(list(one.mixture), len(one.mixture))} "
+            f"together: only what is known of them beforehand does (most like: {one.image}, {figures}).{ground}"
+        )
+    if one.sigma > _CORRELATED * one.prior_sigma:
+        found.append("The measures say hardly anything about it.")
+    return found
+
+
+def shared_table(solution: Solution) -> str:
+    """Aligned text for the terminal; empty without shared unknowns."""
+    found = shared_estimates(solution)
+    if not found:
+        return ""
+    heads = f"{'value':>10} {'sigma':>9} {'before':>9} {'unit':<5} {'with pitch: corr.':>17} {'alike':>6}"
+    lines = [f"{'Shared unknowns':<40} {heads}"]
+    for one in found:
+        name = f"{one.name[:34]} {one.axis}".strip()
+        lines.append(
+            f"  {name:<38} {one.value:>+10.4g} {one.sigma:>9.3g} {one.prior_sigma:>9.3g} {one.unit:<5} "
+            f"{one.correlation:>17.2f} {one.likeness:>6.2f}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,47 @@
+"""Sigmas over an overlap as a GeoTIFF: four bands in metres, on the body's sphere, planetocentric degrees."""
+
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.overlap_sigmas import BANDS, SigmaGrid
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.products.atomic import PROGRAM, fresh_file
+from mgsgraph.units import DEG
+
+_CRS = {3396190.0: "IAU_2015:49900", 1737400.0: "IAU_2015:30100"}
+"""Sphere, ocentric, of Mars and of the Moon, by equatorial radius in m."""
+
+
+def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
+    """Write a sigma grid as a GeoTIFF (float32, m, NaN where nothing is known), whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If it can't be written.
+    """
+    import rasterio  # takes its time; only who writes one waits for it
+    from rasterio import Affine
+
+    _, rows, columns = grid.values.shape
+    step = grid.step / DEG
+    transform = Affine(step, 0.0, grid.west / DEG, 0.0, -step, grid.north / DEG)
+    tags = {"images": ", ".join(grid.images), "measure_sigma_px": f"{grid.sigma:g}", "program": PROGRAM}
+    with (
+        fresh_file(path) as aside,
+        rasterio.open(
+            aside, "w", driver="GTiff", width=columns, height=rows, count=len(BANDS), dtype="float32", nodata=np.nan,
+            crs=_crs(body), transform=transform, compress="deflate",
+        ) as file,
+    ):  # fmt: skip
+        file.write(grid.values.astype(np.float32))
+        file.update_tags(**tags)
+        for k, name in enumerate(BANDS, start=1):
+            file.set_band_description(k, name)
+            file.set_band_unit(k, "m")
+
+
+def _crs(body: Ellipsoid) -> str:
+    """Coordinate system of planetocentric degrees: IAU's code where it has the body's radius, else a sphere of it."""
+    return _CRS.get(body.equatorial, f"+proj=longlat +R={body.equatorial:.3f} +no_defs")

@@ -1,0 +1,302 @@
+"""Unknowns that images share: what they do, against instruments that truly are so; and what is known of them after."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from networks import network, pair, with_shift_and_surface
+from sharing import block, camera_clock, drawn, shared, with_all_kinds
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.cluster import open_cluster
+from mgsgraph.adjustment.graph import lay_out
+from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
+from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
+from mgsgraph.network import Network, SharedKind
+from mgsgraph.network.parts import bundles, joined
+from mgsgraph.network.shared import ground_shift, image_effect
+from mgsgraph.simulation.instrument import InstrumentErrors, as_it_was
+from mgsgraph.simulation.pair import NoiseSettings, PairSettings, simulate_pair
+from mgsgraph.simulation.three_sites import bridge_image
+from mgsgraph.units import DEG
+
+SHARP = NoiseSettings(tie=1e-3, shot_image=1e-3, range=1e-3, ground=1e-2, position=1e-6, angle=1e-12)
+"""Observations that leave no doubt, of images whose orientation is known."""
+
+
+@cache
+def everything(
+    angles: Angles = "camera", line: Line = "predicted", held: tuple[bool, bool] = (False, False)
+) -> Solution:
+    """All six kinds at once, a shifted profile and a terrain model beside them."""
+    net = with_all_kinds(with_shift_and_surface(network(pair(), held=held)))
+    return adjust_network(net, SolverSettings(angles=angles, line=line))
+
+
+# --- the two forms
+
+
+@pytest.mark.parametrize(
+    ("angles", "line", "held"),
+    [("camera", "predicted", (False, False)), ("opk-paper", "measured", (False, False)),
+     ("camera", "predicted", (True, False)), ("camera", "predicted", (True, True))],
+)  # fmt: skip
+def test_bundle_is_explicit(angles: Angles, line: Line, held: tuple[bool, bool]) -> None:
+    one = everything(angles, line, held)
+    other = adjust_network(one.network, replace(one.settings, form="explicit"))
+    assert one.converged
+    assert one.cost_final == pytest.approx(other.cost_final, rel=1e-9)
+    first, second = one.joint_covariance.dense(), other.joint_covariance.dense()
+    sigmas = np.sqrt(np.diag(second))
+    np.testing.assert_allclose(first / np.outer(sigmas, sigmas), second / np.outer(sigmas, sigmas), atol=1e-7)
+    np.testing.assert_allclose(one.covariances, other.covariances, rtol=1e-5, atol=1e-6)
+    for value, again, prior in zip(one.shared, other.shared, one.network.shared, strict=True):
+        np.testing.assert_allclose(value, again, atol=1e-5 * prior.sigmas.min())
+    assert one.fit.unknowns == one.joint_covariance.columns + 3 * 18
+    assert one.fit.squares == pytest.approx(2.0 * one.cost_final, rel=1e-6)
+
+
+def test_on_a_cluster() -> None:
+    pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
+    one = everything()
+    with open_cluster("local:1") as opened:
+        other = adjust_network(one.network, one.settings, cluster=opened)
+    assert other.cost_final == pytest.approx(one.cost_final, rel=1e-9)
+    np.testing.assert_allclose(other.joint_covariance.dense(), one.joint_covariance.dense(), rtol=1e-6, atol=1e-12)
+
+
+def test_patches_follow_the_terrains_own_shift() -> None:
+    """With unknowns after it as without: half a cell and more to the east changes patches, a boresight does not."""
+    net = with_shift_and_surface(network(pair()))
+    plain, felt = lay_out(net, SolverSettings()), lay_out(with_all_kinds(net), SolverSettings())
+    points = plain.rows.start[np.argsort(plain.point_order)][felt.point_order]
+    moved = np.zeros(felt.columns)
+    moved[plain.columns - 2] = 900.0
+    expected = plain.following(plain.rows.start, moved[: plain.columns]).rows.terrain_cell[plain.patterns.point_place]
+    found = felt.following(points, moved).rows.terrain_cell[felt.patterns.point_place]
+    np.testing.assert_array_equal(found, expected)
+    assert np.any(found != felt.rows.terrain_cell[felt.patterns.point_place])
+    moved[:] = 0.0
+    moved[-2:] = 900.0
+    assert felt.following(felt.rows.start, moved) is felt
+
+
+# --- what they do
+
+
+@pytest.mark.parametrize("held", [(False, False), (False, True)])
+@pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
+def test_reprojected_points_leave_the_solutions_residuals(angles: Angles, held: tuple[bool, bool]) -> None:
+    """To 1e-4 pixels, and 3e-5 of a residual: the kernel carries the pose in a straight line to the predicted line."""
+    solution = everything(angles, "predicted", held)
+    rays = solution.network.rays
+    for j in range(2):
+        mine = rays.image == j
+        places, _ = solution.image(j).ground_to_image(
+            solution.places[rays.point[mine]], solution.correction(j), rays.places[mine, 0]
+        )
+        np.testing.assert_allclose(rays.places[mine] - places, solution.residuals[mine], rtol=3e-5, atol=1e-4)
+
+
+CASES = [
+    (SharedKind.ATTITUDE_TIME, InstrumentErrors(attitude_time=0.04), [0.04]),
+    (SharedKind.POSITION_TIME, InstrumentErrors(position_time=0.01), [0.01]),
+    (SharedKind.CAMERA_BORESIGHT, InstrumentErrors(camera_boresight=np.array([1e-5, -2e-5, 3e-5])),
+     [1e-5, -2e-5, 3e-5]),
+    (SharedKind.ALTIMETER_BORESIGHT, InstrumentErrors(altimeter_boresight=np.array([1e-4, -2e-4, 0.0])),
+     [1e-4, -2e-4, 0.0]),
+    (SharedKind.RANGE_BIAS, InstrumentErrors(range_bias=7.0), [7.0]),
+    (SharedKind.FOCAL_LENGTH, InstrumentErrors(focal_length=0.01), [0.01]),
+]
+
+
+@pytest.mark.parametrize("angles", ["camera", "opk-paper"])
+@pytest.mark.parametrize(("kind", "errors", "planted"), CASES, ids=[str(case[0]) for case in CASES])
+def test_an_instrument_that_truly_is_so_is_found(
+    kind: SharedKind, errors: InstrumentErrors, planted: list[float], angles: Angles
+) -> None:
+    """Tables read later, frames turned, rays of another focal length: found within a ten-thousandth and what the noise
+    leaves open, which is little; and no residual is left.
+    """
+    net = network(simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2, errors), held=(True, True))
+    wanted = shared(kind, [0] if kind.of_laser else [0, 1], 100.0 * float(np.abs(planted).max()))
+    solution = adjust_network(replace(net, shared=(wanted,)), SolverSettings(angles=angles))
+    found, sigmas = solution.shared[0], np.sqrt(np.diag(solution.shared_covariance(0)))
+    largest = np.abs(planted).max()
+    assert np.all(np.abs(found - planted) < 4.0 * sigmas + 1e-4 * largest)
+    certain = sigmas < 0.03 * largest  # turning a beam about itself moves nothing
+    assert np.count_nonzero(certain) >= min(kind.width, 2)
+    assert np.abs(solution.residuals).max() < 0.02
+    assert solution.cost_initial > 10.0 * solution.cost_final
+
+
+def test_the_ground_moves_as_an_instrument_that_truly_is_so_moves_it() -> None:
+    """327 m per second: where a camera with a late clock looks, level with the ellipsoid."""
+    drawn_pair, step = pair(), 1e-3
+    for kind, errors in (
+        (SharedKind.ATTITUDE_TIME, InstrumentErrors(attitude_time=step)),
+        (SharedKind.POSITION_TIME, InstrumentErrors(position_time=step)),
+    ):
+        for image in drawn_pair.images:
+            middle = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
+            before, after = (one.image_to_ground(*middle)[0][0] for one in (image, as_it_was(image, errors)))
+            np.testing.assert_allclose(ground_shift(image, kind)[0], (after - before) / step, rtol=1e-3, atol=0.5)
+    nadir, held = (np.linalg.norm(ground_shift(image, SharedKind.ATTITUDE_TIME)) for image in drawn_pair.images)
+    assert 320.0 < nadir < 345.0
+    assert held < 1.0
+
+
+def test_both_time_biases_are_a_later_line_but_for_the_bodys_turning() -> None:
+    image = drawn(1).images[0]
+    both = sum(image_effect(image, kind, "camera")[0] for kind in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME))
+    pose = image.pose(np.array([0.5 * image.lines]))
+    (period,), spin = image.timing.at(np.array([0.5 * image.lines]))[1], image.trajectory.spin
+    assert spin is not None
+    np.testing.assert_allclose(both[0, :3] - np.cross(spin, pose.position[0]), pose.velocity[0] / period, atol=1e-3)
+    np.testing.assert_allclose(both[0, 3:] - pose.matrix[0] @ spin, pose.turning[0] / period, atol=1e-10)
+
+
+def test_the_body_turns_as_its_prime_meridian_says() -> None:
+    """Mars: 350.89198226 degrees a day (IAU 2009), also where polynomials stand for the tables."""
+    image = pair().images[0]
+    polynomial, _ = fit_polynomials(image)
+    for trajectory in (image.trajectory, polynomial.trajectory):
+        assert trajectory.spin is not None
+        np.testing.assert_allclose(trajectory.spin, [0.0, 0.0, 350.89198226 * DEG / 86400.0], atol=1e-12)
+
+
+def test_effects_are_polynomials_of_the_line() -> None:
+    """At lines that were not fitted: inertial velocity, and angular velocity, to 1e-6 of it."""
+    image = drawn(1).images[0]
+    lines = np.random.default_rng(1).uniform(0.0, image.lines, 50)
+    times, _ = image.timing.at(lines)
+    basis = image.normalised(lines)[:, None] ** np.arange(6)
+    _, velocity = image.trajectory.position.at(times)  # type: ignore[attr-defined]
+    to_body, _ = image.trajectory.body.at(times)  # type: ignore[attr-defined]
+    moved = basis @ image_effect(image, SharedKind.POSITION_TIME, "camera")[0]
+    np.testing.assert_allclose(moved[:, :3], np.einsum("nij,nj->ni", to_body, velocity), atol=4e-3)
+    assert not moved[:, 3:].any()
+    _, turning = image.trajectory.camera.at(times)  # type: ignore[attr-defined]
+    turned = basis @ image_effect(image, SharedKind.ATTITUDE_TIME, "camera")[0]
+    np.testing.assert_allclose(turned[:, 3:], turning, atol=1e-9)
+
+
+# --- what is known of them
+
+
+SEEDS = range(10)
+
+
+@cache
+def of_block(seed: int) -> Solution:
+    return adjust_network(camera_clock(block(seed)), SolverSettings())
+
+
+def test_an_attitude_time_bias_over_six_images_is_recovered() -> None:
+    """Half a second, by three nadir images against three held ones: sigma below 0.35 s, the errors as large as that."""
+    errors, sigmas = np.empty(len(SEEDS)), np.empty(len(SEEDS))
+    for k, seed in enumerate(SEEDS):
+        solution = of_block(seed)
+        assert solution.converged
+        errors[k] = solution.shared[0][0] - 0.5
+        sigmas[k] = np.sqrt(solution.shared_covariance(0)[0, 0])
+    assert np.all(sigmas < 0.35)
+    assert np.all(np.abs(errors) < 3.0 * sigmas)
+    squares = float(np.sum((errors / sigmas) ** 2))
+    assert 2.16 < squares < 25.2  # chi-square with 10 degrees of freedom, 99%
+
+
+def test_more_images_tell_more() -> None:
+    alone = adjust_network(camera_clock(network(drawn(3))), SolverSettings())
+    assert of_block(1).shared_covariance(0)[0, 0] < 0.6 * alone.shared_covariance(0)[0, 0]
+
+
+def test_sigmas_of_whole_corrections() -> None:
+    """The law of error propagation with derivatives by differences, from the dense covariance."""
+    solution = everything()
+    dense, net = solution.joint_covariance.dense(), solution.network
+    sizes = [c.size for c in solution.coefficients] + [2] * len(net.shift_names) + [v.size for v in solution.shared]
+    edges = np.cumsum([0, *sizes])
+
+    def moved(column: int) -> Solution:
+        vector = np.zeros(edges[-1])
+        vector[column] = 1.0
+        parts = np.split(vector, edges[1:-1])
+        own = tuple(c + p.reshape(c.shape) for c, p in zip(solution.coefficients, parts, strict=False))
+        felt = tuple(v + p for v, p in zip(solution.shared, parts[-len(solution.shared) :], strict=True))
+        return replace(solution, coefficients=own, shared=felt)
+
+    each = [np.concatenate([m.correction(j).coefficients.ravel() for j in (0, 1)])
+            for m in (moved(column) for column in range(edges[-1]))]  # fmt: skip
+    nominal = np.concatenate([solution.correction(j).coefficients.ravel() for j in (0, 1)])
+    jacobian = np.array(each).T - nominal[:, None]
+    expected = jacobian @ dense @ jacobian.T
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected))) + 1e-300
+    np.testing.assert_allclose(solution.correction_covariance(0, 1) / scale, expected / scale, atol=1e-6)
+    half = expected.shape[0] // 2
+    at_middle = np.sqrt(np.diag(expected)[half : half + 3])  # constant terms are those of the middle line, u = 0
+    np.testing.assert_allclose(orientation_profile(solution, 1, 3).position_sigma[1], at_middle, rtol=1e-6)
+
+
+def test_a_profile_of_a_held_image_moves_with_its_boresight() -> None:
+    solution = everything(held=(True, True))
+    profile = orientation_profile(solution, 0, 5)
+    assert np.all(profile.rotation_sigma > 0.0)
+    expected = sum(
+        image_effect(solution.network.images[0], one.kind, "camera")[:, 0, 3:].T @ value
+        for one, value in zip(solution.network.shared, solution.shared, strict=True)
+        if one.kind.moves_pose
+    )
+    np.testing.assert_allclose(profile.rotation[2], expected, atol=1e-9)
+
+
+# --- what is refused
+
+
+def adjusted_with(net: Network, kind: SharedKind) -> Solution:
+    """An adjustment for what nothing of the second image feels."""
+    return adjust_network(replace(net, shared=(shared(kind, [1]),)), SolverSettings())
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda net: adjusted_with(net, SharedKind.RANGE_BIAS), "no range of its images"),
+        (lambda net: adjusted_with(net, SharedKind.ALTIMETER_BORESIGHT), "footprint with a range"),
+        (lambda net: replace(net, shared=(shared(SharedKind.FOCAL_LENGTH, [2]),)), "image 2; expected 0 .. 1"),
+        (lambda net: replace(net, shared=(shared(SharedKind.FOCAL_LENGTH, [0]),) * 2), "'focal length' twice"),
+        (lambda net: shared(SharedKind.FOCAL_LENGTH, []), "at least one image"),
+        (lambda net: shared(SharedKind.FOCAL_LENGTH, [0, 0]), "each once"),
+        (lambda net: shared(SharedKind.FOCAL_LENGTH, [0], -1.0), "positive sigmas"),
+        (lambda net: shared(SharedKind.FOCAL_LENGTH, [0], float("inf")), "finite numbers"),
+        (lambda net: replace(shared(SharedKind.CAMERA_BORESIGHT, [0]), sigmas=np.ones(1)), "expected shape \\(3\\)"),
+        (lambda net: replace(shared(SharedKind.CAMERA_BORESIGHT, [0]), name=""), "empty name"),
+        (lambda net: bundles(with_all_kinds(net)), "adjusted image by image"),
+        (lambda net: joined([with_all_kinds(net)]), "adjust such a case as a whole"),
+        (lambda net: IncrementalAdjustment().add(with_all_kinds(net)), "adjusted image by image"),
+    ],
+)  # fmt: skip
+def test_one_clear_line(changed: object, message: str) -> None:
+    assert callable(changed)
+    with pytest.raises(InputError, match=message):
+        changed(network(pair()))
+
+
+def test_a_time_bias_needs_to_know_how_the_body_turns() -> None:
+    net = network(pair())
+    polynomial, _ = fit_polynomials(net.images[0])
+    assert isinstance(polynomial.trajectory, PolynomialTrajectory)
+    silent = replace(polynomial, trajectory=replace(polynomial.trajectory, spin=None))
+    still: Network = replace(net, images=(silent, net.images[1]))
+    adjust_network(replace(still, shared=(shared(SharedKind.CAMERA_BORESIGHT, [0, 1]),)), SolverSettings())
+    with pytest.raises(InputError, match="how fast the body turns"):
+        adjust_network(camera_clock(still), SolverSettings())
+
+
+def test_no_polynomial_describes_the_velocity_of_eight_revolutions() -> None:
+    with pytest.raises(InputError, match="no polynomial of degree 5"):
+        image_effect(bridge_image(), SharedKind.POSITION_TIME, "camera")

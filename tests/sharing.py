@@ -1,0 +1,86 @@
+"""Networks whose images share unknowns, of instruments that truly are so."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from networks import network
+
+from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKind, SharedUnknown
+from mgsgraph.simulation.instrument import InstrumentErrors
+from mgsgraph.simulation.pair import NoiseSettings, PairSettings, SimulatedPair, simulate_pair
+from mgsgraph.units import ARCMIN, DEG
+
+LOOSE = NoiseSettings(position=100.0, angle=ARCMIN)
+"""What is known of MGS: its attitude times 380 km is as uncertain as its place."""
+SIGMAS: Mapping[SharedKind, float] = {
+    SharedKind.ATTITUDE_TIME: 0.05,
+    SharedKind.POSITION_TIME: 0.01,
+    SharedKind.CAMERA_BORESIGHT: 1e-4,
+    SharedKind.ALTIMETER_BORESIGHT: 1e-4,
+    SharedKind.RANGE_BIAS: 5.0,
+    SharedKind.FOCAL_LENGTH: 0.01,
+}
+"""s, rad and m."""
+
+
+def shared(kind: SharedKind, images: Sequence[int], sigma: float | None = None) -> SharedUnknown:
+    """An unknown called by its kind."""
+    return SharedUnknown(str(kind), kind, np.array(images), np.full(kind.width, sigma or SIGMAS[kind]))
+
+
+def with_all_kinds(net: Network) -> Network:
+    """The same with an unknown of each kind, shared by all images that have rows of it."""
+    owners = np.unique(net.ranges.image).tolist()
+    every = list(range(len(net.images)))
+    return replace(net, shared=tuple(shared(kind, owners if kind.of_laser else every) for kind in SharedKind))
+
+
+@cache
+def drawn(seed: int, bias: float = 0.5, off_nadir: float = 20.0 * DEG) -> SimulatedPair:
+    """A nadir image and a held one with loose priors, their camera's attitude `bias` s late."""
+    settings = PairSettings(lines=8000, ties=40, shots=20, off_nadir=off_nadir, noise=LOOSE)
+    return simulate_pair(settings, seed, InstrumentErrors(attitude_time=bias))
+
+
+def camera_clock(net: Network, sigma: float = 1.0) -> Network:
+    """The same with an attitude-time bias of all images."""
+    return replace(net, shared=(shared(SharedKind.ATTITUDE_TIME, range(len(net.images)), sigma),))
+
+
+def block(seed: int, bias: float = 0.5) -> Network:
+    """Six images of one camera: three nadir ones, each with a held one from another direction."""
+    angles = (15.0 * DEG, 20.0 * DEG, 24.0 * DEG)
+    return together([network(drawn(3 * seed + k, bias, angle)) for k, angle in enumerate(angles)])
+
+
+def together(parts: Sequence[Network]) -> Network:
+    """Networks side by side, their images and points numbered."""
+    images = tuple(
+        replace(image, name=f"{image.name}{k + 1}") for k, net in enumerate(parts) for image in net.images
+    )
+    points = np.cumsum([0, *(len(net.points) for net in parts)])
+    pictures = np.cumsum([0, *(len(net.images) for net in parts)])
+    rays, ranges, known = ([getattr(net, name) for net in parts] for name in ("rays", "ranges", "points"))
+    return Network(
+        images,
+        tuple(prior for net in parts for prior in net.priors),
+        np.concatenate([net.held for net in parts]),
+        GroundPoints(
+            tuple(f"{name}/{k + 1}" for k, net in enumerate(parts) for name in net.points.ids),
+            *(np.concatenate([getattr(one, name) for one in known])
+              for name in ("classes", "kinds", "places", "covariances")),
+        ),
+        ImageRays(
+            np.concatenate([one.point + first for one, first in zip(rays, points, strict=False)]),
+            np.concatenate([one.image + first for one, first in zip(rays, pictures, strict=False)]),
+            np.concatenate([one.places for one in rays]),
+            np.concatenate([one.sigmas for one in rays]),
+        ),
+        Ranges(
+            np.concatenate([one.point + first for one, first in zip(ranges, points, strict=False)]),
+            np.concatenate([one.image + first for one, first in zip(ranges, pictures, strict=False)]),
+            *(np.concatenate([getattr(one, name) for one in ranges]) for name in ("times", "values", "sigmas")),
+        ),
+    )  # fmt: skip

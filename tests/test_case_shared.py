@@ -1,0 +1,88 @@
+"""[[shared]] in a case file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mgsgraph
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
+from mgsgraph.network import SharedKind
+
+GOOD = """
+[[shared]]
+kind = "attitude-time bias"
+sigma_s = 1.0
+
+[[shared]]
+kind = "camera boresight"
+name = "boresight of the spare camera"
+images = ["SIM/B"]
+sigma_mrad = [0.1, 0.2, 0.3]
+
+[[shared]]
+kind = "range bias"
+images = ["SIM/A"]
+sigma_m = 5.0
+"""
+
+
+def with_text(case_file: Path, text: str) -> Path:
+    case_file.write_text(case_file.read_text(encoding="utf-8") + text, encoding="utf-8")
+    return case_file
+
+
+def test_what_a_case_says_is_what_the_network_has(case_file: Path) -> None:
+    first, second, third = mgsgraph.read_case(with_text(case_file, GOOD)).network.shared
+    assert (first.name, first.kind, first.images.tolist()) == ("attitude-time bias", SharedKind.ATTITUDE_TIME, [0, 1])
+    assert (second.name, second.images.tolist()) == ("boresight of the spare camera", [1])
+    np.testing.assert_allclose(second.sigmas, [1e-4, 2e-4, 3e-4])
+    assert third.sigmas.tolist() == [5.0]
+
+
+def test_without_the_laser_what_only_it_feels_goes_too(case_file: Path) -> None:
+    kinds = [one.kind for one in mgsgraph.read_case(with_text(case_file, GOOD), laser=False).network.shared]
+    assert kinds == [SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT]
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ('kind = "range bias"', "shared\\[0\\]: no sigma; expected sigma_m for range bias"),
+        ('kind = "range bias"\nsigma_s = 1.0', "sigma_s; expected sigma_m"),
+        ('kind = "range bias"\nsigma_m = 1.0\nsigma_s = 1.0', "sigma_s and sigma_m; expected sigma_m"),
+        ('kind = "range bias"\nsigma_m = -1.0', "shared"),
+        ('kind = "camera boresight"\nsigma_mrad = [1.0, 2.0]', "one number from 1e-9 to 1e9, or three"),
+        ('kind = "camera boresight"\nsigma_mrad = inf', "finite numbers"),
+        ('kind = "clock"\nsigma_s = 1.0', "shared"),
+        ('kind = "focal length"\nsigma_m = 1.0\nimages = ["SIM/C"]', "the image 'SIM/C'"),
+        ('kind = "focal length"\nsigma_m = 1.0\nimages = ["SIM/B", "SIM/B"]', "'SIM/B' twice"),
+        ('kind = "range bias"\nsigma_m = 1.0\nimages = ["SIM/B"]', "no range of its images"),
+        ('kind = "range bias"\nsigma_m = 1.0\n[[shared]]\nkind = "range bias"\nsigma_m = 1.0', "'range bias' twice"),
+    ],
+)
+def test_one_clear_line(case_file: Path, entry: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        mgsgraph.read_case(with_text(case_file, f"\n[[shared]]\n{entry}\n"))
+    assert str(caught.value).startswith(str(case_file))
+    assert "\n" not in str(caught.value)
+
+
+def test_projects_refuse_it_and_leave_nothing_behind(case_file: Path, tmp_path: Path) -> None:
+    with_text(case_file, GOOD)
+    with pytest.raises(InputError, match="adjusted image by image"):
+        group(["init", str(tmp_path / "project"), "--case", str(case_file)], standalone_mode=False)
+    assert not (tmp_path / "project").exists()
+    group(["init", str(tmp_path / "project")], standalone_mode=False)
+    with pytest.raises(InputError, match="adjust such a case as a whole"):
+        group(["add", str(tmp_path / "project"), str(case_file)], standalone_mode=False)
+
+
+def test_the_command_line_reports_them(case_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with_text(case_file, GOOD)
+    assert not group(["adjust", str(case_file), "--out", str(tmp_path / "out"), "--no-figures"], standalone_mode=False)
+    said = capsys.readouterr().out
+    assert "Shared unknowns" in said
+    assert "m on the ground there" in said
+    assert (tmp_path / "out" / "shared.csv").is_file()
