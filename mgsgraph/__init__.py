@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mgsgraph.adjustment.adjust import Adjustment as Adjustment
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
+    from mgsgraph.adjustment.analysis.posterior import Pixel as Pixel
+    from mgsgraph.adjustment.analysis.posterior import Posterior as Posterior
     from mgsgraph.adjustment.incremental.impact import Impact as Impact
     from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
@@ -42,6 +44,8 @@ _HOME = {
     "Network": "mgsgraph.network",
     "orientation_profile": "mgsgraph.adjustment.solution",
     "OrientationPrior": "mgsgraph.geometry.orientation",
+    "Pixel": "mgsgraph.adjustment.analysis.posterior",
+    "Posterior": "mgsgraph.adjustment.analysis.posterior",
     "read_case": "mgsgraph.case",
     "read_solution": "mgsgraph.products.archive",
     "Solution": "mgsgraph.adjustment.solution",

@@ -8,11 +8,11 @@ import pytest
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-@pytest.mark.parametrize("page", ["incremental.md"])
-def test_python_examples_run(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("page", "said"), [("incremental.md", "Closing check"), ("analysis.md", "PoseEstimate(")])
+def test_python_examples_run(page: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
     blocks = re.findall(r"```python\n(.+?)\n```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
     assert blocks
     names: dict[str, object] = {}
     for block in blocks:
         exec(compile(block, page, "exec"), names)  # our own page
-    assert "Closing check" in capsys.readouterr().out
+    assert said in capsys.readouterr().out

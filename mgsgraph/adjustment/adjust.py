@@ -258,6 +258,7 @@ def _posterior(
         sigmas_without_laser=without_laser,
         seconds=clock.seconds,
         versions=versions(),
+        terrain_cells=None if network.surface is None else layout.rows.terrain_cell[layout.patterns.point_place],
         rays_rejected=~solved.selection.rays,
         ranges_rejected=~solved.selection.ranges,
         shared=shared_values(network, layout.variables, orientation),

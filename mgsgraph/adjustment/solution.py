@@ -78,6 +78,9 @@ class Solution:
     """(k,) True for blunders, as the last pass judged; None where an older version didn't say."""
     ranges_rejected: Mask | None = None
     """(r,) the same."""
+    terrain_cells: Index | None = None
+    """(n, 3) the patch of the terrain model that each point was held to lie on (`TerrainGrid.cells`); a point on the
+    edge of two may end on another one. None without a terrain model, or where an older version didn't say."""
     shared: tuple[Array, ...] = ()
     """Value of each of the network's shared unknowns, in the unit of its kind: (1,), or (3,) of a boresight."""
 

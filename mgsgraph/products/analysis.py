@@ -10,23 +10,35 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.analysis.components import Components, components_of, honest_sigmas
-from mgsgraph.adjustment.analysis.honesty import chi_square_test, residual_statistics
+from mgsgraph.adjustment.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.adjustment.analysis.levels import Levels
 from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
 from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
 from mgsgraph.adjustment.analysis.snooping import Snooping, snoop
-from mgsgraph.adjustment.analysis.suspects import Suspect, suspects
+from mgsgraph.adjustment.analysis.suspects import suspects
 from mgsgraph.adjustment.analysis.weak import WeakDirection, weakest
 from mgsgraph.products.answers import Answer, Questions, answered
 from mgsgraph.products.atomic import ANALYSIS, PROGRAM, fresh_folder
+from mgsgraph.products.reliability import (
+    reliability_csv,
+    reliability_record,
+    reliability_text,
+    snooping_record,
+    snooping_text,
+)
 from mgsgraph.products.sigma_raster import write_sigma_raster
-from mgsgraph.products.writing import picked, plain, quoted, write_csv
+from mgsgraph.products.writing import plain, quoted, write_csv
 from mgsgraph.units import MRAD
-from mgsgraph.wording import many, some
+from mgsgraph.wording import short
 
 _FLIGHT = ("along", "across", "radial", "roll", "pitch", "yaw")
-_KINDS = ("image coordinate", "range", "a-priori place", "height", "prior")
+_RESIDUALS = (
+    f"{'Normalised residuals':<28} {'number':>9} {'worth':>8} {'mean':>6} {'rms':>6} {'skew':>6} {'kurt.':>6} "
+    f"{'>1 %':>6} {'>2 %':>6} {'>3 %':>6} {'p':>8}\n"
+    f"{'  (a normal law promises)':<28} {'':>9} {'':>8} {0:>6} {1:>6} {0:>6} {0:>6} "
+    + " ".join(f"{100.0 * share:>6.3g}" for share in PROMISED)
+)
 
 
 def _nothing(folder: Path, figures: bool) -> list[str]:
@@ -193,7 +205,7 @@ def _honesty(posterior: Posterior, name: str) -> Section:
         return ["components.csv", *write_quantile_figure(statistics, name, folder)]
 
     lines = [f"{test.words()}.", "By what factor the sigmas of each group are wrong:", components.words()]
-    lines += ["Normalised residuals, shares beside what a normal law promises:", *(one.words() for one in statistics)]
+    lines += [_RESIDUALS, *(_residuals_line(one) for one in statistics)]
     record = {
         "global_test": {
             "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
@@ -210,6 +222,17 @@ def _honesty(posterior: Posterior, name: str) -> Section:
         ],
     }  # fmt: skip
     return Section("honesty", "\n".join(lines), record, write)
+
+
+def _residuals_line(one: ResidualStatistics) -> str:
+    """A row of the table of normalised residuals."""
+    figures = (
+        f"{one.values.size:>9}", f"{one.effective:>8.4g}", f"{one.mean:>6.2f}", f"{one.rms:>6.2f}",
+        f"{one.skewness:>6.2f}", f"{one.kurtosis:>6.2f}", *(f"{100.0 * share:>6.3g}" for share in one.beyond),
+    )  # fmt: skip
+    found = "few" if not np.isfinite(one.p_value) else f"{one.p_value:.2g}"
+    odd = "  not as promised" if one.as_promised is False else ""
+    return f"{short(one.name, 28):<28} {' '.join(figures)} {found:>8}{odd}"
 
 
 def _components_record(found: Components) -> dict[str, Any]:
@@ -257,99 +280,16 @@ def _iterated(posterior: Posterior) -> Section:
 
 def _reliability(found: Reliability, most: int) -> Section:
     worst = suspects(found, most)
-    over = [one for one in worst if one.over]
-    lines = [
-        f"{len(found)} measures, redundancy {found.degrees_of_freedom:.1f}; tests by Baarda: alpha "
-        f"{found.levels.alpha:g}, power {found.levels.power:g}, critical value {found.critical:.3g}, found at "
-        f"{found.levels.shift:.3g} sigmas",
-        f"{many(found.suspected.size, 'test')} over the critical value ({found.levels.alpha * len(found):.1f} of "
-        f"{len(found)} good measures would be); nothing controls {many(found.uncontrolled.size, 'measure')}"
-        + (f", e.g. {_named(found, found.uncontrolled)}" if found.uncontrolled.size else ""),
-        f"By suspicion, what can't be told apart together ({many(len(over), 'group')} over):",
-        f"{'w':>8} {'residual':>11} {'MDB':>10} {'moves its point':>15} {'r':>6}",
-    ]
-    for one in worst:
-        lines += [_suspect_line(found, one, int(k), first=n == 0) for n, k in enumerate(one.measures[:6])]
-        if one.measures.size > 6:
-            lines.append(f"{'':>8} ... and {one.measures.size - 6} more that can't be told apart from it")
-    record = {
-        "alpha": found.levels.alpha, "power": found.levels.power, "critical": found.critical,
-        "shift_sigmas": found.levels.shift, "measures": len(found), "redundancy": found.degrees_of_freedom,
-        "over": int(found.suspected.size), "uncontrolled": int(found.uncontrolled.size),
-        "suspects": [
-            {"w": one.test, "over": one.over, "measures": [found.name(int(k)) for k in one.measures]} for one in worst
-        ],
-    }  # fmt: skip
 
     def write(folder: Path, figures: bool) -> list[str]:
         reliability_csv(found, folder / "reliability.csv")
         return ["reliability.csv"]
 
-    return Section("reliability", "\n".join(lines), record, write)
-
-
-def _named(found: Reliability, measures: np.ndarray) -> str:
-    names = [found.name(int(k)) for k in measures[:4]]
-    return some(names, int(measures.size))
-
-
-def _suspect_line(found: Reliability, group: Suspect, k: int, first: bool) -> str:
-    table, unit = found.measures, found.unit(k)
-    scale, unit = (MRAD, "mrad") if unit == "rad" else (1.0, unit)
-    figures = (
-        f"{table.test[k]:8.2f}", f"{table.residual[k] / scale:8.3g} {unit:<4}"[:13],
-        f"{table.detectable[k] / scale:7.3g} {unit}",
-        f"{table.effect[k]:8.3g} m" if np.isfinite(table.effect[k]) else "-",
-    )
-    mark = " over" if group.over and first else ""
-    lead = "" if first else "  = "
-    return (
-        f"{figures[0]} {figures[1]:>11} {figures[2]:>10} {figures[3]:>15} {table.redundancy[k]:6.3f} {lead}"
-        f"{found.name(k)}{mark}"
-    )
-
-
-def reliability_csv(found: Reliability, path: Path) -> None:
-    """Write one row per scalar measure, the largest test first; units in `unit`, effect in m."""
-    table, order = found.measures, found.order(len(found))
-    network = found.at.network
-    names = {
-        "measure": [quoted(found.name(k)) for k in order.tolist()],
-        "kind": picked(_KINDS, table.kind[order]),
-        "point": [quoted(network.points.ids[i]) if i >= 0 else "" for i in table.point[order].tolist()],
-        "image": [quoted(network.images[j].name) if j >= 0 else "" for j in table.image[order].tolist()],
-        "unit": [found.unit(k) for k in order.tolist()],
-    }
-    numbers = {
-        "w": table.test, "residual": table.residual, "sigma": table.sigma, "redundancy": table.redundancy,
-        "minimal_detectable_blunder": table.detectable, "effect_m": table.effect, "external": table.external,
-        "joint_test": table.joint, "joint_dimensions": table.dimensions,
-    }  # fmt: skip
-    finite = {name: np.where(np.isfinite(values), values, np.nan)[order] for name, values in numbers.items()}
-    write_csv(path, names, finite)
+    return Section("reliability", reliability_text(found, worst), reliability_record(found, worst), write)
 
 
 def _snooped(found: Snooping) -> Section:
-    lines = [
-        f"Data snooping took out {many(len(found.removals), 'group')} of measures in "
-        f"{many(found.adjustments, 'adjustment')}" + ("" if found.complete else ", and stopped before it was through")
-        + f"; {many(len(found.readmitted), 'group')} taken back in the end; sigma0 is {found.solution.sigma0:.4g} now"
-    ]
-    lines += [
-        f"{np.sqrt(one.test):8.2f} (limit {np.sqrt(one.critical):.2f})  {some(one.names, len(one.names))}"
-        for one in found.removals[:30]
-    ]
-    if len(found.removals) > 30:
-        lines.append(f"... and {len(found.removals) - 30} more")
-    record = {
-        "adjustments": found.adjustments, "complete": found.complete, "sigma0": found.solution.sigma0,
-        "removed": [
-            {"measures": list(one.names), "test": one.test, "dimensions": one.dimensions, "critical": one.critical}
-            for one in found.removals
-        ],
-        "readmitted": [list(one.names) for one in found.readmitted],
-    }  # fmt: skip
-    return Section("snooping", "\n".join(lines), record)
+    return Section("snooping", snooping_text(found), snooping_record(found))
 
 
 def _weak(found: Sequence[WeakDirection]) -> Section:

@@ -131,7 +131,7 @@ def test_many_blunders_need_few_adjustments() -> None:
 
 @pytest.mark.parametrize(("point", "which"), [(SHOT, [0]), (TIE, [0, 1])])
 def test_what_is_out_is_judged_as_it_would_be_if_it_were_in(point: int, which: list[int]) -> None:
-    """The test of an error of prediction is the joint test that the rows have, or the point has, when they take part."""
+    """The test of an error of prediction is the joint test that the rows, or the point, have when they take part."""
     net, settings = clean(), SolverSettings()
     table = reliability(adjust_network(net, settings)).measures
     rays = np.flatnonzero(net.rays.point == point)[which].tolist()

@@ -387,10 +387,10 @@ def _given(found: Redundancy, judged: Index, group: int, degrees: float) -> str:
     others = np.setdiff1d(np.arange(len(found.names)), judged)
     if group not in judged or not others.size:
         return ""
-    for other in others.tolist():
-        beside, shared = _entanglement(found, judged, other)
+    for other in others:
+        beside, shared = _entanglement(found, judged, int(other))
         if beside == found.names[group] and abs(shared) > _TIGHT:
-            return found.names[other]
+            return found.names[int(other)]
     effects = np.linalg.solve(found.helmert[np.ix_(judged, judged)], found.helmert[np.ix_(judged, others)])
     mine = np.abs(effects[judged == group][0])
     worst = int(np.argmax(mine))

@@ -29,7 +29,8 @@ class PointRows:
     variables: tuple[int, ...]
     """Shared unknowns that they feel, in the order of the columns."""
     residuals: Array
-    """(m, r) measured minus predicted, in sigmas."""
+    """(m, r) in sigmas: of rays and ranges measured minus predicted; of a-priori places and heights above the terrain
+    predicted minus known."""
     by_point: Array
     """(m, r, 3) per m."""
     by_shared: Array
@@ -167,7 +168,10 @@ def at_solution(solution: Solution) -> Linearised:
     layout = lay_out(network, settings, _starts(settings, solution.places))
     orientation = np.concatenate([np.zeros(0), *(solution.values[v] for v in layout.variables.adjusted())])
     points = np.where(out[:, None], 0.0, solution.places)[layout.point_order]
-    layout = layout.following(points, orientation)
+    if solution.terrain_cells is None:
+        layout = layout.following(points, orientation)
+    else:
+        layout = replace(layout, rows=layout.rows._replace(terrain_cell=solution.terrain_cells[layout.point_order]))
     points[layout.rows.kind == OUT] = 0.0
     rows = layout.active(solution.rays_used | out[network.rays.point], solution.ranges_used, out)
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance)

@@ -233,5 +233,5 @@ def _closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[float, int]:
     left = np.linalg.svd(by_point)[0][:, 3:]
     through = left.T @ by_shared
     closing = left.T @ error
-    covariance = np.eye(closing.size)
+    covariance = np.eye(closing.size) + through @ shared @ through.T
     return float(closing @ np.linalg.solve(covariance, closing)), closing.size

@@ -1,0 +1,242 @@
+"""One seed of the Monte-Carlo proof: a network drawn anew and adjusted, and what its posterior says held against truth.
+
+Each case is a network whose observations and orientation are drawn from exactly the sigmas that the adjustment assumes
+(`mgsgraph.simulation.redraw`); a *planted* one states sigmas that are not those of its draws.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.analysis.answers import local_frame
+from mgsgraph.adjustment.analysis.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.case import read_case
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network, PointClass
+from mgsgraph.products.truth import nees
+from mgsgraph.simulation.redraw import Draw, redraw
+from mgsgraph.simulation.site import SimulationOptions, simulate_site
+from mgsgraph.simulation.site_files import write_site
+from mgsgraph.simulation.sites import SITE_NAMES, SiteName
+from mgsgraph.simulation.strip import StripSettings, simulate_strip
+from mgsgraph.simulation.strip_files import write_strip
+
+_PLACE, _FLIGHT, _TURN = ("east", "north", "up"), ("along", "across", "radial"), ("roll", "pitch", "yaw")
+KINDS: dict[str, tuple[str, ...]] = {
+    "tie point": _PLACE,
+    "footprint": _PLACE,
+    "position": _FLIGHT,
+    "pointing": _TURN,
+    "height difference": ("height",),
+    "projection": ("line", "sample"),
+    "new place": _PLACE,
+}
+"""What the posterior is asked, and the components in which bias is told."""
+BLOCK = StripSettings(images=6, ties=200, shots=30)
+POINTS, LINES, PIXELS, NEW = 12, 3, 4, 3
+"""Items that one seed asks for, evenly spread: points and pairs of them, lines of each image, projections, new places.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class CaseSettings:
+    """A network to be drawn, and how the adjustment is told of it."""
+
+    ground: SiteName | None
+    """Which site; None for the block."""
+    surface: bool = False
+    """Whether its tie points lie on the terrain model."""
+    prior: float = 1.0
+    """Factor of the a-priori sigmas of the orientation, of draws and adjustment alike."""
+    stated: float = 1.0
+    """Factor of the measures' sigmas that the adjustment is told; 1 is honest, less is a planted fault."""
+
+
+CASES: dict[str, CaseSettings] = {
+    "block": CaseSettings(None),
+    **{name: CaseSettings(name) for name in SITE_NAMES},
+    "eos, half priors": CaseSettings("eos", prior=0.5),
+    **{f"{name}, terrain": CaseSettings(name, surface=True) for name in SITE_NAMES},
+    "block, planted": CaseSettings(None, stated=0.9),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What to draw."""
+
+    case: str
+    """Of CASES."""
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """What came of one seed."""
+
+    order: Order
+    converged: bool
+    squares: dict[str, Array]
+    """By kind: (items,) normalised estimation error squared, e' C^-1 e; chi-square of the kind's dimension."""
+    errors: dict[str, Array]
+    """By kind: (items, d) estimate minus truth in sigmas, along the kind's components."""
+
+
+@lru_cache(maxsize=2)
+def prepared(name: str) -> tuple[Network, SolverSettings]:
+    """The network of a case, as the adjustment reads it from files, and its settings."""
+    case = CASES[name]
+    with tempfile.TemporaryDirectory() as folder:
+        if case.ground is None:
+            path = write_strip(simulate_strip(BLOCK), Path(folder))
+        else:
+            path = write_site(simulate_site(case.ground, 1, SimulationOptions(pictures=False)), Path(folder))
+        read = read_case(path)
+    priors = tuple(OrientationPrior(one.sigmas * case.prior) for one in read.network.priors)
+    surface = read.network.surface if case.surface else None
+    return replace(read.network, priors=priors, surface=surface), read.settings
+
+
+def one_seed(order: Order) -> Drawn:
+    """Draw, adjust, ask."""
+    network, settings = prepared(order.case)
+    stated = CASES[order.case].stated
+    draw = redraw(network, np.random.default_rng(order.seed), settings.angles)
+    solution = adjust_network(told(draw.network, stated), settings)
+    rng = np.random.default_rng([order.seed, 2])
+    asked = questions(Posterior.of(solution), draw, stated, rng)
+    squares, errors = {}, {}
+    for kind, answers in asked.items():
+        error = np.array([one for one, _ in answers])
+        covariance = np.array([one for _, one in answers])
+        squares[kind] = nees(error, covariance)
+        errors[kind] = error / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return Drawn(order, solution.converged, squares, errors)
+
+
+def told(network: Network, stated: float) -> Network:
+    """The network with its measures' sigmas misstated by a factor."""
+    rays, ranges = network.rays, network.ranges
+    return replace(
+        network,
+        rays=replace(rays, sigmas=rays.sigmas * stated),
+        ranges=replace(ranges, sigmas=ranges.sigmas * stated),
+    )
+
+
+Answers = list[tuple[Array, Array]]
+"""Errors (d,) and their stated covariances (d, d)."""
+
+
+def questions(posterior: Posterior, draw: Draw, stated: float, rng: np.random.Generator) -> dict[str, Answers]:
+    """All kinds of questions to one posterior; keys as in KINDS."""
+    network = posterior.network
+    ties, laser = (np.flatnonzero(network.points.classes == kind) for kind in (PointClass.TIE, PointClass.LASER))
+    both = np.concatenate([evenly(ties, POINTS // 2), evenly(laser, POINTS // 2)])
+    positions, pointings = poses(posterior, draw)
+    return {
+        "tie point": [of_point(posterior, draw, i) for i in evenly(ties, POINTS)],
+        "footprint": [of_point(posterior, draw, i) for i in evenly(laser, POINTS)],
+        "position": positions,
+        "pointing": pointings,
+        "height difference": [of_heights(posterior, draw, i, j) for i, j in zip(both, np.roll(both, -1), strict=True)],
+        "projection": of_projections(posterior, draw, evenly(np.arange(network.rays.point.size), PIXELS)),
+        "new place": list(new_places(posterior, draw, ties, stated, rng)),
+    }
+
+
+def evenly(items: Index, count: int) -> Index:
+    """So many of them, or all, from the first to the last."""
+    return items[np.unique(np.linspace(0, items.size - 1, min(count, items.size)).round().astype(np.int64))]
+
+
+def of_point(posterior: Posterior, draw: Draw, i: int) -> tuple[Array, Array]:
+    """East, north, up of a ground point, m."""
+    found = posterior.point(posterior.network.points.ids[i])
+    return local_frame(found.place) @ (found.place - draw.places[i]), found.east_north_up
+
+
+def of_heights(posterior: Posterior, draw: Draw, i: int, j: int) -> tuple[Array, Array]:
+    """How much higher one point is than another, m."""
+    ids = posterior.network.points.ids
+    found = posterior.difference(ids[i], ids[j])
+    true = np.linalg.norm(draw.places[j]) - np.linalg.norm(draw.places[i])
+    return np.array([found.height - true]), np.array([[found.height_sigma**2]])
+
+
+def of_projections(posterior: Posterior, draw: Draw, rays: Index) -> Answers:
+    """Line and sample at which the points of some rays truly fall in their images, px."""
+    network = posterior.network
+    points, images = network.rays.point[rays], network.rays.image[rays]
+    truth = seen(network, draw, draw.places[points], images)
+    found = [
+        posterior.projection(network.points.ids[i], network.images[j].name) for i, j in zip(points, images, strict=True)
+    ]
+    return [(one.place - true, one.covariance) for one, true in zip(found, truth, strict=True)]
+
+
+def seen(network: Network, draw: Draw, places: Array, images: Index) -> Array:
+    """(n, 2) px: where true places (n, 3) fall in images (n,) truly oriented."""
+    found = np.empty((images.size, 2))
+    for j in np.unique(images).tolist():
+        mine = images == j
+        found[mine] = network.images[j].ground_to_image(places[mine], draw.corrections[j])[0]
+    return found
+
+
+def poses(posterior: Posterior, draw: Draw) -> tuple[Answers, Answers]:
+    """Positions (along, across, radial, m) and pointings (roll, pitch, yaw, rad) at some lines of each image that is
+    adjusted. Truth: nominal (+) true corrections.
+    """
+    positions: Answers = []
+    pointings: Answers = []
+    for j in np.flatnonzero(~posterior.network.held).tolist():
+        image = posterior.network.images[j]
+        lines = np.linspace(0.0, float(image.lines), LINES)
+        truth = image.pose(lines, draw.corrections[j])
+        for k, found in enumerate(posterior.poses(image.name, lines)):
+            axes = flight_axes(found.position, found.velocity)
+            turned = -rotation.logarithm((found.matrix @ truth.matrix[k].T)[None])[0]
+            positions.append((axes @ (found.position - truth.position[k]), found.flight[:3, :3]))
+            pointings.append((camera_axes(found.matrix @ axes[0]) @ turned, found.flight[3:, 3:]))
+    return positions, pointings
+
+
+def new_places(
+    posterior: Posterior, draw: Draw, ties: Index, stated: float, rng: np.random.Generator
+) -> Iterator[tuple[Array, Array]]:
+    """Places half-way between two tie points that two images or more share: measured anew in these with noise of their
+    own, and intersected. East, north, up, m.
+    """
+    network = posterior.network
+    rays = network.rays
+    sees = np.zeros((len(network.points), len(network.images)), dtype=bool)
+    sees[rays.point, rays.image] = True
+    trues, noises = list[Array](), list[Array]()
+    images, starts, sigmas = list[int](), list[int](), list[float]()
+    for i in evenly(ties, NEW):
+        partners = ties[np.count_nonzero(sees[ties] & sees[i], axis=1) >= 2]
+        other = int(rng.choice(partners[partners != i]))
+        starts.append(len(images))
+        for j in np.flatnonzero(sees[i] & sees[other]).tolist():
+            trues.append(0.5 * (draw.places[i] + draw.places[other]))
+            images.append(j)
+            sigmas.append(float(rays.sigmas[(rays.point == i) & (rays.image == j)][0, 0]))
+            noises.append(rng.standard_normal(2) * sigmas[-1] / stated)
+    measured = seen(network, draw, np.array(trues), np.array(images)) + np.array(noises)
+    pixels = [
+        Pixel(network.images[j].name, float(line), float(sample), sigma)
+        for j, (line, sample), sigma in zip(images, measured, sigmas, strict=True)
+    ]
+    for start, end in zip(starts, [*starts[1:], len(images)], strict=True):
+        found = posterior.intersection(pixels[start:end])
+        yield local_frame(found.place) @ (found.place - trues[start]), found.east_north_up
