@@ -100,8 +100,8 @@ def reliability(
 
 
 def design(rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, points: Array) -> Array:
-    """Whitened rows of each sight (t, 3, 4 + c) with points at (n, 3): the residual, the derivatives by the point per m,
-    and those by the unknowns that the sight feels per m and rad: six columns of each basis term, then single ones.
+    """Whitened rows of sights (t, 3, 4 + c) with points at (n, 3): the residual, its derivatives by the point per m,
+    and by the unknowns that the sight feels per m and rad: six columns of each basis term, then single ones.
 
     With a robust loss each is scaled by the root of its weight. Rows that don't take part, or that a sight hasn't, are
     zero.

@@ -12,7 +12,7 @@ OWN = 4
 
 @lane
 def design_tile(rows, piece, first, n, w, base, depth, values):
-    """Of each row of a tile's sights: `OWN`, then its derivatives by six columns per basis term and by each single one."""
+    """Of each row of a tile's sights `OWN`, then its derivatives: six columns per basis term, then the single ones."""
     begin, end = sights_of(rows, rows.piece[piece, 0])
     count = rows.piece[piece, 2]
     for i in range(begin, end):

@@ -1,8 +1,8 @@
 """How far each measure controls itself: its share H of its own adjusted value, and what an error in it does.
 
 With A the whitened rows and Q the covariance of all unknowns, the adjusted measures have the covariance H = A Q A' and
-the residuals 1 - H (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Per point, with P = B L^-T, Y = W L^-T and S the
-covariance of the sights' states, all that is needed of Q is U_i = sum_j S_ij Y_j and M = 1 + sum_i Y_i' U_i:
+the residuals 1 - H (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Per point, with P = B L^-T, Y = W L^-T and S
+the covariance of the sights' states, all that is needed of Q is U_i = sum_j S_ij Y_j and M = 1 + sum_i Y_i' U_i:
 H_i = P_i M P_i' - P_i (J_i U_i)' - (J_i U_i) P_i' + J_i S_ii J_i'; an error e in the rows moves the point by
 -L^-T (M P_i' - (J_i U_i)') e.
 """

@@ -172,7 +172,8 @@ def one_sight(rows: Rows, groups: Groups, model: Model, point: int, sight: int) 
 def of_points(rows: Rows, piece: int, inside: Index) -> Rows:
     """Rows of some points of one piece, by their places in it; tables of patterns, sights and entries stay whole."""
     pattern, first, count, number, sight = rows.piece[piece].tolist()
-    last = [rows.data.size, rows.weight.shape[1]] if piece + 1 == len(rows.piece) else rows.piece[piece + 1, 3:].tolist()
+    ends = [rows.data.size, rows.weight.shape[1]]
+    last = ends if piece + 1 == len(rows.piece) else rows.piece[piece + 1, 3:].tolist()
     return rows._replace(
         kind=rows.kind[first + inside],
         start=rows.start[first + inside],

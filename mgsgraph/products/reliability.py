@@ -80,7 +80,7 @@ def reliability_csv(found: Reliability, path: Path) -> None:
         "image": [quoted(network.images[j].name) if j >= 0 else "" for j in table.image[order].tolist()],
         "unit": [found.unit(k) for k in order.tolist()],
     }
-    numbers = {
+    numbers: dict[str, np.ndarray] = {
         "w": table.test, "residual": table.residual, "sigma": table.sigma, "redundancy": table.redundancy,
         "minimal_detectable_blunder": table.detectable, "effect_m": table.effect, "external": table.external,
         "joint_test": table.joint, "joint_dimensions": table.dimensions,
@@ -97,7 +97,7 @@ def snooping_text(found: Snooping) -> str:
         + f"; {many(len(found.readmitted), 'group')} taken back in the end; sigma0 is {found.solution.sigma0:.4g} now"
     ]  # fmt: skip
     lines += [
-        f"{np.sqrt(one.test):8.2f} (limit {np.sqrt(one.critical):.2f})  {some(one.names, len(one.names))}"
+        f"{np.sqrt(one.test):8.2f} (limit {np.sqrt(one.critical):.2f})  {some(list(one.names), len(one.names))}"
         for one in found.removals[:_MOST_REMOVED]
     ]
     if len(found.removals) > _MOST_REMOVED:

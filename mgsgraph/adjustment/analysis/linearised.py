@@ -47,7 +47,7 @@ class PointRows:
         turned = np.swapaxes(self.by_point, 1, 2)
         normal = turned @ self.by_point
         noise = np.swapaxes(np.linalg.solve(np.linalg.cholesky(normal), np.eye(3)), 1, 2)
-        return -np.linalg.solve(normal, turned @ self.by_shared), noise
+        return np.asarray(-np.linalg.solve(normal, turned @ self.by_shared)), np.asarray(noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +147,8 @@ def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) ->
     width = layout.groups.member_width[members]
     by_shared = np.zeros((count, sight.size, int(width.sum())))
     for k, places in enumerate(_columns(rows, first + sight, np.cumsum(width) - width)):
-        np.add.at(by_shared, (slice(None), k, places), mine[:, k, OWN : OWN + places.size])
+        for n, column in enumerate(places.tolist()):
+            by_shared[:, k, column] += mine[:, k, OWN + n]
     return PointRows(layout.group_variables[group], mine[:, :, 0], mine[:, :, 1:OWN], by_shared, sight, row)
 
 

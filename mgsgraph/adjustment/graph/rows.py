@@ -207,6 +207,8 @@ def _fill_rays(
     slots = _ranks(rays.point, rays.image)
     place_among = np.empty(rays.point.size, dtype=np.int32)
     for j, mine in enumerate(_by_image(rays.image, len(network.images))):
+        if mine.size == 0:
+            continue
         image, (lines, samples) = network.images[j], rays.places[mine].T
         place, stride, place_among[mine] = store.place(rays.point[mine], slots[mine])
         pose = image.pose(lines)
@@ -319,12 +321,13 @@ def _start_at_crossings(network: Network, free: Mask, starts: Array) -> None:
     """Where the nominal rays of points (n,) cross, ahead of their cameras."""
     rays, count = network.rays, len(network.images)
     mine = np.flatnonzero(free[rays.point])
-    sums, images = RaySums(starts.shape[0]), [mine[k] for k in _by_image(rays.image[mine], count)]
-    for image, rows in zip(network.images, images, strict=True):
+    sums = RaySums(starts.shape[0])
+    seen = [(network.images[j], mine[k]) for j, k in enumerate(_by_image(rays.image[mine], count)) if k.size]
+    for image, rows in seen:
         sums.add(rays.point[rows], *image.sightlines(*rays.places[rows].T))
     crossing, angle = sums.places()
     usable = free & np.all(np.isfinite(crossing), axis=1) & (angle > _PARALLEL)
-    for image, rows in zip(network.images, images, strict=True):  # rays that part meet behind their cameras
+    for image, rows in seen:  # rays that part meet behind their cameras
         origins, directions = image.sightlines(*rays.places[rows].T)
         ahead = np.einsum("ki,ki->k", crossing[rays.point[rows]] - origins, directions) > 0.0
         usable[rays.point[rows[~ahead]]] = False
