@@ -1,6 +1,7 @@
 """Words and numbers of reports: counts with their nouns, lists of names, aligned cells."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ def listed(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1]
 
 
-def some(names: list[str], total: int, most: int = NAMED) -> str:
+def some(names: Sequence[str], total: int, most: int = NAMED) -> str:
     """Names that stand for `total` of them, `most` at the most."""
     named = names[:most]
     return ", ".join(named) + (f" and {total - len(named)} more" if total > len(named) else "")

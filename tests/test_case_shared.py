@@ -9,6 +9,7 @@ import mgsgraph
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
+from mgsgraph.products.inventory import inventory
 
 GOOD = """
 [[shared]]
@@ -44,6 +45,12 @@ def test_what_a_case_says_is_what_the_network_has(case_file: Path) -> None:
 def test_without_the_laser_what_only_it_feels_goes_too(case_file: Path) -> None:
     kinds = [one.kind for one in mgsgraph.read_case(with_text(case_file, GOOD), laser=False).network.shared]
     assert kinds == [SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT]
+
+
+def test_check_lists_them(case_file: Path) -> None:
+    said = inventory(mgsgraph.read_case(with_text(case_file, GOOD)))
+    assert "Unknowns that images share" in said
+    assert "range bias: a-priori sigma 5 m; SIM/A" in said
 
 
 @pytest.mark.parametrize(

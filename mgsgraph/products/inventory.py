@@ -22,6 +22,7 @@ from mgsgraph.products.connectivity import (
 )
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
+from mgsgraph.wording import some
 
 _FEW_POINTS = 6
 """Fewer points than this in an image leave its orientation to the prior."""
@@ -56,6 +57,7 @@ def inventory(case: Case) -> str:
         _images(network),
         _points(network, prediction),
         _connections(connected),
+        *([_shared(network)] if network.shared else []),
         "Weak spots\n" + "\n".join(f"  - {line}" for line in weak or ["none seen"]),
     ]
     return "\n\n".join(parts)
@@ -66,6 +68,18 @@ def _with_priors(network: Network) -> Network:
     wide = np.repeat([1e3, 1e-2], 3)
     priors = tuple(OrientationPrior(np.where(np.isinf(prior.sigmas), wide, prior.sigmas)) for prior in network.priors)
     return replace(network, priors=priors)
+
+
+def _shared(network: Network) -> str:
+    """Unknowns that images share, with what is known of them beforehand."""
+    lines = ["Unknowns that images share"]
+    for one in network.shared:
+        scale, unit = (MRAD, "mrad") if one.kind.unit == "rad" else (1.0, one.kind.unit)
+        sigmas = ", ".join(f"{sigma / scale:.3g}" for sigma in one.sigmas)
+        kind = "" if one.name == one.kind else f" ({one.kind})"
+        names = [network.images[j].name for j in one.images.tolist()]
+        lines.append(f"  {one.name}{kind}: a-priori sigma {sigmas} {unit}; {some(names, len(names))}")
+    return "\n".join(lines)
 
 
 def _images(network: Network) -> str:

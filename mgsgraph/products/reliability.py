@@ -97,7 +97,7 @@ def snooping_text(found: Snooping) -> str:
         + f"; {many(len(found.readmitted), 'group')} taken back in the end; sigma0 is {found.solution.sigma0:.4g} now"
     ]  # fmt: skip
     lines += [
-        f"{np.sqrt(one.test):8.2f} (limit {np.sqrt(one.critical):.2f})  {some(list(one.names), len(one.names))}"
+        f"{np.sqrt(one.test):8.2f} (limit {np.sqrt(one.critical):.2f})  {some(one.names, len(one.names))}"
         for one in found.removals[:_MOST_REMOVED]
     ]
     if len(found.removals) > _MOST_REMOVED:

@@ -220,7 +220,7 @@ def _warnings(one: SharedEstimate) -> list[str]:
         found.append(f"It can hardly be told apart from a constant pitch of image {one.image} ({figures}).{ground}")
     elif one.together > _ALIKE:
         found.append(
-            f"The measures cannot tell it apart from constant pitches of {some(list(one.mixture), len(one.mixture))} "
+            f"The measures cannot tell it apart from constant pitches of {some(one.mixture, len(one.mixture))} "
             f"together: only what is known of them beforehand does (most like: {one.image}, {figures}).{ground}"
         )
     if one.sigma > _CORRELATED * one.prior_sigma:

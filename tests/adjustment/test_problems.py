@@ -8,9 +8,10 @@ import pytest
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.analysis.datum import scaled_normal
 from mgsgraph.adjustment.batch import Iteration, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.posterior import _in_one_clique, _scaled_normal, orientation_covariance
+from mgsgraph.adjustment.posterior import _in_one_clique, orientation_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.factors.sweep import sweep
@@ -54,7 +55,7 @@ def test_the_joint_covariance_in_one_clique_is_the_same() -> None:
     graph = BundleGraph(layout)
     reduction = graph.reduction(np.zeros(layout.columns))
     theirs = orientation_covariance(graph, reduction)
-    ours = _in_one_clique(layout, _scaled_normal(layout, reduction))
+    ours = _in_one_clique(layout, scaled_normal(layout, reduction))
     scale = np.outer(theirs.sigmas, theirs.sigmas)
     assert np.abs((ours.dense() - theirs.dense()) / scale).max() < 1e-8
     np.testing.assert_allclose(ours.sigmas, theirs.sigmas, rtol=1e-9)

@@ -1,4 +1,4 @@
-"""Columns that no network has yet, and nodes, through the one kernel: rows put together by hand.
+"""Single columns that sights share, and nodes, through the one kernel: rows put together by hand.
 
 Time biases, boresight, focal length and range bias are single columns that several sights share, each with a direction
 in the sight's state; nodes are basis terms with a variable of their own each. Held against finite differences (each

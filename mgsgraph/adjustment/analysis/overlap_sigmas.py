@@ -50,7 +50,7 @@ class SigmaGrid:
         middle = [float(np.median(band[inside])) for band in self.values[:3]]
         worst = float(self.values[2][inside].max())
         return (
-            f"points measured to {self.sigma:g} px in {some(list(self.images), len(self.images))} would have sigmas of "
+            f"points measured to {self.sigma:g} px in {some(self.images, len(self.images))} would have sigmas of "
             f"{middle[0]:.3g} m east, {middle[1]:.3g} m north and {middle[2]:.3g} m up (medians over "
             f"{int(inside.sum())} cells); up is worst at {worst:.3g} m"
         )
@@ -123,7 +123,7 @@ def _ground(posterior: Posterior, places: Array, height: float) -> Array:
     axes = np.array([body.equatorial, body.equatorial, body.polar])
     ground = unit * (1.0 / np.linalg.norm(unit / axes, axis=1, keepdims=True) + height)
     if surface is None:
-        return ground
+        return np.asarray(ground)
     radius, _, _ = surface.grid.radius(places[:, 0], places[:, 1])
     return np.asarray(np.where(np.isfinite(radius)[:, None], unit * radius[:, None], ground))
 

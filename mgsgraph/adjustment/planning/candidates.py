@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.adjustment.planning.scene import Scene, Shows, View, even_places
-from mgsgraph.adjustment.planning.standing import Linearised
+from mgsgraph.adjustment.planning.standing import ReducedNetwork
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
@@ -141,7 +141,7 @@ def _new_ties(scene: Scene, view: View, near: Sequence[View], ties: PlannedTies)
     if network is None:
         return None
     standing = scene.standing
-    kept = Linearised(network, standing.settings, standing.values, points).determined
+    kept = ReducedNetwork(network, standing.settings, standing.values, points).determined
     return part(network, np.flatnonzero(kept)) if np.any(kept) else None
 
 

@@ -95,7 +95,7 @@ def standing(
     return Standing(left, settings, values, places[kept])
 
 
-class Linearised:
+class ReducedNetwork:
     """A network's points eliminated at given values: the information of the shared unknowns.
 
     Parameters
@@ -165,7 +165,7 @@ class Linearised:
         return matrix
 
 
-class Present(Linearised):
+class Present(ReducedNetwork):
     """A whole network linearised where it stands, with the joint covariance of its shared unknowns.
 
     Raises WeakNetwork where nothing determines some direction of the orientation.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS
-from mgsgraph.adjustment.planning.standing import Linearised, Present
+from mgsgraph.adjustment.planning.standing import Present, ReducedNetwork
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
@@ -25,7 +25,7 @@ from mgsgraph.network.parts import Unknown, joined, part
 class Added:
     """Information that planned measures add to a network; the same for as long as its points that they touch are."""
 
-    after: Linearised
+    after: ReducedNetwork
     """The points that the measures touch, with all their rows, old and planned."""
     touched: tuple[Unknown, ...]
     """Unknowns of the present network that feel them."""
@@ -127,13 +127,13 @@ def added(present: Present, additions: Sequence[Network]) -> Added:
     network = joined([*([before] if before else []), *additions])
     places = network.points.places.copy()
     places[: again.size] = standing.places[again]
-    after = Linearised(network, standing.settings, standing.values, places)
+    after = ReducedNetwork(network, standing.settings, standing.values, places)
     known = set(present.adjusted)
     touched = tuple(name for name in after.adjusted if name in known)
     new = tuple(name for name in after.adjusted if name not in known)
     gained, own, lean = _on_touched(after, touched, new)
     if before is not None:
-        old = Linearised(before, standing.settings, standing.values, standing.places[again])
+        old = ReducedNetwork(before, standing.settings, standing.values, standing.places[again])
         felt = [name for name in touched if name in set(old.adjusted)]
         place_of = _places(after, touched, felt)
         gained[np.ix_(place_of, place_of)] -= old.information(felt)
@@ -151,14 +151,14 @@ def updated(present: Present, adds: Added) -> Update:
     return Update(present, adds, fall, float(np.sum(np.log2(np.diagonal(factor)))))
 
 
-def _places(after: Linearised, touched: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
+def _places(after: ReducedNetwork, touched: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
     """Places of the columns of some of the touched unknowns among those of all of them."""
     number = {column: k for k, column in enumerate(after.columns(touched).tolist())}
     return np.array([number[column] for column in after.columns(some).tolist()], dtype=np.int64)
 
 
 def _on_touched(
-    after: Linearised, touched: Sequence[Unknown], new: Sequence[Unknown]
+    after: ReducedNetwork, touched: Sequence[Unknown], new: Sequence[Unknown]
 ) -> tuple[Array, Array, Array]:
     """Information (d, d) on the touched unknowns with the new ones eliminated, the covariance (w, w) of these were the
     touched ones known, and how they follow them (w, d).
