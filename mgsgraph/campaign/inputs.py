@@ -34,7 +34,8 @@ def checksums(case: Path) -> dict[str, str | None]:
 def _named(wanted: CaseInput) -> Iterator[str]:
     """Every path in a case file but those of kernels."""
     for image in wanted.images:
-        yield from (name for name in (image.isd, image.label) if name is not None)
+        times = None if image.line_times == "mean" else image.line_times
+        yield from (name for name in (image.isd, image.label, times) if name is not None)
     yield from (group.network for group in wanted.tie_groups)
     if wanted.ground_control is not None:
         yield wanted.ground_control.file

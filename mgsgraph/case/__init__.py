@@ -6,6 +6,7 @@ Paths are relative to the case file.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -23,13 +24,11 @@ from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_polynomia
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_grid
 from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.gcp import read_ground_control
+from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.isd import Aberration, read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import TiePoints
-
-MGS_ATTITUDE_BIAS = -1.15
-"""s, ISIS and ALE (facts of io.kernels)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +97,7 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
     network = parts.network(priors, held, *_read_terrain(wanted, folder))
     network = _with_shared(network, wanted, path, laser)
     _require_seeing_images(network)
-    pictures = tuple(folder / image.label if image.label else None for image in wanted.images)
+    pictures = tuple(_picture(image, folder) for image in wanted.images)
     return Case(wanted.name, path, network, settings, ties, profiles, pictures, fits)
 
 
@@ -154,22 +153,36 @@ def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where:
     if entry.isd is not None:
         stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
         return read_isd(folder / entry.isd, entry.name, stated)
-    from mgsgraph.io.moc import read_moc  # SPICE takes its time to load; only those who need it wait
+    from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load: those who need it wait
 
     assert entry.label is not None
     kernels = entry.kernels or (spice.kernels if spice else ())
     if not kernels:
         raise InputError(where, "a label without kernels", "kernels = [...] here or in [spice]")
-    return read_moc(
+    return read_labelled_image(
         folder / entry.label,
         [folder / kernel for kernel in kernels],
-        name=entry.name,
+        entry.name,
         focal_length=entry.focal_length_m,
         constants=entry.constants,
-        attitude_bias=MGS_ATTITUDE_BIAS if entry.attitude_bias_s is None else entry.attitude_bias_s,
+        attitude_bias=entry.attitude_bias_s,
         position_bias=entry.position_bias_s,
         interval=spice.sampling_s if spice else 0.1,
+        line_times=_line_times(entry, folder),
     )
+
+
+def _line_times(entry: ImageInput, folder: Path) -> Path | Literal["mean"] | None:
+    if entry.line_times is None:
+        return None
+    return "mean" if entry.line_times == "mean" else folder / entry.line_times
+
+
+def _picture(entry: ImageInput, folder: Path) -> Path | None:
+    """Where an image's pixels are, of those cameras whose pixels can be read."""
+    if entry.label is None or not instrument_of(folder / entry.label).startswith("MOC"):
+        return None
+    return folder / entry.label
 
 
 def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> TiePoints | None:

@@ -66,7 +66,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     isd: str | None = None
     """CSM image support data, JSON; or, instead of it, a label and kernels."""
     label: str | None = None
-    """MOC label: PDS3 image, detached label or ISIS cube."""
+    """Label of MOC or HRSC: PDS3 image, detached label or ISIS cube; its instrument is the label's."""
     kernels: tuple[str, ...] = ()
     """SPICE kernels or meta-kernels of this image; those of [spice] when absent."""
     constants: Literal["iak", "ik"] = "iak"
@@ -74,9 +74,11 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     focal_length_m: Positive | None = None
     """Focal length; the kernels' when absent."""
     attitude_bias_s: float | None = None
-    """Attitude of time t is the CK's of t + this; for MOC -1.15 when absent (ISIS)."""
+    """Attitude of time t is the CK's of t + this; for MOC -1.15 when absent (ISIS), else 0."""
     position_bias_s: float = 0.0
     """Position of time t is the SPK's of t + this."""
+    line_times: Annotated[str, msgspec.Meta(min_length=1)] | None = None
+    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (io.hrsc_lines)."""
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None

@@ -22,6 +22,8 @@ from mgsgraph.io.kernel_contents import ck_cover, ck_records, covered_interval, 
 from mgsgraph.io.kernel_contents import spice_words as spice_words  # for other readers that ask SPICE
 from mgsgraph.units import KM
 
+Constants = Literal["iak", "ik"]
+"""Whose camera constants: the ISIS addendum's or the instrument kernel's."""
 Correction = Literal["NONE", "LT", "LT+S"]
 """Aberration correction of positions, the body being the observer (as in ISIS and ALE tables of MGS)."""
 
@@ -149,14 +151,17 @@ def clock_time(spacecraft: int, count: str) -> float:
         return float(spiceypy.scs2e(spacecraft, count))
 
 
-def fixed_rotation(from_frame: int, to_frame: int) -> Array:
-    """Constant rotation (3, 3) from one frame to another that is fixed to it; InputError when it is not."""
+def fixed_rotation(from_frame: int, to_frame: int, time: float = 0.0) -> Array:
+    """Constant rotation (3, 3) from one frame to another that is fixed to it; InputError when it is not.
+
+    `time` (s TDB past J2000) has no say in it, but SPICE asks the spacecraft's clock: let it be one that this knows.
+    """
     with spice_words(f"frames {from_frame} and {to_frame}", "load the instrument or frames kernel"):
         names = [spiceypy.frmnam(frame) for frame in (from_frame, to_frame)]
         for frame, name in zip((from_frame, to_frame), names, strict=True):
             if not name:
                 raise InputError("kernels", f"no frame {frame}", remedy="load the instrument or frames kernel")
-        return np.asarray(spiceypy.pxform(names[0], names[1], 0.0), dtype=np.float64)
+        return np.asarray(spiceypy.pxform(names[0], names[1], time), dtype=np.float64)
 
 
 def ellipsoid(body: str | int) -> Ellipsoid:

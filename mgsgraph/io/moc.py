@@ -7,7 +7,6 @@ pitch instead: one pixel is then 3.750 microradians, against 3.714).
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import spiceypy
@@ -20,6 +19,7 @@ from mgsgraph.io.kernel_contents import spice_words
 from mgsgraph.io.kernels import (
     INTERVAL,
     MGS_ATTITUDE_BIAS,
+    Constants,
     Correction,
     clock_time,
     ellipsoid,
@@ -30,9 +30,6 @@ from mgsgraph.io.kernels import (
 )
 from mgsgraph.io.moc_label import MocLabel, read_moc_label
 from mgsgraph.units import MM
-
-Constants = Literal["iak", "ik"]
-"""Whose camera constants: the ISIS addendum's or the instrument kernel's."""
 
 MGS, MGS_SPACECRAFT, MOC_NA = -94, -94000, -94031
 """NAIF ids of the spacecraft, of its structure's frame (CK), and of the narrow angle."""

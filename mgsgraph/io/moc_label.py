@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Literal
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.pvl import Block, Document, whole_label
+from mgsgraph.io.image_label import bytes_around, cube_of, cube_size, data_place, read_label
+from mgsgraph.io.pvl import Block
 from mgsgraph.units import MILLISECOND
 
 Instrument = Literal["MOC-NA", "MOC-WA-RED", "MOC-WA-BLUE"]
 
-_HEAD = 1 << 20
-"""bytes; no label of a MOC image comes near."""
 _EXPOSURE_UNITS = {"milliseconds": MILLISECOND, "ms": MILLISECOND, "seconds": 1.0, "s": 1.0, "": MILLISECOND}
 _DETECTOR = {"MOC-NA": 2048, "MOC-WA-RED": 3456, "MOC-WA-BLUE": 3456}
 _HIGHEST_SUMMING = {"MOC-NA": 8, "MOC-WA-RED": 127, "MOC-WA-BLUE": 127}
@@ -96,43 +95,11 @@ def read_moc_label(path: Path) -> MocLabel:
     InputError
         Missing file, no such label, a keyword missing, out of range, or contradicted by another.
     """
-    root = _label(path)
-    if "PDS_VERSION_ID" in root:
-        label = _pds(path, root)
-    elif any(block.name == "isiscube" for block in root.blocks):
-        label = _cube(path, root.inner("IsisCube"))
-    else:
-        raise InputError(str(path), "a label that is neither PDS3 nor of an ISIS cube", "a label of a MOC image")
+    root = read_label(path)
+    cube = cube_of(root)
+    label = _pds(path, root) if cube is None else _cube(path, cube)
     _require_consistent(label)
     return label
-
-
-def _label(path: Path) -> Block:
-    text = _head(path)
-    if text is None:
-        beside = [path.with_suffix(suffix) for suffix in (".lbl", ".LBL") if path.with_suffix(suffix).is_file()]
-        text = _head(beside[0]) if beside else None
-        path = beside[0] if beside else path
-    if text is None:
-        raise InputError(
-            str(path), "no label", "PDS_VERSION_ID = PDS3 or Object = IsisCube at its head, or a .lbl beside it"
-        )
-    return whole_label(Document(str(path), text))
-
-
-def _head(path: Path) -> str | None:
-    """The text at the head of a file; None where there is none."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", "a MOC image or its label") from None
-    except OSError as error:
-        raise InputError(str(path), f"can't be read ({error.strerror})", "a file") from None
-    if not head.lstrip()[:20].lower().startswith((b"pds_version_id", b"object = isiscube", b"object=isiscube")):
-        return None
-    # pixels that follow are never parsed: PVL ends at its END; a cube fills up with NUL
-    return head.split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n")
 
 
 # --- PDS3
@@ -163,48 +130,19 @@ def _pds(path: Path, root: Block) -> MocLabel:
 def _pixel_area(path: Path, root: Block, image: Block) -> PixelArea:
     if image.number("SAMPLE_BITS", {"": 1.0}) != 8.0:
         raise InputError(image.where("SAMPLE_BITS"), image.text("SAMPLE_BITS"), "8, as all MOC images have")
-    keys = ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES")
-    prefix, suffix = (int(image.number(key, {"": 1.0})) if key in image else 0 for key in keys)
-    if min(prefix, suffix) < 0:
-        raise InputError(image.where(), f"{min(prefix, suffix)} bytes before or after a line", "none, or some")
+    prefix, suffix = bytes_around(image)
     encoding = image.text("ENCODING_TYPE") if "ENCODING_TYPE" in image else ""
-    record = root.count("RECORD_BYTES")
-    size = record * root.count("FILE_RECORDS") if "FILE_RECORDS" in root else 0
-    file, offset = _pointer(path, root, record)
+    size = root.count("RECORD_BYTES") * root.count("FILE_RECORDS") if "FILE_RECORDS" in root else 0
+    file, offset = data_place(path, root)
     return PixelArea(file, offset, prefix, suffix, "" if encoding.lower() in _NOTHING else encoding, size)
-
-
-def _pointer(path: Path, root: Block, record: int) -> tuple[Path, int]:
-    """File and offset in bytes of ``^IMAGE``: a record or <BYTES>, in this file or in the one it names."""
-    if "^IMAGE" not in root:
-        raise InputError(root.where(), "no ^IMAGE", "^IMAGE = record, or (file, record)")
-    entry = root.entries["^image"]
-    items = [entry.value] if isinstance(entry.value, str) else list(entry.value)
-    place = items.pop() if items and items[-1].isdecimal() else "1"
-    if len(items) > 1 or int(place) < 1:
-        raise InputError(root.where("^IMAGE"), f"{entry.value}", "a record, a file, or (file, record)")
-    offset = int(place) - 1 if entry.unit == "bytes" else (int(place) - 1) * record
-    return (_beside(path, items[0], root) if items else path), offset
-
-
-def _beside(path: Path, name: str, root: Block) -> Path:
-    """The file of this name, in any case, in the label's folder."""
-    for file in path.parent.iterdir():
-        if file.name.lower() == name.lower():
-            return file
-    raise InputError(root.where("^IMAGE"), f"the file {name}, which is not there", "it in the label's folder")
 
 
 # --- ISIS
 
 
 def _cube(path: Path, cube: Block) -> MocLabel:
-    for block in cube.blocks:
-        if block.name == "mapping":
-            raise InputError(block.where(), "a map-projected cube", "an image in camera geometry (before cam2map)")
-    core, instrument = cube.inner("Core").inner("Dimensions"), cube.inner("Instrument")
-    lines, samples = core.count("Lines"), core.count("Samples")
-    _require_whole(cube, lines, samples)
+    instrument = cube.inner("Instrument")
+    lines, samples = cube_size(cube)
     band = next((block for block in cube.blocks if block.name == "bandbin"), instrument)
     return MocLabel(
         path=path,
@@ -221,14 +159,6 @@ def _cube(path: Path, cube: Block) -> MocLabel:
         samples=samples,
         pixels=None,
     )
-
-
-def _require_whole(cube: Block, lines: int, samples: int) -> None:
-    """A cropped or reduced cube no longer begins at its clock count, nor has its label's summing."""
-    for block in cube.blocks:
-        if block.name == "alphacube" and (block.count("AlphaLines"), block.count("AlphaSamples")) != (lines, samples):
-            whole = f"{block.count('AlphaLines')} x {block.count('AlphaSamples')}"
-            raise InputError(block.where(), f"{lines} x {samples} pixels cut out of {whole}", "the whole image")
 
 
 # --- both

@@ -185,12 +185,13 @@ def _single(wanted: Wanted, settings: ProjectSettings, where: str) -> NewImage:
 
 
 def _from_label(path: Path, name: str, settings: ProjectSettings, where: str) -> PushbroomImage:
-    from mgsgraph.io.moc import read_moc  # SPICE takes its time to load; only those who need it wait
+    from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load; only who needs it waits
 
     if settings.spice is None:
         found, remedy = "a label, and the project has no kernels", "add it with a case file that names them"
         raise InputError(f"{where}, {path}", found, "kernels in [spice] of its settings", remedy)
-    return read_moc(path, [Path(kernel) for kernel in settings.spice.kernels], name, interval=settings.spice.sampling_s)
+    kernels = [Path(kernel) for kernel in settings.spice.kernels]
+    return read_labelled_image(path, kernels, name, interval=settings.spice.sampling_s)
 
 
 def _named(images: Sequence[Wanted], ties: Sequence[TiePoints], known: Sequence[str]) -> list[Wanted]:
