@@ -79,6 +79,12 @@ def one_seen_twice_by_one_image() -> Network:
     return with_rays(replace(net, rays=rays), [0], [0], offset=0.0)
 
 
+def seen_by_the_held_one_alone(net: Network) -> Network:
+    """Two of three laser points lose their rays in the second image: no unknown is left in the rows of these."""
+    kept = (net.rays.image == 0) | (net.points.classes[net.rays.point] == PointClass.TIE) | (net.rays.point % 3 == 0)
+    return replace(net, rays=net.rays.chosen(kept))
+
+
 NETWORKS: dict[str, Callable[[], Network]] = {
     "plain": lambda: network(pair()),
     "shifts and terrain": lambda: with_shift_and_surface(network(pair())),

@@ -5,6 +5,7 @@ the frontal variables F of a clique given its separator S, all of which lie in t
 the information, and its inverse the covariance.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -145,17 +146,41 @@ class SquareRoot:
         columns = self._columns(ones)
         work = np.zeros((self.columns, columns.size))
         work[columns, np.arange(columns.size)] = 1.0
-        for clique in self._ancestry(ones)[::-1]:
+        self._forward(work, self._ancestry(ones)[::-1])
+        self._back(work, self._ancestry(others))
+        return np.asarray(work[self._columns(others)].T)
+
+    def forward(self, right: Array) -> Array:
+        """R'^-1 times a vector (columns,) or vectors (columns, k): from the leaves of the cliques' tree to its root."""
+        work = right.reshape(self.columns, math.prod(right.shape[1:])).copy()
+        self._forward(work, range(self.sizes.size)[::-1])
+        return work.reshape(right.shape)
+
+    def back(self, right: Array) -> Array:
+        """R^-1 times a vector (columns,) or vectors (columns, k): from the root to the leaves."""
+        work = right.reshape(self.columns, math.prod(right.shape[1:])).copy()
+        self._back(work, range(self.sizes.size))
+        return work.reshape(right.shape)
+
+    def covariance_times(self, right: Array) -> Array:
+        """Covariance times a vector (columns,) or vectors (columns, k)."""
+        return self.back(self.forward(right))
+
+    def _forward(self, work: Array, cliques: Sequence[int]) -> None:
+        """R'^-1 times `work` (columns, k), in place, through some cliques, children first."""
+        for clique in cliques:
             columns, rows = self.columns_of[clique], self.rows_of(clique)
             for a, b, inverse in self.triangles[clique]:
                 work[columns[a:b]] = inverse.T @ work[columns[a:b]]
                 work[columns[b:]] -= product(rows[a:b, b:].T, work[columns[a:b]])
-        for clique in self._ancestry(others):
+
+    def _back(self, work: Array, cliques: Sequence[int]) -> None:
+        """R^-1 times `work` (columns, k), in place, through some cliques, parents first."""
+        for clique in cliques:
             columns, rows = self.columns_of[clique], self.rows_of(clique)
             for a, b, inverse in self.triangles[clique][::-1]:
                 known = product(work[columns[b:]].T, rows[a:b, b:].T).T
                 work[columns[a:b]] = inverse @ (work[columns[a:b]] - known)
-        return np.asarray(work[self._columns(others)].T)
 
     def _columns(self, variables: Index) -> Index:
         """Columns of adjusted variables, one after another."""

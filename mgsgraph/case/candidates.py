@@ -26,6 +26,7 @@ from mgsgraph.case import read_image, read_shots
 from mgsgraph.case.schema import FORMAT, ImageInput, OrientationInput, Positive, Sigma, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, from_geodetic, from_planetocentric
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.lidar import read_lidar
@@ -35,6 +36,10 @@ from mgsgraph.registration import footprints_in_images
 from mgsgraph.units import DEG
 
 _MOST_TIES, _MOST_SHOTS = 100_000, 1_000_000
+_SAME_TIME, _SAME_LOOK = 1e-3, 1e-4
+"""s and rad: images nearer to each other than this are one; a spacecraft's two cameras look apart, or elsewhere."""
+_FAR = 0.1
+"""Share of the body's radius by which a control point may be off it."""
 
 
 class CandidateImage(ImageInput, forbid_unknown_fields=True, frozen=True):
@@ -198,9 +203,22 @@ def _image(scene: Scene, entry: CandidateImage, wanted: CandidatesInput, path: P
     image = read_image(entry, wanted.spice, path.parent, where)
     if image.body != scene.network.images[0].body:
         raise InputError(where, "an image of another body than the network's", "one body")
+    for known in scene.network.images:
+        if _same_exposure(image, known):
+            found = f"image {entry.name!r}, which is {known.name!r} of the network under another name"
+            raise InputError(where, found, "a new image", "take it out of the candidates")
     if orientation.nominal == "polynomial":
         image, _ = fit_polynomials(image, orientation.nominal_order)
     return planned_image(scene, KnownImage(image, prior, entry.held), ties)
+
+
+def _same_exposure(one: PushbroomImage, other: PushbroomImage) -> bool:
+    """Whether two images were taken at the same time from the same place."""
+    middles = [image.timing.at(np.array([0.5 * image.lines]))[0] + image.trajectory.epoch for image in (one, other)]
+    if abs(float(middles[0][0] - middles[1][0])) > _SAME_TIME:
+        return False
+    apart = [image.pose(np.array([0.5 * image.lines])).matrix[0, 2] for image in (one, other)]
+    return bool(np.linalg.norm(apart[0] - apart[1]) < _SAME_LOOK)
 
 
 def _profile(scene: Scene, entry: CandidateProfile, path: Path, k: int) -> Candidate:
@@ -281,11 +299,17 @@ def _control(scene: Scene, entry: CandidateControl, path: Path, k: int) -> Candi
         raise InputError(where, found, "one of them")
     for name in entry.images or ():
         _require_image(scene, name, where)
+    if entry.images is not None and len(set(entry.images)) < len(entry.images):
+        raise InputError(f"{where}, images", "an image twice", "each once")
     at = entry.longitude_deg * DEG, entry.latitude_deg * DEG
     if entry.height_m is not None:
         place = from_geodetic(np.array([*at, entry.height_m]), scene.network.images[0].body)
     else:
         place = from_planetocentric(np.array([[*at, entry.radius_m]]))[0]
+    radius = scene.network.images[0].body.equatorial
+    if abs(float(np.linalg.norm(place)) - radius) > _FAR * radius:
+        found = f"a point {np.linalg.norm(place):.6g} m from the body's centre"
+        raise InputError(where, found, f"one near the ground, {radius:.6g} m from it", "give metres")
     sigmas = np.atleast_1d(np.asarray(entry.sigma_m, dtype=np.float64))
     if sigmas.size not in (1, 3):
         raise InputError(f"{where}, sigma_m", f"{sigmas.size} numbers", "one, or three: eastward, northward, upward")

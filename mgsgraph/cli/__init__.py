@@ -73,8 +73,7 @@ def main() -> None:
         if sys.stdout is not None:  # closed by the caller
             sys.stdout.flush()
     except click.ClickException as error:
-        error.show()
-        sys.exit(2)
+        _leave(f"error: {_said(error)}", 2)
     except MgsgraphError as error:
         _leave(f"error: {error}", 2)
     except MemoryError:
@@ -90,6 +89,13 @@ def main() -> None:
             raise
         _leave("interrupted; nothing was written", 130)  # a library that was being imported makes its own error of it
     sys.exit(status or 0)
+
+
+def _said(error: click.ClickException) -> str:
+    """One line of what click has against an option or an argument, and where to look."""
+    message = " ".join(error.format_message().split()).rstrip(".")
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    return message if context is None else f"{message}; see {context.command_path} --help"
 
 
 def _leave(message: str, status: int) -> NoReturn:

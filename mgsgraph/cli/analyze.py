@@ -30,29 +30,23 @@ _WEAK = 5
 )  # fmt: skip
 @click.option(
     "--pixel", "pixels", multiple=True, type=(str, float, float), metavar="IMAGE LINE SAMPLE",
-    help="Measures of a new point, two or more: its place and sigmas.",
+    help="Measures of a new point, two or more: its place and sigmas. The first pixel's centre is at 0.5 (ISIS: 1).",
 )  # fmt: skip
 @click.option("--correlations", is_flag=True, help="Correlations between everything that was asked about.")
-@click.option(
-    "--probability", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), default=0.95, show_default=True,
-    help="Of error ellipsoids.",
-)  # fmt: skip
+@click.option("--probability", type=float, help="Of error ellipsoids (--point, --pixel); 0.95 when absent.")
 @click.option("--curve", "curves", multiple=True, metavar="IMAGE", help="Sigmas along an image's lines.")
 @click.option("--raster", is_flag=True, help="Sigmas of new points over the images' overlap, a GeoTIFF in --out.")
 @click.option("--image", "images", multiple=True, metavar="IMAGE", help="Images of the raster, two or more; else all.")
-@click.option("--cell-m", type=click.FloatRange(0.0, min_open=True), help="Side of the raster's cells.")
-@click.option(
-    "--sigma-px", type=click.FloatRange(0.0, min_open=True), default=1.0, show_default=True,
-    help="Of the measures of new points (--pixel, --raster).",
-)  # fmt: skip
+@click.option("--cell-m", type=float, help="Side of the raster's cells.")
+@click.option("--sigma-px", type=float, help="Of the measures of new points (--pixel, --raster); 1 when absent.")
 @click.option("--components", is_flag=True, help="Are the sigmas honest? Global test, variance components, residuals.")
 @click.option("--iterate", is_flag=True, help="Variance components until they come to rest: adjusts again and again.")
 @click.option(
     "--reliability", type=click.IntRange(1), metavar="N", help="Redundancy and tests of all measures, N worst shown."
 )
 @click.option("--snoop", is_flag=True, help="Adjust again without what data snooping finds.")
-@click.option("--alpha", type=float, default=0.001, show_default=True, help="Baarda's level: share of false alarms.")
-@click.option("--power", type=float, default=0.8, show_default=True, help="Share of blunders that are found.")
+@click.option("--alpha", type=float, help="Baarda's level, share of false alarms; 0.001 when absent.")
+@click.option("--power", type=float, help="Share of minimal detectable blunders that are found; 0.8 when absent.")
 @click.option("--weak", type=click.IntRange(1), metavar="N", help="N directions of which least was learnt, in words.")
 @click.option("--out", type=_PATH, help="Folder for analysis.json, tables and figures; made anew.")
 @click.option("--no-figures", is_flag=True, help="Write tables only.")
@@ -65,18 +59,18 @@ def analyze(
     projections: tuple[tuple[str, str], ...],
     pixels: tuple[tuple[str, float, float], ...],
     correlations: bool,
-    probability: float,
+    probability: float | None,
     curves: tuple[str, ...],
     raster: bool,
     images: tuple[str, ...],
     cell_m: float | None,
-    sigma_px: float,
+    sigma_px: float | None,
     components: bool,
     iterate: bool,
     reliability: int | None,
     snoop: bool,
-    alpha: float,
-    power: float,
+    alpha: float | None,
+    power: float | None,
     weak: int | None,
     out: Path | None,
     no_figures: bool,
@@ -88,41 +82,45 @@ def analyze(
 
     Exit status: 0, also where tests fail; 2 bad input.
     """
-    from dataclasses import replace
-
     from mgsgraph.adjustment.analysis.levels import Levels
     from mgsgraph.adjustment.analysis.posterior import Pixel
-    from mgsgraph.errors import InputError
-    from mgsgraph.products.analysis import Wanted, analysed, write_analysis
+    from mgsgraph.products.analysis import Wanted, analysed, require_used, write_analysis
     from mgsgraph.products.answers import Questions
     from mgsgraph.products.atomic import ANALYSIS, require_replaceable
     from mgsgraph.project.standing import read_posterior
 
     if out is not None:
         require_replaceable(out, ANALYSIS)
-    if (images or cell_m is not None) and not raster:
-        raise InputError("--image, --cell-m", "no --raster", "both", "add --raster")
-    if raster and out is None:
-        raise InputError("--raster", "no folder for the GeoTIFF", "--out FOLDER")
+    nothing = not (points or pairs or poses or pose_pairs or projections or pixels or curves or raster or components
+                   or iterate or reliability or snoop or weak)  # fmt: skip
+    tested = nothing or bool(reliability) or snoop
+    require_used("--image, --cell-m", bool(images) or cell_m is not None, raster, "--raster")
+    require_used("--raster", raster, out is not None, "--out FOLDER, for the GeoTIFF")
+    require_used("--correlations", correlations, bool(points or pairs or poses or pose_pairs or projections or pixels),
+                 "question (--point, --pose, ...)")  # fmt: skip
+    require_used("--probability", probability is not None, bool(points or pixels), "--point or --pixel")
+    require_used("--sigma-px", sigma_px is not None, bool(pixels) or raster, "--pixel or --raster")
+    require_used("--alpha, --power", alpha is not None or power is not None, tested, "--reliability or --snoop")
+    require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
+    sigma = 1.0 if sigma_px is None else sigma_px
     questions = Questions(
-        points, pairs, poses, pose_pairs, projections, tuple(Pixel(*pixel, sigma_px) for pixel in pixels),
-        correlations, probability,
+        points, pairs, poses, pose_pairs, projections, tuple(Pixel(*pixel, sigma) for pixel in pixels),
+        correlations, 0.95 if probability is None else probability,
     )  # fmt: skip
-    if correlations and not questions:
-        raise InputError("--correlations", "nothing to correlate", "points, poses or places that are asked about")
     wanted = Wanted(
-        questions, curves, images if raster else None, cell_m, sigma_px, components, iterate, reliability or 0, snoop,
-        weak or 0, Levels(alpha, power),
+        questions, curves, images if raster else None, cell_m, sigma, components or iterate or nothing, iterate,
+        reliability or (_SUMMARY if nothing else 0), snoop, weak or (_WEAK if nothing else 0),
+        Levels(0.001 if alpha is None else alpha, 0.8 if power is None else power),
     )  # fmt: skip
-    if wanted.nothing:
-        wanted = replace(wanted, honesty=True, suspects=_SUMMARY, weak=_WEAK)
     name, posterior, warning = read_posterior(adjusted)
     if warning:
         click.echo(f"- {warning}")
-    sections = []
-    for section in analysed(posterior, wanted, name):
+    if out is None:
+        for section in analysed(posterior, wanted, name):
+            click.echo(section.text)
+        return
+    sections = list(analysed(posterior, wanted, name))
+    write_analysis(name, sections, out, figures=not no_figures)  # before anything is said: a reader may go away
+    for section in sections:
         click.echo(section.text)
-        sections.append(section)
-    if out is not None:
-        write_analysis(name, sections, out, figures=not no_figures)
-        click.echo(f"The analysis is in {out}")
+    click.echo(f"The analysis is in {out}")

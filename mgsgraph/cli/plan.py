@@ -38,7 +38,9 @@ def plan(
 
     if out is not None:
         require_replaceable(out, PLAN)
-    name, standing = read_standing(adjusted)
+    name, standing, warning = read_standing(adjusted)
+    if warning:
+        click.echo(f"- {warning}")
     with counting_bar("planning measures", "candidate") as bar:
         wanted = read_candidates(candidates, standing, bar)
     with counting_bar("judging", "candidate") as bar:

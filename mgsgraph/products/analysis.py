@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,10 @@ from mgsgraph.adjustment.analysis.levels import Levels
 from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
 from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
-from mgsgraph.adjustment.analysis.snooping import Snooping, snoop
+from mgsgraph.adjustment.analysis.snooping import snoop
 from mgsgraph.adjustment.analysis.suspects import suspects
-from mgsgraph.adjustment.analysis.weak import WeakDirection, weakest
+from mgsgraph.adjustment.analysis.weak import weakest
+from mgsgraph.errors import InputError
 from mgsgraph.products.answers import Answer, Questions, answered
 from mgsgraph.products.atomic import ANALYSIS, PROGRAM, fresh_folder
 from mgsgraph.products.reliability import (
@@ -86,13 +87,16 @@ class Wanted:
     levels: Levels = field(default_factory=Levels)
     """Sizes of tests."""
 
-    @property
-    def nothing(self) -> bool:
-        """Whether nothing in particular was asked: then the summary is given."""
-        return not (
-            self.questions or self.curves or self.raster is not None or self.honesty or self.iterated or self.suspects
-            or self.snooped or self.weak
-        )  # fmt: skip
+    def __post_init__(self) -> None:
+        for what, value in (("--sigma-px", self.sigma), ("--cell-m", 1.0 if self.cell is None else self.cell)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(what, f"{value}", "a positive number")
+
+
+def require_used(option: str, given: bool, useful: bool, wanted: str) -> None:
+    """Raise InputError for an option that would do nothing."""
+    if given and not useful:
+        raise InputError(option, f"no {wanted}", "both", "add it, or leave the option out")
 
 
 def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Section]:
@@ -102,7 +106,7 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
     """
     if wanted.questions:
         yield _answers(list(answered(posterior, wanted.questions)))
-    for image in wanted.curves:
+    for image in dict.fromkeys(wanted.curves):
         yield _curve(posterior, image)
     if wanted.raster is not None:
         yield _raster(posterior, wanted)
@@ -113,9 +117,9 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
     if wanted.suspects:
         yield _reliability(reliability(posterior.linearised, wanted.levels), wanted.suspects)
     if wanted.snooped:
-        yield _snooped(snoop(posterior.network, posterior.linearised.settings, wanted.levels))
+        yield _snooped(posterior, wanted.levels)
     if wanted.weak:
-        yield _weak(weakest(posterior.linearised.layout, posterior.linearised.joint, wanted.weak))
+        yield _weak(posterior, wanted.weak)
 
 
 def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures: bool = True) -> list[str]:
@@ -141,13 +145,19 @@ def _answers(found: Sequence[Answer]) -> Section:
     return Section("answers", "\n".join(one.text for one in found), [one.record for one in found])
 
 
+def _file_of(posterior: Posterior, image: str) -> str:
+    """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
+    plainly = re.sub(r"[^A-Za-z0-9.-]+", "_", image)
+    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.image_number(image) + 1}"
+
+
 def _curve(posterior: Posterior, image: str) -> Section:
     picture = posterior.network.images[posterior.image_number(image)]
     poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
     lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
     shown = sigmas / np.repeat([1.0, MRAD], 3)
     names = [f"sigma_{axis}_{unit}" for axis, unit in zip(_FLIGHT, ("m",) * 3 + ("mrad",) * 3, strict=True)]
-    file = f"sigmas_{re.sub(r'[^A-Za-z0-9.-]+', '_', image)}"
+    file = _file_of(posterior, image)
 
     def write(folder: Path, figures: bool) -> list[str]:
         write_csv(
@@ -184,7 +194,7 @@ def _raster(posterior: Posterior, wanted: Wanted) -> Section:
 
     _, rows, columns = grid.values.shape
     record = {
-        "images": list(grid.images), "measure_sigma_px": grid.sigma, "cell_m": grid.step * body.equatorial,
+        "images": list(grid.images), "measure_sigma_px": grid.sigma, "cell_m": grid.steps[1] * body.equatorial,
         "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
         "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
     }  # fmt: skip
@@ -192,8 +202,12 @@ def _raster(posterior: Posterior, wanted: Wanted) -> Section:
 
 
 def _honesty(posterior: Posterior, name: str) -> Section:
-    at = posterior.linearised
-    test, components = chi_square_test(at.fit()), components_of(at)
+    at, fit = posterior.linearised, posterior.linearised.fit()
+    if fit.degrees_of_freedom < 1:
+        counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
+        text = f"No redundancy ({counts}): nothing tells whether the sigmas are honest."
+        return Section("honesty", text, {"degrees_of_freedom": fit.degrees_of_freedom})
+    test, components = chi_square_test(fit), components_of(at)
     statistics = residual_statistics(at)
 
     def write(folder: Path, figures: bool) -> list[str]:
@@ -288,11 +302,19 @@ def _reliability(found: Reliability, most: int) -> Section:
     return Section("reliability", reliability_text(found, worst), reliability_record(found, worst), write)
 
 
-def _snooped(found: Snooping) -> Section:
-    return Section("snooping", snooping_text(found), snooping_record(found))
+def _snooped(posterior: Posterior, levels: Levels) -> Section:
+    """Always by plain least squares, and beginning with all measures: that is what the tests presume."""
+    settings = posterior.linearised.settings
+    found = snoop(posterior.network, replace(settings, loss="none", reject=0.0), levels)
+    changed = settings.loss != "none" or settings.reject > 0.0
+    said = "By plain least squares, without the loss and the blunder limit of this solution:\n" if changed else ""
+    return Section("snooping", said + snooping_text(found), snooping_record(found))
 
 
-def _weak(found: Sequence[WeakDirection]) -> Section:
+def _weak(posterior: Posterior, count: int) -> Section:
+    if posterior.linearised.joint.columns == 0:
+        return Section("weak", "All orientation was held: nothing of it is weak.", [])
+    found = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
     lines = ["Of what least was learnt (sigma after over sigma before):"]
     lines += [f"{one.ratio:8.3f}  {one.words}" for one in found]
     record = [

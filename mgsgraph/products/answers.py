@@ -16,6 +16,7 @@ from mgsgraph.adjustment.analysis.answers import (
 )
 from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
 from mgsgraph.adjustment.analysis.quantity import Quantity
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG, MRAD
@@ -46,6 +47,10 @@ class Questions:
     """Whether to state the correlations between everything that was asked."""
     probability: float = 0.95
     """Of error ellipsoids."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.probability < 1.0:
+            raise InputError("--probability", f"{self.probability}", "a number between 0 and 1")
 
     def __bool__(self) -> bool:
         return bool(self.points or self.pairs or self.poses or self.pose_pairs or self.projections or self.pixels)
@@ -85,7 +90,7 @@ def _quantities(posterior: Posterior, asked: Questions) -> Iterator[Quantity]:
     poses = [*asked.poses, *(part for pair in asked.pose_pairs for part in (pair[:2], pair[2:]))]
     yield from (posterior.of_point(name) for name in names)
     yield from (posterior.of_pose(image, line) for image, line in dict.fromkeys(poses))
-    yield from (posterior.of_projection(point, image) for point, image in asked.projections)
+    yield from (posterior.of_projection(point, image) for point, image in dict.fromkeys(asked.projections))
     if asked.pixels:
         yield posterior.of_intersection(asked.pixels)
 
@@ -94,18 +99,19 @@ def _place(found: PlaceEstimate, probability: float, what: str) -> Answer:
     longitude, latitude, radius = planetocentric(found.place)
     ellipsoid, local = found.ellipsoid(probability), np.sqrt(np.diagonal(found.east_north_up))
     title = "Newly intersected place" if what == "intersection" else f"Point {found.name}"
+    missed = "" if found.misfit is None else f"\n  the rays miss each other by {found.misfit:.2g} of their sigmas"
     text = (
         f"{title}: longitude {longitude / DEG % 360.0:.6f} deg E, latitude {latitude / DEG:.6f} deg (planetocentric), "
         f"radius {radius:.3f} m\n"
         f"  sigma east {local[0]:.4g} m, north {local[1]:.4g} m, up {local[2]:.4g} m; "
         f"X {found.sigmas[0]:.4g} m, Y {found.sigmas[1]:.4g} m, Z {found.sigmas[2]:.4g} m\n"
-        f"  {100.0 * probability:g} % error ellipsoid: {_axes(ellipsoid)}"
+        f"  {100.0 * probability:g} % error ellipsoid: {_axes(ellipsoid)}{missed}"
     )
     return Answer(text, {
         "question": what, "point": found.name, "place_m": found.place.tolist(),
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
         "covariance_m2": found.covariance.tolist(), "covariance_east_north_up_m2": found.east_north_up.tolist(),
-        "ellipsoid": {
+        "misfit_sigmas": found.misfit, "ellipsoid": {
             "probability": probability, "semi_axes_m": ellipsoid.semi_axes.tolist(),
             "azimuths_deg": (ellipsoid.azimuths / DEG).tolist(),
             "elevations_deg": (ellipsoid.elevations / DEG).tolist(),
@@ -152,6 +158,8 @@ def _pose(found: PoseEstimate) -> Answer:
 
 
 def _pose_pair(posterior: Posterior, image: str, line: float, other: str, other_line: float) -> Answer:
+    if (image, line) == (other, other_line):
+        raise InputError(f"poses of image {image}", f"line {line:g} twice", "two images, or two lines of one")
     poses = posterior.pose(image, line), posterior.pose(other, other_line)
     turns = [pose.flight_turn for pose in poses]
     both = np.zeros((12, 12))
@@ -179,7 +187,7 @@ def _pixel(found: PixelEstimate) -> Answer:
     text = (
         f"Point {found.point} in image {found.image}: line {found.place[0]:.2f}, sigma {line:.4g} px; sample "
         f"{found.place[1]:.2f}, sigma {sample:.4g} px; correlation {rho:.3f} (of the place itself, without the noise "
-        "of a measure)"
+        "of a measure; the first pixel's centre is at 0.5)"
     )
     return Answer(text, {
         "question": "projection", "point": found.point, "image": found.image, "line_sample_px": found.place.tolist(),

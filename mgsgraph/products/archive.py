@@ -12,6 +12,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
 from mgsgraph.products.taken_apart import BROKEN, Arrays, put_together, read_members, taken_apart
 
 FORMAT = 2
@@ -96,6 +97,18 @@ def _require_shapes(solution: Solution) -> None:
     shapes = [part.shape for part in solution.coefficients]
     if shapes != [prior.sigmas.shape for prior in network.priors]:
         raise InputError("coefficients", f"shapes {shapes[:5]}", "those of the priors", _ANEW)
+    _require_finite(solution)
     values = [value.shape for value in solution.shared]
     if values != [(size,) for size in shared]:
         raise InputError("shared", f"shapes {values[:5]}", "those of the network's shared unknowns", _ANEW)
+
+
+def _require_finite(solution: Solution) -> None:
+    """Raise InputError where what was adjusted has no value."""
+    parts: dict[str, list[Array]] = {
+        "coefficients": list(solution.coefficients), "shifts": [solution.shifts], "shared": list(solution.shared),
+        "places": [solution.places[solution.determined]],
+    }  # fmt: skip
+    for name, values in parts.items():
+        if not all(np.all(np.isfinite(one)) for one in values):
+            raise InputError(name, "not a number", "finite numbers", _ANEW)

@@ -109,6 +109,9 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
     shown, target = str(path), Path(path).resolve()
     try:
         if not target.exists():
+            first = next(parent for parent in target.parents if parent.exists())
+            if not first.is_dir():
+                raise InputError(shown, f"lies in {first}, which is a file", "a folder", "choose another --out")
             return
         if not target.is_dir():
             raise InputError(shown, "exists and is a file", "a folder for the results", "choose another --out")

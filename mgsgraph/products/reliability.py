@@ -9,7 +9,7 @@ import numpy as np
 from mgsgraph.adjustment.analysis.reliability import Reliability
 from mgsgraph.adjustment.analysis.snooping import Snooping
 from mgsgraph.adjustment.analysis.suspects import Suspect
-from mgsgraph.products.writing import picked, quoted, write_csv
+from mgsgraph.products.writing import all_quoted, picked, write_csv
 from mgsgraph.units import MRAD
 from mgsgraph.wording import many, some
 
@@ -72,13 +72,14 @@ def reliability_record(found: Reliability, worst: Sequence[Suspect]) -> dict[str
 def reliability_csv(found: Reliability, path: Path) -> None:
     """Write one row per scalar measure, the largest test first; units in `unit`, effect in m."""
     table, order = found.measures, found.order(len(found))
-    network = found.at.network
+    points = all_quoted([*found.at.network.points.ids, ""])  # the last one is that of row -1
+    images = all_quoted([*(image.name for image in found.at.network.images), ""])
     names = {
-        "measure": [quoted(found.name(k)) for k in order.tolist()],
+        "measure": all_quoted(found.names(order)),
         "kind": picked(_KINDS, table.kind[order]),
-        "point": [quoted(network.points.ids[i]) if i >= 0 else "" for i in table.point[order].tolist()],
-        "image": [quoted(network.images[j].name) if j >= 0 else "" for j in table.image[order].tolist()],
-        "unit": [found.unit(k) for k in order.tolist()],
+        "point": picked(points, table.point[order]),
+        "image": picked(images, table.image[order]),
+        "unit": found.units(order),
     }
     numbers: dict[str, np.ndarray] = {
         "w": table.test, "residual": table.residual, "sigma": table.sigma, "redundancy": table.redundancy,

@@ -24,6 +24,8 @@ _CORRELATED = 0.9
 """Correlation with a constant pitch, and share of the a-priori sigma that is left, above which something is said."""
 _ALIKE = 0.99
 """Likeness from which the measures count as unable to tell two unknowns apart."""
+_FELT = 0.1
+"""Share of the largest effect on the ground from which an image is compared at all."""
 _TAKES_PART = 0.1
 """Share of the largest pitch from which an image is named among those that together do the same."""
 
@@ -72,8 +74,12 @@ def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
     images = shared.images[~solution.network.held[shared.images]]
     correlation, likeness, shares, together = _with_pitch(solution, k, images)
     found = []
+    ground = np.array([_grounds(solution, shared, j) for j in images.tolist()]).reshape(images.size, shared.kind.width)
     for c, axis in enumerate(shared.kind.components):
-        nearest = int(np.argmax(np.maximum(np.abs(correlation[c]), likeness[c]))) if images.size else -1
+        size = np.nan_to_num(ground[:, c], nan=1.0) if images.size else np.zeros(0)
+        felt = size >= _FELT * size.max(initial=0.0)  # a pitch of an image that it does not move is no rival
+        rival = np.where(felt, np.maximum(np.abs(correlation[c]), likeness[c]), -1.0)
+        nearest = int(np.argmax(rival)) if images.size else -1
         named = images[nearest] if images.size else shared.images[0]
         strong = np.abs(shares[c]) > _TAKES_PART * np.abs(shares[c]).max(initial=0.0)
         found.append(SharedEstimate(
@@ -84,16 +90,16 @@ def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
             float(likeness[c, nearest]) if images.size else float("nan"),
             float(together[c]),
             tuple(solution.network.images[j].name for j in images[strong].tolist()),
-            _ground(solution, shared, int(named), c) * factor,
+            float(_grounds(solution, shared, int(named))[c]) * factor,
         ))  # fmt: skip
     return found
 
 
-def _ground(solution: Solution, shared: SharedUnknown, image: int, column: int) -> float:
-    """Metres per s or rad in the middle of an image."""
+def _grounds(solution: Solution, shared: SharedUnknown, image: int) -> Array:
+    """(c,) metres per s or rad of each column, in the middle of an image; NaN where it moves nothing on the ground."""
     if not (shared.kind.moves_pose or shared.kind is SharedKind.ALTIMETER_BORESIGHT):
-        return float("nan")
-    return float(np.linalg.norm(ground_shift(solution.network.images[image], shared.kind)[column]))
+        return np.full(shared.kind.width, np.nan)
+    return np.asarray(np.linalg.norm(ground_shift(solution.network.images[image], shared.kind), axis=1))
 
 
 def _with_pitch(solution: Solution, k: int, images: Index) -> tuple[Array, Array, Array, Array]:

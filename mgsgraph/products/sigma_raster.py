@@ -25,8 +25,8 @@ def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
     from rasterio import Affine
 
     _, rows, columns = grid.values.shape
-    step = grid.step / DEG
-    transform = Affine(step, 0.0, grid.west / DEG, 0.0, -step, grid.north / DEG)
+    across, down = (step / DEG for step in grid.steps)
+    transform = Affine(across, 0.0, grid.west / DEG, 0.0, -down, grid.north / DEG)
     tags = {"images": ", ".join(grid.images), "measure_sigma_px": f"{grid.sigma:g}", "program": PROGRAM}
     with (
         fresh_file(path) as aside,

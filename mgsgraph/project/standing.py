@@ -9,6 +9,7 @@ from mgsgraph.adjustment.analysis.linearised import at_values
 from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.planning.standing import Standing, standing, standing_of
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
@@ -21,8 +22,9 @@ from mgsgraph.project.project import Project, open_project
 _Values = Mapping[Unknown, Array]
 
 
-def read_standing(path: Path) -> tuple[str, Standing]:
-    """Name and state of what was adjusted: a folder of results (or the archive in it), or a project's folder.
+def read_standing(path: Path) -> tuple[str, Standing, str]:
+    """Name and state of what was adjusted: a folder of results (or the archive in it), or a project's folder; and a
+    warning where the adjustment has not converged, else an empty one.
 
     Raises
     ------
@@ -33,21 +35,26 @@ def read_standing(path: Path) -> tuple[str, Standing]:
         with open_project(path) as opened:
             network, values, places = _state(opened, str(path))
             settings = opened.settings.solver_settings
-            return opened.name, standing(network, settings, values, places, *_taking_part(network, places))
+            return opened.name, standing(network, settings, values, places, *_taking_part(network, places)), ""
     solution = read_solution(path)
-    return solution.name, standing_of(solution)
+    return solution.name, standing_of(solution), _warning(solution)
 
 
 def read_posterior(path: Path) -> tuple[str, Posterior, str]:
-    """Name and posterior of the same; and a warning where the adjustment has not converged, else an empty one."""
+    """Name, posterior and warning of the same."""
     if _is_project(path):
         with open_project(path) as opened:
             network, values, places = _state(opened, str(path))
             every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
             return opened.name, Posterior(at_values(network, opened.settings.solver_settings, every, places)), ""
     solution = read_solution(path)
-    warning = f"The adjustment has NOT converged, so sigmas mean little: {solution.message}"
-    return solution.name, Posterior.of(solution), "" if solution.converged else warning
+    return solution.name, Posterior.of(solution), _warning(solution)
+
+
+def _warning(solution: Solution) -> str:
+    if solution.converged:
+        return ""
+    return f"The adjustment has NOT converged, so sigmas mean little: {solution.message}"
 
 
 def _is_project(path: Path) -> bool:

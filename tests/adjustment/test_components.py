@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
-from odd_networks import with_fixed
+from odd_networks import seen_by_the_held_one_alone, with_fixed
 from scipy.stats import kstest
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -38,7 +38,7 @@ from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.redraw import redraw
 
 SETTINGS = SolverSettings()
-NAMES = ["pair", "shift and surface", "one held", "fixed points", "a blunder"]
+NAMES = ["pair", "shift and surface", "one held", "held alone", "both held", "fixed points", "a blunder"]
 CLEAR = NoiseSettings(tie=1.0, shot_image=1.0, range=10.0, ground=3.0)
 """Under which ties, laser image points, ranges and ground priors of a pair can all be judged."""
 
@@ -49,6 +49,8 @@ def solved(name: str) -> Solution:
         "pair": network(pair()),
         "shift and surface": with_shift_and_surface(network(pair())),
         "one held": network(pair(), held=(True, False)),
+        "held alone": seen_by_the_held_one_alone(network(pair(), held=(True, False))),
+        "both held": network(pair(), held=(True, True)),
         "fixed points": with_fixed(network(pair())),
         "a blunder": with_blunder(network(pair())),
     }
@@ -141,9 +143,7 @@ def test_random_signs_come_near_the_exact_matrix() -> None:
 
 def test_groups_of_image_kinds_are_parts_of_the_ties() -> None:
     at = at_rest(solved("pair"))
-    whole, parts = (
-        group_redundancy(at, group_rows(at.network, kinds)) for kinds in (None, ["nadir", "aside"])
-    )
+    whole, parts = (group_redundancy(at, group_rows(at.network, kinds)) for kinds in (None, ["nadir", "aside"]))
     assert parts.names[:2] == ("tie image points, nadir", "tie image points, aside")
     assert parts.redundancy[:2].sum() == pytest.approx(whole.redundancy[0], rel=1e-9)
     assert parts.helmert[:2, :2].sum() == pytest.approx(whole.helmert[0, 0], rel=1e-9)
@@ -349,8 +349,6 @@ def test_a_first_look_says_so() -> None:
     rough = components_of(adjust_network(net, SETTINGS))
     assert rough.rough
     assert "A first look" in rough.words()
-
-
 
 
 def test_a_group_whose_estimate_runs_away_keeps_its_sigmas() -> None:

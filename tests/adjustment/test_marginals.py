@@ -192,6 +192,17 @@ def test_solving_gives_what_the_recursion_gave(made: System) -> None:
     assert in_sigmas(back, made.authority) < 1e-10
 
 
+@settings(max_examples=40, deadline=None)
+@given(systems())
+def test_triangular_solves_are_halves_of_the_covariance(made: System) -> None:
+    root, unit = made.joint.square_root, np.eye(made.joint.columns)
+    half = root.back(unit)
+    assert in_sigmas(half @ half.T, made.authority) < 1e-10
+    assert in_sigmas(half @ root.forward(unit), made.authority) < 1e-10
+    assert in_sigmas(root.covariance_times(unit), made.authority) < 1e-10
+    np.testing.assert_allclose(root.forward(unit[:, 0]), root.forward(unit)[:, 0], rtol=1e-12, atol=1e-14)
+
+
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("held", [set(), {0, 5, 13}])
 def test_linked_pairs_need_no_solving(pattern: str, held: set[int], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from mgsgraph.adjustment.analysis.quantity import correlation
 from mgsgraph.adjustment.analysis.reliability import reliability
 from mgsgraph.adjustment.graph.bundle import point_key, variable_key
 from mgsgraph.adjustment.graph.explicit import explicit_graph
-from mgsgraph.adjustment.settings import Loss, SolverSettings
+from mgsgraph.adjustment.settings import Angles, Line, Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -80,13 +80,14 @@ def solved(name: str, loss: Loss = "none") -> Solution:
         "pair": network(pair()),
         "shift and surface": with_shift_and_surface(network(pair())),
         "one held": network(pair(), held=(True, False)),
+        "both held": network(pair(), held=(True, True)),
         "fixed points": with_fixed(network(pair())),
         "all kinds shared": with_all_kinds(with_shift_and_surface(network(pair()))),
     }
     return adjust_network(nets[name], SolverSettings(loss=loss))
 
 
-NAMES = ["pair", "shift and surface", "one held", "fixed points", "all kinds shared"]
+NAMES = ["pair", "shift and surface", "one held", "both held", "fixed points", "all kinds shared"]
 
 
 def assert_alike(found: np.ndarray, right: np.ndarray, share: float = TIGHT) -> None:
@@ -226,6 +227,57 @@ def test_projections_with_shared_unknowns_are_those_of_the_rows() -> None:
     assert np.allclose(rays.places[mine] - projection.place, solution.residuals[mine], atol=1e-3)
 
 
+@pytest.mark.parametrize("line", ["predicted", "measured"])
+@pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
+def test_projections_are_of_places_in_every_form_of_the_model(line: Line, angles: Angles) -> None:
+    # two forms of the rows, one question: what is asked of is the geometry, not the rows
+    net = network(pair())
+    posterior = Posterior.of(adjust_network(net, SolverSettings(line=line, angles=angles)))
+    name, image = net.points.ids[0], net.images[1].name
+    quantity = posterior.of_projection(name, image)
+    ground, picture, correction = posterior.of_point(name), net.images[1], posterior.correction(1)
+    _, by_point = picture.ground_to_image(ground.values[None], correction)
+    assert np.allclose(next(iter(quantity.own.values())), by_point[0] @ next(iter(ground.own.values())), rtol=1e-5)
+
+
+def test_projections_into_a_held_image_have_the_points_covariance_alone() -> None:
+    posterior = Posterior.of(solved("one held"))
+    name, picture = posterior.network.points.ids[0], posterior.network.images[0]
+    point = posterior.point(name)
+    _, by_point = picture.ground_to_image(point.place[None])
+    right = by_point[0] @ point.covariance @ by_point[0].T
+    assert_alike(posterior.projection(name, picture.name).covariance, right, 1e-5)
+
+
+def test_two_new_intersections_keep_their_noise_apart() -> None:
+    posterior = Posterior.of(solved("pair"))
+    rays, images = posterior.network.rays, posterior.network.images
+    asked = [
+        [Pixel(images[rays.image[k]].name, *rays.places[k].tolist()) for k in np.flatnonzero(rays.point == i)]
+        for i in (0, 1)
+    ]
+    apart = posterior.covariance([posterior.of_intersection(pixels) for pixels in asked])
+    named = [posterior.of_intersection(pixels, f"place {k}") for k, pixels in enumerate(asked)]
+    assert_alike(apart, posterior.covariance(named), 1e-12)
+    one = posterior.of_intersection(asked[0])
+    same = posterior.covariance([one, one])
+    assert np.allclose(same[:3, 3:], same[:3, :3])
+
+
+def test_new_rays_that_miss_each_other_say_by_how_much_or_are_refused() -> None:
+    posterior = Posterior.of(solved("pair"))
+    rays, images = posterior.network.rays, posterior.network.images
+    mine = np.flatnonzero(rays.point == 0)
+    pixels = [Pixel(images[rays.image[k]].name, *rays.places[k].tolist()) for k in mine]
+    misfit = posterior.intersection(pixels).misfit
+    assert misfit is not None
+    assert misfit < 4.0
+    with pytest.raises(InputError, match="miss each other by"):
+        posterior.intersection([pixels[0], replace(pixels[1], line=pixels[1].line + 200.0)])
+    with pytest.raises(InputError, match="a place in the image of"):
+        posterior.intersection([pixels[0], replace(pixels[1], sample=99999.0)])
+
+
 @pytest.mark.parametrize("name", ["pair", "shift and surface", "fixed points"])
 def test_projections_have_the_dense_covariance(name: str) -> None:
     whole = dense(solved(name))
@@ -304,7 +356,8 @@ def test_neighbours_share_errors_so_their_height_difference_is_better_known_than
     found = posterior.difference(solution.network.points.ids[0], solution.network.points.ids[1])
     assert found.height_sigma < found.height_sigma_if_independent
     assert found.height == pytest.approx(np.linalg.norm(solution.places[1]) - np.linalg.norm(solution.places[0]))
-    assert posterior.difference(*[solution.network.points.ids[0]] * 2).height_sigma < 1e-4
+    with pytest.raises(InputError, match="the same point twice"):
+        posterior.difference(found.first, found.first)
 
 
 def test_unknown_names_are_named_with_what_comes_near() -> None:

@@ -4,14 +4,17 @@ The cost of a network falls by half the square of a measure's test when the meas
 its w-test, whatever the formula.
 """
 
+import csv
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
 from odd_networks import with_fixed
 from scipy.stats import binom, chi2, ncx2, norm
+from sharing import with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.analysis.levels import Levels
@@ -28,7 +31,9 @@ from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.network import Network
+from mgsgraph.products.reliability import reliability_csv
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)
 
@@ -213,6 +218,59 @@ def test_every_measure_has_a_name_of_its_own_and_a_unit() -> None:
         assert any(text in name for name in names)
 
 
+WORDS = {
+    MeasureKind.RAY: ("line", "sample"),
+    MeasureKind.RANGE: ("range",),
+    MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
+    MeasureKind.HEIGHT: ("height above the terrain",),
+}
+COUNTED = {"line": "px", "sample": "px", "range": "m", "a-priori": "m", "height": "m"}
+
+
+def said(found: Reliability, k: int) -> tuple[str, str]:
+    """Name and unit of a measure, from its own row of the table alone."""
+    table, network, first = found.measures, found.at.network, found.at.layout.variables.first
+    row, component = int(table.row[k]), int(table.component[k])
+    if table.kind[k] != MeasureKind.PRIOR:
+        what = WORDS[MeasureKind(int(table.kind[k]))]
+        where = f" in image {network.images[table.image[k]].name}" if table.image[k] >= 0 else ""
+        name = f"{what[component]} of point {network.points.ids[table.point[k]]}{where}"
+        return name, COUNTED[name.split()[0]]
+    variable = max((v for v in range(first.size) if 0 <= first[v] <= row), key=lambda v: int(first[v]))
+    if variable < len(network.images):
+        power, axis = divmod(row - int(first[variable]), 6)
+        term = ("constant", "linear", "quadratic")[power]
+        name = f"a-priori {term} {COMPONENTS[axis]} of image {network.images[variable].name}"
+        return name, "m" if axis < 3 else "rad"
+    shift = variable - len(network.images)
+    if shift < len(network.shift_names):
+        return f"a-priori {('east', 'north')[component]} shift of {network.shift_names[shift]}", "m"
+    shared = network.shared[shift - len(network.shift_names)]
+    return f"a-priori {shared.name} {shared.kind.components[component]}".rstrip(), shared.kind.unit
+
+
+@pytest.mark.parametrize("held", [(False, False), (True, False), (True, True)])
+def test_names_and_units_of_all_measures_at_once(held: tuple[bool, bool], tmp_path: Path) -> None:
+    whole = with_shift_and_surface(network(pair(), held=held))
+    whole = whole if all(held) else with_all_kinds(whole)
+    ids = ('with "quotes", and commas', *whole.points.ids[1:])
+    whole = replace(whole, points=replace(whole.points, ids=ids))
+    found = reliability(adjust_network(whole, SolverSettings()))
+    assert set(found.measures.kind.tolist()) == {int(kind) for kind in MeasureKind}
+    order = found.order(len(found))
+    expected = [said(found, int(k)) for k in order]
+    assert list(zip(found.names(order), found.units(order), strict=True)) == expected
+    assert [(found.name(int(k)), found.unit(int(k))) for k in order[::7]] == expected[::7]
+    assert (found.names(order[:0]), found.units(order[:0])) == ([], [])
+    reliability_csv(found, tmp_path / "reliability.csv")
+    with (tmp_path / "reliability.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["measure"], row["unit"]) for row in rows] == expected
+    table = found.measures
+    assert [row["point"] for row in rows] == [ids[i] if i >= 0 else "" for i in table.point[order]]
+    assert [row["image"] for row in rows] == [whole.images[j].name if j >= 0 else "" for j in table.image[order]]
+
+
 def test_rejected_rays_do_not_take_part() -> None:
     whole = net("pair")
     left = adjust_network(whole, replace(PLAIN, reject=2.5))
@@ -280,7 +338,7 @@ def test_ties_with_two_rays_are_one_group_and_others_are_not() -> None:
 def dense_shares(found: Reliability) -> np.ndarray:
     """Correlations of all tests of one point from the kernel's own table."""
     point = 13
-    mine, matrix = correlations_of_tests(found, PointIndex(found), point)
+    mine, matrix = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), point)
     assert np.all(found.measures.point[mine] == point)
     return matrix
 
@@ -290,7 +348,7 @@ def test_correlations_of_tests_are_those_of_draws() -> None:
     matrix = dense_shares(found)
     assert np.allclose(np.diagonal(matrix), 1.0)
     assert np.abs(matrix).max() <= 1.0 + 1e-9
-    mine, _ = correlations_of_tests(found, PointIndex(found), 13)
+    mine, _ = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), 13)
     rays = np.flatnonzero(found.measures.kind[mine] == MeasureKind.RAY)
     a, b = 1.0 - found.measures.redundancy[mine[rays[:2]]]
     joint, w0, w1 = found.measures.joint[mine[rays[0]]], *found.measures.test[mine[rays[:2]]]

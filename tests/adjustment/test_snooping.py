@@ -8,6 +8,7 @@ import pytest
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.analysis.components import components_of, honest_sigmas
 from mgsgraph.adjustment.analysis.levels import Levels
 from mgsgraph.adjustment.analysis.linearised import at_solution, at_values
 from mgsgraph.adjustment.analysis.measures import MeasureKind
@@ -92,6 +93,23 @@ def test_marks_are_those_of_a_network() -> None:
     assert np.allclose(table.test, found.reliability.measures.test, atol=1e-3, equal_nan=True)
     assert np.array_equal(found.solution.rays_rejected, found.taken.rays)
     assert np.array_equal(found.solution.ranges_rejected, found.taken.ranges)
+
+
+def test_known_blunders_stay_out_of_honest_sigmas() -> None:
+    taken, solution = snooped().taken, snooped().solution
+    marked = solution.network
+    assert np.array_equal(marked.rays.rejected, taken.rays)
+    one = components_of(at_values(marked, solution.settings, solution.values, solution.places))
+    first = honest_sigmas(marked, solution.settings, most=1)
+    assert not np.any(first.solution.rays_used & taken.rays)
+    assert not np.any(first.solution.ranges_used & taken.ranges)
+    for group, again in zip(one.groups, first.components.groups, strict=True):
+        assert (again.name, again.rows) == (group.name, group.rows)
+        assert again.squares == pytest.approx(group.squares, rel=1e-4)
+    rest = honest_sigmas(marked, solution.settings)
+    assert rest.components["tie image points"].factor == pytest.approx(one["tie image points"].factor, rel=0.05)
+    judged_anew = honest_sigmas(marked, replace(solution.settings, reject=1e4), most=1).solution
+    assert np.any(judged_anew.rays_used & taken.rays)
 
 
 def test_degrees_of_freedom_are_those_of_what_is_left() -> None:

@@ -13,7 +13,7 @@ from mgsgraph.adjustment.analysis import weak
 from mgsgraph.adjustment.analysis.datum import datum_transformations, defects, scaled_normal
 from mgsgraph.adjustment.analysis.frames import Frames, flight_frame
 from mgsgraph.adjustment.analysis.simple import simple_basis
-from mgsgraph.adjustment.analysis.weak import WeakDirection, apply_covariance, spectrum, weak_directions, weakest
+from mgsgraph.adjustment.analysis.weak import WeakDirection, spectrum, weak_directions, weakest
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.passes import everything
 from mgsgraph.adjustment.settings import SolverSettings
@@ -175,7 +175,7 @@ def test_the_square_root_gives_the_same_products_as_the_dense_matrix() -> None:
     vector = np.random.default_rng(4).normal(size=solution.joint_covariance.columns)
     expected = solution.joint_covariance.dense() @ vector
     np.testing.assert_allclose(
-        apply_covariance(solution.joint_covariance.square_root, vector), expected, atol=1e-12 * np.abs(expected).max()
+        solution.joint_covariance.square_root.covariance_times(vector), expected, atol=1e-12 * np.abs(expected).max()
     )
 
 

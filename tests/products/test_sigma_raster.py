@@ -20,7 +20,7 @@ from mgsgraph.products.sigma_raster import write_sigma_raster
 MARS = Ellipsoid(3396190.0, 3376200.0)
 STEP = np.radians(0.01)
 GRID = SigmaGrid(
-    ("A", "B"), 0.7, np.radians(175.0), np.radians(-14.0), STEP,
+    ("A", "B"), 0.7, np.radians(175.0), np.radians(-14.0), (2.0 * STEP, STEP),
     np.arange(60.0).reshape(4, 3, 5), np.full((3, 5), 2),
 )  # fmt: skip
 
@@ -33,7 +33,7 @@ def test_each_cell_is_found_by_its_coordinates(tmp_path: Path) -> None:
         assert set(file.units) == {"m"}
         assert file.tags()["images"] == "A, B"
         for row, column in ((0, 0), (2, 4), (1, 3)):
-            place = (175.0 + 0.01 * (column + 0.5), -14.0 - 0.01 * (row + 0.5))
+            place = (175.0 + 0.02 * (column + 0.5), -14.0 - 0.01 * (row + 0.5))
             assert np.array_equal(next(file.sample([place])), GRID.values[:, row, column])
 
 

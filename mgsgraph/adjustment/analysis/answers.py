@@ -106,6 +106,8 @@ class PlaceEstimate:
     """(3,) m, body-fixed."""
     covariance: Array
     """(3, 3) m^2, body-fixed, for sigma0 = 1."""
+    misfit: float | None = None
+    """Of a new intersection: by how many sigmas its rays miss each other."""
 
     @property
     def sigmas(self) -> Array:
@@ -191,12 +193,12 @@ class Difference:
 
     @property
     def distance(self) -> float:
-        """M"""
+        """Length of the vector, m."""
         return float(np.linalg.norm(self.vector))
 
     @property
     def distance_sigma(self) -> float:
-        """M"""
+        """Its standard deviation, m."""
         if self.distance == 0.0:
             return math.sqrt(float(np.linalg.eigvalsh(self.covariance)[-1]))
         along = self.vector / self.distance

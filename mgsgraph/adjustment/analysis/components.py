@@ -18,9 +18,11 @@ from enum import StrEnum
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.analysis.entanglement import TIGHT, entanglement, given, nearest
 from mgsgraph.adjustment.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.adjustment.analysis.helmert import DENSE, Redundancy, group_redundancy
 from mgsgraph.adjustment.analysis.linearised import Linearised, at_solution
+from mgsgraph.adjustment.passes import Selection, everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -33,10 +35,6 @@ SURE = 0.99
 """Probability that a verdict goes by: sigmas are called wrong when this interval leaves out 1."""
 _VAGUE = 0.15
 """Relative sigma of a factor from which on a verdict says that little can be told."""
-_TIGHT = 0.5
-"""Correlation of two groups' squared factors from which on a verdict names the other group."""
-_HALF = 0.75
-"""By how much a variance factor changes when sigmas change by half."""
 _FAR = 0.25
 """Logarithm of a factor from which on a single pass is but a first look."""
 _STEP = 4.0
@@ -124,7 +122,7 @@ class Component:
     @property
     def entangled(self) -> bool:
         """Whether another group may have taken what is its own: `sigma` holds near the estimate, not beyond."""
-        return abs(self.correlation) > _TIGHT or bool(self.given)
+        return abs(self.correlation) > TIGHT or bool(self.given)
 
     def verdict(self) -> str:
         """One sentence."""
@@ -132,7 +130,7 @@ class Component:
 
 
 def _judged(one: Component) -> str:
-    notes = [f"entangled with {one.beside}, correlation {one.correlation:.2f}"] if abs(one.correlation) > _TIGHT else []
+    notes = [f"entangled with {one.beside}, correlation {one.correlation:.2f}"] if abs(one.correlation) > TIGHT else []
     notes += [f"if the stated sigmas of {one.given} are right"] if one.given else []
     return "; ".join([_plainly(one), *notes])
 
@@ -153,8 +151,9 @@ def _plainly(one: Component) -> str:
 
 
 def _entangled(one: Component) -> str:
-    other = f"{one.beside} (correlation {one.correlation:.2f})" if one.beside else "the other groups"
-    return f"can't be told apart from {other}; {one.redundancy:.2g} redundancy"
+    if not abs(one.correlation) > TIGHT:
+        return f"too little of its {one.redundancy:.2g} redundancy is its own (most of it is shared with {one.beside})"
+    return f"can't be told apart from {one.beside} (correlation {one.correlation:.2f}); {one.redundancy:.2g} redundancy"
 
 
 _VERDICTS: dict[Judgement, Callable[[Component], str]] = {
@@ -274,6 +273,7 @@ def honest_sigmas(
 ) -> HonestSigmas:
     """Scale the sigmas of each group, adjust again, and so on until all factors are one.
 
+    Rays and ranges that the network marks as rejected stay out, unless `settings.reject` judges all of them anew.
     Groups that can't be judged, or not any more with the sigmas found for them, keep their sigmas; those whose factor
     goes to zero or infinity are held near it.
 
@@ -296,9 +296,10 @@ def honest_sigmas(
         raise InputError("variance components", f"{most} passes, tolerance {tolerance}", "at least 1, above zero")
     grouping = grouping or group_rows(network)
     total, held, history = np.ones(len(grouping.names)), dict[int, Judgement](), list[Array]()
+    left_in = _unmarked(network) if settings.reject == 0.0 else None
     while True:
         present = scaled(network, grouping, total)
-        solution = adjust_network(present, settings)
+        solution = adjust_network(present, settings, left_in=left_in)
         history.append(total.copy())
         found = group_redundancy(at_solution(solution), grouping, dense)
         judgements = _judgements(found, held)
@@ -316,6 +317,14 @@ def honest_sigmas(
             held[g], total[g] = Judgement.LOST, 1.0
     components = _components(found, judgements, total)
     return HonestSigmas(present, solution, components, converged, np.array(history))
+
+
+def _unmarked(network: Network) -> Selection:
+    """All but known blunders, as `at_values` takes them."""
+    rays, ranges = network.rays.rejected, network.ranges.rejected
+    assert rays is not None  # a network fills them in
+    assert ranges is not None
+    return Selection(~rays, ~ranges, everything(network).out)
 
 
 def _judgements(found: Redundancy, held: dict[int, Judgement]) -> list[Judgement]:
@@ -361,37 +370,10 @@ def _components(found: Redundancy, judgements: list[Judgement], factors: Array) 
     groups = []
     for g, judgement in enumerate(judgements):
         numbers = found.names[g], judgement, int(found.counts[g]), float(found.redundancy[g]), float(found.squares[g])
-        beside, shared = _entanglement(found, judged, g)
-        given = _given(found, judged, g, degrees[g])
+        lost = judgement in (Judgement.ENTANGLED, Judgement.LOST)
+        beside, shared = nearest(found, g) if lost else entanglement(found, judged, g)
+        depends = given(found, judged, g, degrees[g])
         known = judgement in (Judgement.JUDGED, Judgement.ZERO, Judgement.UNBOUNDED)
         factor = float(factors[g]) if known else math.nan
-        groups.append(Component(*numbers, factor, float(degrees[g]), beside, shared, given))
+        groups.append(Component(*numbers, factor, float(degrees[g]), beside, shared, depends))
     return Components(tuple(groups), correlation, found.helmert, found.exact)
-
-
-def _entanglement(found: Redundancy, judged: Index, group: int) -> tuple[str, float]:
-    """The judged group whose squared factor is most correlated with that of a group, were they estimated together."""
-    others = judged[judged != group]
-    if not others.size or found.helmert[group, group] <= 0.0:
-        return "", math.nan
-    own = np.concatenate([[group], others])
-    scale = 1.0 / np.sqrt(np.diag(found.helmert)[own])
-    inverse = np.linalg.pinv(found.helmert[np.ix_(own, own)] * scale[:, None] * scale, hermitian=True)
-    shared = inverse[0, 1:] / np.sqrt(inverse[0, 0] * np.diag(inverse)[1:])
-    k = int(np.argmax(np.abs(shared)))
-    return found.names[int(others[k])], float(shared[k])
-
-
-def _given(found: Redundancy, judged: Index, group: int, degrees: float) -> str:
-    """The group that isn't judged on whose sigmas the factor of a judged one depends most, where that is much."""
-    others = np.setdiff1d(np.arange(len(found.names)), judged)
-    if group not in judged or not others.size:
-        return ""
-    for other in others:
-        beside, shared = _entanglement(found, judged, int(other))
-        if beside == found.names[group] and abs(shared) > _TIGHT:
-            return found.names[int(other)]
-    effects = np.linalg.solve(found.helmert[np.ix_(judged, judged)], found.helmert[np.ix_(judged, others)])
-    mine = np.abs(effects[judged == group][0])
-    worst = int(np.argmax(mine))
-    return found.names[int(others[worst])] if _HALF * mine[worst] > 0.5 * math.sqrt(2.0 / degrees) else ""

@@ -15,9 +15,8 @@ from mgsgraph.adjustment.analysis.words import in_words, parts_of
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.rows import CAMERA, OPK_PAPER, OPK_PEER
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.orientation import Angles, OrientationCorrection, polynomial
+from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.wording import listed
@@ -38,7 +37,6 @@ _ROWS = 300
 """Points from which a shift's place is taken."""
 _NAMED = 2
 """Directions that are named."""
-_ANGLES: dict[int, Angles] = {CAMERA: "camera", OPK_PAPER: "opk-paper", OPK_PEER: "opk-peer"}
 _KINDS = ("rotation about", "scale", "translation along")
 
 
@@ -143,7 +141,7 @@ def _of_image(layout: Layout, image: int, middle: Array) -> Array:
     pose, u = picture.pose(lines), picture.normalised(lines)
     change = np.zeros((_PLACES, 6, 7))
     change[:, :3] = _displacement(pose.position - middle)
-    axes = OrientationCorrection(np.zeros((1, 6)), _ANGLES[layout.model.angles]).axes(pose, u)
+    axes = OrientationCorrection(np.zeros((1, 6)), layout.angles).axes(pose, u)
     change[:, 3:, 3:6] = np.linalg.solve(axes, pose.matrix)
     fitted, *_ = np.linalg.lstsq(polynomial(u, degree)[0], change.reshape(_PLACES, 42))
     return np.asarray(fitted.reshape(-1, 7))

@@ -10,12 +10,10 @@ All are taken at mid-image.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import get_args
 
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.factors.rows import CAMERA, OPK_PAPER, OPK_PEER
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
@@ -29,7 +27,6 @@ BODY = ("position X", "position Y", "position Z", *FLIGHT[3:])
 """The same of an image so long that its flight has no one direction."""
 _LONG = 10.0 * DEG
 """Arc from mid-image to either end from which an image is that long."""
-_ANGLES: dict[int, Angles] = dict(zip((CAMERA, OPK_PAPER, OPK_PEER), get_args(Angles), strict=True))
 _ORDERS = ("constant", "linear", "quadratic", "cubic")
 _PER_SECOND = 1e-3
 """rad/s, about what a camera turns that looks down all along a low orbit: what a second of time bias counts for."""
@@ -149,8 +146,7 @@ class Frames:
     def of(self, image: int) -> FlightFrame:
         """Frame of one image."""
         if image not in self._frames:
-            angles = _ANGLES[self.layout.model.angles]
-            self._frames[image] = flight_frame(self.layout.network.images[image], angles)
+            self._frames[image] = flight_frame(self.layout.network.images[image], self.layout.angles)
         return self._frames[image]
 
     def turned(self, directions: Array) -> Array:

@@ -118,8 +118,8 @@ class _Sums:
             mine = groups == g
             own, left = through[:, mine], rest[:, mine]
             turned = np.swapaxes(own, 1, 2)
-            inner[g], outer[g] = (turned @ own).reshape(-1), (turned @ left).reshape(-1, left.shape[2])
-            flat = left.reshape(-1, left.shape[2])
+            inner[g], outer[g] = (turned @ own).reshape(-1), _stacked(turned @ left)
+            flat = _stacked(left)
             normal = product(flat.T, flat)
             carried[g] = product(outer[g], self._covariance)
             self._normal[g] += normal
@@ -178,6 +178,12 @@ class _Sums:
             self._normal = np.zeros((self.counts.size, *self._covariance.shape))
 
 
+def _stacked(matrices: Array) -> Array:
+    """(m r, c) rows of matrices (m, r, c), of which c may be none: that is, of points that held images alone see."""
+    m, r, c = matrices.shape
+    return matrices.reshape(m * r, c)
+
+
 def _through(by_point: Array, fixed: bool) -> Array:
     """(m, r, 3) P = B L^-T with B'B = L L'; nothing goes through a known point."""
     if fixed:
@@ -199,28 +205,7 @@ def _traces(normals: "list[csr_array]", covariance: Array) -> Array:
 
 def _estimated_traces(normals: "list[csr_array]", joint: JointCovariance) -> Array:
     """The same, expected: with S = U U' and random signs z, tr(U'N_g U U'N_k U) = E (U'N_g U z)'(U'N_k U z)."""
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (joint.columns, _PROBES))
-    spread = _back(joint, signs)
-    felt = [_forward(joint, normal @ spread) for normal in normals]
+    signs, root = np.random.default_rng(0).choice([-1.0, 1.0], (joint.columns, _PROBES)), joint.square_root
+    spread = root.back(signs)
+    felt = [root.forward(normal @ spread) for normal in normals]
     return np.array([[np.sum(one * other) for other in felt] for one in felt]) / _PROBES
-
-
-def _back(joint: JointCovariance, right: Array) -> Array:
-    """R^-1 times columns."""
-    root, work = joint.square_root, right.copy()
-    for clique in range(root.sizes.size):
-        columns, rows = root.columns_of[clique], root.rows_of(clique)
-        for a, b, inverse in root.triangles[clique][::-1]:
-            work[columns[a:b]] = inverse @ (work[columns[a:b]] - rows[a:b, b:] @ work[columns[b:]])
-    return work
-
-
-def _forward(joint: JointCovariance, right: Array) -> Array:
-    """R'^-1 times columns."""
-    root, work = joint.square_root, right.copy()
-    for clique in range(root.sizes.size)[::-1]:
-        columns, rows = root.columns_of[clique], root.rows_of(clique)
-        for a, b, inverse in root.triangles[clique]:
-            work[columns[a:b]] = inverse.T @ work[columns[a:b]]
-            work[columns[b:]] -= rows[a:b, b:].T @ work[columns[a:b]]
-    return work

@@ -131,7 +131,8 @@ class Linearised:
             shifts=None if shifts is None else ProfileShifts(shifts.names, np.full(m, -1), shifts.sigmas),
             surface=None if surface is None else Surface(surface.grid, np.full(m, np.inf), surface.shift_sigma),
         )
-        return lay_out(bare, self.settings, places)
+        # the papers' form has no derivatives of a place, only of a misfit at a measured line
+        return lay_out(bare, replace(self.settings, line="predicted") if known else self.settings, places)
 
 
 def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) -> PointRows:
@@ -163,8 +164,18 @@ def _columns(rows: Rows, sights: Index, first_of_member: Index) -> list[Index]:
     return found
 
 
+def require_covariance(solution: Solution) -> None:
+    """Raise InputError unless a solution has a covariance of all that was adjusted."""
+    there = solution.determined
+    joint, points = solution.joint_covariance.sigmas, solution.covariances[there]
+    if not np.any(there) or not (np.all(np.isfinite(joint)) and np.all(np.isfinite(points))):
+        found, expected = "a solution without covariance", "one of every determined point and image"
+        raise InputError(solution.name, found, expected, "adjust the case again")
+
+
 def at_solution(solution: Solution) -> Linearised:
-    """A network at its solution, with the rows that took part in it."""
+    """A network at its solution, with the rows that took part in it; InputError where it has no covariance."""
+    require_covariance(solution)
     settings, network, out = solution.settings, solution.network, ~solution.determined
     layout = lay_out(network, settings, _starts(settings, solution.places))
     orientation = np.concatenate([np.zeros(0), *(solution.values[v] for v in layout.variables.adjusted())])

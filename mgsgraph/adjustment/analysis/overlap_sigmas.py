@@ -6,6 +6,7 @@ is the law of error propagation with the orientation's joint covariance and the 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from mgsgraph.geometry.body import east_north, from_planetocentric, geodetic
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import ImageRays
+from mgsgraph.units import DEG
 from mgsgraph.wording import some
 
 BANDS = ("sigma east", "sigma north", "sigma up", "sigma of position")
@@ -22,6 +24,8 @@ BANDS = ("sigma east", "sigma north", "sigma up", "sigma of position")
 MOST_CELLS = 4_000_000
 _CELLS = 20_000
 """Cells in all, about, where nothing is asked for."""
+_POLAR = 85.0 * DEG
+"""Latitude from which a grid of longitude and latitude makes no sense."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,8 +40,8 @@ class SigmaGrid:
     """rad, planetocentric, western edge."""
     north: float
     """rad, northern edge."""
-    step: float
-    """rad, side of a cell in longitude and in latitude."""
+    steps: tuple[float, float]
+    """rad, sides of a cell in longitude and in latitude; about square on the ground."""
     values: Array
     """(4, rows, columns) m, `BANDS`; NaN where fewer than two images see the ground, or all from the same side."""
     rays: Index
@@ -81,9 +85,9 @@ def sigma_grid(
     if len(numbers) < 2 or len(set(names)) < len(names):
         raise InputError("sigma raster", f"images {', '.join(names)}", "two or more different images")
     height = _ground_height(posterior)
-    west, north, step, rows, columns = _extent(posterior, numbers, names, height, cell)
-    longitude = west + step * (np.arange(columns) + 0.5)
-    latitude = north - step * (np.arange(rows) + 0.5)
+    west, north, steps, rows, columns = _extent(posterior, numbers, names, height, cell)
+    longitude = west + steps[0] * (np.arange(columns) + 0.5)
+    latitude = north - steps[1] * (np.arange(rows) + 0.5)
     ground = _ground(posterior, np.stack(np.meshgrid(longitude, latitude), axis=-1).reshape(-1, 2), height)
     seen, places = _seen(posterior, numbers, ground)
     several = np.flatnonzero(seen.sum(axis=1) >= 2)
@@ -99,8 +103,11 @@ def sigma_grid(
     variances = np.einsum("nij,njk,nik->ni", frame, covariances, frame)
     values[:3, several] = np.sqrt(variances).T
     values[3, several] = np.sqrt(variances.sum(axis=1))
+    if not np.any(np.isfinite(values)):
+        found = f"rays of {some(names, len(names))} that are all but parallel"
+        raise InputError("sigma raster", found, "images that look from different sides")
     counts = seen.sum(axis=1).reshape(rows, columns)
-    return SigmaGrid(names, sigma, west, north, step, values.reshape(4, rows, columns), counts)
+    return SigmaGrid(names, sigma, west, north, steps, values.reshape(4, rows, columns), counts)
 
 
 def _up(places: Array) -> Array:
@@ -130,29 +137,47 @@ def _ground(posterior: Posterior, places: Array, height: float) -> Array:
 
 def _extent(
     posterior: Posterior, numbers: Sequence[int], names: Sequence[str], height: float, cell: float | None
-) -> tuple[float, float, float, int, int]:
-    """West and north edge, side of a cell (rad), rows and columns: where the boxes of two or more footprints meet."""
-    boxes = []
-    for j in numbers:
-        outline = footprint(posterior.network.images[j], height, posterior.correction(j)).longitude_latitude
-        if outline.shape[0]:
-            boxes.append((outline.min(axis=0), outline.max(axis=0)))
+) -> tuple[float, float, tuple[float, float], int, int]:
+    """West and north edge, sides of a cell (rad), rows and columns: where the boxes of two or more footprints meet."""
+    boxes = _boxes(posterior, numbers, height)
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for a in range(len(boxes)):
-        for b in range(a + 1, len(boxes)):
-            turn = np.array([2.0 * np.pi * np.round((boxes[a][0][0] - boxes[b][0][0]) / (2.0 * np.pi)), 0.0])
-            inner = np.maximum(boxes[a][0], boxes[b][0] + turn), np.minimum(boxes[a][1], boxes[b][1] + turn)
-            if np.all(inner[0] < inner[1]):
-                low, high = np.minimum(low, inner[0]), np.maximum(high, inner[1])
+    for (low_a, high_a), (low_b, high_b) in combinations(boxes, 2):
+        inner = np.maximum(low_a, low_b), np.minimum(high_a, high_b)
+        if np.all(inner[0] < inner[1]):
+            low, high = np.minimum(low, inner[0]), np.maximum(high, inner[1])
     if not np.all(low < high):
         raise _no_overlap(names)
-    radius = posterior.network.images[0].body.equatorial
-    step = float(np.sqrt(np.prod(high - low) / _CELLS)) if cell is None else cell / radius
-    rows, columns = (max(int(np.ceil(size / step)), 1) for size in (high - low)[::-1])
+    if np.abs([low[1], high[1]]).max() > _POLAR:
+        found = f"an overlap up to {np.abs([low[1], high[1]]).max() / DEG:.1f} deg of latitude"
+        expected = f"at most {_POLAR / DEG:.0f} deg"
+        raise InputError("sigma raster", found, expected, "choose images farther from the pole")
+    radius, shrunk = posterior.network.images[0].body.equatorial, np.array([np.cos(0.5 * (low[1] + high[1])), 1.0])
+    side = float(np.sqrt(np.prod((high - low) * shrunk) / _CELLS)) if cell is None else cell / radius
+    if not (np.isfinite(side) and 0.0 < side < (high - low).max()):
+        found = f"cells of {side * radius:.3g} m"
+        raise InputError("sigma raster", found, f"less than the overlap, of {(high - low).max() * radius:.3g} m")
+    steps = side / shrunk
+    columns, rows = (max(int(np.ceil(size)), 1) for size in (high - low) / steps)
     if rows * columns > MOST_CELLS:
-        found = f"{rows} x {columns} cells of {step * radius:.3g} m"
+        found = f"{rows} x {columns} cells of {side * radius:.3g} m"
         raise InputError("sigma raster", found, f"{MOST_CELLS} at most", "choose larger cells, or fewer images")
-    return float(low[0]), float(high[1]), step, rows, columns
+    return float(low[0]), float(high[1]), (float(steps[0]), float(steps[1])), rows, columns
+
+
+def _boxes(posterior: Posterior, numbers: Sequence[int], height: float) -> list[tuple[Array, Array]]:
+    """Least and largest longitude and latitude of each footprint, all within half a turn of the first."""
+    boxes: list[tuple[Array, Array]] = []
+    for j in numbers:
+        found = footprint(posterior.network.images[j], height, posterior.correction(j))
+        if found.pole:
+            what = f"image {found.name}, which covers a pole"
+            raise InputError("sigma raster", what, "images without a pole", "choose others (--image)")
+        if found.outline.shape[0]:
+            low, high = found.longitude_latitude.min(axis=0), found.longitude_latitude.max(axis=0)
+            apart = low[0] + high[0] - (boxes[0][0][0] + boxes[0][1][0] if boxes else 0.0)
+            turn = np.array([2.0 * np.pi * np.round(apart / (4.0 * np.pi)), 0.0])
+            boxes.append((low - turn, high - turn))
+    return boxes
 
 
 def _seen(posterior: Posterior, numbers: Sequence[int], ground: Array) -> tuple[Array, Array]:

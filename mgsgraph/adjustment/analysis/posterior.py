@@ -6,7 +6,7 @@ posterior.difference("T17", "T42")
 posterior.pose("M07/02345", line=512.0)
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -29,6 +29,8 @@ from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import adjusted_image, correction_parts
 
 _AXES = COMPONENTS[:3]
+_CONTRADICTION = 10.0
+"""Sigmas by which new rays may miss each other: beyond, they are of two places."""
 _POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 
@@ -73,6 +75,8 @@ class Posterior:
 
     def difference(self, first: str, second: str) -> Difference:
         """From the first point to the second: vector, height difference and distance, with what they share left out."""
+        if first == second:
+            raise InputError(f"points {first}, {second}", "the same point twice", "two points")
         both = [self.of_point(first), self.of_point(second)]
         return Difference(first, second, both[0].values, both[1].values, self.covariance(both))
 
@@ -98,8 +102,10 @@ class Posterior:
 
     def intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> PlaceEstimate:
         """Ground place of new measures, with their own noise and that of the orientation; two rays or more."""
-        quantity = self.of_intersection(pixels, name)
-        return PlaceEstimate(name, quantity.values, self.covariance([quantity]))
+        rows, place = self._crossing(pixels, name)
+        quantity = self._of_crossing(rows, place, name)
+        misfit = self._misfit(rows, name)
+        return PlaceEstimate(name, quantity.values, self.covariance([quantity]), misfit)
 
     def joint(self, quantities: Sequence[Quantity]) -> Estimate:
         """Several quantities with their joint covariance and correlations."""
@@ -120,7 +126,7 @@ class Posterior:
         values = self.linearised.points[place]
         if self.linearised.rows.kind[place] == FIXED:
             return Quantity(names, ("m",) * 3, values, {}, {})
-        return self._of_point(names, values, self.linearised.rows_of(i), name)
+        return self._of_point(names, values, self.linearised.rows_of(i), ("point", i))
 
     def of_pose(self, image: str, line: float) -> Quantity:
         """Position along the body-fixed axes (m), and rotation about the camera's axes (rad), of an image at a line."""
@@ -132,6 +138,7 @@ class Posterior:
         place, _ = self.image(j).ground_to_image(ground.values[None], self.correction(j))
         if not np.all(np.isfinite(place)):
             raise InputError(f"point {point}", f"image {image} does not see it", "a point in the image's field of view")
+        self._require_inside(j, *place[0].tolist(), f"point {point}")
         lone = ImageRays(np.zeros(1, dtype=np.int64), np.array([j]), place, np.ones((1, 2)))
         layout = self.linearised.asked(ground.values[None], lone, known=True)
         rows = point_rows(layout, layout.rows, self.linearised.orientation, ground.values[None])
@@ -144,18 +151,7 @@ class Posterior:
 
     def of_intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> Quantity:
         """X, Y, Z of the place where the rays of new measures meet."""
-        images = np.array([self.image_number(pixel.image) for pixel in pixels], dtype=np.int64)
-        if images.size < 2:
-            raise InputError(name, f"{images.size} measures", "two or more, of images that look from different sides")
-        places = np.array([[pixel.line, pixel.sample] for pixel in pixels])
-        sigmas = np.array([[pixel.sigma] * 2 for pixel in pixels])
-        rays = ImageRays(np.zeros(images.size, dtype=np.int64), images, places, sigmas)
-        layout = self.linearised.asked(np.full((1, 3), np.nan), rays, known=False)
-        place, good = self._meet(layout)
-        if not good[0]:
-            raise InputError(name, "rays that don't meet before their cameras", "measures of the same place")
-        rows = point_rows(layout, layout.rows, self.linearised.orientation, place)
-        return self._of_point(tuple(f"{axis} of {name}" for axis in _AXES), place[0], rows, name)
+        return self._of_crossing(*self._crossing(pixels, name), name)
 
     def intersections(self, rays: ImageRays) -> tuple[Array, Array]:
         """Places (m, 3) in m and covariances (m, 3, 3) in m^2 of many new points; NaN where their rays don't meet.
@@ -187,7 +183,56 @@ class Posterior:
         whole = sum(part @ values[variable] for variable, part in parts.items())
         return OrientationCorrection(np.reshape(whole, (-1, 6)), settings.angles)
 
+    def _require_inside(self, image: int, line: float, sample: float, where: str) -> None:
+        """Raise InputError unless a place lies in an image: beyond its edges orientation is known to nobody."""
+        picture = self.network.images[image]
+        if not (0.0 <= line <= picture.lines and 0.0 <= sample <= picture.samples):
+            raise InputError(
+                f"{where}, image {picture.name}", f"line {line:g}, sample {sample:g}",
+                f"a place in the image of {picture.lines} lines and {picture.samples} samples",
+            )  # fmt: skip
+
+    def _crossing(self, pixels: Sequence[Pixel], name: str) -> tuple[PointRows, Array]:
+        """Rows of new measures of one place, and where their rays meet (3,) m."""
+        images = np.array([self.image_number(pixel.image) for pixel in pixels], dtype=np.int64)
+        if images.size < 2:
+            raise InputError(name, f"{images.size} measures", "two or more, of images that look from different sides")
+        places = np.array([[pixel.line, pixel.sample] for pixel in pixels])
+        for j, (line, sample), pixel in zip(images.tolist(), places.tolist(), pixels, strict=True):
+            self._require_inside(j, line, sample, name)
+            if not (np.isfinite(pixel.sigma) and pixel.sigma > 0.0):
+                raise InputError(f"{name}, image {pixel.image}", f"sigma {pixel.sigma} px", "a positive number")
+        sigmas = np.array([[pixel.sigma] * 2 for pixel in pixels])
+        rays = ImageRays(np.zeros(images.size, dtype=np.int64), images, places, sigmas)
+        layout = self.linearised.asked(np.full((1, 3), np.nan), rays, known=False)
+        place, good = self._meet(layout)
+        if not good[0]:
+            raise InputError(name, "rays that don't meet before their cameras", "measures of the same place")
+        return point_rows(layout, layout.rows, self.linearised.orientation, place), place[0]
+
+    def _of_crossing(self, rows: PointRows, place: Array, name: str) -> Quantity:
+        return self._of_point(tuple(f"{axis} of {name}" for axis in _AXES), place, rows, object())
+
+    def _misfit(self, rows: PointRows, name: str) -> float:
+        """By how many sigmas new rays miss each other, their own noise and that of the orientation in mind.
+
+        Raises InputError where they can't be of one place.
+        """
+        _, noise = rows.eliminated()
+        own = rows.by_point[0] @ noise[0]
+        left = np.eye(rows.row.size) - own @ own.T
+        through = rows.by_shared[0]
+        spread = np.eye(rows.row.size) + through @ self.linearised.joint.of(rows.variables) @ through.T
+        seen = np.linalg.pinv(left @ spread @ left, rcond=1e-9, hermitian=True)
+        square = float(rows.residuals[0] @ seen @ rows.residuals[0]) / max(rows.row.size - 3, 1)
+        if square > _CONTRADICTION**2:
+            found = f"rays that miss each other by {np.sqrt(square):.3g} sigmas"
+            raise InputError(name, found, "measures of the same place", "check lines, samples and images")
+        return float(np.sqrt(square))
+
     def _of_poses(self, image: int, lines: Array) -> list[Quantity]:
+        for line in lines.tolist():
+            self._require_inside(image, line, 0.0, "pose")
         picture, correction = self.network.images[image], self.correction(image)
         u, nominal = picture.normalised(lines), picture.pose(lines)
         pose = correction.apply(nominal, u, picture.normalised_rate)
@@ -205,12 +250,15 @@ class Posterior:
             found.append(Quantity(names, _POSE_UNITS, values, by_shared, {}))
         return found
 
-    def _of_point(self, names: tuple[str, ...], values: Array, rows: PointRows, name: str) -> Quantity:
+    def _of_point(self, names: tuple[str, ...], values: Array, rows: PointRows, own: Hashable) -> Quantity:
+        """A place whose noise, apart from what it shares, goes by the key `own`."""
         by_shared, noise = rows.eliminated()
-        return Quantity(names, ("m",) * 3, values, self._by_variable(rows.variables, by_shared[0]), {name: noise[0]})
+        return Quantity(names, ("m",) * 3, values, self._by_variable(rows.variables, by_shared[0]), {own: noise[0]})
 
     def _by_variable(self, variables: Sequence[int], columns: Array) -> dict[int, Array]:
-        """Columns (m, c) of variables, one after another, taken apart."""
+        """Columns (m, c) of variables, one after another, taken apart; none where only held images are felt."""
+        if not variables:
+            return {}
         width = self.linearised.layout.variables.width[list(variables)]
         return dict(zip(variables, np.split(columns, np.cumsum(width)[:-1], axis=1), strict=True))
 

@@ -5,7 +5,7 @@ Every question to the posterior is put in one form: dq = sum_v J_v dx_v + sum_i 
 V^-1, design.md section 3). Two quantities covary by J1 S J2' + sum_i N1_i N2_i'.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,11 +26,12 @@ class Quantity:
     """(m,) at the solution."""
     by_shared: Mapping[int, Array]
     """(m, width) derivatives by each shared unknown they depend on, per m and rad."""
-    own: Mapping[str, Array]
-    """(m, 3) derivatives by the noise of each point they depend on."""
+    own: Mapping[Hashable, Array]
+    """(m, 3) derivatives by the noise of each point they depend on, by a key of its own: quantities that have one in
+    common share that noise."""
 
     def through(self, names: tuple[str, ...], units: tuple[str, ...], values: Array, jacobian: Array) -> "Quantity":
-        """K numbers that follow from these; `jacobian` (k, m) are their derivatives."""
+        """Further numbers (k) that follow from these; `jacobian` (k, m) are their derivatives."""
         by_shared = {variable: jacobian @ part for variable, part in self.by_shared.items()}
         return Quantity(names, units, values, by_shared, {point: jacobian @ part for point, part in self.own.items()})
 
@@ -39,7 +40,7 @@ def together(quantities: Sequence[Quantity]) -> Quantity:
     """Several quantities as one, one after another."""
     ends = np.cumsum([0, *(len(one.names) for one in quantities)]).tolist()
     by_shared: dict[int, Array] = {}
-    own: dict[str, Array] = {}
+    own: dict[Hashable, Array] = {}
     for first, last, one in zip(ends, ends[1:], quantities, strict=False):
         for variable, part in one.by_shared.items():
             by_shared.setdefault(variable, np.zeros((ends[-1], part.shape[1])))[first:last] = part

@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.analysis.linearised import Linearised, PointRows
 from mgsgraph.adjustment.analysis.measures import UNCONTROLLED, MeasureKind
+from mgsgraph.adjustment.analysis.suspects import PointIndex
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.passes import Selection, everything
 from mgsgraph.adjustment.solution import Solution
@@ -105,25 +106,34 @@ def selection(network: Network, taken: Taken) -> Selection:
     return Selection(~taken.rays, ~taken.ranges, everything(network).out)
 
 
-def sights_of(at: Linearised, point: int) -> dict[SightName, int]:
-    """Sights of a network point, and the place of each among those of its pattern (`PointRows.sight`)."""
-    layout, network = at.layout, at.network
-    place = int(layout.patterns.point_place[point])
-    piece = int(np.searchsorted(at.rows.piece[:, 1], place, side="right")) - 1
-    pattern, first, count, _, sight = at.rows.piece[piece].tolist()
-    found: dict[SightName, int] = {}
-    for kind, of, places in (
-        (MeasureKind.RAY, network.rays.point, layout.places.rays),
-        (MeasureKind.RANGE, network.ranges.point, layout.places.ranges),
-    ):
-        for k in np.flatnonzero(of == point).tolist():
-            found[kind, k] = (int(places[k]) - sight - (place - first)) // count
-    for slot, k in enumerate(range(at.rows.pattern_sight[pattern], at.rows.pattern_sight[pattern + 1])):
-        if at.rows.sight_kind[k] == GROUND:
-            found[MeasureKind.GROUND, point] = slot
-        elif at.rows.sight_kind[k] == SURFACE:
-            found[MeasureKind.HEIGHT, point] = slot
-    return found
+class SightIndex:
+    """Which sights each point of a linearised network has."""
+
+    def __init__(self, at: Linearised) -> None:
+        network, places, self._at = at.network, at.layout.places, at
+        self._measured = tuple(
+            (kind, PointIndex(points, len(network.points)), among)
+            for kind, points, among in (
+                (MeasureKind.RAY, network.rays.point, places.rays),
+                (MeasureKind.RANGE, network.ranges.point, places.ranges),
+            )
+        )
+
+    def of(self, point: int) -> dict[SightName, int]:
+        """Sights of a network point, and the place of each among those of its pattern (`PointRows.sight`)."""
+        rows, patterns = self._at.rows, self._at.layout.patterns
+        place = int(patterns.point_place[point])
+        pattern, first, count, _, sight = rows.piece[patterns.piece_of(place)].tolist()
+        found: dict[SightName, int] = {}
+        for kind, index, places in self._measured:
+            for k in index.of(point).tolist():
+                found[kind, k] = (int(places[k]) - sight - (place - first)) // count
+        for slot, k in enumerate(range(rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1])):
+            if rows.sight_kind[k] == GROUND:
+                found[MeasureKind.GROUND, point] = slot
+            elif rows.sight_kind[k] == SURFACE:
+                found[MeasureKind.HEIGHT, point] = slot
+        return found
 
 
 def direction(covariance: Array, residuals: Array, rows: Mask) -> tuple[Array, float, int]:
@@ -183,16 +193,24 @@ def readmissible(
     points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
     layout = layout.following(points, at.orientation)
     whole = Linearised(layout, at.settings, layout.rows, at.orientation, points, at.joint)
-    return [one for one in removals if _agrees(whole, one, taken, bool(solution.determined[one.point]), critical)]
+    index = SightIndex(whole)
+    return [
+        one for one in removals if _agrees(whole, index, one, taken, bool(solution.determined[one.point]), critical)
+    ]
 
 
 def _agrees(
-    whole: Linearised, removal: Removal, taken: Taken, determined: bool, critical: Callable[[int], float]
+    whole: Linearised,
+    index: SightIndex,
+    removal: Removal,
+    taken: Taken,
+    determined: bool,
+    critical: Callable[[int], float],
 ) -> bool:
     """Whether a removal's rows agree with the others."""
     if whole.rows.kind[whole.layout.patterns.point_place[removal.point]] == OUT:
         return False
-    rows, sights = whole.rows_of(removal.point), sights_of(whole, removal.point)
+    rows, sights = whole.rows_of(removal.point), index.of(removal.point)
     back = np.isin(rows.sight, [sights[one] for one in removal.sights])
     used = np.isin(rows.sight, [slot for one, slot in sights.items() if not taken.holds(one)])
     fixed = whole.rows.kind[whole.layout.patterns.point_place[removal.point]] == FIXED

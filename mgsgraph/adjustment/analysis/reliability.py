@@ -28,12 +28,12 @@ from mgsgraph.adjustment.analysis.measures import (
     pair_tests,
     room,
 )
+from mgsgraph.adjustment.analysis.naming import names_of, units_of
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.factors import bundle
 from mgsgraph.factors.reliability import NUMBERS
 from mgsgraph.factors.rows import GROUND, NO_LOSS, OUT, PRIOR, partition
-from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index, Mask
 
 _AT_A_TIME = 1 << 17
@@ -44,14 +44,6 @@ _Part = TypeVar("_Part")
 _BOTH = np.arange(2, dtype=np.int8)
 _EXACT = 1e-12
 """Residual in sigmas without a robust weight to speak of."""
-_POWERS = ("constant", "linear", "quadratic", "cubic")
-
-_NAMES = {
-    MeasureKind.RAY: ("line", "sample"),
-    MeasureKind.RANGE: ("range",),
-    MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
-    MeasureKind.HEIGHT: ("height above the terrain",),
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,43 +100,19 @@ class Reliability:
 
     def unit(self, measure: int) -> str:
         """Unit of a measure: px, m, rad or s."""
-        kind = self.measures.kind[measure]
-        if kind == MeasureKind.PRIOR:
-            variable, inside = self._column(int(self.measures.row[measure]))
-            k = variable - len(self.at.network.images) - len(self.at.network.shift_names)
-            if k >= 0:
-                return self.at.network.shared[k].kind.unit
-            return "rad" if k < -len(self.at.network.shift_names) and inside % 6 >= 3 else "m"
-        return "px" if kind == MeasureKind.RAY else "m"
+        return self.units(np.array([measure]))[0]
 
     def name(self, measure: int) -> str:
         """What a measure is, in words."""
-        network, found = self.at.network, self.measures
-        kind, component = MeasureKind(int(found.kind[measure])), int(found.component[measure])
-        if kind is MeasureKind.PRIOR:
-            return self._prior_name(int(found.row[measure]))
-        of = f"{_NAMES[kind][component]} of point {network.points.ids[found.point[measure]]}"
-        image = int(found.image[measure])
-        return f"{of} in image {network.images[image].name}" if image >= 0 else of
+        return self.names(np.array([measure]))[0]
 
-    def _prior_name(self, column: int) -> str:
-        network = self.at.network
-        variable, inside = self._column(column)
-        if variable < len(network.images):
-            power, component = divmod(inside, 6)
-            term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
-            return f"a-priori {term} {COMPONENTS[component]} of image {network.images[variable].name}"
-        k = variable - len(network.images)
-        if k < len(network.shift_names):
-            return f"a-priori {('east', 'north')[inside]} shift of {network.shift_names[k]}"
-        shared = network.shared[k - len(network.shift_names)]
-        return " ".join([f"a-priori {shared.name}", shared.kind.components[inside]]).strip()
+    def units(self, measures: Index) -> list[str]:
+        """Units of many measures (k,)."""
+        return units_of(self.at.layout, self.measures, measures)
 
-    def _column(self, column: int) -> tuple[int, int]:
-        """Variable of a column, and which of its columns it is."""
-        first = self.at.layout.variables.first
-        variable = max((v for v in range(first.size) if 0 <= first[v] <= column), key=lambda v: int(first[v]))
-        return variable, column - int(first[variable])
+    def names(self, measures: Index) -> list[str]:
+        """What many measures (k,) are."""
+        return names_of(self.at.layout, self.measures, measures)
 
     def __repr__(self) -> str:
         return (
@@ -242,8 +210,7 @@ def _ground_places(at: Linearised, points: Index) -> Index:
     pattern = np.searchsorted(rows.pattern_sight, own, side="right") - 1
     of_pattern[pattern] = own - rows.pattern_sight[pattern]
     inside = place[points]
-    piece = np.searchsorted(rows.piece[:, 1], inside, side="right") - 1
-    pattern, first, count, _, sight = rows.piece[piece].T
+    pattern, first, count, _, sight = rows.piece[at.layout.patterns.piece_of(inside)].T
     return np.asarray(sight + of_pattern[pattern] * count + inside - first, dtype=np.int64)
 
 

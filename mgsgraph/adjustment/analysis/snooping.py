@@ -18,14 +18,13 @@ from mgsgraph.adjustment.analysis.linearised import Linearised, at_solution
 from mgsgraph.adjustment.analysis.measures import MeasureKind
 from mgsgraph.adjustment.analysis.rejection import (
     Removal,
+    SightIndex,
     SightName,
     Taken,
     direction,
     nothing_taken,
     readmissible,
     selection,
-    sights_of,
-    without,
 )
 from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
 from mgsgraph.adjustment.analysis.suspects import INSEPARABLE, residual_covariance
@@ -50,8 +49,8 @@ class Snooping:
     """What data snooping took out, and what is left."""
 
     solution: Solution
-    """The last adjustment; its network lacks the a-priori places and heights that were taken out, and its marks
-    `rays_rejected` and `ranges_rejected` name the rays and ranges."""
+    """The last adjustment; its network lacks the a-priori places and heights that were taken out, and marks the rays
+    and ranges, as `rays_rejected` and `ranges_rejected` do."""
     reliability: Reliability
     """Of the measures that are left."""
     removals: tuple[Removal, ...]
@@ -171,7 +170,7 @@ class _Run:
 
     def adjust(self) -> None:
         """Adjust what is left."""
-        left = without(self._network, self.taken)
+        left = self.taken.marked(self._network)
         self.solution = adjust_network(left, self._settings, self._name, left_in=selection(left, self.taken))
         self.at = at_solution(self.solution)
         self.found = reliability(self.at, self._levels)
@@ -184,14 +183,17 @@ def _candidates(found: Reliability, scale: float, number: int) -> list[_Candidat
     worst = np.flatnonzero(over)[np.argsort(-found.severity[over], kind="stable")]
     points, first = np.unique(found.measures.point[worst], return_index=True)
     chosen = points[np.argsort(first)][:_MOST_CANDIDATES]
-    candidates = [_candidate(found, int(point), scale, number) for point in chosen]
+    if not chosen.size:
+        return []
+    index = SightIndex(found.at)
+    candidates = [_candidate(found, index, int(point), scale, number) for point in chosen]
     return sorted((one for one in candidates if one.severity > 1.0), key=lambda one: -one.severity)
 
 
-def _candidate(found: Reliability, point: int, scale: float, number: int) -> _Candidate:
+def _candidate(found: Reliability, index: SightIndex, point: int, scale: float, number: int) -> _Candidate:
     """The worst sight of a point, by its direction of the largest test."""
     at = found.at
-    rows, sights = at.rows_of(point), sights_of(at, point)
+    rows, sights = at.rows_of(point), index.of(point)
     covariance, through = residual_covariance(at, rows, point)
     tests = list[tuple[SightName, Array, float, int]]()
     for sight, slot in sights.items():

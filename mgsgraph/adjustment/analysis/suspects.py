@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.analysis.linearised import Linearised, PointRows
-from mgsgraph.adjustment.analysis.measures import MeasureKind
+from mgsgraph.adjustment.analysis.measures import MeasureKind, Places
 from mgsgraph.adjustment.analysis.reliability import Reliability
 from mgsgraph.factors.rows import FIXED
 from mgsgraph.geometry.records import Array, Index
@@ -41,7 +41,7 @@ class Suspect:
 def suspects(found: Reliability, most: int = 20) -> tuple[Suspect, ...]:
     """The `most` suspicious measures, or groups of such as can't be told apart, worst first."""
     groups, listed = list[Suspect](), set[int]()
-    index = PointIndex(found)
+    index = PointIndex(found.measures.point, len(found.at.network.points))
     correlations: dict[int, tuple[Index, Array]] = {}
     for k in _worst_first(found, most):
         if len(groups) == most:
@@ -76,16 +76,22 @@ def _worst_first(found: Reliability, most: int) -> Iterator[int]:
 
 
 class PointIndex:
-    """Which measures each point has."""
+    """Which rows each point has.
 
-    def __init__(self, found: Reliability) -> None:
-        self._order = np.argsort(found.measures.point, kind="stable")
-        self._first = np.searchsorted(
-            found.measures.point[self._order], np.arange(len(found.at.network.points) + 1)
-        )
+    Parameters
+    ----------
+    points : (m,)
+        Point of each row; -1 for rows of none.
+    count : int
+        Number of points.
+    """
+
+    def __init__(self, points: Index | Places, count: int) -> None:
+        self._order = np.argsort(points, kind="stable")
+        self._first = np.searchsorted(points[self._order], np.arange(count + 1))
 
     def of(self, point: int) -> Index:
-        """(q,) measures of a network point, ascending."""
+        """(q,) rows of a point, ascending."""
         return self._order[self._first[point] : self._first[point + 1]]
 
 
@@ -120,8 +126,7 @@ def combinations(found: Reliability, measures: Index, rows: PointRows) -> Array:
     table, at = found.measures, found.at
     point = int(table.point[measures[0]])
     place = int(at.layout.patterns.point_place[point])
-    piece = int(np.searchsorted(at.rows.piece[:, 1], place, side="right")) - 1
-    _, first, count, _, sight = at.rows.piece[piece].tolist()
+    _, first, count, _, sight = at.rows.piece[at.layout.patterns.piece_of(place)].tolist()
     slot = (table.sight[measures] - sight - (place - first)) // count
     chosen = np.zeros((rows.row.size, measures.size))
     for q, k in enumerate(measures.tolist()):

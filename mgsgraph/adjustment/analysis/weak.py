@@ -26,7 +26,6 @@ from mgsgraph.adjustment.analysis.words import Part, in_words, parts_of
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 
@@ -109,7 +108,7 @@ def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[Wea
         if len(found) >= count:
             break
         for direction in _legible(frames, run, max(_TURNED, count))[:, : count - len(found)].T:
-            variance = (direction / layout.scales) @ apply_covariance(joint.square_root, direction / layout.scales)
+            variance = (direction / layout.scales) @ joint.square_root.covariance_times(direction / layout.scales)
             found.append(_described(frames, direction, float(np.sqrt(variance)), run.number))
     return tuple(found)
 
@@ -126,28 +125,13 @@ def spectrum(joint: JointCovariance, scales: Array, count: int, dense: int = _DE
 
     size, root = joint.columns, joint.square_root
     operator = LinearOperator(
-        (size, size), matvec=lambda x: apply_covariance(root, x.ravel() / scales) / scales, dtype=np.float64
+        (size, size), matvec=lambda x: root.covariance_times(x.ravel() / scales) / scales, dtype=np.float64
     )
     start = np.random.default_rng(1).normal(size=size)  # the same result each time
     few = min(size, max(4 * count, 40))
     values, vectors = eigsh(operator, k=count, which="LA", v0=start, tol=_LANCZOS, ncv=few)
     order = np.argsort(-values)
     return values[order], vectors[:, order]
-
-
-def apply_covariance(root: SquareRoot, vector: Array) -> Array:
-    """Covariance times a vector (columns,): forward from the leaves to the root of the cliques' tree, and back."""
-    work = vector.copy()
-    for clique in range(root.sizes.size - 1, -1, -1):
-        columns, rows = root.columns_of[clique], root.rows_of(clique)
-        for a, b, inverse in root.triangles[clique]:
-            work[columns[a:b]] = inverse.T @ work[columns[a:b]]
-            work[columns[b:]] -= rows[a:b, b:].T @ work[columns[a:b]]
-    for clique in range(root.sizes.size):
-        columns, rows = root.columns_of[clique], root.rows_of(clique)
-        for a, b, inverse in root.triangles[clique][::-1]:
-            work[columns[a:b]] = inverse @ (work[columns[a:b]] - rows[a:b, b:] @ work[columns[b:]])
-    return work
 
 
 def _own(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_Run]:

@@ -6,17 +6,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, Variables, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.rows import SightPlaces, lay_out_rows
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.factors.rows import (
-    CAMERA,
     CAUCHY,
     HUBER,
     MEASURED,
     NO_LOSS,
-    OPK_PAPER,
-    OPK_PEER,
     OUT,
     PREDICTED,
     TUKEY,
@@ -25,12 +23,12 @@ from mgsgraph.factors.rows import (
     Rows,
 )
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
 
 _Kind = TypeVar("_Kind", np.float64, np.bool_, np.int8)
 _LINES = {"predicted": PREDICTED, "measured": MEASURED}
-_ANGLES = {"camera": CAMERA, "opk-paper": OPK_PAPER, "opk-peer": OPK_PEER}
 _LOSSES = {"none": NO_LOSS, "huber": HUBER, "cauchy": CAUCHY, "tukey": TUKEY}
 
 
@@ -54,6 +52,11 @@ class Layout:
     """Points by pattern."""
     places: SightPlaces
     """Network rows among all sights."""
+
+    @property
+    def angles(self) -> Angles:
+        """How attitude is counted."""
+        return angles_of(self.model)
 
     @property
     def columns(self) -> int:
@@ -133,7 +136,7 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     InputError
         When a point that nothing else places lies on a ray that misses the body.
     """
-    model = Model(_LINES[settings.line], _ANGLES[settings.angles], _LOSSES[settings.loss], settings.width)
+    model = Model(_LINES[settings.line], ANGLE_CODES[settings.angles], _LOSSES[settings.loss], settings.width)
     variables = _variables(network)
     patterns = sort_points(network, variables)
     sights, rows = lay_out_rows(network, model, variables, patterns, places)

@@ -100,6 +100,10 @@ class Patterns:
     piece_first: Index
     """(m + 1,) first point of each piece."""
 
+    def piece_of(self, places: Index | int) -> Index:
+        """Piece of each place of the layout."""
+        return np.asarray(np.searchsorted(self.piece_first, places, side="right") - 1)
+
 
 def sort_points(network: Network, variables: Variables) -> Patterns:
     """Find the patterns of a network's points.

@@ -63,8 +63,7 @@ class _Store:
         among all sights.
         """
         at = self.patterns.point_place[points]
-        piece = np.searchsorted(self.patterns.piece_first, at, side="right") - 1
-        pattern, first, stride, start, sights = self.piece[piece].T
+        pattern, first, stride, start, sights = self.piece[self.patterns.piece_of(at)].T
         inside = at - first
         return start + stride * self.before[pattern, slots] + inside, stride, sights + slots * stride + inside
 

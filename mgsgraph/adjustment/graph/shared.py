@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.angles import angles_of
 from mgsgraph.adjustment.graph.patterns import Variables, felt_by
-from mgsgraph.factors.rows import CAMERA, IMAGE, OPK_PAPER, RANGE, Model
-from mgsgraph.geometry.orientation import Angles, polynomial
+from mgsgraph.factors.rows import IMAGE, RANGE, Model
+from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import DEGREE, beam_motion, image_effect
@@ -14,15 +15,12 @@ class SharedEffects:
     """What each image's shared unknowns do to the state of its rays and of its ranges."""
 
     def __init__(self, network: Network, model: Model) -> None:
-        angles: Angles = (
-            "camera" if model.angles == CAMERA else "opk-paper" if model.angles == OPK_PAPER else "opk-peer"
-        )
         self._kinds = {
             kind: [[network.shared[k].kind for k in mine] for mine in felt_by(network, kind)]
             for kind in (IMAGE, RANGE)
         }
         self._effects = {
-            (j, kind): image_effect(network.images[j], kind, angles)
+            (j, kind): image_effect(network.images[j], kind, angles_of(model))
             for of_images in self._kinds.values()
             for j, kinds in enumerate(of_images)
             for kind in kinds

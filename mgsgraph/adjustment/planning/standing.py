@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.analysis.datum import require_strength
+from mgsgraph.adjustment.analysis.linearised import require_covariance
 from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.incremental.closing import shared_of
@@ -56,10 +57,8 @@ def standing_of(solution: Solution) -> Standing:
     InputError
         For a solution without a covariance: one whose points have none.
     """
+    require_covariance(solution)
     there = solution.determined
-    if not np.any(there) or not np.all(np.isfinite(solution.covariances[there])):
-        found = "a solution without covariance"
-        raise InputError(solution.name, found, "a covariance of every determined point", "adjust the case again")
     values = {unknown: one.value for unknown, one in shared_of(solution).items()}
     return standing(
         solution.network, solution.settings, values, np.where(there[:, None], solution.places, np.nan),
@@ -83,6 +82,9 @@ def standing(
     rays, ranges : (k,), (r,)
         False for those that were rejected.
     """
+    for one in network.shared:
+        found = f"shared unknown {one.name!r}"
+        raise InputError("plan", found, "orientation and shifts alone, for now", "plan with an adjustment without it")
     kept = np.flatnonzero(np.isfinite(places[:, 0]))
     if kept.size == 0:
         raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
