@@ -97,13 +97,7 @@ class Asked:
         # spread over the rays: points that were measured, and images that see them
         chosen = np.linspace(0, rays.point.size - 1, self._queries + 2).astype(np.int64)
         names, others = [ids[i] for i in rays.point[chosen]], [images[j] for j in rays.image[chosen]]
-        pixels = [
-            [
-                Pixel(images[rays.image[k]].name, *rays.places[k].tolist(), sigma=rays.sigmas[k].max())
-                for k in np.flatnonzero(rays.point == i)
-            ]
-            for i in rays.point[chosen]
-        ]
+        pixels = [[_pixel(network, k) for k in np.flatnonzero(rays.point == i).tolist()] for i in rays.point[chosen]]
         return (
             lambda k: posterior.point(names[k]),
             lambda k: posterior.pose(others[k].name, 0.5 * others[k].lines),
@@ -120,6 +114,13 @@ class Asked:
 
     def _book(self, name: str, seconds: float) -> None:
         self.seconds.setdefault(name, []).append(seconds)
+
+
+def _pixel(network: Network, ray: int) -> Pixel:
+    """A ray as a new measure."""
+    rays = network.rays
+    line, sample = rays.places[ray].tolist()
+    return Pixel(network.images[rays.image[ray]].name, line, sample, float(rays.sigmas[ray].max()))
 
 
 def page(title: str, seconds: Seconds, queries: int, made_with: str) -> str:

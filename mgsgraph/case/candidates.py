@@ -3,7 +3,6 @@
 Paths are relative to the file. What is there is read, and becomes candidates over a network that was adjusted.
 """
 
-import tomllib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,14 +22,14 @@ from mgsgraph.adjustment.planning.candidates import (
 from mgsgraph.adjustment.planning.scene import Scene
 from mgsgraph.adjustment.planning.standing import Standing
 from mgsgraph.case import read_image, read_shots
-from mgsgraph.case.schema import FORMAT, ImageInput, OrientationInput, Positive, Sigma, SpiceInput
+from mgsgraph.case.decoding import read_table, validated
+from mgsgraph.case.schema import ImageInput, OrientationInput, Positive, Sigma, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.io.text import read_text
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.registration import footprints_in_images
 from mgsgraph.units import DEG
@@ -176,20 +175,7 @@ def read_candidates(
 
 def decode_candidates(path: Path) -> CandidatesInput:
     """A candidates file's tables, validated; InputError with the path of what is wrong."""
-    try:
-        table = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
-    version = table.get("format")
-    if version != FORMAT:
-        found = "no key 'format'" if version is None else f"format {version!r}"
-        raise InputError(str(path), found, f"format = {FORMAT}", "write it at the head of the candidates file")
-    try:
-        return msgspec.convert(table, CandidatesInput, strict=False)
-    except msgspec.ValidationError as error:
-        what, _, place = str(error).partition(" - at `$.")
-        where = f"{path}, {place.rstrip('`')}" if place else str(path)
-        raise InputError(where, what[0].lower() + what[1:], remedy="see docs/plan.md") from None
+    return validated(read_table(path, "candidates file"), CandidatesInput, path, "see docs/plan.md")
 
 
 def _image(scene: Scene, entry: CandidateImage, wanted: CandidatesInput, path: Path, k: int) -> Candidate:

@@ -1,7 +1,5 @@
 """What a case file may say: tables and keys, units in their names. Unknown keys are refused with their path."""
 
-import math
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,16 +8,15 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method
+from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.isd import Observer
-from mgsgraph.io.text import read_text
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
 from mgsgraph.wording import listed
 
-FORMAT = 1
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Sigma = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]
 """Standard deviations that mean something: a micropixel or a micrometre to a million kilometres."""
@@ -278,31 +275,4 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 def decode(path: Path) -> CaseInput:
     """A case file's tables, validated; InputError with the path of what is wrong."""
-    try:
-        table = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
-    version = table.get("format")
-    if version != FORMAT:
-        found = "no key 'format'" if version is None else f"format {version!r}"
-        raise InputError(str(path), found, f"format = {FORMAT}", "write it at the head of the case file")
-    try:
-        case = msgspec.convert(table, CaseInput, strict=False)
-    except msgspec.ValidationError as error:
-        what, _, place = str(error).partition(" - at `$.")
-        where = f"{path}, {place.rstrip('`')}" if place else str(path)
-        raise InputError(where, what[0].lower() + what[1:], remedy="see the case files in scripts/cases") from None
-    _refuse_nan(table, str(path))
-    return case
-
-
-def _refuse_nan(value: object, where: str) -> None:
-    """TOML has nan; nothing here may be it."""
-    if isinstance(value, float) and math.isnan(value):
-        raise InputError(where, "nan", "a number")
-    if isinstance(value, dict):
-        for key, item in value.items():
-            _refuse_nan(item, f"{where}, {key}")
-    if isinstance(value, list):
-        for k, item in enumerate(value):
-            _refuse_nan(item, f"{where}[{k}]")
+    return validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")

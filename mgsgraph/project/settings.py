@@ -1,6 +1,5 @@
 """What a project takes for granted of every image and measure that is added to it."""
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,9 +7,9 @@ from typing import Any
 import msgspec
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.schema import FORMAT, CaseInput, OrientationInput, Sigma, SolverInput, SpiceInput, decode
+from mgsgraph.case.decoding import read_table, validated
+from mgsgraph.case.schema import CaseInput, OrientationInput, Sigma, SolverInput, SpiceInput, decode
 from mgsgraph.errors import InputError
-from mgsgraph.io.text import read_text
 
 
 class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -55,20 +54,10 @@ def read_settings(path: Path) -> tuple[str, ProjectSettings]:
     """Name ("" where it has none) and settings of a TOML file: a case file's [orientation], [spice], [solver], and
     [measures]; InputError with the place of what is wrong.
     """
-    try:
-        table = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
+    table = read_table(path, "settings")
     if "images" in table:
         raise InputError(str(path), "a case with images", "settings alone", "give it as --case, which takes them too")
-    if table.get("format") != FORMAT:
-        raise InputError(str(path), f"format {table.get('format')!r}", f"format = {FORMAT}", "write it at the head")
-    try:
-        read = msgspec.convert(table, _File, strict=False)
-    except msgspec.ValidationError as error:
-        what, _, place = str(error).partition(" - at `$.")
-        where = f"{path}, {place.rstrip('`')}" if place else str(path)
-        raise InputError(where, what[0].lower() + what[1:]) from None
+    read = validated(table, _File, path, "see docs/incremental.md")
     read.orientation.prior(f"{path}, orientation")  # complains where its sigmas make no sense
     spice = _absolute(read.spice, path.parent)
     return read.name, ProjectSettings(read.orientation, spice, read.measures, read.solver)

@@ -97,7 +97,7 @@ class Linearised:
     def rows_of(self, point: int) -> PointRows:
         """Rows of one network point that takes part."""
         place = self.place_of(point)
-        piece = int(np.searchsorted(self.rows.piece[:, 1], place, side="right")) - 1
+        piece = int(self.layout.patterns.piece_of(place))
         return self._rows_of(piece, np.array([place - self.rows.piece[piece, 1]]))
 
     def rows_of_piece(self, piece: int) -> PointRows:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.measures import MeasureKind, Measures
+from mgsgraph.adjustment.analysis.measures import MeasureKind, Measures, Places
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Index
@@ -45,7 +45,7 @@ def units_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
     return units
 
 
-def _variables_of(layout: Layout, columns: Index) -> tuple[list[int], list[int]]:
+def _variables_of(layout: Layout, columns: Places) -> tuple[list[int], list[int]]:
     """Variable of each of some columns (k,), and which of its columns it is."""
     adjusted = np.array(layout.variables.adjusted(), dtype=np.int64)
     first = layout.variables.first[adjusted]

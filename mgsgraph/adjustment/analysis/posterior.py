@@ -138,7 +138,8 @@ class Posterior:
         place, _ = self.image(j).ground_to_image(ground.values[None], self.correction(j))
         if not np.all(np.isfinite(place)):
             raise InputError(f"point {point}", f"image {image} does not see it", "a point in the image's field of view")
-        self._require_inside(j, *place[0].tolist(), f"point {point}")
+        line, sample = place[0].tolist()
+        self._require_inside(j, line, sample, f"point {point}")
         lone = ImageRays(np.zeros(1, dtype=np.int64), np.array([j]), place, np.ones((1, 2)))
         layout = self.linearised.asked(ground.values[None], lone, known=True)
         rows = point_rows(layout, layout.rows, self.linearised.orientation, ground.values[None])
