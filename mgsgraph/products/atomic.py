@@ -111,7 +111,8 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
         if not target.exists():
             first = next(parent for parent in target.parents if parent.exists())
             if not first.is_dir():
-                raise InputError(shown, f"lies in {first}, which is a file", "a folder", "choose another --out")
+                found = f"can't be written ({first} is a file)"
+                raise InputError(shown, found, "a folder to make it in", "choose another --out")
             return
         if not target.is_dir():
             raise InputError(shown, "exists and is a file", "a folder for the results", "choose another --out")
