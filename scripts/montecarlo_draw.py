@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.answers import local_frame
 from mgsgraph.adjustment.analysis.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case import read_case
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
@@ -162,7 +162,7 @@ def evenly(items: Index, count: int) -> Index:
 def of_point(posterior: Posterior, draw: Draw, i: int) -> tuple[Array, Array]:
     """East, north, up of a ground point, m."""
     found = posterior.point(posterior.network.points.ids[i])
-    return local_frame(found.place) @ (found.place - draw.places[i]), found.east_north_up
+    return east_north_up(found.place[None])[0] @ (found.place - draw.places[i]), found.east_north_up
 
 
 def of_heights(posterior: Posterior, draw: Draw, i: int, j: int) -> tuple[Array, Array]:
@@ -239,4 +239,4 @@ def new_places(
     ]
     for start, end in zip(starts, [*starts[1:], len(images)], strict=True):
         found = posterior.intersection(pixels[start:end])
-        yield local_frame(found.place) @ (found.place - trues[start]), found.east_north_up
+        yield east_north_up(found.place[None])[0] @ (found.place - trues[start]), found.east_north_up

@@ -221,7 +221,7 @@ def _posterior(
         joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
         covariances = point_covariances(layout, rows, orientation, solved.points, joint, sweeper)
     clock.stop("covariance")
-    profiles = range(len(network.images), len(network.images) + len(network.shift_names))
+    profiles = range(len(network.images), network.first_shared)
     coefficients = tuple(
         np.zeros_like(prior.sigmas) if network.held[j] else orientation[layout.columns_of(j)].reshape(-1, 6)
         for j, prior in enumerate(network.priors)

@@ -161,9 +161,7 @@ def point_covariances(
 
     S_p = V^-1 + V^-1 W' S_eo W V^-1 with the joint covariance S_eo of the orientation variables that see the point.
     """
-    blocks = layout.blocks
-    pairs = joint.pairs(blocks.first, blocks.second, blocks.offset)
-    return sweeper.covariances(layout, rows, orientation, pairs, points)
+    return sweeper.covariances(layout, rows, orientation, layout.blocks.filled(joint), points)
 
 
 def explicit_covariances(

@@ -14,7 +14,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.corrections import adjusted_image, correction_parts
+from mgsgraph.network.corrections import adjusted_image, correction_parts, whole_correction
 from mgsgraph.notebook import card
 
 
@@ -110,9 +110,7 @@ class Solution:
 
     def correction(self, image: int) -> OrientationCorrection:
         """Whole orientation correction of one image: its own, and what shared unknowns do to it."""
-        values, parts = self.values, correction_parts(self.network, image, self.settings.angles)
-        whole = sum(part @ values[variable] for variable, part in parts.items())
-        return OrientationCorrection(np.reshape(whole, (-1, 6)), self.settings.angles)
+        return whole_correction(self.network, image, self.values, self.settings.angles)
 
     def correction_covariance(self, *images: int) -> Array:
         """Joint covariance (d, d) of the coefficients of images' whole corrections, as `correction` has them, row after
@@ -132,7 +130,7 @@ class Solution:
 
     def shared_variable(self, shared: int) -> int:
         """Variable of a shared unknown in the joint covariance."""
-        return len(self.coefficients) + len(self.network.shift_names) + shared
+        return self.network.first_shared + shared
 
     def shared_covariance(self, shared: int) -> Array:
         """Covariance (width, width) of one shared unknown, in its unit squared, for sigma0 = 1."""

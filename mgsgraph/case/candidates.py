@@ -25,7 +25,7 @@ from mgsgraph.case import read_image, read_shots
 from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.case.schema import ImageInput, OrientationInput, Positive, Sigma, SpiceInput
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north, from_geodetic, from_planetocentric
+from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
@@ -299,7 +299,7 @@ def _control(scene: Scene, entry: CandidateControl, path: Path, k: int) -> Candi
     sigmas = np.atleast_1d(np.asarray(entry.sigma_m, dtype=np.float64))
     if sigmas.size not in (1, 3):
         raise InputError(f"{where}, sigma_m", f"{sigmas.size} numbers", "one, or three: eastward, northward, upward")
-    axes = np.concatenate([east_north(place[None])[0], place[None] / np.linalg.norm(place)])
+    axes = east_north_up(place[None])[0]
     covariance = axes.T @ np.diag(np.broadcast_to(sigmas, 3) ** 2) @ axes
     return planned_control(scene, entry.name, place, covariance, entry.sigma_px, entry.images)
 

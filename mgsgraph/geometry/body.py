@@ -58,6 +58,12 @@ def east_north(points: Array) -> Array:
     return np.stack([east, np.stack([-sb * cl, -sb * sl, cb], axis=1)], axis=1)
 
 
+def east_north_up(points: Array) -> Array:
+    """(n, 3, 3) unit vectors eastward, northward and upward, the same."""
+    up = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return np.concatenate([east_north(points), up[:, None]], axis=1)
+
+
 def geodetic(points: Array, ellipsoid: Ellipsoid) -> Array:
     """Longitude, geodetic latitude (rad) and height above the ellipsoid (m) of points (..., 3); (..., 3).
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import Angles
+from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.network import Network
 from mgsgraph.network.shared import SharedKind, image_effect
@@ -22,7 +22,7 @@ def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, 
         is the larger degree of the two polynomials that add up.
     """
     picture, own = network.images[image], network.priors[image].sigmas.size
-    first = len(network.images) + len(network.shift_names)
+    first = network.first_shared
     felt = {
         first + k: np.moveaxis(image_effect(picture, shared.kind, angles), 0, -1).reshape(-1, shared.kind.width)
         for k, shared in enumerate(network.shared)
@@ -33,9 +33,16 @@ def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, 
     return every | {v: np.pad(part, ((0, rows - part.shape[0]), (0, 0))) for v, part in felt.items()}
 
 
+def whole_correction(network: Network, image: int, values: Sequence[Array], angles: Angles) -> OrientationCorrection:
+    """The whole correction of one image, `values` being those of all variables."""
+    parts = correction_parts(network, image, angles)
+    whole = sum(part @ values[variable] for variable, part in parts.items())
+    return OrientationCorrection(np.reshape(whole, (-1, 6)), angles)
+
+
 def adjusted_image(network: Network, image: int, values: Sequence[Array]) -> PushbroomImage:
     """One image with its adjusted focal length, `values` being those of all variables; its trajectory stays nominal."""
-    picture, first = network.images[image], len(network.images) + len(network.shift_names)
+    picture, first = network.images[image], network.first_shared
     longer = [
         float(values[first + k][0])
         for k, shared in enumerate(network.shared)

@@ -142,6 +142,11 @@ class Network:
         profiles = self.shifts.names if self.shifts else ()
         return (*profiles, "terrain model") if self.terrain_moves else profiles
 
+    @property
+    def first_shared(self) -> int:
+        """Number of variables before those of `shared`: images, then shifts."""
+        return len(self.images) + len(self.shift_names)
+
     def shift_sigma(self, name: str) -> float:
         """A-priori sigma, m, of one of these shifts, eastward and northward alike."""
         if self.shifts is not None and name in self.shifts.names:

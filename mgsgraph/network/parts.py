@@ -150,7 +150,7 @@ def _felt(network: Network) -> tuple[Index, Index, Mask]:
     """Which point feels which shared unknown: pairs (unknown, point), each once, by point; and (n,) whether a point has
     a ray or a range.
     """
-    m, count = len(network.images), len(network.images) + len(network.shift_names)
+    m, count = len(network.images), network.first_shared
     pairs = [network.rays.point * count + network.rays.image, network.ranges.point * count + network.ranges.image]
     if network.shifts is not None:
         moved = np.flatnonzero(network.shifts.profile >= 0)

@@ -365,7 +365,7 @@ def test_a_blunder_is_found_at_baardas_power(kind: MeasureKind) -> None:
     k = int(of_kind(found, kind, 1e-3)[-1])
     point = int(found.measures.point[k])
     rows = found.at.rows_of(point)
-    covariance, _ = residual_covariance(found.at, rows, point)
+    covariance, _ = residual_covariance(found.at, rows)
     chosen = combinations(found, np.array([k]), rows)[:, 0]
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.analysis.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.analysis.quantity import correlation
-from mgsgraph.geometry.body import east_north, planetocentric
+from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.notebook import card
 from mgsgraph.units import DEG, MRAD
@@ -91,11 +91,6 @@ def error_ellipsoid(covariance: Array, probability: float) -> ErrorEllipsoid:
     return ErrorEllipsoid(probability, radius * np.sqrt(np.maximum(values[::-1], 0.0)), directions)
 
 
-def local_frame(place: Array) -> Array:
-    """(3, 3) rows: east, north, up at a place (3,), body-fixed."""
-    return np.vstack([east_north(place[None])[0], place / np.linalg.norm(place)])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceEstimate:
     """A ground place."""
@@ -117,7 +112,7 @@ class PlaceEstimate:
     @property
     def east_north_up(self) -> Array:
         """(3, 3) m^2, covariance in the local frame."""
-        frame = local_frame(self.place)
+        frame = east_north_up(self.place[None])[0]
         return np.asarray(frame @ self.covariance @ frame.T)
 
     def ellipsoid(self, probability: float = 0.95) -> ErrorEllipsoid:
@@ -170,7 +165,7 @@ class Difference:
     @property
     def east_north_up(self) -> Array:
         """(3, 3) m^2, covariance of the vector in the frame of the place half-way."""
-        frame = local_frame(0.5 * (self.begin + self.end))
+        frame = east_north_up(0.5 * (self.begin + self.end)[None])[0]
         return np.asarray(frame @ self.covariance @ frame.T)
 
     @property

@@ -125,7 +125,7 @@ def datum_transformations(layout: Layout) -> Array:
         columns = layout.columns_of(variable)
         if variable < layout.variables.images:
             moves[columns] = _of_image(layout, variable, middle)
-        elif variable < layout.variables.images + len(layout.network.shift_names):
+        elif variable < layout.network.first_shared:
             place = _shifted_place(layout, variable - layout.variables.images, middle)
             moves[columns] = east_north(place[None])[0] @ _displacement((place - middle)[None])[0]
     moves /= layout.scales[:, None]

@@ -53,8 +53,8 @@ class Redundancy:
 def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> Redundancy:
     """Redundancy of groups of rows at a solution; `dense` as `DENSE`."""
     sums = _Sums(at, len(grouping.names))
-    for rows, groups, fixed in _alike(at, grouping):
-        sums.add(rows, groups, fixed)
+    for rows, groups in _alike(at, grouping):
+        sums.add(rows, groups)
     sums.close()
     weights = np.where(np.isfinite(at.layout.sigmas), 1.0 / at.layout.sigmas, 0.0)
     of_column, known = grouping.of_columns(at.layout), weights > 0.0
@@ -75,8 +75,8 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
     return Redundancy(grouping.names, counts, squares, redundancy, helmert, exact)
 
 
-def _alike(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRows, Index, bool]]:
-    """Rows of points that take part and whose rows belong to the same groups (r,), and whether the points are known."""
+def _alike(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRows, Index]]:
+    """Rows of points that take part and whose rows belong to the same groups (r,)."""
     of_sight, rows = grouping.of_sights(at.layout), at.rows
     for piece, (pattern, first, count, _, among) in enumerate(rows.piece.tolist()):
         inside = np.flatnonzero(rows.kind[first : first + count] != OUT)
@@ -91,7 +91,7 @@ def _alike(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRows, Inde
             part = replace(
                 whole, residuals=whole.residuals[mine], by_point=whole.by_point[mine], by_shared=whole.by_shared[mine]
             )
-            yield part, of_set[part.sight], bool(rows.pattern_fixed[pattern])
+            yield part, of_set[part.sight]
 
 
 class _Sums:
@@ -105,11 +105,10 @@ class _Sums:
         self._variables: tuple[int, ...] | None = None
         self._normal, self._covariance = np.zeros((groups, 0, 0)), np.zeros((0, 0))
 
-    def add(self, rows: PointRows, groups: Index, fixed: bool) -> None:
+    def add(self, rows: PointRows, groups: Index) -> None:
         """Rows of some points, each row (r,) of one group for all of them."""
         self._open(rows.variables)
-        through = _through(rows.by_point, fixed)
-        rest = rows.by_shared - through @ (np.swapaxes(through, 1, 2) @ rows.by_shared)
+        through, rest = rows.following()
         # rows that were rejected are zero
         present = np.any(rows.by_point != 0.0, axis=2) | np.any(rows.by_shared != 0.0, axis=2) | (rows.residuals != 0.0)
         inner, outer, carried = dict[int, Array](), dict[int, Array](), dict[int, Array]()
@@ -182,15 +181,6 @@ def _stacked(matrices: Array) -> Array:
     """(m r, c) rows of matrices (m, r, c), of which c may be none: that is, of points that held images alone see."""
     m, r, c = matrices.shape
     return matrices.reshape(m * r, c)
-
-
-def _through(by_point: Array, fixed: bool) -> Array:
-    """(m, r, 3) P = B L^-T with B'B = L L'; nothing goes through a known point."""
-    if fixed:
-        return np.zeros_like(by_point)
-    turned = np.swapaxes(by_point, 1, 2)
-    lower = np.linalg.cholesky(turned @ by_point)
-    return np.swapaxes(np.linalg.solve(lower, turned), 1, 2)
 
 
 def _traces(normals: "list[csr_array]", covariance: Array) -> Array:

@@ -17,8 +17,7 @@ from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.factors.bundle import reliability
-from mgsgraph.factors.rows import OUT
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index
 
 ALPHA = 0.05
 """Probability of a false alarm of the tests."""
@@ -234,11 +233,11 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
     layout = at.layout
     target, pairs = layout.blocks.target, at.pair_blocks(layout)
     numbers = reliability(at.rows, layout.groups, target, layout.model, at.orientation, pairs, at.points)
-    taken = _taken(at, numbers)
+    # rows that don't take part are zero, those of points left out or undetermined NaN
+    taken = np.any(numbers != 0.0, axis=2) & np.all(np.isfinite(numbers), axis=2)
     of_sight = np.repeat(grouping.of_sights(layout)[:, None], 3, axis=1)
     shares = np.stack([numbers[:, row, 1 + row] for row in range(3)], axis=1)
-    prior = np.where(np.isfinite(layout.sigmas), layout.sigmas, np.inf)
-    known = np.isfinite(prior)
+    prior, known = layout.sigmas, np.isfinite(layout.sigmas)
     corrections = (-at.orientation / prior)[known]
     own = (1.0 - (at.joint.sigmas / prior) ** 2)[known]
     return (
@@ -246,17 +245,6 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
         np.concatenate([1.0 - shares[taken], own]),
         np.concatenate([of_sight[taken], grouping.of_columns(layout)[known]]),
     )
-
-
-def _taken(at: Linearised, numbers: Array) -> Mask:
-    """(t, 3) rows that take part: those left out are zero, those of undetermined points NaN."""
-    rows = at.rows
-    there = np.any(numbers != 0.0, axis=2) & np.all(np.isfinite(numbers), axis=2)
-    for pattern, first, count, _, among in rows.piece.tolist():
-        sights = int(rows.pattern_sight[pattern + 1] - rows.pattern_sight[pattern])
-        out = rows.kind[first : first + count] == OUT
-        there[among : among + sights * count].reshape(sights, count, 3)[:, out] = False
-    return np.asarray(there)
 
 
 def _require_probability(alpha: float) -> None:

@@ -13,13 +13,11 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.factors.bundle import design
 from mgsgraph.factors.design import OWN
-from mgsgraph.factors.rows import GROUND, IMAGE, OUT, Rows, of_points
+from mgsgraph.factors.rows import OUT, Rows, of_points
+from mgsgraph.factors.tile import row_count
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.ties import PointKind
-
-ROWS = {IMAGE: 2, GROUND: 3}
-"""Rows of a sight; one of any other kind."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +37,17 @@ class PointRows:
     """(r,) sight, counted within the points' pattern, that each row belongs to."""
     row: Index
     """(r,) which row of it: line 0, sample 1; x, y, z of a ground prior."""
+    known: bool
+    """Whether the points are fixed: no unknowns, whatever the rows' derivatives by them."""
+
+    def following(self) -> tuple[Array, Array]:
+        """The rows once the points follow the shared unknowns x: P = B N (m, r, 3) on the noise e that they keep for
+        themselves, and J + B K (m, r, c) on x; nothing goes through known points.
+        """
+        if self.known:
+            return np.zeros_like(self.by_point), self.by_shared
+        carried, noise = self.eliminated()
+        return self.by_point @ noise, self.by_shared + self.by_point @ carried
 
     def eliminated(self) -> tuple[Array, Array]:
         """The points as functions of the shared unknowns x and of noise e (3,) of their own, of unit covariance:
@@ -110,8 +119,7 @@ class Linearised:
 
     def pair_blocks(self, layout: Layout) -> Array:
         """Covariance of the shared unknowns in the blocks of a layout, this one's or that of `asked`."""
-        blocks = layout.blocks
-        return self.joint.pairs(blocks.first, blocks.second, blocks.offset)
+        return layout.blocks.filled(self.joint)
 
     def asked(self, places: Array, rays: ImageRays, known: bool) -> Layout:
         """Layout of places (m, 3) in m that nobody has measured, on the same shared unknowns.
@@ -141,7 +149,8 @@ def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) ->
     group, first = int(rows.pattern_group[pattern]), int(rows.pattern_sight[pattern])
     sights = np.arange(first, rows.pattern_sight[pattern + 1])
     numbers = design(rows, layout.groups, layout.blocks.target, layout.model, orientation, points)
-    of_row = [(i - first, row) for i in sights for row in range(ROWS.get(int(rows.sight_kind[i]), 1))]
+    counts = map(row_count.py_func, rows.sight_kind[sights].tolist())
+    of_row = [(i, row) for i, count_of in enumerate(counts) for row in range(count_of)]
     sight, row = np.array(of_row, dtype=np.int64).reshape(-1, 2).T
     mine = numbers.reshape(-1, count, *numbers.shape[1:])[sight, :, row].transpose(1, 0, 2)
     members = slice(*layout.groups.member_first[group : group + 2])
@@ -150,7 +159,8 @@ def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) ->
     for k, places in enumerate(_columns(rows, first + sight, np.cumsum(width) - width)):
         for n, column in enumerate(places.tolist()):
             by_shared[:, k, column] += mine[:, k, OWN + n]
-    return PointRows(layout.group_variables[group], mine[:, :, 0], mine[:, :, 1:OWN], by_shared, sight, row)
+    known = bool(rows.pattern_fixed[pattern])
+    return PointRows(layout.group_variables[group], mine[:, :, 0], mine[:, :, 1:OWN], by_shared, sight, row, known)
 
 
 def _columns(rows: Rows, sights: Index, first_of_member: Index) -> list[Index]:
@@ -177,9 +187,8 @@ def at_solution(solution: Solution) -> Linearised:
     """A network at its solution, with the rows that took part in it; InputError where it has no covariance."""
     require_covariance(solution)
     settings, network, out = solution.settings, solution.network, ~solution.determined
-    layout = lay_out(network, settings, _starts(settings, solution.places))
-    orientation = np.concatenate([np.zeros(0), *(solution.values[v] for v in layout.variables.adjusted())])
-    points = np.where(out[:, None], 0.0, solution.places)[layout.point_order]
+    layout = lay_out(network, settings, solution.places)
+    orientation, points = _placed(layout, solution.values, np.where(out[:, None], 0.0, solution.places))
     if solution.terrain_cells is None:
         layout = layout.following(points, orientation)
     else:
@@ -193,10 +202,9 @@ def at_values(network: Network, settings: SolverSettings, values: Sequence[Array
     """A network at given values of its variables (m and rad) and places (n, 3) of its points; NaN for points that
     nothing determines. Blunders, as the network marks them, stay out.
     """
-    layout = lay_out(network, settings, _starts(settings, places))
-    orientation = np.concatenate([np.zeros(0), *(values[v] for v in layout.variables.adjusted())])
+    layout = lay_out(network, settings, places)
     out = ~np.all(np.isfinite(places), axis=1)
-    points = np.where(out[:, None], 0.0, places)[layout.point_order]
+    orientation, points = _placed(layout, values, np.where(out[:, None], 0.0, places))
     layout = layout.following(points, orientation)
     rows = layout.active(_unmarked(network.rays.rejected), _unmarked(network.ranges.rejected), out)
     graph = BundleGraph(layout, rows)
@@ -204,9 +212,10 @@ def at_values(network: Network, settings: SolverSettings, values: Sequence[Array
     return Linearised(layout, settings, rows, orientation, points, joint)
 
 
-def _starts(settings: SolverSettings, places: Array) -> Array | None:
-    """Where points begin: in the papers' form that is part of the model (image motion per line), and stays nominal."""
-    return places if settings.line == "predicted" else None
+def _placed(layout: Layout, values: Sequence[Array], places: Array) -> tuple[Array, Array]:
+    """Shared unknowns (columns,) of the values of all variables, and places (n, 3) in the layout's order."""
+    adjusted = (values[v] for v in layout.variables.adjusted())
+    return np.concatenate([np.zeros(0), *adjusted]), places[layout.point_order]
 
 
 def _unmarked(rejected: Mask | None) -> Mask:

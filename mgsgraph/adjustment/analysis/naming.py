@@ -68,7 +68,7 @@ def _prior_name(layout: Layout, variable: int, inside: int) -> str:
 
 def _prior_unit(layout: Layout, variable: int, inside: int) -> str:
     network = layout.network
-    k = variable - len(network.images) - len(network.shift_names)
+    k = variable - network.first_shared
     if k >= 0:
         return network.shared[k].kind.unit
     return "rad" if variable < len(network.images) and inside % len(COMPONENTS) >= 3 else "m"

@@ -12,7 +12,7 @@ import numpy as np
 
 from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north, from_planetocentric, geodetic
+from mgsgraph.geometry.body import east_north_up, from_planetocentric, geodetic
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import ImageRays
@@ -99,7 +99,7 @@ def sigma_grid(
         cell_of, np.array(numbers)[image], places[several[cell_of], image], np.full((cell_of.size, 2), sigma)
     )
     _, covariances = posterior.intersections(rays)
-    frame = np.concatenate([east_north(ground[several]), _up(ground[several])[:, None]], axis=1)
+    frame = east_north_up(ground[several])
     variances = np.einsum("nij,njk,nik->ni", frame, covariances, frame)
     values[:3, several] = np.sqrt(variances).T
     values[3, several] = np.sqrt(variances.sum(axis=1))
@@ -108,10 +108,6 @@ def sigma_grid(
         raise InputError("sigma raster", found, "images that look from different sides")
     counts = seen.sum(axis=1).reshape(rows, columns)
     return SigmaGrid(names, sigma, west, north, steps, values.reshape(4, rows, columns), counts)
-
-
-def _up(places: Array) -> Array:
-    return np.asarray(places / np.linalg.norm(places, axis=1, keepdims=True))
 
 
 def _ground_height(posterior: Posterior) -> float:

@@ -26,7 +26,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import ImageRays
-from mgsgraph.network.corrections import adjusted_image, correction_parts
+from mgsgraph.network.corrections import adjusted_image, correction_parts, whole_correction
 
 _AXES = COMPONENTS[:3]
 _CONTRADICTION = 10.0
@@ -179,10 +179,7 @@ class Posterior:
 
     def correction(self, image: int) -> OrientationCorrection:
         """Whole orientation correction of an image: its own, and what shared unknowns do to it."""
-        values, settings = self.linearised.values, self.linearised.settings
-        parts = correction_parts(self.network, image, settings.angles)
-        whole = sum(part @ values[variable] for variable, part in parts.items())
-        return OrientationCorrection(np.reshape(whole, (-1, 6)), settings.angles)
+        return whole_correction(self.network, image, self.linearised.values, self.linearised.settings.angles)
 
     def _require_inside(self, image: int, line: float, sample: float, where: str) -> None:
         """Raise InputError unless a place lies in an image: beyond its edges orientation is known to nobody."""
@@ -219,8 +216,7 @@ class Posterior:
 
         Raises InputError where they can't be of one place.
         """
-        _, noise = rows.eliminated()
-        own = rows.by_point[0] @ noise[0]
+        own = rows.following()[0][0]
         left = np.eye(rows.row.size) - own @ own.T
         through = rows.by_shared[0]
         spread = np.eye(rows.row.size) + through @ self.linearised.joint.of(rows.variables) @ through.T

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.analysis.suspects import PointIndex
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.passes import Selection, everything
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.factors.rows import FIXED, GROUND, OUT, SURFACE
+from mgsgraph.factors.rows import GROUND, OUT, SURFACE
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
@@ -185,9 +185,7 @@ def readmissible(
     """
     if not removals:
         return []
-    # in the papers' form the starting places are part of the model
-    starts = solution.places if solution.settings.line == "predicted" else None
-    layout = lay_out(network, solution.settings, starts)
+    layout = lay_out(network, solution.settings, solution.places)
     determined = solution.determined[layout.point_order]
     by_all = BundleGraph(layout, layout.rows).reduction(at.orientation, system=False).points
     points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
@@ -213,10 +211,9 @@ def _agrees(
     rows, sights = whole.rows_of(removal.point), index.of(removal.point)
     back = np.isin(rows.sight, [sights[one] for one in removal.sights])
     used = np.isin(rows.sight, [slot for one, slot in sights.items() if not taken.holds(one)])
-    fixed = whole.rows.kind[whole.layout.patterns.point_place[removal.point]] == FIXED
     shared = whole.joint.of(rows.variables)
     if determined:
-        test, dimensions = _prediction(rows, back, used, fixed, shared)
+        test, dimensions = _prediction(rows, back, used, shared)
     else:
         test, dimensions = _closure(rows, back | used, shared)
     return dimensions > 0 and test <= critical(dimensions)
@@ -234,10 +231,10 @@ def _chosen_rows(rows: PointRows, chosen: Mask) -> PointRows:
     )
 
 
-def _prediction(rows: PointRows, back: Mask, used: Mask, fixed: bool, shared: Array) -> tuple[float, int]:
+def _prediction(rows: PointRows, back: Mask, used: Mask, shared: Array) -> tuple[float, int]:
     """Test of rows by what others that are used predict for them, and its dimensions."""
     own, through = np.zeros((rows.row.size, 3)), rows.by_shared[0]
-    if not fixed:
+    if not rows.known:
         carried, noise = _chosen_rows(rows, used).eliminated()
         own, through = rows.by_point[0] @ noise[0], through + rows.by_point[0] @ carried[0]
     own, through, error = own[back], through[back], rows.residuals[0, back]

@@ -194,7 +194,7 @@ def _candidate(found: Reliability, index: SightIndex, point: int, scale: float, 
     """The worst sight of a point, by its direction of the largest test."""
     at = found.at
     rows, sights = at.rows_of(point), index.of(point)
-    covariance, through = residual_covariance(at, rows, point)
+    covariance, through = residual_covariance(at, rows)
     tests = list[tuple[SightName, Array, float, int]]()
     for sight, slot in sights.items():
         combination, test, dimensions = direction(covariance, rows.residuals[0], rows.sight == slot)

@@ -15,7 +15,6 @@ import numpy as np
 from mgsgraph.adjustment.analysis.linearised import Linearised, PointRows
 from mgsgraph.adjustment.analysis.measures import MeasureKind, Places
 from mgsgraph.adjustment.analysis.reliability import Reliability
-from mgsgraph.factors.rows import FIXED
 from mgsgraph.geometry.records import Array, Index
 
 INSEPARABLE = 0.99
@@ -100,20 +99,17 @@ def correlations_of_tests(found: Reliability, index: PointIndex, point: int) -> 
     mine = index.of(point)
     rows = found.at.rows_of(point)
     chosen = combinations(found, mine, rows)
-    covariance = chosen.T @ residual_covariance(found.at, rows, point)[0] @ chosen
+    covariance = chosen.T @ residual_covariance(found.at, rows)[0] @ chosen
     variance, size = np.diagonal(covariance), np.einsum("rq,rq->q", chosen, chosen)
     sigma = np.sqrt(np.where(variance > _NOTHING * size, variance, np.nan))
     return mine, np.asarray(covariance / sigma[:, None] / sigma)
 
 
-def residual_covariance(at: Linearised, rows: PointRows, point: int) -> tuple[Array, Array]:
-    """Covariance (r, r) of the whitened residuals of a network point, 1 - A Q A'; and how the shared unknowns enter the
-    residuals once the point follows them: (r, columns).
+def residual_covariance(at: Linearised, rows: PointRows) -> tuple[Array, Array]:
+    """Covariance (r, r) of the whitened residuals of one point's rows, 1 - A Q A'; and how the shared unknowns enter
+    the residuals once the point follows them: (r, columns).
     """
-    own, through = np.zeros_like(rows.by_point[0]), rows.by_shared[0]
-    if at.rows.kind[at.layout.patterns.point_place[point]] != FIXED:
-        carried, noise = rows.eliminated()
-        own, through = rows.by_point[0] @ noise[0], through + rows.by_point[0] @ carried[0]
+    own, through = (part[0] for part in rows.following())
     left = np.eye(rows.row.size) - own @ own.T - through @ at.joint.of(rows.variables) @ through.T
     return left, through
 

@@ -100,7 +100,7 @@ class Layout:
         if surface is None:
             return self
         if self.network.terrain_moves:
-            terrain = self.columns_of(len(self.network.images) + len(self.network.shift_names) - 1)
+            terrain = self.columns_of(self.network.first_shared - 1)
             points = points - np.einsum("k,nkj->nj", shared[terrain], east_north(self.rows.start))
         cells = surface.grid.cells(points)
         held = np.isfinite(surface.sigmas[self.point_order]) & (self.rows.kind != OUT)
@@ -129,7 +129,8 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     settings : SolverSettings
     places : (n, 3), optional
         m, where its points are thought to be: there the inner solves begin. Where it is NaN, or absent, they begin at
-        the a-priori place or at the intersection of the nominal rays.
+        the a-priori place or at the intersection of the nominal rays. Not heard in the papers' form, in which the
+        places where points begin are part of the model (image motion per line), and must be the nominal ones.
 
     Raises
     ------
@@ -139,7 +140,7 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     model = Model(_LINES[settings.line], ANGLE_CODES[settings.angles], _LOSSES[settings.loss], settings.width)
     variables = _variables(network)
     patterns = sort_points(network, variables)
-    sights, rows = lay_out_rows(network, model, variables, patterns, places)
+    sights, rows = lay_out_rows(network, model, variables, patterns, None if model.line == MEASURED else places)
     groups = make_groups(variables, patterns.group_variables)
     blocks = pair_blocks(variables, groups)
     return Layout(network, model, rows, groups, blocks, variables, patterns, sights)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.factors.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, SharedKind
@@ -170,7 +171,7 @@ def _sights(network: Network, variables: Variables, example: Index) -> list[tupl
             variable = image if variables.first[image] >= 0 else -1
             sights[position[table.point[k]]].append(Sight(kind, image, variable, *felt[kind][image]))
     surface, shifts = network.surface, network.shifts
-    terrain = variables.images + len(network.shift_names) - 1 if network.terrain_moves else -1
+    terrain = network.first_shared - 1 if network.terrain_moves else -1
     moved = beams_felt(network, example)
     for q, i in enumerate(example):
         if network.points.kinds[i] == PointKind.CONSTRAINED:
@@ -204,7 +205,7 @@ def beams_felt(network: Network, points: Index) -> list[list[int]]:
 
 def _columns_of(network: Network, felt: list[int]) -> tuple[tuple[int, ...], int, bool]:
     """Variables of some shared unknowns, their columns together, and whether they need a wider state."""
-    first, kinds = len(network.images) + len(network.shift_names), [network.shared[k].kind for k in felt]
+    first, kinds = network.first_shared, [network.shared[k].kind for k in felt]
     wide = any(kind in (SharedKind.FOCAL_LENGTH, SharedKind.RANGE_BIAS) for kind in kinds)
     return tuple(first + k for k in felt), sum(kind.width for kind in kinds), wide
 
@@ -234,6 +235,11 @@ class PairBlocks:
     """(p,) where its block begins, first variable's columns down, second's across."""
     target: Target
     """The same, as the kernel wants it."""
+
+    def filled(self, joint: JointCovariance) -> Array:
+        """A covariance of all variables in these blocks, flat, as the kernel wants it."""
+        flat = joint.pairs(self.first, self.second, self.offset)
+        return np.pad(flat, (0, self.target.size - flat.size))
 
     def each(self, flat: Array, width: Index) -> Iterator[tuple[int, int, Array]]:
         """Each pair's variables, v and w, and its block (width[v], width[w]) in a flat array."""

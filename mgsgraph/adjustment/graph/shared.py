@@ -63,7 +63,7 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
 
 def shared_values(network: Network, variables: Variables, orientation: Array) -> tuple[Array, ...]:
     """Value (width,) of each shared unknown, in the vector (columns,) of all that points share."""
-    first = len(network.images) + len(network.shift_names)
+    first = network.first_shared
     return tuple(orientation[variables.columns_of(first + k)] for k in range(len(network.shared)))
 
 

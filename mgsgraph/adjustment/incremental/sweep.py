@@ -76,8 +76,7 @@ class Sweep:
     def __init__(self, network: Network, settings: SolverSettings, places: Array | None = None) -> None:
         self.network, self._settings = network, settings
         self._names = unknowns(network)
-        # in the papers' form the places where points begin are part of the model, and must be the nominal ones
-        self._layout = lay_out(network, settings, places if settings.line == "predicted" else None)
+        self._layout = lay_out(network, settings, places)
         self._blocks = group_blocks(self._layout.groups)
         rays, ranges = network.rays.rejected, network.ranges.rejected
         assert rays is not None

@@ -114,8 +114,7 @@ class ReducedNetwork:
         self, network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array
     ) -> None:
         self.network, self.names = network, unknowns(network)
-        # in the papers' form the places where points begin are part of the model, and must be the nominal ones
-        layout = lay_out(network, settings, places if settings.line == "predicted" else None)
+        layout = lay_out(network, settings, places)
         self.values = np.zeros(layout.columns)
         for v in layout.variables.adjusted():
             if self.names[v] in values:

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.incremental.motion import ground_motion
 from mgsgraph.adjustment.planning.standing import Present, Standing
 from mgsgraph.adjustment.planning.update import Update
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.parts import KnownImage, Unknown
@@ -124,14 +124,12 @@ class Watch:
         chosen = [number[name] for name in targets.images]
         known = [KnownImage(network.images[j], network.priors[j]) for j in chosen]
         self._ground = [ground_motion(one, present.standing.settings.angles) for one in known]
-        under = [_under(one) for one in known]
-        self._axes = _axes(np.concatenate([present.standing.places[self._place], np.array(under).reshape(-1, 3)]))
+        under = np.array([_under(one) for one in known]).reshape(-1, 3)
+        self._axes = east_north_up(np.concatenate([present.standing.places[self._place], under]))
 
     def before(self) -> Array:
         """(t, 4) m: total, east, north, up of every target as it stands."""
-        blocks = self.present.layout.blocks
-        flat = self.present.joint.pairs(blocks.first, blocks.second, blocks.offset)
-        flat = np.pad(flat, (0, blocks.target.size - flat.size))
+        flat = self.present.layout.blocks.filled(self.present.joint)
         numbers = [self.present.names.index(Unknown("image", name)) for name in self.targets.images]
         return self._sigmas(self._of_points(flat), [self.present.joint.block(v, v) for v in numbers])
 
@@ -166,12 +164,6 @@ def _under(known: KnownImage) -> Array:
     line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
     ground, _ = image.image_to_ground(line, sample)
     return np.asarray(ground[0] if np.all(np.isfinite(ground)) else image.pose(line).position[0])
-
-
-def _axes(places: Array) -> Array:
-    """(t, 3, 3) unit rows east, north, up at places (t, 3)."""
-    up = places / np.linalg.norm(places, axis=1)[:, None]
-    return np.concatenate([east_north(places), up[:, None]], axis=1)
 
 
 def in_one(sigmas: Array, targets: Targets, criterion: Criterion) -> Sigmas:

@@ -75,8 +75,7 @@ class Update:
     def pairs(self) -> Array:
         """The joint covariance after, in the blocks of the present layout, flat."""
         blocks, layout = self.present.layout.blocks, self.present.layout
-        flat = self.present.joint.pairs(blocks.first, blocks.second, blocks.offset)
-        flat = np.pad(flat, (0, blocks.target.size - flat.size))
+        flat = blocks.filled(self.present.joint)
         for v, w, block in blocks.each(flat, layout.variables.width):
             block -= self.fall[layout.columns_of(v)] @ self.fall[layout.columns_of(w)].T
         return flat
