@@ -14,6 +14,8 @@ ARCMIN = DEG / 60.0
 """radian per minute of arc"""
 ARCSEC = DEG / 3600.0
 """radian per second of arc"""
+MGON = 1e-3 * pi / 200.0
+"""radian per milligon; 400 gon are a turn"""
 MRAD = 1e-3
 """radian per milliradian"""
 SPEED_OF_LIGHT = 299_792_458.0

@@ -27,6 +27,14 @@ def with_shift_and_surface(net: Network, sigma: float = 60.0) -> Network:
     return replace(net, shifts=shifts, surface=Surface(terrain(net), np.where(laser, np.inf, 25.0), 150.0))
 
 
+def with_tilting_surface(net: Network) -> Network:
+    """The same, and the terrain model's height and tilt are unknown, too."""
+    net = with_shift_and_surface(net)
+    assert net.surface is not None
+    middle = np.nanmean(net.points.places, axis=0)
+    return replace(net, surface=replace(net.surface, height_sigma=40.0, tilt_sigma=2e-4, middle=middle))
+
+
 def terrain(net: Network) -> TerrainGrid:
     """Posts every 0.02 degrees around the network's points, of the simulated relief with errors of some metres."""
     longitude, latitude, _ = planetocentric(net.points.places[np.isfinite(net.points.places[:, 0])]).T

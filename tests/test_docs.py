@@ -8,7 +8,15 @@ import pytest
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-@pytest.mark.parametrize(("page", "said"), [("incremental.md", "Closing check"), ("analysis.md", "PoseEstimate(")])
+@pytest.mark.parametrize(
+    ("page", "said"),
+    [
+        ("incremental.md", "Closing check"),
+        ("analysis.md", "PoseEstimate("),
+        ("strips.md", "HRSC/01: "),
+        ("two_steps.md", "reduced by a factor"),
+    ],
+)
 def test_python_examples_run(page: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
     blocks = re.findall(r"```python\n(.+?)\n```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
     assert blocks

@@ -31,7 +31,7 @@ ONLY_IN = {
     "numba": ("mgsgraph.factors",),
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),
-    "scipy": ("mgsgraph.adjustment.analysis",),
+    "scipy": ("mgsgraph.adjustment.analysis", "mgsgraph.adjustment.graph.prior", "mgsgraph.geometry.track_terrain"),
     "shapely": ("mgsgraph.geometry",),
     "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.products"),
     "msgspec": ("mgsgraph.campaign", "mgsgraph.case", "mgsgraph.products", "mgsgraph.project"),

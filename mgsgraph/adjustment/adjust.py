@@ -14,7 +14,7 @@ from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
-from mgsgraph.adjustment.graph.shared import shared_values
+from mgsgraph.adjustment.graph.shared import shared_values, shift_values, strip_values
 from mgsgraph.adjustment.passes import (
     Progress,
     Selection,
@@ -221,11 +221,12 @@ def _posterior(
         joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
         covariances = point_covariances(layout, rows, orientation, solved.points, joint, sweeper)
     clock.stop("covariance")
-    profiles = range(len(network.images), network.first_shared)
+    shifts, lift = shift_values(network, layout.variables, orientation)
     coefficients = tuple(
         np.zeros_like(prior.sigmas) if network.held[j] else orientation[layout.columns_of(j)].reshape(-1, 6)
         for j, prior in enumerate(network.priors)
     )
+    nodes, trends = strip_values(network, layout.variables, orientation)
     message = solved.outcome.message
     if solved.circling:
         what = what_changes(settings, network).capitalize()
@@ -243,7 +244,7 @@ def _posterior(
         cost_final=solved.outcome.cost_final,
         fit=merit,
         coefficients=coefficients,
-        shifts=np.array([orientation[layout.columns_of(v)] for v in profiles]).reshape(-1, 2),
+        shifts=shifts,
         joint_covariance=joint,
         places_before=_blanked(layout, places_before, determined),
         places=_blanked(layout, solved.points, determined),
@@ -262,6 +263,9 @@ def _posterior(
         rays_rejected=~solved.selection.rays,
         ranges_rejected=~solved.selection.ranges,
         shared=shared_values(network, layout.variables, orientation),
+        nodes=nodes,
+        trends=trends,
+        lift=lift,
     )
 
 

@@ -76,10 +76,10 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
     ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
     on_surface = np.isfinite(found.heights) & (kind != OUT)
     sigmas = network.surface.sigmas[on_surface] if network.surface is not None else np.zeros(0)
-    corrections = orientation / layout.sigmas
+    corrections = layout.prior.residuals(orientation)
     parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(offset * ground)]
     parts.append(np.sum((found.heights[on_surface] / sigmas) ** 2))
-    priors = int(np.count_nonzero(np.isfinite(layout.sigmas))) + 3 * known.size
+    priors = layout.prior.rows + 3 * known.size
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
         squares=float(sum(parts) + corrections @ corrections),

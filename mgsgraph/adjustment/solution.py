@@ -11,10 +11,10 @@ from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.corrections import adjusted_image, correction_parts, whole_correction
+from mgsgraph.network.corrections import adjusted_image, correction_parts, designs, whole_correction
 from mgsgraph.notebook import card
 
 
@@ -83,6 +83,13 @@ class Solution:
     edge of two may end on another one. None without a terrain model, or where an older version didn't say."""
     shared: tuple[Array, ...] = ()
     """Value of each of the network's shared unknowns, in the unit of its kind: (1,), or (3,) of a boresight."""
+    nodes: tuple[Array, ...] = ()
+    """(k, 6) m and rad, corrections at the orientation images of each strip (of a spline its coefficients)."""
+    trends: tuple[Array, ...] = ()
+    """(w,) m and rad, of each strip: bias and drift of its observed trajectory (`NodePrior.trend_components`)."""
+    lift: Array | None = None
+    """(w,) m and rad, of the terrain model's upward shift and of its tilts about east and north those that are unknown
+    (`Surface.terms` after the horizontal shift); None where none is."""
 
     @property
     def sigma0(self) -> float:
@@ -101,8 +108,12 @@ class Solution:
 
     @property
     def values(self) -> list[Array]:
-        """Value (width,) of each variable of the joint covariance: images, then shifts, then shared unknowns."""
-        return [*(one.ravel() for one in self.coefficients), *self.shifts, *self.shared]
+        """Value (width,) of each variable of the joint covariance: images, then shifts, then shared unknowns, then the
+        nodes and the trend of each strip.
+        """
+        strips = [[*nodes, trend] for nodes, trend in zip(self.nodes, self.trends, strict=True)]
+        own = [one.ravel() for one in self.coefficients]
+        return [*own, *self.shift_values, *self.shared, *(one for strip in strips for one in strip if one.size)]
 
     def image(self, image: int) -> PushbroomImage:
         """One image with its adjusted focal length; its trajectory is the nominal one (`correction`)."""
@@ -137,9 +148,24 @@ class Solution:
         return self.joint_covariance.block(self.shared_variable(shared), self.shared_variable(shared))
 
     def shift_covariance(self, profile: int) -> Array:
-        """Covariance (2, 2) in m^2 of one horizontal shift, for sigma0 = 1."""
+        """Covariance (2, 2) in m^2 of one horizontal shift, for sigma0 = 1; zero of a terrain model that has none."""
+        terms = self.network.shift_terms[profile]
+        if terms[:1] and terms[0].name != "east shift":
+            return np.zeros((2, 2))
+        return self.shift_spread(profile)[:2, :2]
+
+    def shift_spread(self, profile: int) -> Array:
+        """Covariance (w, w) in m and rad of all unknowns of one shift (`Network.shift_terms`), for sigma0 = 1."""
         variable = len(self.coefficients) + profile
         return self.joint_covariance.block(variable, variable)
+
+    @property
+    def shift_values(self) -> list[Array]:
+        """Value (w,) of the unknowns of each shift (`Network.shift_terms`)."""
+        values, surface = list(self.shifts), self.network.surface
+        if self.lift is not None and surface is not None:
+            values[-1] = np.concatenate([values[-1][: 2 * bool(surface.shift_sigma)], self.lift])
+        return values
 
     def members(self, point_class: PointClass) -> Index:
         """Determined points of one class."""
@@ -204,19 +230,19 @@ def orientation_profile(solution: Solution, image: int, places: int = 31) -> Ori
     """
     picture = solution.network.images[image]
     lines = np.linspace(0.0, float(picture.lines), places)
-    correction, u = solution.correction(image), picture.normalised(lines)
+    correction, moments = solution.correction(image), picture.moments(lines)
     before, after = picture.pose(lines), picture.pose(lines, correction)
-    basis, _ = polynomial(u, correction.coefficients.shape[0] - 1)
-    spread = solution.correction_covariance(image).reshape(basis.shape[1], 6, basis.shape[1], 6)
-    covariance = np.einsum("np,piqj,nq->nij", basis, spread, basis)
-    turn = correction.axes(before, u)
+    covariance = np.stack([
+        _through(solution.joint_covariance, felt) for felt in designs(solution.network, image, correction, lines)
+    ])  # fmt: skip
+    turn = correction.axes(before, moments)
     about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)
     angles_after = rotation.omega_phi_kappa(after.matrix)
     to_angles = np.linalg.solve(rotation.angle_axes(angles_after, camera_to_body=True), turn)
     of_angles = to_angles @ covariance[:, 3:, 3:] @ np.swapaxes(to_angles, 1, 2)
     return OrientationProfile(
         lines=lines,
-        times=picture.timing.at(lines)[0] + picture.trajectory.epoch,
+        times=moments.times + moments.epoch,
         position_before=before.position,
         position_after=after.position,
         position_sigma=_root(covariance[:, :3, :3]),
@@ -226,6 +252,12 @@ def orientation_profile(solution: Solution, image: int, places: int = 31) -> Ori
         rotation=-rotation.logarithm(after.matrix @ np.swapaxes(before.matrix, 1, 2)),
         rotation_sigma=_root(about_camera),
     )
+
+
+def _through(joint: JointCovariance, felt: Mapping[int, Array]) -> Array:
+    """(6, 6) covariance of what follows from some variables, each with its matrix (6, width)."""
+    design = np.concatenate(list(felt.values()), axis=1)
+    return np.asarray(design @ joint.of(felt) @ design.T)
 
 
 def _root(covariance: Array) -> Array:

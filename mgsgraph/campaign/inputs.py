@@ -44,8 +44,11 @@ def _named(wanted: CaseInput) -> Iterator[str]:
         yield profile.pedr
         yield from (name for name in (profile.leap_seconds,) if name is not None)
     if wanted.terrain is not None:
-        yield wanted.terrain.radius
-        yield from (name for name in (wanted.terrain.topography,) if name is not None)
+        terrain = wanted.terrain
+        for several in (terrain.radius, terrain.tracks):
+            yield from (several,) if isinstance(several, str) else several
+        others = (terrain.topography, terrain.areoid, terrain.leap_seconds)
+        yield from (name for name in others if name is not None)
 
 
 def _kernels(wanted: CaseInput) -> Iterator[str]:

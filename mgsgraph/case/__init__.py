@@ -3,10 +3,9 @@
 Paths are relative to the case file.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -16,16 +15,20 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.groups import merged, with_sigmas
-from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, OrientationInput, SpiceInput, decode
+from mgsgraph.case.images import read_image as read_image
+from mgsgraph.case.images import read_images
+from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, decode
+from mgsgraph.case.strips import members, strips_of
+from mgsgraph.case.terrain import read_terrain_model
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_polynomials
-from mgsgraph.geometry.terrain import TerrainGrid, areoid_grid
+from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.gcp import read_ground_control
 from mgsgraph.io.image_label import instrument_of
-from mgsgraph.io.isd import Aberration, read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import TiePoints
@@ -75,7 +78,8 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
     wanted = decode(path)
     folder = path.parent
     orientations = [image.orientation or wanted.orientation for image in wanted.images]
-    images, fits = _read_images(wanted, orientations, path)
+    of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
+    images, fits = read_images(wanted, orientations, of_strips, path)
     priors = tuple(
         orientation.prior(
             f"{path}, images[{j}].orientation" if wanted.images[j].orientation else f"{path}, orientation"
@@ -94,11 +98,31 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
         raise InputError(str(path), "neither ties nor ground control nor laser", "at least one of them")
     settings = SolverSettings(**{name: getattr(wanted.solver, name) for name in wanted.solver.__struct_fields__})
     held = np.array([image.held for image in wanted.images])
-    network = parts.network(priors, held, *_read_terrain(wanted, folder))
+    network = parts.network(priors, held, *_read_terrain(wanted, path, images), wanted.terrain)
+    network = _with_strips(network, wanted, of_strips, path)
     network = _with_shared(network, wanted, path, laser)
     _require_seeing_images(network)
     pictures = tuple(_picture(image, folder) for image in wanted.images)
     return Case(wanted.name, path, network, settings, ties, profiles, pictures, fits)
+
+
+def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]], path: Path) -> Network:
+    """The network with the orientation images of its strips."""
+    if not wanted.strips:
+        return network
+
+    def to_et(strip: int, texts: Sequence[str], where: str) -> Array:
+        from mgsgraph.io.kernels import times_of_utc
+
+        named = [wanted.images[j].kernels for j in of_strips[strip] if wanted.images[j].kernels]
+        kernels = named[0] if named else wanted.spice.kernels if wanted.spice else ()
+        return times_of_utc(texts, [path.parent / kernel for kernel in kernels], where)
+
+    strips = strips_of(wanted.strips, of_strips, network.images, to_et, str(path))
+    try:
+        return replace(network, strips=strips)
+    except InputError as error:
+        raise error.within(str(path)) from None
 
 
 def _with_shared(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
@@ -130,52 +154,6 @@ def _require_seeing_images(network: Network) -> None:
 def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -> Solution:
     """Adjust a case; see `mgsgraph.adjustment.adjust.adjust_network`."""
     return adjust_network(case.network, case.settings, case.name, progress)
-
-
-def _read_images(
-    wanted: CaseInput, orientations: list[OrientationInput], path: Path
-) -> tuple[tuple[PushbroomImage, ...], tuple[PolynomialFit, ...]]:
-    images, fits = list[PushbroomImage](), list[PolynomialFit]()
-    for j, (entry, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
-        image = read_image(entry, wanted.spice, path.parent, f"{path}, images[{j}]")
-        if orientation.nominal == "polynomial":
-            image, fit = fit_polynomials(image, orientation.nominal_order)
-            fits.append(fit)
-        images.append(image)
-    return tuple(images), tuple(fits)
-
-
-def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
-    """From image support data, or from a label and SPICE kernels; `where` names the table in errors."""
-    if (entry.isd is None) == (entry.label is None):
-        found = "neither isd nor label" if entry.isd is None else "both isd and label"
-        raise InputError(where, found, "one of them")
-    if entry.isd is not None:
-        stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
-        return read_isd(folder / entry.isd, entry.name, stated)
-    from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load: those who need it wait
-
-    assert entry.label is not None
-    kernels = entry.kernels or (spice.kernels if spice else ())
-    if not kernels:
-        raise InputError(where, "a label without kernels", "kernels = [...] here or in [spice]")
-    return read_labelled_image(
-        folder / entry.label,
-        [folder / kernel for kernel in kernels],
-        entry.name,
-        focal_length=entry.focal_length_m,
-        constants=entry.constants,
-        attitude_bias=entry.attitude_bias_s,
-        position_bias=entry.position_bias_s,
-        interval=spice.sampling_s if spice else 0.1,
-        line_times=_line_times(entry, folder),
-    )
-
-
-def _line_times(entry: ImageInput, folder: Path) -> Path | Literal["mean"] | None:
-    if entry.line_times is None:
-        return None
-    return "mean" if entry.line_times == "mean" else folder / entry.line_times
 
 
 def _picture(entry: ImageInput, folder: Path) -> Path | None:
@@ -224,18 +202,14 @@ def read_shots(
     return read_pedr_text(path, clock_bias, version, leap_seconds)
 
 
-def _read_terrain(wanted: CaseInput, folder: Path) -> tuple[TerrainGrid | None, TerrainGrid | None]:
-    """Radii of a MEGDR grid or a GeoTIFF, where they are control, and the areoid, where there is topography."""
+def _read_terrain(
+    wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...]
+) -> tuple[TerrainGrid | None, TerrainGrid | None]:
+    """Radii of the terrain model, where they are control, and the areoid, where it is known."""
     entry = wanted.terrain
     if entry is None:
         return None, None
-    from mgsgraph.io.megdr import read_megdr
-    from mgsgraph.io.terrain_file import read_terrain
-
-    path, sigmas = folder / entry.radius, (entry.vertical_sigma_m, entry.planimetric_sigma_m)
-    if path.suffix.lower() in (".img", ".lbl"):
-        radii = read_megdr(path, *sigmas)
-    else:
-        radii = read_terrain(path, entry.reference_radius_m, "radius", *sigmas)
-    areoid = areoid_grid(radii, read_megdr(folder / entry.topography)) if entry.topography else None
-    return radii if entry.control else None, areoid
+    leap_seconds = path.parent / entry.leap_seconds if entry.leap_seconds else None
+    return read_terrain_model(
+        entry, path, images, lambda file: read_shots(file, version=entry.version, leap_seconds=leap_seconds)
+    )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.case.schema import LaserInput, MolaInput
+from mgsgraph.case.schema import LaserInput, MolaInput, TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots, LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
@@ -15,10 +15,11 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
-from mgsgraph.network.observations import nominal_ground, over_terrain, require_inside
+from mgsgraph.network.observations import nominal_ground, require_inside
+from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.registration import footprints_in_images
 from mgsgraph.ties import PointKind, TiePoints
-from mgsgraph.units import KM
+from mgsgraph.units import KM, MRAD
 
 
 class Parts:
@@ -126,8 +127,9 @@ class Parts:
         held: Mask,
         terrain: TerrainGrid | None = None,
         areoid: TerrainGrid | None = None,
+        wanted: TerrainInput | None = None,
     ) -> Network:
-        """All of it as one network; tie points lie on the terrain model, if there is one."""
+        """All of it as one network; tie points lie on the terrain model, if there is one, as `wanted`."""
         points = GroundPoints(tuple(self.ids), *(np.concatenate(part) for part in zip(*self._points, strict=True)))
         if not self._rays:
             raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
@@ -137,8 +139,12 @@ class Parts:
         empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
         ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
         shifts = self._profile_shifts() if self._shifts else None
-        ground = nominal_ground(self._images, rays) if terrain or areoid else np.zeros((0, 3))
-        surface = self._surface(points, rays, terrain.around(ground)) if terrain else None
+        ground = np.zeros((0, 3))
+        if terrain:
+            ground = terrain_ground(self._images, rays, terrain)
+        elif areoid:
+            ground = nominal_ground(self._images, rays)
+        surface = self._surface(points, rays, terrain, ground, wanted or TerrainInput()) if terrain else None
         areoid = areoid.around(ground) if areoid else None
         return Network(self._images, priors, held, points, rays, ranges, shifts, surface, areoid)
 
@@ -149,27 +155,39 @@ class Parts:
             profile[mine] = k
         return ProfileShifts(tuple(names), profile, np.array(sigmas))
 
-    def _surface(self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid) -> Surface:
-        """Tie points on the terrain model, whose horizontal place is one unknown for all of them."""
-        sigmas = np.full(len(points), np.inf)
-        members, radius = over_terrain(self._images, rays, terrain)
-        there = np.isfinite(radius)
+    def _surface(
+        self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid, ground: Array, wanted: TerrainInput
+    ) -> Surface:
+        """Tie points on the terrain model, whose place may be an unknown for all of them; `ground` (k, 3) in m is where
+        the rays meet it.
+        """
+        members, first = np.unique(rays.point, return_index=True)
+        ties = points.classes[members] == PointClass.TIE
+        members, places = members[ties], ground[first[ties]]
+        covered = coverage(terrain, places)
+        if covered.on == 0:
+            raise InputError(
+                terrain.source, f"no tie point lies over the terrain model: of {covered.total}, {covered.words}",
+                "a model of the images' ground",
+            )  # fmt: skip
+        terrain = terrain.around(ground)
+        radius = terrain.at(places)
         body = self._images[0].body
-        if np.any(np.abs(radius[there] - body.equatorial) > 0.05 * body.equatorial):
-            found = f"radii about {np.median(radius[there]) / KM:.0f} km"
+        if np.any(np.abs(radius[np.isfinite(radius)] - body.equatorial) > 0.05 * body.equatorial):
+            found = f"radii about {np.nanmedian(radius) / KM:.0f} km"
             raise InputError(
                 terrain.source,
                 found,
                 f"those of a body of {body.equatorial / KM:.0f} km",
                 "give the terrain model of the images' body",
             )
-        usable = there & (points.classes[members] == PointClass.TIE)
-        sigmas[members[usable]] = terrain.vertical_sigma or 0.0
-        if not np.any(np.isfinite(sigmas)):
-            raise InputError(
-                terrain.source, "no tie point lies over the terrain model", "a model of the images' ground"
-            )
-        return Surface(terrain, sigmas, terrain.planimetric_sigma or 0.0)
+        sigmas = np.full(len(points), np.inf)
+        sigmas[members] = np.nan_to_num(terrain.height_sigmas(places, wanted.shift), nan=np.inf)
+        return Surface(
+            terrain, sigmas, (terrain.planimetric_sigma or 0.0) * wanted.shift, wanted.height_sigma_m or 0.0,
+            (wanted.tilt_sigma_mrad or 0.0) * MRAD,
+            places[np.isfinite(sigmas[members])].mean(axis=0) if wanted.tilt_sigma_mrad else None,
+        )  # fmt: skip
 
     def _claim(self, ids: tuple[str, ...], source: str) -> int:
         """Take the ids in; the index of the first."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method
 from mgsgraph.case.decoding import read_table, validated
+from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
@@ -149,10 +150,14 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A terrain model: control for the tie points, and where their heights above the areoid come from."""
 
-    radius: str
-    """MEGDR grid of radii (.img, .lbl) or GeoTIFF."""
+    radius: str | tuple[str, ...] = ()
+    """MEGDR grid of radii (.img, .lbl) or GeoTIFF; several: tiles of one grid."""
+    tracks: str | tuple[str, ...] = ()
+    """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[mola]]."""
     topography: str | None = None
     """MEGDR grid of topography with the same posts: radius minus topography is the areoid."""
+    areoid: str | None = None
+    """MEGDR grid of the areoid's radius (MEGA...), where the values of `radius` are heights above it."""
     control: bool = True
     """Tie points lie on it."""
     reference_radius_m: Positive | None = None
@@ -160,7 +165,31 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     vertical_sigma_m: Sigma = 10.0
     """Sigma of its heights."""
     planimetric_sigma_m: Sigma = 200.0
-    """Sigma of its horizontal place as a whole, which becomes an unknown."""
+    """Sigma of its horizontal place as a whole, which becomes an unknown; or, without `shift`, part of the heights'."""
+    shift: bool = True
+    """Its horizontal place is an unknown; false: its error times the slope enters each point's sigma instead."""
+    height_sigma_m: Sigma | None = None
+    """Sigma of its height as a whole, which becomes an unknown; absent: none."""
+    tilt_sigma_mrad: Sigma | None = None
+    """Sigma of its tilts about east and north through the points' middle, which become unknowns; absent: none."""
+    longest_edge_m: Positive = 5000.0
+    """Longest edge of the tracks' triangles: what lies between tracks farther apart is a hole."""
+    post_step_deg: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)] = 0.005
+    """Step of the grid that the tracks are laid out on."""
+    version: str | None = None
+    """PEDR version letter of the tracks, where their names don't say."""
+    leap_seconds: str | None = None
+    """Leap seconds kernel, for tracks as tables with UTC alone."""
+
+    @property
+    def grids(self) -> tuple[str, ...]:
+        """Files of the grid."""
+        return (self.radius,) if isinstance(self.radius, str) else self.radius
+
+    @property
+    def profiles(self) -> tuple[str, ...]:
+        """Files of tracks."""
+        return (self.tracks,) if isinstance(self.tracks, str) else self.tracks
 
 
 class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -255,6 +284,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Terrain model."""
     shared: tuple[SharedInput, ...] = ()
     """Unknowns that several images share."""
+    strips: tuple[StripInput, ...] = ()
+    """Images on one trajectory, adjusted through orientation images."""
     spice: SpiceInput | None = None
     """SPICE kernels."""
     solver: SolverInput = SolverInput()

@@ -18,6 +18,7 @@ _VERBS = {
     "campaign": "Adjust many cases, here or on a cluster, with a record of what is done.",
     "demo": "Simulate a study site, adjust it, and say what was wrong and what is right now.",
     "init": "Make a project, to which images are added as they come.",
+    "nodes": "Choose how close orientation images stand from the data, and look for vibrations.",
     "plan": "Rank what might be observed next by what it would do to the sigmas.",
     "register": "Project laser footprints into the images, and say by how much the images contradict.",
     "remove": "Take images out of a project, and adjust what they touched.",

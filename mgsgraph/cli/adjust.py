@@ -1,6 +1,6 @@
 """`mgsgraph adjust`: from a case file to a folder of results."""
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,20 +9,33 @@ import click
 from mgsgraph.cli.overruling import overruling
 
 if TYPE_CHECKING:
+    from mgsgraph.adjustment.cluster import Connection
+    from mgsgraph.adjustment.settings import SolverSettings
     from mgsgraph.campaign import Wishes
+    from mgsgraph.case import Case
 
 
 @click.command(short_help="Adjust a case.")
 @click.argument("case", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the results; made anew.")
 @click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
+@click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
 @overruling
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
-def adjust(ctx: click.Context, case: Path, out: Path, cluster: str | None, wishes: "Wishes", verbose: bool) -> None:
+def adjust(
+    ctx: click.Context,
+    case: Path,
+    out: Path,
+    cluster: str | None,
+    two_steps: bool,
+    wishes: "Wishes",
+    verbose: bool,
+) -> None:
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
-    Options overrule the case file. With --cluster the points lie with the workers, in partitions.
+    Options overrule the case file. With --cluster the points lie with the workers, in partitions. With --two-steps
+    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md.
 
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
@@ -39,7 +52,9 @@ def adjust(ctx: click.Context, case: Path, out: Path, cluster: str | None, wishe
         parse_cluster(cluster)
     read = read_case(case, laser=wishes.laser)
     settings = wishes.over(read.settings)
-    hands = open_cluster(cluster) if cluster is not None else nullcontext()
+    hands: AbstractContextManager[Connection | None] = open_cluster(cluster) if cluster is not None else nullcontext()
+    if two_steps:
+        ctx.exit(0 if _in_two_steps(read, settings, out, hands, wishes, verbose) else 1)
     with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         solution = adjust_network(read.network, settings, read.name, bar, workers)
     write_results(solution, out, figures=wishes.figures)
@@ -48,3 +63,31 @@ def adjust(ctx: click.Context, case: Path, out: Path, cluster: str | None, wishe
         click.echo(f"- {sentence}")
     click.echo(f"Results are in {out}")
     ctx.exit(0 if solution.converged else 1)
+
+
+def _in_two_steps(
+    read: "Case",
+    settings: "SolverSettings",
+    out: Path,
+    hands: AbstractContextManager["Connection | None"],
+    wishes: "Wishes",
+    verbose: bool,
+) -> bool:
+    """Whether both steps converged."""
+    from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
+    from mgsgraph.cli.progress import iteration_bar
+    from mgsgraph.cli.stages import stage_bar
+    from mgsgraph.products.step_merit import step_merit
+    from mgsgraph.products.two_steps import two_steps_page, write_two_steps
+
+    require_terrain(read.network, str(read.path))
+    with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:
+        steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
+    with stage_bar(2) as stages:
+        with stages.stage("figures of merit"):
+            merit = step_merit(steps)
+        with stages.stage("tables and figures"):
+            write_two_steps(merit, out, figures=wishes.figures)
+    click.echo(two_steps_page(merit))
+    click.echo(f"Results are in {out}")
+    return steps.converged

@@ -45,12 +45,13 @@ class IterationBar:
     """Called with every iteration."""
 
     def __init__(self, verbose: bool, most: int) -> None:
-        self._verbose, self._count = verbose, 0
+        self._verbose, self._count, self._moved = verbose, 0, False
         self._bar = tqdm(total=most, desc="adjusting", unit="iteration", leave=False, disable=None)
 
     def __call__(self, now: Iteration) -> None:
         """Show one step that was tried."""
         self._count += 1
+        self._moved = True
         if self._verbose:
             if self._count == 1:
                 tqdm.write("iteration           cost       decrease   step [sigma]   damping")
@@ -61,9 +62,17 @@ class IterationBar:
         self._bar.set_postfix_str(f"cost {now.cost:.6g}")
         self._bar.update()
 
+    def begin(self, what: str) -> None:
+        """Count anew, under another name: one of several adjustments."""
+        if self._verbose:
+            tqdm.write(what)
+        self._count = 0
+        self._bar.reset()
+        self._bar.set_description_str(what)
+
     def explain(self) -> None:
         """Say why nothing has moved yet."""
-        if self._count == 0:
+        if not self._moved:
             click.echo("compiling the numeric kernel: once per installation, about a minute", err=True)
 
     def close(self) -> None:

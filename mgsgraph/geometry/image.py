@@ -11,7 +11,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
 
@@ -132,11 +132,14 @@ class PushbroomImage:
 
     def pose(self, lines: Array, correction: OrientationCorrection | None = None) -> Pose:
         """Exterior orientation at lines (n,), rates per line; corrected when a correction is given."""
-        times, period = self.timing.at(lines)
-        nominal = self.trajectory.pose(times).scaled(period)
-        if correction is None:
-            return nominal
-        return correction.apply(nominal, self.normalised(lines), self.normalised_rate)
+        moments = self.moments(lines)
+        nominal = self.trajectory.pose(moments.times).scaled(moments.periods)
+        return nominal if correction is None else correction.apply(nominal, moments)
+
+    def moments(self, lines: Array) -> Moments:
+        """Where on the image and when lines (n,) are: what orientation corrections are functions of."""
+        times, periods = self.timing.at(lines)
+        return Moments(self.normalised(lines), self.normalised_rate, times, periods, self.trajectory.epoch)
 
     def rays(
         self, lines: Array, samples: Array, correction: OrientationCorrection | None = None

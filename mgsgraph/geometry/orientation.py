@@ -3,16 +3,18 @@
 The coefficients c_k are 6-vectors: position in m along the body-fixed axes, then a rotation vector in rad about the
 camera axes, so that the camera frame is turned by it: M = Exp([theta]x)' M_nominal; or, by choice, additions to the
 nominal omega, phi, kappa, in the papers' product (camera to body) or the peer's (body to camera). B_k(u) = u^k (Yoon &
-Shan 2005, Eq. 2, as corrections to SPICE). Other bases that act linearly on the pose fit the same place.
+Shan 2005, Eq. 2, as corrections to SPICE), or the basis of a strip's orientation images (Hofmann et al. 1982), or both:
+whatever acts linearly on the pose.
 """
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
 
@@ -30,6 +32,21 @@ def polynomial(u: Array, degree: int) -> tuple[Array, Array]:
     rates = np.zeros_like(values)
     rates[:, 1:] = powers[1:] * values[:, :-1]
     return values, rates
+
+
+class Moments(NamedTuple):
+    """Where on its image, and when, each of n lines was taken: what bases are functions of."""
+
+    u: Array
+    """(n,) normalised line in [-1, 1]."""
+    u_rate: float
+    """du/dline."""
+    times: Array
+    """(n,) s past the epoch."""
+    periods: Array
+    """(n,) s per line there."""
+    epoch: float
+    """s TDB past J2000."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,25 +76,51 @@ class OrientationCorrection:
     """Coefficients of one image's orientation corrections."""
 
     coefficients: Array
-    """(degree + 1, 6) m and rad."""
+    """(d, 6) m and rad: of a polynomial of the normalised line, constant term first, and then of the orientation images
+    of its strip."""
     angles: Angles = "camera"
     """What the rotation part is."""
+    nodes: OrientationImages | None = None
+    """Orientation images of its strip; None for a polynomial alone."""
 
     def __post_init__(self) -> None:
         if self.angles not in get_args(Angles):
             known = ", ".join(get_args(Angles))
             raise InputError("orientation correction, angles", repr(self.angles), f"one of {known}")
-        assign(self, coefficients=frozen(self.coefficients, "orientation coefficients", (None, 6)))
+        coefficients = frozen(self.coefficients, "orientation coefficients", (None, 6))
+        if self.nodes is not None and coefficients.shape[0] < len(self.nodes):
+            found, expected = f"{coefficients.shape[0]} rows", f"one for each of {len(self.nodes)} nodes, at least"
+            raise InputError("orientation coefficients", found, expected)
+        assign(self, coefficients=coefficients)
 
-    def at(self, u: Array) -> tuple[Array, Array]:
-        """Correction (n, 6) in m and rad at normalised lines u (n,), and its derivative d/du (n, 6)."""
-        values, rates = polynomial(u, self.coefficients.shape[0] - 1)
-        return values @ self.coefficients, rates @ self.coefficients
+    @property
+    def polynomial_terms(self) -> int:
+        """Rows that belong to the polynomial."""
+        return self.coefficients.shape[0] - (0 if self.nodes is None else len(self.nodes))
 
-    def apply(self, nominal: Pose, u: Array, rate: float) -> Pose:
-        """Corrected pose of nominal poses (rates per line) at normalised lines u (n,), with `rate` = du/dline."""
-        correction, slope = self.at(u)
-        turn, turn_rate = correction[:, 3:], slope[:, 3:] * rate
+    def basis(self, moments: Moments) -> Array:
+        """(n, d) what each row of coefficients counts at n lines; dense, for few of them."""
+        values, _ = polynomial(moments.u, self.polynomial_terms - 1)
+        if self.nodes is None:
+            return values
+        return np.hstack([values, self.nodes.dense(moments.times, moments.epoch)[0]])
+
+    def at(self, moments: Moments) -> tuple[Array, Array]:
+        """Correction (n, 6) in m and rad at n lines, and its derivative per line (n, 6)."""
+        values, rates = polynomial(moments.u, self.polynomial_terms - 1)
+        plain = self.coefficients[: self.polynomial_terms]
+        correction, slope = values @ plain, rates @ plain * moments.u_rate
+        if self.nodes is not None:
+            first, values, rates = self.nodes.at(moments.times, moments.epoch)
+            near = self.coefficients[self.polynomial_terms + first[:, None] + np.arange(SUPPORT)]
+            correction += np.einsum("nk,nkc->nc", values, near)
+            slope += np.einsum("nk,nkc->nc", rates * moments.periods[:, None], near)
+        return correction, slope
+
+    def apply(self, nominal: Pose, moments: Moments) -> Pose:
+        """Corrected pose of nominal poses (rates per line) at n lines."""
+        correction, slope = self.at(moments)
+        turn, turn_rate = correction[:, 3:], slope[:, 3:]
         if self.angles == "camera":
             back = np.swapaxes(rotation.exponential(turn), 1, 2)
             turning = np.einsum("nij,nj->ni", back, nominal.turning)
@@ -86,7 +129,7 @@ class OrientationCorrection:
         else:
             matrix, turning = self._add_angles(nominal, turn, turn_rate)
         position = nominal.position + correction[:, :3]
-        return Pose(position, nominal.velocity + slope[:, :3] * rate, matrix, turning)
+        return Pose(position, nominal.velocity + slope[:, :3], matrix, turning)
 
     def _add_angles(self, nominal: Pose, turn: Array, turn_rate: Array) -> tuple[Array, Array]:
         """Matrix and turning of the pose whose omega, phi, kappa are larger by `turn` (n, 3), rates by `turn_rate`."""
@@ -98,9 +141,9 @@ class OrientationCorrection:
         turning = np.einsum("nij,nj->ni", rotation.angle_axes(after, paper), rates + turn_rate)
         return product if paper else np.swapaxes(product, 1, 2), turning
 
-    def axes(self, nominal: Pose, u: Array) -> Array:
-        """(n, 3, 3): how the camera turns, about its own axes, per rad of each rotation component at lines u (n,)."""
-        turn = self.at(u)[0][:, 3:]
+    def axes(self, nominal: Pose, moments: Moments) -> Array:
+        """(n, 3, 3): how the camera turns, about its own axes, per rad of each rotation component at n lines."""
+        turn = self.at(moments)[0][:, 3:]
         if self.angles == "camera":
             return rotation.right_jacobian(turn)
         paper = self.angles == "opk-paper"

@@ -144,7 +144,7 @@ def read_hrsc_strip(
 def _line_times(label: HrscLabel, source: LineTimesSource) -> LineTimes:
     times = []
     for key, utc in (("START_TIME", label.start_time), ("STOP_TIME", label.stop_time)):
-        with spice_words(f"{label.path}, {key} {utc}", "load a leapseconds kernel"):
+        with spice_words(f"{label.path}, {key} {utc}", "write 2008-02-08T12:08:53.843; load a leapseconds kernel"):
             times.append(float(spiceypy.str2et(utc.removesuffix("Z"))))
     return read_line_times(label, times[0], times[1], source)
 

@@ -27,6 +27,8 @@ from mgsgraph.io.text import Fields, read_json
 from mgsgraph.units import KM, MM
 
 Observer = Literal["body", "spacecraft"]
+_LONGEST = 1e5
+"""s, longer than any image takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,12 @@ def _timing(isd: Fields) -> LineTiming:
     table = np.array(isd.numbers("line_scan_rate", None, 3), dtype=np.float64)
     if np.any(table[:, 2] <= 0.0):
         raise InputError(f"{isd.where}, line_scan_rate", f"{table[:, 2].min()} s per line", "positive line periods")
+    centre = isd.number("center_ephemeris_time")
+    if np.any(np.abs(table[:, 1]) > _LONGEST) and np.all(np.abs(table[:, 1] - centre) < _LONGEST):
+        raise InputError(
+            f"{isd.where}, line_scan_rate", f"times from {table[0, 1]:.3f} s on, since J2000",
+            "seconds from center_ephemeris_time", "take center_ephemeris_time off them",
+        )  # fmt: skip
     # ISIS line 0.5 is the top edge of the first line, which is 0.0 inside
     return LineTiming(table[:, 0] - 0.5, table[:, 1], table[:, 2])
 

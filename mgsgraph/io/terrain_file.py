@@ -16,6 +16,8 @@ from mgsgraph.units import DEG
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
+_FLAT = 1e-6
+"""Flattening below which an ellipsoid is a sphere."""
 _PROJECTIONS = ("eqc",)
 """PROJ names of simple cylindrical (equirectangular) projections."""
 
@@ -32,7 +34,8 @@ def read_terrain(
     Parameters
     ----------
     path : Path
-        GeoTIFF, first band, in geographic or simple cylindrical coordinates on a sphere (latitudes planetocentric).
+        GeoTIFF, first band (scale and offset are applied, missing posts are NaN), in geographic or simple cylindrical
+        coordinates on a sphere (latitudes planetocentric).
     reference_radius : float, optional
         m, added to every value: the sphere above which the file has heights (3396190 for most of Mars). Without it
         values must be radii.
@@ -58,10 +61,12 @@ def read_terrain(
         with rasterio.open(path) as file:
             posts = file.read(1, masked=True)
             place = _place(file, path)
+            scale, offset = file.scales[0], file.offsets[0]
     except rasterio.errors.RasterioError as error:
         raise InputError(str(path), f"GDAL can't read it: {str(error).splitlines()[0]}", "a GeoTIFF") from None
     values = np.ma.filled(posts.astype(np.float64), np.nan)
     values[~np.isfinite(values)] = np.nan
+    values = values * scale + offset
     values += reference_radius or 0.0
     _require_plausible(values, kind, path)
     longitude, latitude, longitude_step, latitude_step = place
@@ -82,6 +87,7 @@ def _place(file: "DatasetReader", path: Path) -> tuple[float, float, float, floa
     t = file.transform
     if t.b or t.d or t.a <= 0.0 or t.e >= 0.0:
         raise InputError(str(path), "a raster that is turned or mirrored", "rows that go south, columns that go east")
+    _require_sphere(crs.to_dict(), path)
     origin = np.array([0.0, 0.0])
     if crs.is_geographic:
         scale = np.array([DEG, DEG])
@@ -97,6 +103,15 @@ def _place(file: "DatasetReader", path: Path) -> tuple[float, float, float, floa
     corner: Array = origin + scale * np.array([t.c + 0.5 * t.a, t.f + 0.5 * t.e])
     step: Array = scale * np.array([t.a, -t.e])
     return float(corner[0]), float(corner[1]), float(step[0]), float(step[1])
+
+
+def _require_sphere(terms: dict[str, Any], path: Path) -> None:
+    """Latitudes on an ellipsoid are planetographic: on Mars up to 0.34 degrees, 20 km, from planetocentric ones."""
+    a, b = float(terms.get("a", 1.0)), float(terms.get("b", terms.get("a", 1.0)))
+    if abs(a / b - 1.0) > _FLAT or any(key in terms for key in ("rf", "f", "ellps", "datum")):
+        raise InputError(
+            str(path), "coordinates on an ellipsoid", "on a sphere (planetocentric latitudes)", "warp it with gdalwarp"
+        )
 
 
 def _radius(terms: dict[str, Any], path: Path) -> float:

@@ -6,6 +6,10 @@ from mgsgraph.network.records import ImageRays as ImageRays
 from mgsgraph.network.records import PointClass as PointClass
 from mgsgraph.network.records import ProfileShifts as ProfileShifts
 from mgsgraph.network.records import Ranges as Ranges
+from mgsgraph.network.records import ShiftTerm as ShiftTerm
 from mgsgraph.network.records import Surface as Surface
 from mgsgraph.network.shared import SharedKind as SharedKind
 from mgsgraph.network.shared import SharedUnknown as SharedUnknown
+from mgsgraph.network.strips import JointNodePrior as JointNodePrior
+from mgsgraph.network.strips import NodePrior as NodePrior
+from mgsgraph.network.strips import Strip as Strip

@@ -1,7 +1,7 @@
 """The network: who sees what, with what sigma. Validated once."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,8 +10,18 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, ProfileShifts, Ranges, Surface, frozen_mask
+from mgsgraph.network.records import (
+    GroundPoints,
+    ImageRays,
+    PointClass,
+    ProfileShifts,
+    Ranges,
+    ShiftTerm,
+    Surface,
+    frozen_mask,
+)
 from mgsgraph.network.shared import SharedKind, SharedUnknown
+from mgsgraph.network.strips import Strip
 from mgsgraph.notebook import card
 from mgsgraph.ties import PointKind
 
@@ -25,7 +35,8 @@ class Network:
     priors: tuple[OrientationPrior, ...]
     """A-priori sigmas of each image's orientation corrections."""
     held: Mask
-    """(images,) True for an image whose orientation is not adjusted."""
+    """(images,) True for an image without orientation coefficients of its own: not adjusted, or (whether marked or not)
+    adjusted through the orientation images of its strip."""
     points: GroundPoints
     """Tie points, laser footprints, control points."""
     rays: ImageRays
@@ -40,6 +51,8 @@ class Network:
     """Radii of the areoid, for the heights of the points; no observation."""
     shared: tuple[SharedUnknown, ...] = ()
     """Unknowns that several images share: biases of clocks and ranges, boresights, focal lengths."""
+    strips: tuple[Strip, ...] = ()
+    """Images on one trajectory, whose orientation follows from common orientation images."""
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
@@ -80,6 +93,29 @@ class Network:
         for one in self.shared:
             for j in one.images[one.images >= m][:1]:
                 raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
+        self._require_strips()
+        in_strip = self.strip_of >= 0
+        assign(self, held=frozen_mask(held | in_strip, "network, held", m))
+
+    def _require_strips(self) -> None:
+        require_unique(tuple(strip.name for strip in self.strips), "strips")
+        every = [j for strip in self.strips for j in strip.images.tolist()]
+        for strip in self.strips:
+            where = f"strip {strip.name!r}"
+            start, stop = strip.nodes.coverage
+            for j in strip.images.tolist():
+                if j >= len(self.images) or every.count(j) > 1:
+                    expected = "an image of the network, of one strip alone"
+                    raise InputError(f"{where}, images", f"image {j}", expected)
+                image = self.images[j]
+                edges, period = image.timing.at(np.array([0.0, float(image.lines)]))
+                since, slack = edges + (image.trajectory.epoch - strip.nodes.epoch), 2.0 * float(period.max())
+                if since[0] < start - slack or since[1] > stop + slack:
+                    raise InputError(
+                        f"{where}, image {image.name}",
+                        f"lines from {since[0]:.3f} to {since[1]:.3f} s",
+                        f"lines within its nodes' {start:.3f} to {stop:.3f} s past {strip.nodes.epoch:.3f} s TDB",
+                    )  # fmt: skip
 
     def _require_shifts_and_surface(self) -> None:
         n = len(self.points)
@@ -100,9 +136,7 @@ class Network:
             if heights.shape != (n,) or not np.all(heights > 0.0):
                 raise InputError("surface, sigmas", f"shape {heights.shape}", f"{n} positive numbers (inf for no row)")
             heights.flags.writeable = False
-            if not (np.isfinite(self.surface.shift_sigma) and self.surface.shift_sigma >= 0.0):
-                raise InputError("surface, shift sigma", f"{self.surface.shift_sigma} m", "a positive number, or 0")
-            assign(self, surface=Surface(self.surface.grid, heights, self.surface.shift_sigma))
+            assign(self, surface=replace(self.surface, sigmas=heights))
 
     def _require_shots_covered(self) -> None:
         for j in np.unique(self.ranges.image):
@@ -138,14 +172,45 @@ class Network:
 
     @property
     def shift_names(self) -> tuple[str, ...]:
-        """Unknown horizontal shifts: profiles, then the terrain model, where it has one."""
+        """Unknown shifts: of profiles, then of the terrain model, where it has one."""
         profiles = self.shifts.names if self.shifts else ()
         return (*profiles, "terrain model") if self.terrain_moves else profiles
+
+    @property
+    def shift_terms(self) -> tuple[tuple[ShiftTerm, ...], ...]:
+        """The unknowns of each of these, in the order of its columns."""
+        profiles = self.shifts.terms if self.shifts else ()
+        return (*profiles, self.surface.terms) if self.surface is not None and self.surface.terms else profiles
+
+    @property
+    def strip_of(self) -> Index:
+        """(images,) strip of each image; -1 for one on its own."""
+        owner = np.full(len(self.images), -1, dtype=np.int64)
+        for k, strip in enumerate(self.strips):
+            owner[strip.images] = k
+        return owner
+
+    @property
+    def unadjusted(self) -> Mask:
+        """(images,) True for an image whose orientation is not adjusted at all."""
+        return np.asarray(self.held & (self.strip_of < 0))
 
     @property
     def first_shared(self) -> int:
         """Number of variables before those of `shared`: images, then shifts."""
         return len(self.images) + len(self.shift_names)
+
+    @property
+    def first_of_strips(self) -> Index:
+        """(strips + 1,) first variable of each strip, its first node; then the number of all variables."""
+        counts = [strip.widths.size for strip in self.strips]
+        return self.first_shared + len(self.shared) + np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+    def of_strips(self, variable: int) -> tuple[Strip, int]:
+        """Strip of a variable that is not before the first of them, and which of its unknowns it is."""
+        first = self.first_of_strips
+        strip = int(np.searchsorted(first, variable, side="right")) - 1
+        return self.strips[strip], variable - int(first[strip])
 
     def shift_sigma(self, name: str) -> float:
         """A-priori sigma, m, of one of these shifts, eastward and northward alike."""
@@ -156,8 +221,8 @@ class Network:
 
     @property
     def terrain_moves(self) -> bool:
-        """Whether the terrain model has an unknown shift of its own."""
-        return self.surface is not None and self.surface.shift_sigma > 0.0
+        """Whether the terrain model has an unknown shift or tilt of its own."""
+        return self.surface is not None and bool(self.surface.terms)
 
     @property
     def ray_counts(self) -> Index:

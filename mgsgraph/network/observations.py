@@ -6,10 +6,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
-from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.network import Network
 from mgsgraph.network.parts import KnownImage, image_columns, joined
 from mgsgraph.network.records import GroundPoints, ImageRays, PointClass, Ranges
@@ -113,19 +111,14 @@ def require_inside(
         )
 
 
-def over_terrain(images: Sequence[PushbroomImage], rays: ImageRays, grid: TerrainGrid) -> tuple[Index, Array]:
-    """Points with rays (p,), and the radius (p,) in m of the terrain model where the first ray of each meets the
-    ellipsoid; NaN beside the model.
+def nominal_ground(images: Sequence[PushbroomImage], rays: ImageRays, heights: Array | None = None) -> Array:
+    """(k, 3) m, where rays meet the ellipsoid, or heights (k,) in m above it, with the nominal orientation; NaN for
+    those that miss it.
     """
-    points, first = np.unique(rays.point, return_index=True)
-    longitude, latitude, _ = planetocentric(nominal_ground(images, rays.chosen(first))).T
-    return points, grid.radius(longitude, latitude)[0]
-
-
-def nominal_ground(images: Sequence[PushbroomImage], rays: ImageRays) -> Array:
-    """(k, 3) m, where rays meet the ellipsoid with the nominal orientation; NaN for those that miss it."""
     ground = np.empty((rays.point.size, 3))
+    heights = np.zeros(rays.point.size) if heights is None else heights
     for j, image in enumerate(images):
         mine = rays.image == j
-        ground[mine], _ = image.image_to_ground(*rays.places[mine].T)
+        lines, samples = rays.places[mine].T
+        ground[mine], _ = image.image_to_ground(lines, samples, heights[mine])
     return ground

@@ -65,11 +65,23 @@ def unknowns(network: Network) -> Members:
 
 
 def require_nothing_shared(network: Network) -> None:
-    """Raise InputError where images share unknowns: what is kept bundle by bundle can't hold them."""
+    """Raise InputError where images share unknowns or a strip: what is kept bundle by bundle can't hold them."""
     for one in network.shared:
         raise InputError(
             f"shared unknown {one.name!r}", f"{one.kind} in what is adjusted image by image",
             "orientation and shifts alone", "adjust such a case as a whole (`mgsgraph adjust`), or take [[shared]] out",
+        )
+    for strip in network.strips:
+        raise InputError(
+            f"strip {strip.name!r}", "orientation images in what is adjusted image by image",
+            "images with an orientation of their own",
+            "adjust such a case as a whole (`mgsgraph adjust`), or take [[strips]] out",
+        )
+    if network.surface is not None and network.surface.raised:
+        raise InputError(
+            f"terrain {network.surface.grid.source}", "an unknown height or tilt in what is adjusted image by image",
+            "an unknown horizontal shift alone",
+            "adjust such a case as a whole (`mgsgraph adjust`), or take height_sigma_m and tilt_sigma_mrad out",
         )
 
 
@@ -125,7 +137,7 @@ def _shifts_of(network: Network, points: Index) -> ProfileShifts | None:
 def _surface_of(network: Network, points: Index) -> Surface | None:
     if network.surface is None or not np.any(np.isfinite(network.surface.sigmas[points])):
         return None
-    return Surface(network.surface.grid, network.surface.sigmas[points], network.surface.shift_sigma)
+    return replace(network.surface, sigmas=network.surface.sigmas[points])
 
 
 def bundles(network: Network) -> dict[Members, Network]:
@@ -296,7 +308,7 @@ def _joined_surface(networks: Sequence[Network], place_of: list[Index], count: i
         if surface.grid is not first.grid or surface.shift_sigma != first.shift_sigma:
             raise InputError(surface.grid.source, f"another terrain model than {first.grid.source}", "one for all")
         sigmas[place] = np.minimum(sigmas[place], surface.sigmas)
-    return Surface(first.grid, sigmas, first.shift_sigma)
+    return replace(first, sigmas=sigmas)
 
 
 def with_images(network: Network, images: Sequence[KnownImage]) -> Network:

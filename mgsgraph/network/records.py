@@ -1,12 +1,14 @@
 """What a network is made of: points, rays, ranges, shifts, terrain. Struct of arrays, SI units, body-fixed metres."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import (
     Array,
     Index,
@@ -132,6 +134,21 @@ def _chosen(marks: Mask | None, rows: Index | Mask) -> Mask | None:
     return None if marks is None else marks[rows]
 
 
+class ShiftTerm(NamedTuple):
+    """One unknown of a laser profile's shift, or of where the terrain model is."""
+
+    name: str
+    """What it is, as "east shift"."""
+    unit: str
+    """m or rad."""
+    sigma: float
+    """A-priori, in that unit."""
+
+
+def _horizontal(sigma: float) -> tuple[ShiftTerm, ...]:
+    return tuple(ShiftTerm(f"{way} shift", "m", sigma) for way in ("east", "north"))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileShifts:
     """Unknown horizontal shifts, one per laser profile: to be added to its footprints' a-priori places."""
@@ -142,6 +159,11 @@ class ProfileShifts:
     """(n,) profile of each ground point; -1 for none. Its points are constrained."""
     sigmas: Array
     """(p,) m, a-priori, eastward and northward alike."""
+
+    @property
+    def terms(self) -> tuple[tuple[ShiftTerm, ...], ...]:
+        """(p) the two unknowns of each."""
+        return tuple(_horizontal(sigma) for sigma in self.sigmas.tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,3 +177,61 @@ class Surface:
     shift_sigma: float = 0.0
     """m, a-priori sigma of the model's own horizontal place, eastward and northward alike: an unknown that all its
     points share; 0 for none."""
+    height_sigma: float = 0.0
+    """m, the same of its height: an unknown upward shift; 0 for none."""
+    tilt_sigma: float = 0.0
+    """rad, the same of its tilt about the axes eastward and northward through `middle`; 0 for none."""
+    middle: Array | None = None
+    """(3,) m, body-fixed, about which it tilts; of no meaning without a tilt."""
+
+    def __post_init__(self) -> None:
+        for name in ("shift_sigma", "height_sigma", "tilt_sigma"):
+            value, where = getattr(self, name), f"surface, {name.replace('_', ' ')}"
+            if not (np.isfinite(value) and value >= 0.0):
+                unit = "rad" if name == "tilt_sigma" else "m"
+                raise InputError(where, f"{value} {unit}", "a positive number, or 0")
+        if self.middle is not None:
+            assign(self, middle=frozen(self.middle, "surface, middle", (3,)))
+        if self.tilt_sigma and (self.middle is None or not np.any(self.middle)):
+            raise InputError("surface, tilt sigma", "a tilt without a place", "the middle of the points, for its axes")
+
+    @property
+    def terms(self) -> tuple[ShiftTerm, ...]:
+        """Unknowns of the model itself, in the order of its variable's columns; none where it stays as it is."""
+        every = (*_horizontal(self.shift_sigma), ShiftTerm("upward shift", "m", self.height_sigma))
+        tilts = (ShiftTerm(f"tilt about {way}", "rad", self.tilt_sigma) for way in ("east", "north"))
+        return tuple(term for term in (*every, *tilts) if term.sigma > 0.0)
+
+    def scaled(self, heights: Array, own: Array) -> "Surface":
+        """With the sigmas of its rows times factors (n,), those of its own unknowns times factors (w,)."""
+        factor = {term.name: value for term, value in zip(self.terms, own.tolist(), strict=True)}
+        return replace(
+            self,
+            sigmas=self.sigmas * heights,
+            shift_sigma=self.shift_sigma * factor.get("east shift", 1.0),
+            height_sigma=self.height_sigma * factor.get("upward shift", 1.0),
+            tilt_sigma=self.tilt_sigma * factor.get("tilt about east", 1.0),
+        )
+
+    @property
+    def raised(self) -> bool:
+        """Whether its height or its tilt is unknown."""
+        return self.height_sigma > 0.0 or self.tilt_sigma > 0.0
+
+    def directions(self, places: Array) -> Array:
+        """(n, w, 3) m per m and per rad: how the model moves at places (n, 3) in m with each of its w unknowns; upward
+        nothing at a place of zeros, as points have that nothing determines.
+        """
+        parts = [east_north(places)] if self.shift_sigma else []
+        if self.height_sigma:
+            size = np.maximum(np.linalg.norm(places, axis=1), 1.0)
+            parts.append((places / size[:, None])[:, None])
+        if self.tilt_sigma:
+            assert self.middle is not None
+            about = east_north(self.middle[None])[0]
+            parts.append(np.cross(about, (places - self.middle)[:, None]))
+        return np.concatenate(parts, axis=1) if parts else np.zeros((places.shape[0], 0, 3))
+
+    def moved(self, places: Array, values: Array) -> Array:
+        """(n, 3) m by which values (w,) of its unknowns move the model at places (n, 3) in m."""
+        return np.asarray(np.einsum("k,nkj->nj", values, self.directions(places)))

@@ -73,8 +73,10 @@ def _require_shapes(solution: Solution) -> None:
     n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size
     shifts = len(network.shift_names)
     shared = [one.sigmas.size for one in network.shared]
-    width = np.array([prior.sigmas.size for prior in network.priors] + [2] * shifts + shared)
-    adjusted = np.append(~network.held, np.ones(shifts + len(shared), dtype=bool))
+    moves = [len(terms) for terms in network.shift_terms]
+    of_strips = [size for strip in network.strips for size in strip.widths.tolist()]
+    width = np.array([prior.sigmas.size for prior in network.priors] + moves + shared + of_strips)
+    adjusted = np.append(~network.held, np.ones(shifts + len(shared) + len(of_strips), dtype=bool))
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     expected: dict[str, tuple[int, ...]] = {
         "shifts": (shifts, 2),
@@ -98,16 +100,32 @@ def _require_shapes(solution: Solution) -> None:
     if shapes != [prior.sigmas.shape for prior in network.priors]:
         raise InputError("coefficients", f"shapes {shapes[:5]}", "those of the priors", _ANEW)
     _require_finite(solution)
+    if [value.size for value in solution.shift_values] != moves:
+        raise InputError("lift", "values of other unknowns", "those of the network's terrain model", _ANEW)
     values = [value.shape for value in solution.shared]
     if values != [(size,) for size in shared]:
         raise InputError("shared", f"shapes {values[:5]}", "those of the network's shared unknowns", _ANEW)
+    _require_strips(solution)
+
+
+def _require_strips(solution: Solution) -> None:
+    """Raise InputError unless every strip has its nodes and its trend."""
+    strips = solution.network.strips
+    for name, values, right in (
+        ("nodes", solution.nodes, [(len(strip.nodes), 6) for strip in strips]),
+        ("trends", solution.trends, [strip.prior.trend_sigmas.shape for strip in strips]),
+    ):
+        if [value.shape for value in values] != right:
+            found = f"shapes {[value.shape for value in values][:5]}"
+            raise InputError(name, found, "those of the network's strips", _ANEW)
 
 
 def _require_finite(solution: Solution) -> None:
     """Raise InputError where what was adjusted has no value."""
     parts: dict[str, list[Array]] = {
         "coefficients": list(solution.coefficients), "shifts": [solution.shifts], "shared": list(solution.shared),
-        "places": [solution.places[solution.determined]],
+        "places": [solution.places[solution.determined]], "lift": [] if solution.lift is None else [solution.lift],
+        "nodes": list(solution.nodes), "trends": list(solution.trends),
     }  # fmt: skip
     for name, values in parts.items():
         if not all(np.all(np.isfinite(one)) for one in values):

@@ -22,13 +22,17 @@ PLAN = "plan.json"
 """File that makes a folder without either a plan by this program."""
 ANALYSIS = "analysis.json"
 """File that makes a folder without any of them an analysis by this program."""
+NODES = "nodes.json"
+"""File that makes a folder without any of them a study of orientation images by this program."""
 
 _OURS = re.compile(
     r"solution\.(json|npz)|summary\.json|inputs|registration\.(json|csv)"
     r"|plan\.(json|csv|png|svg)"
     r"|analysis\.json|(components(_iterated)?|reliability)\.csv|sigmas\.tif|sigmas_[A-Za-z0-9._-]+\.(csv|png|svg)"
+    r"|nodes\.json|(spacings|course|spectra)\.csv|(spacings|(spectrum|course)(_\d+)?)\.(png|svg)"
     r"|(sigma_map|quantiles)\.(png|svg)"
-    r"|(points|orientation|residuals|connectivity|discrepancy)\.csv"
+    r"|two_steps\.(txt|json|csv)|height_map\.(png|svg)|(heights|height_cells)\.csv"
+    r"|(points|orientation|residuals|connectivity|discrepancy|shared|strips)\.csv"
     r"|(residuals|orientation|registration|map|connectivity|overlay|closeups|discrepancy)(_\d+)?\.(png|svg)"
 )
 """Names of what results hold; a folder with anything else in it is not replaced."""
@@ -130,7 +134,7 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
 
 def _kind(folder: Path) -> str | None:
     """The file by which a folder is known as ours, RECORD before others; None for a foreign folder."""
-    return next((name for name in (RECORD, REGISTRATION, PLAN, ANALYSIS) if _is_ours(folder / name)), None)
+    return next((name for name in (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES) if _is_ours(folder / name)), None)
 
 
 def _is_ours(path: Path) -> bool:

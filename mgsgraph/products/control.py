@@ -5,8 +5,12 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
+from mgsgraph.network import PointClass
+from mgsgraph.network.terrain_control import Coverage, coverage
+from mgsgraph.units import MRAD
+
+_LEVEL = ("east shift", "north shift")
 
 
 def surface_heights(solution: Solution) -> tuple[Array, Array]:
@@ -17,23 +21,40 @@ def surface_heights(solution: Solution) -> tuple[Array, Array]:
     mine = np.isfinite(surface.sigmas) & solution.determined
     before, _ = surface.grid.height_above(solution.places_before[mine])
     places = solution.places[mine]
-    if solution.network.terrain_moves:
-        places = places - solution.shifts[-1] @ east_north(places)
-    after, _ = surface.grid.height_above(places)
+    after, _ = surface.grid.height_above(places - _terrain_motion(solution, places))
     there = np.isfinite(before) & np.isfinite(after)
     return before[there], after[there]
+
+
+def terrain_coverage(solution: Solution) -> Coverage | None:
+    """How the terrain model covers the determined tie points, at their adjusted places; None without one."""
+    network, surface = solution.network, solution.network.surface
+    if surface is None:
+        return None
+    ties = (network.points.classes == PointClass.TIE) & solution.determined
+    places = solution.places[ties]
+    return coverage(surface.grid, places - _terrain_motion(solution, places))
+
+
+def _terrain_motion(solution: Solution, places: Array) -> Array:
+    """(n, 3) m by which the terrain model has moved at places (n, 3) in m."""
+    surface = solution.network.surface
+    if surface is None or not solution.network.terrain_moves:
+        return np.zeros_like(places)
+    return surface.moved(places, solution.shift_values[-1])
 
 
 def control_json(solution: Solution) -> dict[str, Any]:
     """Profile shifts, terrain heights and back-projected rays, for solution.json; units in the keys."""
     before, after = surface_heights(solution)
-    names = solution.network.shift_names
+    names, covered = solution.network.shift_names, terrain_coverage(solution)
     return {
         "shifts": [
             {
                 "name": name,
                 "east_north_m": solution.shifts[p].tolist(),
                 "sigma_east_north_m": np.sqrt(np.diag(solution.shift_covariance(p))).tolist(),
+                **_lift_json(solution, p),
             }
             for p, name in enumerate(names)
         ],
@@ -42,9 +63,44 @@ def control_json(solution: Solution) -> dict[str, Any]:
             "rms_height_before_m": _rms(before),
             "rms_height_m": _rms(after),
             "mean_height_m": float(after.mean()) if after.size else None,
+            "outside": covered.beside if covered else 0,
+            "over_missing_posts": covered.over_holes if covered else 0,
         },
         "back_projected_rays": _back_projected(solution),
     }
+
+
+def _lift(solution: Solution, shift: int) -> dict[str, tuple[float, float]]:
+    """Value and sigma of the terrain model's height (m) and tilts (rad), by name; nothing of what is known."""
+    sigmas = np.sqrt(np.diag(solution.shift_spread(shift))).tolist()
+    both = zip(solution.shift_values[shift].tolist(), sigmas, strict=True)
+    named = zip(solution.network.shift_terms[shift], both, strict=True)
+    return {term.name: pair for term, pair in named if term.name not in _LEVEL}
+
+
+def _lift_json(solution: Solution, shift: int) -> dict[str, Any]:
+    found, record = _lift(solution, shift), dict[str, Any]()
+    if "upward shift" in found:
+        record["up_m"], record["sigma_up_m"] = found["upward shift"]
+    tilts = np.array([both for name, both in found.items() if name.startswith("tilt")])
+    if tilts.size:
+        record["tilt_about_east_north_mrad"], record["sigma_tilt_about_east_north_mrad"] = (tilts.T / MRAD).tolist()
+    return record
+
+
+def _lift_statement(solution: Solution, shift: int) -> list[str]:
+    """One sentence where the terrain model's height or tilt was unknown."""
+    record, words = _lift_json(solution, shift), list[str]()
+    if "up_m" in record:
+        words.append(f"rose by {record['up_m']:+.1f} m (sigma {record['sigma_up_m']:.1f} m)")
+    if "tilt_about_east_north_mrad" in record:
+        east, north = record["tilt_about_east_north_mrad"]
+        of_east, of_north = record["sigma_tilt_about_east_north_mrad"]
+        words.append(
+            f"turned by {east:+.4f} mrad about east and {north:+.4f} mrad about north through the middle of the "
+            f"points (sigmas {of_east:.4f} and {of_north:.4f} mrad)"
+        )
+    return [f"It {' and '.join(words)}."] if words else []
 
 
 def control_statements(solution: Solution) -> list[str]:
@@ -57,12 +113,16 @@ def control_statements(solution: Solution) -> list[str]:
             f"{who} moved as a whole by {east:+.1f} m east and {north:+.1f} m north "
             f"(sigmas {sigma[0]:.1f} and {sigma[1]:.1f} m)."
         )
+        sentences += _lift_statement(solution, p)
     before, after = surface_heights(solution)
     if after.size:
         sentences.append(
             f"{after.size} tie points were held to the terrain model: rms height above it {_rms(before):.1f} m before, "
             f"{_rms(after):.1f} m after."
         )
+    covered = terrain_coverage(solution)
+    if covered is not None and covered.words:
+        sentences.append(f"Tie points that the terrain model doesn't cover, and doesn't hold: {covered.words}.")
     copied = _back_projected(solution)
     if copied:
         sentences.append(

@@ -12,14 +12,16 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import Network, PointClass
+from mgsgraph.network import Network, NodePrior, PointClass, Surface
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
+from mgsgraph.network.terrain_control import coverage
 from mgsgraph.products.connectivity import (
     connectivity_warnings,
     cut_image_statement,
     link_statement,
     weakest_joints,
 )
+from mgsgraph.products.strips import bare_intervals, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
 from mgsgraph.wording import some
@@ -58,6 +60,8 @@ def inventory(case: Case) -> str:
         _points(network, prediction),
         _connections(connected),
         *([_shared(network)] if network.shared else []),
+        *([strips_inventory(network)] if network.strips else []),
+        *([_terrain(network, network.surface, prediction.places)] if network.surface is not None else []),
         "Weak spots\n" + "\n".join(f"  - {line}" for line in weak or ["none seen"]),
     ]
     return "\n\n".join(parts)
@@ -67,7 +71,33 @@ def _with_priors(network: Network) -> Network:
     """The same network with wide sigmas, 1 km and 10 mrad, in place of infinite ones."""
     wide = np.repeat([1e3, 1e-2], 3)
     priors = tuple(OrientationPrior(np.where(np.isinf(prior.sigmas), wide, prior.sigmas)) for prior in network.priors)
-    return replace(network, priors=priors)
+    strips = tuple(
+        replace(strip, prior=replace(prior, sigmas=np.where(np.isinf(prior.sigmas), wide, prior.sigmas)))
+        if isinstance(prior := strip.prior, NodePrior)
+        else strip
+        for strip in network.strips
+    )
+    return replace(network, priors=priors, strips=strips)
+
+
+def _terrain(network: Network, surface: Surface, places: Array) -> str:
+    """Terrain model as control: how many tie points lie on it, with what sigma; its own unknowns."""
+    on = np.isfinite(surface.sigmas)
+    sigmas = surface.sigmas[on]
+    lines = [f"Terrain model {surface.grid.source}"]
+    if sigmas.size:
+        extent = f"{sigmas.min():.1f}" + (f" .. {sigmas.max():.1f}" if np.ptp(sigmas) > 0.05 else "")
+        lines.append(f"  {sigmas.size} points lie on it, sigma of their heights {extent} m")
+    ties = network.points.classes == PointClass.TIE
+    covered = coverage(surface.grid, places[ties])
+    if covered.words:
+        lines.append(f"  of {covered.total} tie points it leaves out {covered.words}: these have no such row")
+    terms = [
+        f"{term.name} {term.sigma / (MRAD if term.unit == 'rad' else 1.0):.3g} {term.unit.replace('rad', 'mrad')}"
+        for term in surface.terms
+    ]
+    lines.append(f"  unknowns of its own, a-priori sigma: {', '.join(terms) if terms else 'none'}")
+    return "\n".join(lines)
 
 
 def _shared(network: Network) -> str:
@@ -87,7 +117,7 @@ def _images(network: Network) -> str:
     for j, image in enumerate(network.images):
         middle, spacing = _ground_spacing(image)
         longitude, latitude, _ = planetocentric(middle)
-        held = ", held" if network.held[j] else ""
+        held = ", held" if network.unadjusted[j] else ""
         corners = _corners(image)
         lines.append(
             f"  {image.name}: {image.lines} lines x {image.samples} samples{held}; "
@@ -98,12 +128,19 @@ def _images(network: Network) -> str:
             f"longitude {corners[0, 0]:.4f} .. {corners[1, 0]:.4f}, "
             f"latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg"
         )
-        prior = network.priors[j].sigmas
-        lines.append(
-            f"    orientation polynomials of degree {network.priors[j].degree}, a-priori sigma "
-            f"{_range(prior[0, :3])} m and {_range(prior[0, 3:] / MRAD)} mrad (constant term)"
-        )
+        lines.append(f"    {_orientation(network, j)}")
     return "\n".join(lines)
+
+
+def _orientation(network: Network, j: int) -> str:
+    """How an image is adjusted."""
+    strip, prior = int(network.strip_of[j]), network.priors[j]
+    if strip >= 0:
+        return f"orientation images of strip {network.strips[strip].name}"
+    return (
+        f"orientation polynomials of degree {prior.degree}, a-priori sigma {_range(prior.sigmas[0, :3])} m and "
+        f"{_range(prior.sigmas[0, 3:] / MRAD)} mrad (constant term)"
+    )
 
 
 def _range(values: Array) -> str:
@@ -203,7 +240,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
     flat = np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~network.undetermined)
     if flat.size:
         found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {_some(network, flat)}")
-    found += _poor_images(network)
+    found += [*_poor_images(network), *bare_intervals(network)]
     angle = _convergence(network)
     if np.any(angle < _NARROW):
         found.append(
@@ -212,7 +249,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
             "expect their sigma along the line of sight to be large"
         )
     found += _doubtful_observations(network, prediction)
-    held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
+    held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.unadjusted)
     if not held_down:
         found.append(
             "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"
@@ -243,8 +280,8 @@ def _some(network: Network, points: Index) -> str:
 
 def _poor_images(network: Network) -> list[str]:
     found = []
-    for j, image in enumerate(network.images):
-        mine = network.rays.image == j
+    for j in np.flatnonzero(network.strip_of < 0).tolist():  # a strip's images lean on each other
+        image, mine = network.images[j], network.rays.image == j
         count, lines = int(np.count_nonzero(mine)), network.rays.places[mine, 0]
         if count < _FEW_POINTS:
             found.append(f"image {image.name} has only {count} points: its orientation will mostly be its prior")

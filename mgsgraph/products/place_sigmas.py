@@ -9,7 +9,7 @@ import numpy as np
 
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 
 
@@ -34,13 +34,12 @@ def place_jacobian(image: PushbroomImage, points: Array, correction: Orientation
     """
     places, by_point = image.ground_to_image(points, correction)
     lines = np.nan_to_num(places[:, 0])  # the Jacobian of an unseen point is NaN by `by_point`
-    u = image.normalised(lines)
+    moments = image.moments(lines)
     pose = image.pose(lines, correction)
     ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
-    turned = np.swapaxes(pose.matrix, 1, 2) @ rotation.skew(ray) @ correction.axes(image.pose(lines), u)
+    turned = np.swapaxes(pose.matrix, 1, 2) @ rotation.skew(ray) @ correction.axes(image.pose(lines), moments)
     moved = np.concatenate([np.broadcast_to(-np.eye(3), turned.shape), turned], axis=2)
-    basis, _ = polynomial(u, correction.coefficients.shape[0] - 1)
-    jacobian = np.einsum("nk,nij->nikj", basis, by_point @ moved)
+    jacobian = np.einsum("nk,nij->nikj", correction.basis(moments), by_point @ moved)
     return places, jacobian.reshape(points.shape[0], 2, -1)
 
 

@@ -8,6 +8,7 @@ from mgsgraph.products.archive import ARCHIVE, write_archive
 from mgsgraph.products.atomic import RECORD, fresh_folder
 from mgsgraph.products.connectivity import solution_connectivity
 from mgsgraph.products.shared import shared_csv
+from mgsgraph.products.strips import strips_csv
 from mgsgraph.products.tables import connectivity_csv, orientation_csv, points_csv, residuals_csv, solution_json
 
 
@@ -51,6 +52,9 @@ def write_into(solution: Solution, folder: Path, figures: bool = True) -> list[s
     if solution.network.shared:
         shared_csv(solution, folder / "shared.csv")
         names.append("shared.csv")
+    if solution.network.strips:
+        strips_csv(solution, folder / "strips.csv")
+        names.append("strips.csv")
     if not figures:
         return names
     from mgsgraph.products.figures import write_figures  # matplotlib takes its time; only those who draw wait for it

@@ -144,9 +144,9 @@ def pitch_axis(image: PushbroomImage) -> Array:
 
 def _axes(solution: Solution, image: int) -> Array:
     """(3, 3) how the camera turns about its axes, per rad of each rotation component, in the middle of an image."""
-    picture, middle = solution.network.images[image], np.zeros(1)
-    pose = picture.pose(np.array([0.5 * picture.lines]))
-    return np.asarray(solution.correction(image).axes(pose, middle)[0])
+    picture = solution.network.images[image]
+    middle = np.array([0.5 * picture.lines])
+    return np.asarray(solution.correction(image).axes(picture.pose(middle), picture.moments(middle))[0])
 
 
 def _information(root: SquareRoot, columns: Index) -> Array:
@@ -234,6 +234,11 @@ def _warnings(one: SharedEstimate) -> list[str]:
     return found
 
 
+def _share(value: float) -> str:
+    """A dash where no image has a pitch of its own to compare with."""
+    return "-" if np.isnan(value) else f"{value:.2f}"
+
+
 def shared_table(solution: Solution) -> str:
     """Aligned text for the terminal; empty without shared unknowns."""
     found = shared_estimates(solution)
@@ -245,6 +250,6 @@ def shared_table(solution: Solution) -> str:
         name = f"{one.name[:34]} {one.axis}".strip()
         lines.append(
             f"  {name:<38} {one.value:>+10.4g} {one.sigma:>9.3g} {one.prior_sigma:>9.3g} {one.unit:<5} "
-            f"{one.correlation:>17.2f} {one.likeness:>6.2f}"
+            f"{_share(one.correlation):>17} {_share(one.likeness):>6}"
         )
     return "\n".join(lines)

@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import PointClass
+from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.products.connectivity import connectivity_statements, solution_connectivity
 from mgsgraph.products.control import control_statements
@@ -22,6 +22,7 @@ from mgsgraph.products.merit import (
     used_ray_counts,
 )
 from mgsgraph.products.shared import shared_statements, shared_table
+from mgsgraph.products.strips import strips_statements, strips_table
 from mgsgraph.ties import PointKind
 from mgsgraph.units import ARCSEC, MRAD
 from mgsgraph.wording import NAMED, cells, listed, many, short, some, span, three
@@ -51,6 +52,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
         *_datum(solution),
         *control_statements(solution),
         *shared_statements(solution),
+        *strips_statements(solution),
         *_constant_residuals(solution, rays),
         *_left_out(solution),
         *connectivity_statements(connected or solution_connectivity(solution)),
@@ -123,16 +125,22 @@ def _datum(solution: Solution) -> list[str]:
     known = np.any(solution.determined & (kinds != PointKind.FREE)) or np.any(solution.ranges_used)
     if known or network.surface is not None:
         return []
-    adjusted = np.flatnonzero(~network.held)
-    if adjusted.size == 0:
+    constant = _constant_sigmas(network)
+    if constant.size == 0:
         return ["Every image is held: the points have the sigmas of their rays alone, as if the orientation were true."]
-    constant = np.array([network.priors[j].sigmas[0] for j in adjusted])
-    also = f" and {many(int(network.held.sum()), 'held image')}" if np.any(network.held) else ""
+    held = int(network.unadjusted.sum())
+    also = f" and {many(held, 'held image')}" if held else ""
     return [
         f"No laser rows and no ground control: only the orientation priors{also} hold the block on the ground. The "
         f"constant terms' sigmas are {span(constant[:, :3])} m in position and {span(constant[:, 3:] / MRAD)} mrad "
         "in rotation, and the sigmas of the ground points mostly repeat them."
     ]
+
+
+def _constant_sigmas(network: Network) -> Array:
+    """(n, 6) m and rad, a-priori sigmas of the constant terms of images, and of strips in their middle."""
+    own = [network.priors[j].sigmas[0] for j in np.flatnonzero(~network.held)]
+    return np.array(own + [strip.prior.node_sigmas(np.zeros(len(strip.nodes)))[0] for strip in network.strips])
 
 
 def _laser_effect(solution: Solution, without: Array) -> str:
@@ -226,7 +234,7 @@ def summary_table(solution: Solution) -> str:
     """Images, points, ranges and sigma0 as aligned text of at most 110 columns."""
     rays = ray_statistics(solution)
     sections = [_head(solution), _image_table(solution, rays), _point_table(solution), _range_lines(solution)]
-    sections.append(shared_table(solution))
+    sections += [strips_table(solution), shared_table(solution)]
     seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
     return "\n\n".join([section for section in sections if section] + [f"Seconds: {seconds}"])
 
@@ -254,7 +262,7 @@ def _image_table(solution: Solution, rays: RayStatistics) -> str:
         correction = f"{cells(moved[:3], 7)}  {cells(moved[6:] / ARCSEC, 7)}"
         lines.append(
             f"  {short(image.name, _NAME):<{_NAME}} {rays.total[j]:>6} {rays.count[j].sum():>6}  "
-            f"{cells(rays.rms_of_images[j], 7)}  {'held'.rjust(23) if solution.network.held[j] else correction}"
+            f"{cells(rays.rms_of_images[j], 7)}  {'held'.rjust(23) if solution.network.unadjusted[j] else correction}"
         )
     if len(images) > _ROWS:
         lines.append(f"  and {many(len(images) - _ROWS, 'more image')}: see solution.json")

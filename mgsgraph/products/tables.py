@@ -32,6 +32,7 @@ from mgsgraph.products.merit import (
     used_ray_counts,
 )
 from mgsgraph.products.shared import shared_json
+from mgsgraph.products.strips import strips_json
 from mgsgraph.products.summary import statements
 from mgsgraph.products.writing import columns, padded, picked, plain, quoted, truths, whole, write_csv
 from mgsgraph.ties import PointKind
@@ -77,6 +78,7 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "laser_effect": _laser_effect(solution),
         "control": control_json(solution),
         "shared": shared_json(solution),
+        "strips": strips_json(solution),
         "sigmas": _sigmas(solution),
         "settings": dataclasses.asdict(solution.settings),
         "seconds": dict(solution.seconds),
@@ -96,7 +98,8 @@ def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
     line, sample = rays.rms_of_images[j]
     record: dict[str, Any] = {
         "name": image.name,
-        "held": bool(solution.network.held[j]),
+        "held": bool(solution.network.unadjusted[j]),
+        "strip": _strip_name(solution, j),
         "lines": image.lines,
         "samples": image.samples,
         "rays": int(rays.total[j]),
@@ -113,6 +116,11 @@ def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
             "rms_sample_px": rays.rms[j, c, 1],
         }
     return record | {"orientation": _orientation(solution, j)}
+
+
+def _strip_name(solution: Solution, j: int) -> str | None:
+    strip = int(solution.network.strip_of[j])
+    return solution.network.strips[strip].name if strip >= 0 else None
 
 
 def _orientation(solution: Solution, j: int) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from mgsgraph.geometry.image import ExteriorOrientation
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import assign
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.network import JointNodePrior, NodePrior
 
 Arrays = dict[str, NDArray[Any]]
 """Arrays by the path of fields that leads to them."""
@@ -40,7 +41,7 @@ _KINDS: dict[Any, dict[str, Any]] = {
     )
 }
 """Records that may stand where a protocol is declared; the record says which it is."""
-_KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
+_KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds} | {NodePrior.__name__, JointNodePrior.__name__}
 BROKEN = (
     OSError, EOFError, LookupError, AttributeError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError,
     struct.error, zipfile.BadZipFile, zlib.error,
@@ -141,6 +142,8 @@ def put_together(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
         options = tuple(option for option in options if option is not type(None))
         if any(get_origin(option) is np.ndarray for option in options):
             return _array(value, options, where, arrays)
+        if len(options) > 1:  # records, of which the value says which it is
+            return _record(value, {kind.__name__: kind for kind in options}[value["kind"]], where, arrays)
         return put_together(value, options[0], where, arrays)
     if origin is np.ndarray:
         return _array(value, (kind,), where, arrays)

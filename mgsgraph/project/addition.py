@@ -18,8 +18,9 @@ from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
-from mgsgraph.network.observations import observed, over_terrain
+from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
+from mgsgraph.network.terrain_control import over_terrain
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.registration import footprints_in_images
@@ -330,8 +331,9 @@ def _on_terrain(network: Network, store: ProjectStore) -> Network:
     if terrain is None or network.surface is not None:
         return network
     grid, shift_sigma = terrain
-    members, radius = over_terrain(network.images, network.rays, grid)
-    usable = np.isfinite(radius) & (network.points.classes[members] == PointClass.TIE)
+    members, places = over_terrain(network.images, network.rays, grid)
+    mine = network.points.classes[members] == PointClass.TIE
     sigmas = np.full(len(network.points), np.inf)
-    sigmas[members[usable]] = grid.vertical_sigma or np.inf
-    return replace(network, surface=Surface(grid, sigmas, shift_sigma)) if np.any(usable) else network
+    sigmas[members[mine]] = np.nan_to_num(grid.height_sigmas(places[mine], shift_sigma > 0.0), nan=np.inf)
+    usable = np.any(np.isfinite(sigmas))
+    return replace(network, surface=Surface(grid, sigmas, shift_sigma)) if usable else network

@@ -245,17 +245,17 @@ def _trajectory(flown: Pass, times: Array, positions: Array, velocities: Array, 
     return Trajectory(
         flown.epoch,
         PositionTable(times, positions, velocities),
-        AttitudeTable(times, _quaternions(mount().T @ camera), mount()),
-        AttitudeTable(times, _quaternions(body_matrix(flown.epoch + times)), np.eye(3)),
+        AttitudeTable(times, quaternions(mount().T @ camera), mount()),
+        AttitudeTable(times, quaternions(body_matrix(flown.epoch + times)), np.eye(3)),
     )
 
 
-def _quaternions(matrices: Array) -> Array:
+def quaternions(matrices: Array) -> Array:
     """Quaternions (n, 4) of a turning frame (n, 3, 3), without a change of sign."""
-    quaternions = rotation.from_matrix(matrices)
-    turns_over = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
+    found = rotation.from_matrix(matrices)
+    turns_over = np.sum(found[1:] * found[:-1], axis=1) < 0.0
     signs = np.concatenate([[1.0], np.cumprod(np.where(turns_over, -1.0, 1.0))])
-    return np.asarray(quaternions * signs[:, None])
+    return np.asarray(found * signs[:, None])
 
 
 def _northbound(outward: Array, pole: Array) -> Array:

@@ -13,7 +13,8 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges
+from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, Surface
+from mgsgraph.simulation.strip_truth import drawn_nodes, strip_correction
 from mgsgraph.ties import PointKind
 
 _HEIGHT_STEPS = 20
@@ -26,12 +27,15 @@ class Draw:
     network: Network
     """Observations and a-priori places as drawn."""
     corrections: tuple[OrientationCorrection, ...]
-    """True orientation of each image; none for a held one."""
+    """True orientation of each image; none for a held one, and that of its strip for one of a strip."""
     shifts: Array
     """(p, 2) m, east and north: what the a-priori places of each profile lack of the truth, and last, where it has a
     shift of its own, the terrain model."""
     places: Array
     """(n, 3) m, true ground points."""
+    lift: Array | None = None
+    """(w,) m and rad, how the truth lies above and is tilted to the terrain model, as `Solution.lift` has it; None
+    or empty where neither is unknown."""
 
 
 def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera") -> Draw:
@@ -51,17 +55,36 @@ def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera"
     InputError
         When a coefficient has no finite a-priori sigma, or a point isn't seen where it was.
     """
-    corrections = tuple(
-        _drawn_correction(prior.sigmas * (not held), rng, angles)
-        for prior, held in zip(network.priors, network.held, strict=True)
-    )
-    terrain = rng.standard_normal((1, 2)) * network.surface.shift_sigma if network.surface else np.zeros((0, 2))
+    corrections = _drawn_corrections(network, rng, angles)
+    terrain = _drawn_terrain(network.surface, rng)
     truth = _true_places(network, terrain, rng)
     shifts, points = _drawn_points(network, truth, rng)
-    shifts = np.concatenate([shifts, terrain]) if network.terrain_moves else shifts
+    level = 2 if network.surface is not None and network.surface.shift_sigma else 0
+    if network.terrain_moves:
+        shifts = np.concatenate([shifts, np.pad(terrain[:level], (0, 2 - level))[None]])
     rays = _drawn_rays(network, truth, points, corrections, rng)
     ranges = _drawn_ranges(network, truth, corrections, rng)
-    return Draw(replace(network, points=points, rays=rays, ranges=ranges), corrections, shifts, truth)
+    return Draw(replace(network, points=points, rays=rays, ranges=ranges), corrections, shifts, truth, terrain[level:])
+
+
+def _drawn_terrain(surface: Surface | None, rng: np.random.Generator) -> Array:
+    """(w,) m and rad, how the truth lies beside the terrain model: a value of each of the model's own unknowns."""
+    if surface is None:
+        return np.zeros(0)
+    level = rng.standard_normal(2)[: 2 if surface.shift_sigma else 0]
+    rest = rng.standard_normal(len(surface.terms) - level.size)
+    return np.asarray(np.concatenate([level, rest]) * np.array([term.sigma for term in surface.terms]))
+
+
+def _drawn_corrections(network: Network, rng: np.random.Generator, angles: Angles) -> tuple[OrientationCorrection, ...]:
+    """One for each image; the images of a strip have one in common."""
+    owner = network.strip_of
+    own = {
+        j: _drawn_correction(network.priors[j].sigmas * (not network.held[j]), rng, angles)
+        for j in np.flatnonzero(owner < 0).tolist()
+    }
+    common = [strip_correction(one.nodes, drawn_nodes(one.prior, one.nodes, rng), angles) for one in network.strips]
+    return tuple(own[j] if k < 0 else common[k] for j, k in enumerate(owner.tolist()))
 
 
 def _drawn_correction(sigmas: Array, rng: np.random.Generator, angles: Angles) -> OrientationCorrection:
@@ -76,7 +99,7 @@ def _true_places(network: Network, terrain: Array, rng: np.random.Generator) -> 
     origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
     for j, image in enumerate(network.images):
         mine = rays.image == j
-        origins[mine], directions[mine], _, _ = image.rays(*rays.places[mine].T)
+        origins[mine], directions[mine] = image.sightlines(*rays.places[mine].T)
     crossing, _, _ = intersect_rays(origins, directions, rays.point, len(network.points))
     known = np.all(np.isfinite(network.points.places), axis=1) & (network.points.kinds != PointKind.FREE)
     places = np.where(known[:, None], network.points.places, crossing)
@@ -88,7 +111,7 @@ def _true_places(network: Network, terrain: Array, rng: np.random.Generator) -> 
         np.isfinite(network.surface.sigmas), network.surface.sigmas, 0.0
     )
     for _ in range(_HEIGHT_STEPS):
-        above, normal = network.surface.grid.height_above(places - terrain[0] @ east_north(places))
+        above, normal = network.surface.grid.height_above(places - network.surface.moved(places, terrain))
         move = np.where(np.isfinite(network.surface.sigmas) & np.isfinite(above), heights - above, 0.0)
         up = places / np.linalg.norm(places, axis=1, keepdims=True)
         places = places + (move / np.where(move == 0.0, 1.0, np.einsum("ni,ni->n", normal, up)))[:, None] * up
@@ -123,7 +146,8 @@ def _drawn_rays(
     repeated = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=bool)
     for j, image in enumerate(network.images):
         drawn, copied = (rays.image == j) & ~repeated, (rays.image == j) & repeated
-        places[drawn] = image.ground_to_image(truth[rays.point[drawn]], corrections[j])[0] + noise[drawn]
+        seen, _ = image.ground_to_image(truth[rays.point[drawn]], corrections[j], rays.places[drawn, 0])
+        places[drawn] = seen + noise[drawn]
         places[copied] = image.ground_to_image(points.places[rays.point[copied]])[0]
     for k in np.flatnonzero(~np.all(np.isfinite(places), axis=1))[:1]:
         where = f"point {network.points.ids[rays.point[k]]}, image {network.images[rays.image[k]].name}"
@@ -140,7 +164,7 @@ def _drawn_ranges(
         mine: Index = np.flatnonzero(ranges.image == j)
         image = network.images[j]
         since = ranges.times[mine] - image.trajectory.epoch
-        correction, _ = corrections[j].at(image.normalised(image.timing.lines(since)))
+        correction, _ = corrections[j].at(image.moments(image.timing.lines(since)))
         eye = image.trajectory.pose(since).position + correction[:, :3]
         values[mine] += np.linalg.norm(truth[ranges.point[mine]] - eye, axis=1)
     return replace(ranges, values=values)

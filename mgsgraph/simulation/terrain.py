@@ -297,13 +297,7 @@ def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (2
     lon, lat = np.meshgrid(
         (np.arange(west, east + 1) + 0.5) * step, (np.arange(north, south - 1, -1) + 0.5) * step, indexing="xy"
     )
-    parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
-    off_lon, off_lat = shift / terrain.metres_per_radian
-    radii = np.zeros(lon.size)
-    for i in parts:
-        for j in parts:
-            place = lon.ravel() + i * step - off_lon, lat.ravel() + j * step - off_lat
-            radii += terrain.ground_radius(*place) / _PARTS**2
+    radii = cell_means(terrain, lon.ravel(), lat.ravel(), step, shift)
     radii += GRID_VERTICAL * rng.standard_normal(radii.size)
     return TerrainGrid(
         source=f"simulated {terrain.site} at {ppd} posts per degree",
@@ -315,6 +309,21 @@ def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (2
         vertical_sigma=GRID_VERTICAL,
         planimetric_sigma=GRID_PLANIMETRIC,
     )
+
+
+def cell_means(
+    terrain: SiteTerrain, lon: Array, lat: Array, step: float, shift: Array, parts: int = _PARTS
+) -> Array:
+    """Radius (n,) in m of the ground, the mean over cells of `step` rad about places (n,), of which `parts` by `parts`
+    places are taken; the cells' content is told `shift` (2,) m east and north of where it is.
+    """
+    off_lon, off_lat = shift / terrain.metres_per_radian
+    radii = np.zeros(lon.size)
+    within = (np.arange(parts) + 0.5) / parts - 0.5
+    for i in within:
+        for j in within:
+            radii += terrain.ground_radius(lon + i * step - off_lon, lat + j * step - off_lat) / parts**2
+    return radii
 
 
 def _grid_stream(terrain: SiteTerrain) -> np.random.Generator:

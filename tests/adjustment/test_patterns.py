@@ -14,7 +14,7 @@ from strategies import along
 
 from mgsgraph.adjustment.graph import Layout, lay_out, patterns
 from mgsgraph.adjustment.graph.parallel import parallel
-from mgsgraph.adjustment.graph.patterns import group_blocks
+from mgsgraph.adjustment.graph.patterns import Sight, group_blocks
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.factors.rows import FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
 from mgsgraph.geometry import rotation
@@ -47,6 +47,11 @@ def expected_sights(net: Network) -> list[Counter[Name]]:
     return found
 
 
+def told(sight: Sight) -> tuple[int, int, int]:
+    """Kind, image and the only variable of a sight; -1 for none."""
+    return sight.kind, sight.image, next(iter(sight.variables), -1)
+
+
 @pytest.fixture(params=[1, 3, 2048], name="piece")
 def set_piece(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """Most points of a piece, for a whole test."""
@@ -69,7 +74,7 @@ def test_pieces_are_all_points_once(piece: int) -> None:
         assert rows.piece[:, 2].max() <= piece
         for pattern, first, count in rows.piece[:, :3].tolist():
             for i in found.point_order[first : first + count]:
-                assert Counter(tuple(sight[:3]) for sight in found.sights[pattern]) == expected[i]
+                assert Counter(told(sight) for sight in found.sights[pattern]) == expected[i]
                 assert found.fixed[pattern] == (net.points.kinds[i] == PointKind.FIXED)
                 felt = {variable for _, _, variable in expected[i] if variable >= 0}
                 assert found.group_variables[found.group[pattern]] == tuple(sorted(felt))

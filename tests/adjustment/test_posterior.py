@@ -10,7 +10,7 @@ from functools import cache
 import gtsam
 import numpy as np
 import pytest
-from networks import network, pair, with_shift_and_surface
+from networks import network, pair, with_shift_and_surface, with_tilting_surface
 from odd_networks import with_fixed
 from sharing import with_all_kinds
 
@@ -79,6 +79,7 @@ def solved(name: str, loss: Loss = "none") -> Solution:
     nets: dict[str, Network] = {
         "pair": network(pair()),
         "shift and surface": with_shift_and_surface(network(pair())),
+        "surface that tilts": with_tilting_surface(network(pair())),
         "one held": network(pair(), held=(True, False)),
         "both held": network(pair(), held=(True, True)),
         "fixed points": with_fixed(network(pair())),
@@ -87,7 +88,7 @@ def solved(name: str, loss: Loss = "none") -> Solution:
     return adjust_network(nets[name], SolverSettings(loss=loss))
 
 
-NAMES = ["pair", "shift and surface", "one held", "both held", "fixed points", "all kinds shared"]
+NAMES = ["pair", "shift and surface", "surface that tilts", "one held", "both held", "fixed points", "all kinds shared"]
 
 
 def assert_alike(found: np.ndarray, right: np.ndarray, share: float = TIGHT) -> None:

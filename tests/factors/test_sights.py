@@ -116,7 +116,7 @@ def test_range(seed: int, shot: int) -> None:
     k = int(np.flatnonzero(ranges.point == made.point_order[point])[0])
     image = made.network.images[ranges.image[k]]
     since = ranges.times[[k]] - image.trajectory.epoch
-    correction = OrientationCorrection(coefficients.reshape(3, 6)).at(image.normalised(image.timing.lines(since)))[0][0]
+    correction = OrientationCorrection(coefficients.reshape(3, 6)).at(image.moments(image.timing.lines(since)))[0][0]
     instrument = image.trajectory.pose(since).position[0] + correction[:3]
     expected = ranges.values[k] - np.linalg.norm(place - instrument)
     assert factor.unwhitenedError(values)[0] == pytest.approx(expected, abs=1e-8)

@@ -16,7 +16,7 @@ KINDS = pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
 U = np.array([-1.0, -0.3, 0.0, 0.8, 1.0])
 IMAGE = simulate_pair().images[1]
 LINES = 0.5 * (U + 1.0) * IMAGE.lines
-NOMINAL = IMAGE.pose(LINES)
+NOMINAL, MOMENTS = IMAGE.pose(LINES), IMAGE.moments(LINES)
 
 coefficients = st.lists(st.floats(-1.0, 1.0), min_size=18, max_size=18).map(
     lambda c: np.reshape(c, (3, 6)) * ([500.0] * 3 + [0.02] * 3)
@@ -35,7 +35,7 @@ def test_basis_and_its_derivative(u: float, degree: int) -> None:
 @KINDS
 @pytest.mark.parametrize("degree", [0, 2])
 def test_no_correction_is_the_nominal_pose(angles: Angles, degree: int) -> None:
-    pose = OrientationCorrection(np.zeros((degree + 1, 6)), angles).apply(NOMINAL, U, 2e-4)
+    pose = OrientationCorrection(np.zeros((degree + 1, 6)), angles).apply(NOMINAL, MOMENTS)
 
     for name, tolerance in (("position", 0.0), ("velocity", 0.0), ("matrix", 1e-14), ("turning", 1e-15)):
         np.testing.assert_allclose(getattr(pose, name), getattr(NOMINAL, name), rtol=0, atol=tolerance)
@@ -44,7 +44,7 @@ def test_no_correction_is_the_nominal_pose(angles: Angles, degree: int) -> None:
 @given(coefficients)
 def test_camera_corrections_turn_the_camera(c: np.ndarray) -> None:
     """M = Exp([theta]x)' M_nominal: components in the camera frame turn back when the camera turns by theta."""
-    pose = OrientationCorrection(c).apply(NOMINAL, U, 2e-4)
+    pose = OrientationCorrection(c).apply(NOMINAL, MOMENTS)
     correction = np.array([c[0] + c[1] * u + c[2] * u * u for u in U])
 
     np.testing.assert_allclose(pose.position, NOMINAL.position + correction[:, :3], atol=2e-9)
@@ -58,7 +58,7 @@ def test_angle_corrections_add_to_the_angles(angles: Angles, c: np.ndarray) -> N
     def angles_of(matrix: np.ndarray) -> np.ndarray:
         return rotation.omega_phi_kappa(matrix if angles == "opk-paper" else np.swapaxes(matrix, 1, 2))
 
-    pose = OrientationCorrection(c, angles).apply(NOMINAL, U, 2e-4)
+    pose = OrientationCorrection(c, angles).apply(NOMINAL, MOMENTS)
     correction = np.array([c[0] + c[1] * u + c[2] * u * u for u in U])
     want = rotation.from_omega_phi_kappa(angles_of(NOMINAL.matrix) + correction[:, 3:])
 
@@ -87,14 +87,14 @@ def test_rates_of_the_corrected_pose_against_differences(angles: Angles, c: np.n
 def test_axes_against_differences(angles: Angles, c: np.ndarray) -> None:
     """Column k: the camera's turn, about its own axes, per rad of component k of the constant coefficient."""
     correction = OrientationCorrection(c, angles)
-    now, axes = correction.apply(NOMINAL, U, 2e-4), correction.axes(NOMINAL, U)
+    now, axes = correction.apply(NOMINAL, MOMENTS), correction.axes(NOMINAL, MOMENTS)
 
     for k in range(3):
 
         def turn(step: float, component: int = 3 + k) -> np.ndarray:
             moved = c.copy()
             moved[0, component] += step
-            matrix = OrientationCorrection(moved, angles).apply(NOMINAL, U, 2e-4).matrix
+            matrix = OrientationCorrection(moved, angles).apply(NOMINAL, MOMENTS).matrix
             return -rotation.logarithm(matrix @ np.swapaxes(now.matrix, 1, 2))
 
         np.testing.assert_allclose(axes[:, :, k], along(turn, 1e-3), atol=1e-9)
@@ -104,12 +104,12 @@ def test_axes_against_differences(angles: Angles, c: np.ndarray) -> None:
 def test_small_turns_agree_between_the_conventions(axis: np.ndarray) -> None:
     """A turn of 1e-6 rad about the camera axes, put into angles by their axes, is the same to second order."""
     turn = 1e-6 * axis
-    want = OrientationCorrection(np.array([[0.0, 0.0, 0.0, *turn]])).apply(NOMINAL, U, 2e-4)
+    want = OrientationCorrection(np.array([[0.0, 0.0, 0.0, *turn]])).apply(NOMINAL, MOMENTS)
     for kind in ("opk-paper", "opk-peer"):
         none = OrientationCorrection(np.zeros((1, 6)), kind)  # type: ignore[arg-type]
-        for j, chain in enumerate(none.axes(NOMINAL, U)):
+        for j, chain in enumerate(none.axes(NOMINAL, MOMENTS)):
             correction = OrientationCorrection(np.array([[0.0, 0.0, 0.0, *np.linalg.solve(chain, turn)]]), none.angles)
-            pose = correction.apply(NOMINAL, U, 2e-4)
+            pose = correction.apply(NOMINAL, MOMENTS)
             np.testing.assert_allclose(pose.matrix[j], want.matrix[j], atol=1e-9)
 
 
@@ -117,7 +117,7 @@ def test_small_turns_agree_between_the_conventions(axis: np.ndarray) -> None:
 def test_camera_corrections_do_not_depend_on_the_world_axes(spin: np.ndarray, c: np.ndarray) -> None:
     world = rotation.exponential(spin)
     turned = Pose(NOMINAL.position, NOMINAL.velocity, NOMINAL.matrix @ world.T, NOMINAL.turning)
-    before, after = (OrientationCorrection(c).apply(pose, U, 2e-4) for pose in (NOMINAL, turned))
+    before, after = (OrientationCorrection(c).apply(pose, MOMENTS) for pose in (NOMINAL, turned))
 
     np.testing.assert_allclose(after.matrix @ world, before.matrix, atol=1e-14)
     np.testing.assert_allclose(after.turning, before.turning, atol=1e-16)

@@ -185,7 +185,7 @@ def test_shots_have_the_stated_noise_and_lie_under_their_image(many: list[Simula
             assert np.abs(places - np.column_stack([lines, np.full(lines.size, 512.0)])).max() < 1e-4
             assert set(laser.simultaneous) == {(image.name,)}
             eye = image.trajectory.pose(laser.times - image.trajectory.epoch).position
-            eye = eye + true.at(image.normalised(lines))[0][:, :3]
+            eye = eye + true.at(image.moments(lines))[0][:, :3]
             ranges.append(laser.ranges - np.linalg.norm(points - eye, axis=1))
             grounds.append(laser.footprints - points)
     assert_unit_variance(np.concatenate(ranges) / 1.0)

@@ -15,10 +15,12 @@ from mgsgraph.adjustment.analysis.words import in_words, parts_of
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.factors.bundle import Reduction
-from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
+from mgsgraph.network import Strip
 from mgsgraph.wording import listed
 
 UNDETERMINED = 1e-13
@@ -71,7 +73,7 @@ def require_strength(layout: Layout, reduction: Reduction) -> None:
 def scaled_normal(layout: Layout, reduction: Reduction) -> Array:
     """(columns, columns) full normal matrix in units of `Layout.scales`."""
     scales = layout.scales
-    normal = np.diag(np.where(np.isinf(layout.sigmas), 0.0, 1.0))
+    normal = layout.prior.normal() * np.multiply.outer(scales, scales)
     assert reduction.blocks is not None
     for v, w, block in layout.blocks.each(reduction.blocks, layout.variables.width):
         rows, columns = layout.columns_of(v), layout.columns_of(w)
@@ -118,7 +120,7 @@ def datum_transformations(layout: Layout) -> Array:
     axes through the network's middle, and scale, as far as the orientation polynomials can follow.
 
     A held image cannot follow, so that with one of them none of these is free; nor can unknowns other than orientation
-    and horizontal shifts.
+    and shifts, and tilts of the terrain model.
     """
     moves, middle = np.zeros((layout.columns, 7)), _middle(layout)
     for variable in layout.variables.adjusted():
@@ -126,10 +128,13 @@ def datum_transformations(layout: Layout) -> Array:
         if variable < layout.variables.images:
             moves[columns] = _of_image(layout, variable, middle)
         elif variable < layout.network.first_shared:
-            place = _shifted_place(layout, variable - layout.variables.images, middle)
-            moves[columns] = east_north(place[None])[0] @ _displacement((place - middle)[None])[0]
+            moves[columns] = _of_shift(layout, variable - layout.variables.images, middle)
+    for strip, first in zip(layout.network.strips, layout.network.first_of_strips.tolist(), strict=False):
+        last = first + len(strip.nodes) - 1
+        columns = slice(layout.columns_of(first).start, layout.columns_of(last).stop)
+        moves[columns] = _of_nodes(layout, strip, middle)
     moves /= layout.scales[:, None]
-    if np.any(layout.network.held):
+    if np.any(layout.network.unadjusted):
         return np.zeros((layout.columns, 7))
     return np.asarray(moves / np.maximum(np.linalg.norm(moves, axis=0), 1e-300))
 
@@ -138,12 +143,33 @@ def _of_image(layout: Layout, image: int, middle: Array) -> Array:
     """(6 (degree + 1), 7) m and rad, coefficients of one image for the seven transformations (per m, rad and one)."""
     picture, degree = layout.network.images[image], layout.network.priors[image].degree
     lines = np.linspace(0.0, float(picture.lines), _PLACES)
-    pose, u = picture.pose(lines), picture.normalised(lines)
-    change = np.zeros((_PLACES, 6, 7))
+    basis, _ = polynomial(picture.normalised(lines), degree)
+    return _fitted(basis, _changes(layout, picture, lines, middle))
+
+
+def _of_nodes(layout: Layout, strip: Strip, middle: Array) -> Array:
+    """(6 k, 7) m and rad, the nodes of a strip for the seven transformations."""
+    picture = layout.network.images[int(strip.images[0])]
+    start, stop = strip.nodes.coverage
+    times = np.linspace(start, stop, 2 * _PLACES + 2 * len(strip.nodes))
+    lines = picture.timing.lines(times + (strip.nodes.epoch - picture.trajectory.epoch))
+    basis, _ = strip.nodes.dense(picture.timing.at(lines)[0], picture.trajectory.epoch)
+    return _fitted(basis, _changes(layout, picture, lines, middle))
+
+
+def _changes(layout: Layout, picture: PushbroomImage, lines: Array, middle: Array) -> Array:
+    """(n, 6, 7) m and rad, corrections of an image at lines (n,) for the seven transformations."""
+    pose = picture.pose(lines)
+    change = np.zeros((lines.size, 6, 7))
     change[:, :3] = _displacement(pose.position - middle)
-    axes = OrientationCorrection(np.zeros((1, 6)), layout.angles).axes(pose, u)
+    axes = OrientationCorrection(np.zeros((1, 6)), layout.angles).axes(pose, picture.moments(lines))
     change[:, 3:, 3:6] = np.linalg.solve(axes, pose.matrix)
-    fitted, *_ = np.linalg.lstsq(polynomial(u, degree)[0], change.reshape(_PLACES, 42))
+    return change
+
+
+def _fitted(basis: Array, change: Array) -> Array:
+    """(6 d, 7) coefficients of basis values (n, d) for changes (n, 6, 7)."""
+    fitted, *_ = np.linalg.lstsq(basis, change.reshape(change.shape[0], 42))
     return np.asarray(fitted.reshape(-1, 7))
 
 
@@ -162,12 +188,26 @@ def _middle(layout: Layout) -> Array:
     return np.asarray(np.mean(seen, axis=0))
 
 
+def _of_shift(layout: Layout, shift: int, middle: Array) -> Array:
+    """(w, 7) m and rad, unknowns of a profile's shift or of the terrain model for the seven transformations."""
+    place, surface = _shifted_place(layout, shift, middle), layout.network.surface
+    axes, moved = east_north_up(place[None])[0], _displacement((place - middle)[None])[0]
+    if surface is None or shift + 1 < len(layout.network.shift_names) or not layout.network.terrain_moves:
+        return np.asarray(axes[:2] @ moved)
+    tilted = axes[:2] @ np.eye(3, 7, 3)
+    return np.concatenate([
+        (axes[:2] @ moved)[: 2 * bool(surface.shift_sigma)], (axes[2:] @ moved)[: bool(surface.height_sigma)],
+        tilted[: 2 * bool(surface.tilt_sigma)],
+    ])  # fmt: skip
+
+
 def _shifted_place(layout: Layout, shift: int, middle: Array) -> Array:
     """(3,) m, about where a profile is, or the terrain model's points."""
     network = layout.network
     profiles = 0 if network.shifts is None else len(network.shifts.names)
     if network.shifts is None or shift >= profiles:
-        return middle
+        own = None if network.surface is None else network.surface.middle
+        return middle if own is None else own
     places = network.points.places[np.flatnonzero(network.shifts.profile == shift)[:_ROWS]]
     places = places[np.all(np.isfinite(places), axis=1)]
     return np.asarray(places.mean(axis=0)) if places.size else middle

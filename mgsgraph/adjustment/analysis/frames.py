@@ -16,7 +16,7 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import Angles, OrientationCorrection
+from mgsgraph.geometry.orientation import COMPONENTS, Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.units import DEG
@@ -70,7 +70,7 @@ def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFram
     turn = np.zeros((6, 6))
     turn[:3, :3] = np.eye(3) if (long := _is_long(image)) else level
     about = camera_axes(matrix @ level[0])
-    turn[3:, 3:] = about @ correction.axes(pose, np.zeros(1))[0]
+    turn[3:, 3:] = about @ correction.axes(pose, image.moments(middle))[0]
     origin, look = image.sightlines(middle, np.array([0.5 * image.samples]))
     place, by_origin, by_look = (part[0] for part in intersect_ellipsoid(origin, look, image.body))
     distance = float(np.linalg.norm(place - origin[0]))
@@ -173,8 +173,14 @@ class Frames:
             if columns.start <= rows.start < columns.stop:
                 mine = slice(rows.start - columns.start, rows.stop - columns.start)
                 result[mine] = self.of(image).reach[:, None] * (self.of(image).turn @ result[mine])
+        network = self.layout.network
+        for p, terms in enumerate(network.shift_terms):
+            rows = self.layout.columns_of(len(network.images) + p)
+            if columns.start <= rows.start < columns.stop:  # a tilt counts where the ground is as far as from a camera
+                reach = np.array([1.0 if term.unit == "m" else self.of(0).reach[4] for term in terms])
+                result[rows.start - columns.start : rows.stop - columns.start] *= reach[:, None]
         for k, shared in enumerate(self.layout.network.shared):
-            rows = self.layout.columns_of(self.layout.variables.first.size - len(self.layout.network.shared) + k)
+            rows = self.layout.columns_of(network.first_shared + k)
             if columns.start <= rows.start < columns.stop and shared.kind.unit != "m":
                 distance = self.of(int(shared.images[0])).reach[4]
                 turning = _PER_SECOND if shared.kind.unit == "s" else 1.0
@@ -198,6 +204,10 @@ class Frames:
             if image < self.layout.variables.images:
                 for first in range(columns.start, columns.stop, 6):
                     yield image, slice(first, first + 6), scales[first : first + 6]
+        for strip, first in zip(self.layout.network.strips, self.layout.network.first_of_strips.tolist(), strict=False):
+            for variable in range(first, first + len(strip.nodes)):
+                columns = self.layout.columns_of(variable)
+                yield int(strip.images[0]), columns, scales[columns]
 
     def _axis(self, variable: int, inside: int) -> Axis:
         network, images = self.layout.network, self.layout.variables.images
@@ -207,7 +217,19 @@ class Frames:
             return Axis(variable, owner, self.of(variable).axes[component], order, "m" if component < 3 else "rad")
         shift = variable - images
         if shift < len(network.shift_names):
-            return Axis(variable, network.shift_names[shift], f"{('east', 'north')[inside]} shift", 0, "m", False)
+            term = network.shift_terms[shift][inside]
+            return Axis(variable, network.shift_names[shift], term.name, 0, term.unit, False)
+        if variable >= network.first_of_strips[0]:
+            return self._of_strip(variable, inside)
         shared = network.shared[shift - len(network.shift_names)]
         name = " ".join([*([shared.kind] if shared.kind not in shared.name else []), shared.kind.components[inside]])
         return Axis(variable, f"shared unknown {shared.name}", name.strip() or "value", 0, shared.kind.unit, False)
+
+    def _of_strip(self, variable: int, inside: int) -> Axis:
+        """Axis of a column of a strip's node, whose axes are those of the strip's first image, or of its trend."""
+        strip, unknown = self.layout.network.of_strips(variable)
+        what, component = strip.part(unknown, inside)
+        own = unknown < len(strip.nodes)
+        name = self.of(int(strip.images[0])).axes[component] if own else f"{what} of {COMPONENTS[component]}"
+        owner = f"{what} of strip {strip.name}" if own else f"strip {strip.name}"
+        return Axis(variable, owner, name, 0, "m" if component < 3 else "rad", False)

@@ -4,16 +4,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import InputError
 from mgsgraph.factors.rows import GROUND
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
+from mgsgraph.network import Network, PointClass, ProfileShifts, Strip
 
 _CLASS = {PointClass.TIE: "tie", PointClass.LASER: "laser", PointClass.CONTROL: "control"}
-POSITION, POINTING, SHIFTS = "position priors", "pointing priors", "shifts"
+POSITION, POINTING, SHIFTS, TILTS = "position priors", "pointing priors", "shifts", "tilts"
+_SHIFT = {"m": SHIFTS, "rad": TILTS}
+NODE_POSITION, NODE_POINTING = "position priors of nodes", "pointing priors of nodes"
+POSITION_TREND, POINTING_TREND = "position trends", "pointing trends"
 RANGES, GROUND_PRIORS, HEIGHTS = "ranges", "ground priors", "surface heights"
 
 
@@ -32,7 +36,7 @@ class Grouping:
     heights: Index
     """(n,) of each point's height above the terrain model; of no meaning where it has none."""
     unknowns: tuple[Index, ...]
-    """Of the priors of each variable's columns: images, then shifts, then shared unknowns."""
+    """Of the priors of each variable's columns: images, then shifts, then shared unknowns, then those of strips."""
 
     def __post_init__(self) -> None:
         parts = [self.rays, self.ranges, self.ground, self.heights, *self.unknowns]
@@ -60,7 +64,8 @@ class Grouping:
 
 def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Grouping:
     """The usual groups: image points of ties, of laser shots and of control, ranges, ground priors, heights, position
-    and pointing priors, shifts, and one of each kind of shared unknown. Groups without any row are left out.
+    and pointing priors, shifts, tilts of the terrain, one of each kind of shared unknown, and position and pointing of
+    strips' nodes and trends. Groups without any row are left out.
 
     Image places that are projections with the nominal orientation are no measures and make a group of their own.
 
@@ -82,8 +87,9 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
     if rays.back_projected is not None:
         of_ray[rays.back_projected] = [f"{name}, back-projected" for name in of_ray[rays.back_projected]]
     parts = [np.where(np.arange(prior.sigmas.size) % 6 < 3, POSITION, POINTING) for prior in network.priors]
-    parts += [np.full(2, SHIFTS) for _ in network.shift_names]
+    parts += [np.array([_SHIFT[term.unit] for term in terms]) for terms in network.shift_terms]
     parts += [np.full(shared.sigmas.size, f"{shared.kind} priors") for shared in network.shared]
+    parts += [part for strip in network.strips for part in _of_strip(strip)]
     n = len(network.points)
     ground = np.full(n if np.any(network.points.covariances) else 0, GROUND_PRIORS)
     heights = np.full(0 if network.surface is None else n, HEIGHTS)
@@ -108,6 +114,13 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
     )
 
 
+def _of_strip(strip: Strip) -> list[NDArray[np.str_]]:
+    """Labels of the priors of a strip's unknowns."""
+    count = len(strip.nodes)
+    labels = [np.where(angular, NODE_POINTING, NODE_POSITION) for angular in strip.angular[:count]]
+    return labels + [np.where(angular, POINTING_TREND, POSITION_TREND) for angular in strip.angular[count:]]
+
+
 def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
     """The network with the sigmas of each group times its factor (g,)."""
     factors = np.asarray(factors, dtype=np.float64)
@@ -115,13 +128,14 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
         raise InputError("factors of sigmas", f"{factors}", f"{len(grouping.names)} positive numbers")
     images, shifts = len(network.images), len(network.shift_names)
     of_unknown = [factors[part] for part in grouping.unknowns]
+    firsts = network.first_of_strips[:-1].tolist()
     profiles, surface = network.shifts, network.surface
     if profiles is not None:
         own = np.array([of_unknown[images + p][0] for p in range(len(profiles.names))]).reshape(-1)
         profiles = ProfileShifts(profiles.names, profiles.profile, profiles.sigmas * own)
     if surface is not None:
-        moved = surface.shift_sigma * (of_unknown[images + shifts - 1][0] if network.terrain_moves else 1.0)
-        surface = Surface(surface.grid, surface.sigmas * factors[grouping.heights], float(moved))
+        own = of_unknown[images + shifts - 1] if network.terrain_moves else np.zeros(0)
+        surface = surface.scaled(factors[grouping.heights], own)
     own_covariances = network.points.covariances * factors[grouping.ground][:, None, None] ** 2
     return replace(
         network,
@@ -138,4 +152,13 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
             replace(shared, sigmas=shared.sigmas * of_unknown[images + shifts + k])
             for k, shared in enumerate(network.shared)
         ),
+        strips=tuple(
+            _scaled_strip(strip, of_unknown[first:]) for strip, first in zip(network.strips, firsts, strict=True)
+        ),
     )
+
+
+def _scaled_strip(strip: Strip, factors: Sequence[Array]) -> Strip:
+    """A strip with its a-priori sigmas times factors, `factors` being those of its unknowns, then others'."""
+    trend = strip.prior.trend_sigmas.size
+    return strip.scaled(factors[0], factors[len(strip.nodes)] if trend else np.zeros(0))

@@ -19,6 +19,7 @@ import numpy as np
 
 from mgsgraph.adjustment.analysis.grouping import Grouping
 from mgsgraph.adjustment.analysis.linearised import Linearised, PointRows
+from mgsgraph.adjustment.analysis.prior_rows import prior_rows
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.square_root import product
 from mgsgraph.factors.rows import OUT
@@ -56,13 +57,12 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
     for rows, groups in _alike(at, grouping):
         sums.add(rows, groups)
     sums.close()
-    weights = np.where(np.isfinite(at.layout.sigmas), 1.0 / at.layout.sigmas, 0.0)
-    of_column, known = grouping.of_columns(at.layout), weights > 0.0
-    size = len(grouping.names)
-    counts = sums.counts + np.bincount(of_column[known], minlength=size)
-    squares = sums.squares + np.bincount(of_column, (at.orientation * weights) ** 2, size)
-    shares = sums.shares + np.bincount(of_column, (at.joint.sigmas * weights) ** 2, size)
-    normals = sums.normals(of_column, weights)
+    known, size = prior_rows(at), len(grouping.names)
+    of_row = grouping.of_columns(at.layout)[known.about]
+    counts = sums.counts + np.bincount(of_row, minlength=size)
+    squares = sums.squares + np.bincount(of_row, known.misfit**2, size)
+    shares = sums.shares + np.bincount(of_row, known.share, size)
+    normals = sums.normals(of_row)
     redundancy, exact = counts - shares, at.layout.columns <= dense
     if exact:
         helmert = sums.cross + _traces(normals, at.joint.dense())
@@ -144,8 +144,8 @@ class _Sums:
                 self._flat[:, at : at + a * b] += part.reshape(part.shape[0], -1)
         self._variables = None
 
-    def normals(self, of_column: Index, weights: Array) -> "list[csr_array]":
-        """N of each group, with its priors' own rows."""
+    def normals(self, of_row: Index) -> "list[csr_array]":
+        """N of each group, with its priors' own rows, whose groups are `of_row`."""
         from scipy.sparse import coo_array  # slow to import
 
         layout, found = self._at.layout, []
@@ -160,13 +160,11 @@ class _Sums:
             links += [(one, other, where)] if v == w else [(one, other, where), (other, one, where)]
         links.append((np.zeros(0, dtype=np.int64),) * 3)
         row, column, place = (np.concatenate(part) for part in zip(*links, strict=True))
-        every = np.arange(weights.size)
         for g, flat in enumerate(self._flat):
-            values = np.concatenate([flat[place], np.where(of_column == g, weights**2, 0.0)])
-            where = np.concatenate([row, every]), np.concatenate([column, every])
+            values, prior = flat[place], layout.prior.every[np.flatnonzero(of_row == g)]
             taken = values != 0.0
-            made = coo_array((values[taken], (where[0][taken], where[1][taken])), shape=(weights.size, weights.size))
-            found.append(made.tocsr())
+            made = coo_array((values[taken], (row[taken], column[taken])), shape=(layout.columns, layout.columns))
+            found.append(made.tocsr() + (prior.T @ prior).tocsr())
         return found
 
     def _open(self, variables: tuple[int, ...]) -> None:

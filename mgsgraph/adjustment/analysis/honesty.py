@@ -13,6 +13,7 @@ import numpy as np
 
 from mgsgraph.adjustment.analysis.grouping import Grouping, group_rows
 from mgsgraph.adjustment.analysis.linearised import Linearised, at_solution
+from mgsgraph.adjustment.analysis.prior_rows import prior_rows
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -237,13 +238,11 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
     taken = np.any(numbers != 0.0, axis=2) & np.all(np.isfinite(numbers), axis=2)
     of_sight = np.repeat(grouping.of_sights(layout)[:, None], 3, axis=1)
     shares = np.stack([numbers[:, row, 1 + row] for row in range(3)], axis=1)
-    prior, known = layout.sigmas, np.isfinite(layout.sigmas)
-    corrections = (-at.orientation / prior)[known]
-    own = (1.0 - (at.joint.sigmas / prior) ** 2)[known]
+    known = prior_rows(at)
     return (
-        np.concatenate([numbers[:, :, 0][taken], corrections]),
-        np.concatenate([1.0 - shares[taken], own]),
-        np.concatenate([of_sight[taken], grouping.of_columns(layout)[known]]),
+        np.concatenate([numbers[:, :, 0][taken], known.misfit]),
+        np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
+        np.concatenate([of_sight[taken], grouping.of_columns(layout)[known.about]]),
     )
 
 

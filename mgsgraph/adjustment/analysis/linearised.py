@@ -16,7 +16,7 @@ from mgsgraph.factors.design import OWN
 from mgsgraph.factors.rows import OUT, Rows, of_points
 from mgsgraph.factors.tile import row_count
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.ties import PointKind
 
 
@@ -137,7 +137,7 @@ class Linearised:
             rays=rays,
             ranges=Ranges(none, none, empty, empty, empty),
             shifts=None if shifts is None else ProfileShifts(shifts.names, np.full(m, -1), shifts.sigmas),
-            surface=None if surface is None else Surface(surface.grid, np.full(m, np.inf), surface.shift_sigma),
+            surface=None if surface is None else replace(surface, sigmas=np.full(m, np.inf)),
         )
         # the papers' form has no derivatives of a place, only of a misfit at a measured line
         return lay_out(bare, replace(self.settings, line="predicted") if known else self.settings, places)

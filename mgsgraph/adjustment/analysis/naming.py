@@ -61,7 +61,11 @@ def _prior_name(layout: Layout, variable: int, inside: int) -> str:
         return f"a-priori {term} {COMPONENTS[component]} of image {network.images[variable].name}"
     k = variable - len(network.images)
     if k < len(network.shift_names):
-        return f"a-priori {('east', 'north')[inside]} shift of {network.shift_names[k]}"
+        return f"a-priori {network.shift_terms[k][inside].name} of {network.shift_names[k]}"
+    if variable >= network.first_of_strips[0]:
+        strip, node = network.of_strips(variable)
+        what, component = strip.part(node, inside)
+        return f"a-priori {COMPONENTS[component]} of {what} of strip {strip.name}"
     shared = network.shared[k - len(network.shift_names)]
     return " ".join([f"a-priori {shared.name}", shared.kind.components[inside]]).strip()
 
@@ -69,6 +73,11 @@ def _prior_name(layout: Layout, variable: int, inside: int) -> str:
 def _prior_unit(layout: Layout, variable: int, inside: int) -> str:
     network = layout.network
     k = variable - network.first_shared
+    if variable >= network.first_of_strips[0]:
+        strip, node = network.of_strips(variable)
+        return "rad" if strip.part(node, inside)[1] >= 3 else "m"
     if k >= 0:
         return network.shared[k].kind.unit
-    return "rad" if variable < len(network.images) and inside % len(COMPONENTS) >= 3 else "m"
+    if variable < len(network.images):
+        return "rad" if inside % len(COMPONENTS) >= 3 else "m"
+    return network.shift_terms[variable - len(network.images)][inside].unit

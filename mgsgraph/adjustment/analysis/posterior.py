@@ -23,10 +23,10 @@ from mgsgraph.factors.bundle import point_covariances, reduce
 from mgsgraph.factors.rows import FIXED, GOOD, OUT
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection, polynomial
+from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import ImageRays
-from mgsgraph.network.corrections import adjusted_image, correction_parts, whole_correction
+from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
 
 _AXES = COMPONENTS[:3]
 _CONTRADICTION = 10.0
@@ -231,19 +231,16 @@ class Posterior:
         for line in lines.tolist():
             self._require_inside(image, line, 0.0, "pose")
         picture, correction = self.network.images[image], self.correction(image)
-        u, nominal = picture.normalised(lines), picture.pose(lines)
-        pose = correction.apply(nominal, u, picture.normalised_rate)
-        basis, _ = polynomial(u, correction.coefficients.shape[0] - 1)
+        moments, nominal = picture.moments(lines), picture.pose(lines)
+        pose = correction.apply(nominal, moments)
         turn = np.tile(np.eye(6), (lines.size, 1, 1))
-        turn[:, 3:, 3:] = correction.axes(nominal, u)
+        turn[:, 3:, 3:] = correction.axes(nominal, moments)
         turned = -rotation.logarithm(pose.matrix @ np.swapaxes(nominal.matrix, 1, 2))
-        parts = correction_parts(self.network, image, self.linearised.settings.angles)
-        adjusted = {v: part for v, part in parts.items() if self.linearised.layout.variables.first[v] >= 0}
-        found = []
-        for k, line in enumerate(lines):
+        first, found = self.linearised.layout.variables.first, []
+        for k, (line, felt) in enumerate(zip(lines, designs(self.network, image, correction, lines), strict=True)):
             names = tuple(f"{name} of image {picture.name} at line {line:g}" for name in COMPONENTS)
             values = np.concatenate([pose.position[k], turned[k]])
-            by_shared = {v: np.kron(basis[k], turn[k]) @ part for v, part in adjusted.items()}
+            by_shared = {v: turn[k] @ part for v, part in felt.items() if first[v] >= 0}
             found.append(Quantity(names, _POSE_UNITS, values, by_shared, {}))
         return found
 

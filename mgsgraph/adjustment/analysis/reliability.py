@@ -29,6 +29,7 @@ from mgsgraph.adjustment.analysis.measures import (
     room,
 )
 from mgsgraph.adjustment.analysis.naming import names_of, units_of
+from mgsgraph.adjustment.analysis.prior_rows import PriorRows, prior_rows
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.factors import bundle
@@ -137,8 +138,8 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     numbers, ground = _swept(at, places)
     roots = _robust_roots(at, numbers)
     used, shots, heights = _taking_part(at, roots)
-    known = np.flatnonzero(np.isfinite(at.layout.sigmas))
-    sizes = [2 * int(np.count_nonzero(used)), shots.size, 3 * points.size, heights.size, known.size]
+    known = prior_rows(at)
+    sizes = [2 * int(np.count_nonzero(used)), shots.size, 3 * points.size, heights.size, known.about.size]
     ends = np.cumsum([0, *sizes]).tolist()
     out = room(ends[-1])
     rays, ranges, apriori, surface, priors = (out.part(a, b) for a, b in pairwise(ends))
@@ -317,17 +318,16 @@ def _heights(out: Measures, at: Linearised, numbers: _Numbers, chosen: Index, le
     return float(misfit @ misfit)
 
 
-def _priors(out: Measures, at: Linearised, known: Index, levels: Levels) -> float:
+def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> float:
     """Fill in a-priori values of the shared unknowns, all of them zero; their sum of squares."""
+    about = known.about
     variables = at.layout.variables
     adjusted = np.array(variables.adjusted(), dtype=np.int64)
-    variable = np.repeat(adjusted, variables.width[adjusted])[known]
+    variable = np.repeat(adjusted, variables.width[adjusted])[about]
     image = np.where(variable < variables.images, variable, -1)
-    out.say(MeasureKind.PRIOR, known - variables.first[variable], known, -1, image, -1)
-    sigma = variables.sigmas[known]
-    misfit, share = -at.orientation[known] / sigma, (at.joint.sigmas[known] / sigma) ** 2
-    judge_scalars(out, sigma, misfit, share, np.full(known.size, np.nan), None, levels)
-    return float(misfit @ misfit)
+    out.say(MeasureKind.PRIOR, about - variables.first[variable], about, -1, image, -1)
+    judge_scalars(out, known.sigma, known.misfit, known.share, np.full(about.size, np.nan), None, levels)
+    return float(known.misfit @ known.misfit)
 
 
 def _used(at: Linearised, places: Index | Places, points: Index, root: Array | None) -> Mask:

@@ -2,7 +2,8 @@
 
 The posterior covariance S of the shared unknowns in units of what was known before, D^-1 S D^-1 with the a-priori
 sigmas D, has eigenvalues in 0 .. 1: the share of the a-priori variance that the measures left standing. (In place of an
-infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.)
+infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.) What is known of a strip's nodes
+is known of them together: there the square root R of the a-priori information takes the place of D^-1, R S R'.
 
 Many directions are often equally weak: whatever position and pointing of one image do to each other's favour, no
 measure ever tells. Directions whose sigmas differ by less than 1 % are therefore turned to simple structure (`simple`)
@@ -16,7 +17,7 @@ to 1 %, are named before any eigenvector.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 _DENSE = 2000
 """Columns up to which the whole matrix is decomposed."""
@@ -43,7 +47,7 @@ class _Run(NamedTuple):
     """Directions that are equally weak."""
 
     vectors: Array
-    """(columns, k) orthonormal."""
+    """(columns, k) unit vectors, orthogonal where the priors are of single unknowns."""
     number: int
     """How many such directions there are, k or more."""
 
@@ -100,7 +104,8 @@ def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[Wea
             "give an adjustment with free orientation",
         )  # fmt: skip
     frames, found = Frames(layout), list[WeakDirection]()
-    values, vectors = spectrum(joint, layout.scales, min(count, layout.columns))
+    prior = layout.prior.whitening(layout.scales)
+    values, vectors = spectrum(joint, layout.scales, min(count, layout.columns), prior)
     runs = _runs(values, vectors)
     if values.size < layout.columns:
         runs = chain(_own(frames, joint, float(values[0]), count), runs)
@@ -108,25 +113,59 @@ def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[Wea
         if len(found) >= count:
             break
         for direction in _legible(frames, run, max(_TURNED, count))[:, : count - len(found)].T:
-            variance = (direction / layout.scales) @ joint.square_root.covariance_times(direction / layout.scales)
+            felt = _before(prior, direction) / layout.scales
+            variance = felt @ joint.square_root.covariance_times(felt)
             found.append(_described(frames, direction, float(np.sqrt(variance)), run.number))
     return tuple(found)
 
 
-def spectrum(joint: JointCovariance, scales: Array, count: int, dense: int = _DENSE) -> tuple[Array, Array]:
-    """Eigenvalues, largest first, and eigenvectors (columns, k) of the covariance in units of `scales` (columns,).
+def _before(prior: "csr_array | None", direction: Array) -> Array:
+    """(columns,) R'R d / |R d|: with it the covariance gives the share that is left along a direction d."""
+    if prior is None:
+        return direction
+    whitened = prior @ direction
+    return np.asarray(prior.T @ whitened / np.linalg.norm(whitened))
+
+
+def spectrum(
+    joint: JointCovariance, scales: Array, count: int, prior: "csr_array | None" = None, dense: int = _DENSE
+) -> tuple[Array, Array]:
+    """Eigenvalues, largest first, and directions (columns, k) of the covariance in units of `scales` (columns,), or of
+    R S R' with the a-priori square root R = `prior` in these units (`Prior.whitening`).
 
     All of them up to `dense` columns; above, by Lanczos's method on the square root, the first `count` (and some more).
     """
-    if joint.columns <= max(dense, count + 1):
-        values, vectors = np.linalg.eigh(joint.dense() / scales / scales[:, None])
-        return values[::-1], vectors[:, ::-1]
+    whole = joint.columns <= max(dense, count + 1)
+    values, vectors = (_dense_spectrum if whole else _lanczos)(joint, scales, count, prior)
+    if prior is None:
+        return values, vectors
+    # R S R' w = l w belongs to the direction S R' w, and R S R' w / l = w
+    turned = np.stack([joint.square_root.covariance_times(w / scales) / scales for w in (prior.T @ vectors).T], axis=1)
+    return values, turned / np.linalg.norm(turned, axis=0)
+
+
+def _dense_spectrum(
+    joint: JointCovariance, scales: Array, count: int, prior: "csr_array | None"
+) -> tuple[Array, Array]:
+    covariance = joint.dense() / scales / scales[:, None]
+    if prior is not None:
+        covariance = prior @ (prior @ covariance).T
+    values, vectors = np.linalg.eigh(covariance)
+    few = slice(None) if prior is None else slice(-max(4 * count, 40), None)
+    return values[few][::-1], vectors[:, few][:, ::-1]
+
+
+def _lanczos(joint: JointCovariance, scales: Array, count: int, prior: "csr_array | None") -> tuple[Array, Array]:
     from scipy.sparse.linalg import LinearOperator, eigsh  # slow to import
 
-    size, root = joint.columns, joint.square_root
-    operator = LinearOperator(
-        (size, size), matvec=lambda x: root.covariance_times(x.ravel() / scales) / scales, dtype=np.float64
-    )
+    size, root = joint.columns if prior is None else prior.shape[0], joint.square_root
+
+    def times(x: Array) -> Array:
+        felt = x.ravel() if prior is None else prior.T @ x.ravel()
+        covered = root.covariance_times(felt / scales) / scales
+        return np.asarray(covered if prior is None else prior @ covered)
+
+    operator = LinearOperator((size, size), matvec=times, dtype=np.float64)
     start = np.random.default_rng(1).normal(size=size)  # the same result each time
     few = min(size, max(4 * count, 40))
     values, vectors = eigsh(operator, k=count, which="LA", v0=start, tol=_LANCZOS, ncv=few)
@@ -137,7 +176,8 @@ def spectrum(joint: JointCovariance, scales: Array, count: int, dense: int = _DE
 def _own(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_Run]:
     """Directions of single images that are as weak as the weakest, where there are `count`; those that move most."""
     layout, found = frames.layout, list[tuple[slice, Array]]()
-    for variable in layout.variables.adjusted():
+    joined = {v for factor in layout.prior.factors for v in factor.variables}
+    for variable in (v for v in layout.variables.adjusted() if v not in joined):
         columns = layout.columns_of(variable)
         scales = layout.scales[columns]
         values, vectors = np.linalg.eigh(joint.block(variable, variable) / scales / scales[:, None])

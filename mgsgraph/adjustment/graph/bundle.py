@@ -4,6 +4,7 @@ For the batch engine the reduced system goes to GTSAM as Hessian factors of vari
 bundle factors, one per set of variables, it fits any GTSAM graph (`BundleGraph.graph`).
 """
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Protocol
 
@@ -13,7 +14,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.factors.bundle import Bundles, Reduction, all_residuals, point_covariances, reduce
-from mgsgraph.factors.priors import zero_prior
+from mgsgraph.factors.priors import linear_prior, zero_prior
 from mgsgraph.factors.rows import Rows
 from mgsgraph.geometry.records import Array
 
@@ -53,6 +54,16 @@ def shared_vector(layout: Layout, values: gtsam.Values) -> Array:
     for v in layout.variables.adjusted():
         vector[layout.columns_of(v)] = values.atVector(variable_key(layout, v))
     return vector
+
+
+def prior_factors(layout: Layout) -> Iterator[gtsam.NonlinearFactor]:
+    """What is known of the shared unknowns beforehand, as GTSAM's factors."""
+    joined = {v for factor in layout.prior.factors for v in factor.variables}
+    for v in layout.variables.adjusted():
+        if v not in joined:
+            yield zero_prior(variable_key(layout, v), layout.sigmas[layout.columns_of(v)])
+    for factor in layout.prior.factors:
+        yield linear_prior([variable_key(layout, v) for v in factor.variables], factor.blocks)
 
 
 class Sweeper(Protocol):
@@ -120,12 +131,11 @@ class BundleGraph:
 
     def cost(self, reduction: Reduction) -> float:
         """Full cost: of all points, and of the priors on the shared unknowns."""
-        whitened = reduction.orientation / self.layout.sigmas
-        return reduction.cost + 0.5 * float(whitened @ whitened)
+        return reduction.cost + self.layout.prior.cost(reduction.orientation)
 
     def gradient(self, reduction: Reduction) -> Array:
         """(columns,) of the full cost, per m and rad."""
-        return reduction.gradient + reduction.orientation / self.layout.sigmas**2
+        return reduction.gradient + self.layout.prior.gradient(reduction.orientation)
 
     def linear(self, reduction: Reduction) -> gtsam.GaussianFactorGraph:
         """The full linear system at a reduction: one Hessian factor per variable (its prior in it) and per pair.
@@ -134,8 +144,9 @@ class BundleGraph:
         """
         assert reduction.blocks is not None
         layout, gradient = self.layout, self.gradient(reduction)
-        precision, graph = 1.0 / layout.sigmas**2, gtsam.GaussianFactorGraph()
-        for v, w, block in layout.blocks.each(reduction.blocks, layout.variables.width):
+        precision, graph = layout.prior.weights**2, gtsam.GaussianFactorGraph()
+        flat = reduction.blocks + layout.prior_information if layout.prior_information.size else reduction.blocks
+        for v, w, block in layout.blocks.each(flat, layout.variables.width):
             if v == w:
                 own = layout.columns_of(v)
                 graph.push_back(
@@ -169,8 +180,8 @@ class BundleGraph:
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """Priors and bundle factors, for GTSAM's own optimisers and for iSAM2."""
         graph = gtsam.NonlinearFactorGraph()
-        for v, key in self._keys.items():
-            graph.add(zero_prior(key, self.layout.sigmas[self.layout.columns_of(v)]))
+        for factor in prior_factors(self.layout):
+            graph.add(factor)
         for group, members in enumerate(self.layout.group_variables):
             if members:
                 graph.add(self._bundles.factor(group))

@@ -5,10 +5,9 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.graph.bundle import point_key, shared_values, variable_key
+from mgsgraph.adjustment.graph.bundle import point_key, prior_factors, shared_values, variable_key
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.factors.explicit import sight_factor
-from mgsgraph.factors.priors import zero_prior
 from mgsgraph.factors.rows import (
     CAUCHY,
     FIXED,
@@ -63,8 +62,8 @@ def explicit_graph(
         Points are `point_key(i)`, i being their place in the layout; those left out or fixed are no variables.
     """
     graph, values = gtsam.NonlinearFactorGraph(), shared_values(layout, orientation)
-    for v in layout.variables.adjusted():
-        graph.add(zero_prior(variable_key(layout, v), layout.sigmas[layout.columns_of(v)]))
+    for factor in prior_factors(layout):
+        graph.add(factor)
     for pattern, first, count, _, place in rows.piece.tolist():
         for i in range(first, first + count):
             if rows.kind[i] == OUT:

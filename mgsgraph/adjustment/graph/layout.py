@@ -7,8 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
-from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, Variables, make_groups, pair_blocks, sort_points
+from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
+from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rows import SightPlaces, lay_out_rows
+from mgsgraph.adjustment.graph.terms import Terms
+from mgsgraph.adjustment.graph.variables import Variables, make_variables
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.factors.rows import (
     CAUCHY,
@@ -22,7 +25,6 @@ from mgsgraph.factors.rows import (
     Model,
     Rows,
 )
-from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
@@ -48,6 +50,10 @@ class Layout:
     """The reduced normal matrix."""
     variables: Variables
     """Shared unknowns."""
+    prior: Prior
+    """What is known of them."""
+    prior_information: Array
+    """Its normal matrix on strips' unknowns, flat in `blocks`; empty without strips."""
     patterns: Patterns
     """Points by pattern."""
     places: SightPlaces
@@ -65,7 +71,7 @@ class Layout:
 
     @property
     def sigmas(self) -> Array:
-        """(columns,) a-priori sigmas, m and rad; infinite where nothing is known."""
+        """(columns,) a-priori sigmas, m and rad, each by itself; infinite where nothing is known."""
         return self.variables.sigmas
 
     @property
@@ -101,7 +107,7 @@ class Layout:
             return self
         if self.network.terrain_moves:
             terrain = self.columns_of(self.network.first_shared - 1)
-            points = points - np.einsum("k,nkj->nj", shared[terrain], east_north(self.rows.start))
+            points = points - surface.moved(self.rows.start, shared[terrain])
         cells = surface.grid.cells(points)
         held = np.isfinite(surface.sigmas[self.point_order]) & (self.rows.kind != OUT)
         if np.array_equal(cells[held], self.rows.terrain_cell[held]):
@@ -138,32 +144,13 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
         When a point that nothing else places lies on a ray that misses the body.
     """
     model = Model(_LINES[settings.line], ANGLE_CODES[settings.angles], _LOSSES[settings.loss], settings.width)
-    variables = _variables(network)
-    patterns = sort_points(network, variables)
-    sights, rows = lay_out_rows(network, model, variables, patterns, None if model.line == MEASURED else places)
+    variables = make_variables(network)
+    terms = Terms(network, variables)
+    patterns = sort_points(network, variables, terms)
+    known = None if model.line == MEASURED else places
+    sights, rows = lay_out_rows(network, model, variables, patterns, terms, known)
     groups = make_groups(variables, patterns.group_variables)
-    blocks = pair_blocks(variables, groups)
-    return Layout(network, model, rows, groups, blocks, variables, patterns, sights)
-
-
-def _variables(network: Network) -> Variables:
-    sigmas = [prior.sigmas.ravel() for prior in network.priors]
-    shifts = np.zeros(0) if network.shifts is None else network.shifts.sigmas
-    if network.surface is not None and network.terrain_moves:
-        shifts = np.append(shifts, network.surface.shift_sigma)
-    sigmas += [np.full(2, sigma) for sigma in shifts]
-    angular = [np.arange(part.size) % 6 >= 3 for part in sigmas]
-    sigmas += [shared.sigmas for shared in network.shared]
-    angular += [np.full(shared.kind.width, shared.kind.unit == "rad") for shared in network.shared]
-    width = np.array([part.size for part in sigmas], dtype=np.int64)
-    adjusted = np.concatenate([~network.held, np.ones(shifts.size + len(network.shared), dtype=bool)])
-    first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
-    kept = [part for part, taken in zip(sigmas, adjusted, strict=True) if taken]
-    angular = [part for part, taken in zip(angular, adjusted, strict=True) if taken]
-    return Variables(
-        len(network.images),
-        first,
-        width,
-        np.concatenate(kept) if kept else np.zeros(0),
-        np.concatenate(angular) if angular else np.zeros(0, dtype=bool),
-    )
+    prior = make_prior(network, variables)
+    blocks = pair_blocks(variables, groups, prior.pairs)
+    information = prior.information(blocks)
+    return Layout(network, model, rows, groups, blocks, variables, prior, information, patterns, sights)

@@ -1,46 +1,18 @@
 """Points sorted by pattern: which sights they have, in pieces that the kernel takes one after the other."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.terms import Terms
+from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.factors.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Variables:
-    """Unknowns that points share: orientation coefficients of images, horizontal shifts of profiles and of the terrain,
-    and those of `Network.shared`.
-
-    Variable j is image j, variable `images` + p is profile p, after the profiles may come the terrain model, and then
-    come the shared unknowns. A held image has no columns.
-    """
-
-    images: int
-    """Number of images."""
-    first: Index
-    """(v,) first column of each variable in the orientation vector; -1 for a held image."""
-    width: Index
-    """(v,) number of its columns."""
-    sigmas: Array
-    """(columns,) a-priori sigmas, m and rad; infinite where nothing is known."""
-    angular: Mask
-    """(columns,) True for a column in rad."""
-
-    def columns_of(self, variable: int) -> slice:
-        """Columns of one variable."""
-        first = int(self.first[variable])
-        return slice(first, first + int(self.width[variable]))
-
-    def adjusted(self) -> list[int]:
-        """Variables that have columns."""
-        return [int(v) for v in np.flatnonzero(self.first >= 0)]
 
 
 class Sight(NamedTuple):
@@ -50,14 +22,18 @@ class Sight(NamedTuple):
     """IMAGE, RANGE, GROUND or SURFACE."""
     image: int
     """Image that carries it; -1 for none."""
-    variable: int
-    """Image or shift that it feels; -1 for none (a held image, a prior that doesn't move)."""
+    terms: tuple[tuple[int, int], ...] = ()
+    """Variable of each basis term that it feels, and its first column within it: six columns each."""
+    moved: int = -1
+    """Variable of the shift that it feels; -1 for none."""
     felt: tuple[int, ...] = ()
     """Variables of the shared unknowns that it feels, ascending."""
     columns: int = 0
     """Columns of these together."""
     wide: bool = False
     """Whether its state has one component more: the focal length of an image, the bias of a range."""
+    steps: int = 2
+    """Single columns of a shift: eastward and northward, of the terrain model as many as it has."""
 
     @property
     def width(self) -> int:
@@ -66,8 +42,8 @@ class Sight(NamedTuple):
 
     @property
     def shift(self) -> int:
-        """Single columns of a shift eastward and northward."""
-        return 2 if self.kind in (GROUND, SURFACE) and self.variable >= 0 else 0
+        """Single columns of the shift that it feels."""
+        return self.steps if self.moved >= 0 else 0
 
     @property
     def shared(self) -> int:
@@ -76,8 +52,9 @@ class Sight(NamedTuple):
 
     @property
     def variables(self) -> tuple[int, ...]:
-        """All variables that it feels."""
-        return (self.variable, *self.felt) if self.variable >= 0 else self.felt
+        """All variables that it feels, each once."""
+        moved = (self.moved,) if self.moved >= 0 else ()
+        return tuple(dict.fromkeys((*(v for v, _ in self.terms), *moved, *self.felt)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,14 +83,14 @@ class Patterns:
         return np.asarray(np.searchsorted(self.piece_first, places, side="right") - 1)
 
 
-def sort_points(network: Network, variables: Variables) -> Patterns:
+def sort_points(network: Network, variables: Variables, terms: Terms) -> Patterns:
     """Find the patterns of a network's points.
 
     Patterns are told apart by sums of 64-bit random numbers, one per sight: one pass, no Python per point.
     """
-    signature = _signatures(network, len(variables.first))
+    signature = _signatures(network, terms, len(variables.first))
     _, example, pattern = np.unique(signature, return_index=True, return_inverse=True)
-    sights = _sights(network, variables, example)
+    sights = _sights(network, variables, terms, example)
     sets = [tuple(sorted({v for sight in mine for v in sight.variables})) for mine in sights]
     group_variables = tuple(sorted(set(sets)))
     number = {members: g for g, members in enumerate(group_variables)}
@@ -141,13 +118,16 @@ def sort_points(network: Network, variables: Variables) -> Patterns:
     )
 
 
-def _signatures(network: Network, variables: int) -> Index:
+def _signatures(network: Network, terms: Terms, variables: int) -> Index:
     """(n,) a number per point that two points share if, and only if, they have the same sights."""
     marks = np.random.default_rng(0).integers(0, 2**64, (3, variables), dtype=np.uint64)
     plain = np.random.default_rng(1).integers(0, 2**64, 3, dtype=np.uint64)
     signature = np.zeros(len(network.points), dtype=np.uint64)
-    np.add.at(signature, network.rays.point, marks[0, network.rays.image])
-    np.add.at(signature, network.ranges.point, marks[1, network.ranges.image])
+    for mark, table, node in ((marks[0], network.rays, terms.of_rays), (marks[1], network.ranges, terms.of_ranges)):
+        mine = mark[table.image]
+        at_node = np.flatnonzero(node >= 0)
+        mine[at_node] ^= marks[2, terms.variable(table.image[at_node], node[at_node])]
+        np.add.at(signature, table.point, mine)
     signature += plain[0] * (network.points.kinds == PointKind.FIXED)
     signature += plain[1] * (network.points.kinds == PointKind.CONSTRAINED)
     if network.shifts is not None:
@@ -158,18 +138,18 @@ def _signatures(network: Network, variables: int) -> Index:
     return signature.view(np.int64)
 
 
-def _sights(network: Network, variables: Variables, example: Index) -> list[tuple[Sight, ...]]:
+def _sights(network: Network, variables: Variables, terms: Terms, example: Index) -> list[tuple[Sight, ...]]:
     """Sights of the example points, one per pattern."""
     position = np.full(len(network.points), -1, dtype=np.int64)
     position[example] = np.arange(example.size)
     sights: list[list[Sight]] = [[] for _ in range(example.size)]
     felt = {kind: [_columns_of(network, mine) for mine in felt_by(network, kind)] for kind in (IMAGE, RANGE)}
-    for kind, table in ((IMAGE, network.rays), (RANGE, network.ranges)):
+    for kind, table, node in ((IMAGE, network.rays, terms.of_rays), (RANGE, network.ranges, terms.of_ranges)):
         mine = np.flatnonzero(position[table.point] >= 0)
-        for k in mine[np.argsort(table.image[mine], kind="stable")]:
+        for k in mine[np.lexsort((node[mine], table.image[mine]))]:
             image = int(table.image[k])
-            variable = image if variables.first[image] >= 0 else -1
-            sights[position[table.point[k]]].append(Sight(kind, image, variable, *felt[kind][image]))
+            sight = Sight(kind, image, terms.of(image, int(node[k])), -1, *felt[kind][image])
+            sights[position[table.point[k]]].append(sight)
     surface, shifts = network.surface, network.shifts
     terrain = network.first_shared - 1 if network.terrain_moves else -1
     moved = beams_felt(network, example)
@@ -177,9 +157,9 @@ def _sights(network: Network, variables: Variables, example: Index) -> list[tupl
         if network.points.kinds[i] == PointKind.CONSTRAINED:
             profile = -1 if shifts is None else int(shifts.profile[i])
             variable = profile + variables.images if profile >= 0 else -1
-            sights[q].append(Sight(GROUND, -1, variable, *_columns_of(network, moved[q])))
+            sights[q].append(Sight(GROUND, -1, (), variable, *_columns_of(network, moved[q])))
         if surface is not None and np.isfinite(surface.sigmas[i]):
-            sights[q].append(Sight(SURFACE, -1, terrain))
+            sights[q].append(Sight(SURFACE, -1, (), terrain, steps=len(surface.terms)))
     return [tuple(mine) for mine in sights]
 
 
@@ -248,11 +228,13 @@ class PairBlocks:
             yield v, w, flat[at : at + widths[v] * widths[w]].reshape(widths[v], widths[w])
 
 
-def pair_blocks(variables: Variables, groups: Groups) -> PairBlocks:
-    """Blocks of all pairs of variables that some group holds, and each adjusted variable's own."""
+def pair_blocks(variables: Variables, groups: Groups, more: Sequence[tuple[int, int]] = ()) -> PairBlocks:
+    """Blocks of all pairs of variables that some group holds, of each adjusted variable with itself, and of `more`
+    pairs (first variable <= second).
+    """
     count = variables.first.size
     place, member = groups.pair_first, groups.member_variable
-    pairs = [v * count + v for v in variables.adjusted()]
+    pairs = [v * count + v for v in variables.adjusted()] + [v * count + w for v, w in more]
     table = np.zeros(int(place[-1]), dtype=np.int64)
     for g in range(place.size - 1):
         mine = member[groups.member_first[g] : groups.member_first[g + 1]]

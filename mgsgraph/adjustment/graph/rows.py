@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.parallel import parallel
-from mgsgraph.adjustment.graph.patterns import Patterns, Variables
+from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
+from mgsgraph.adjustment.graph.terms import Terms
+from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.factors.rows import (
     CAMERA,
@@ -34,7 +36,6 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import RayAngles, RaySums
-from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, SharedKind
@@ -90,11 +91,15 @@ class SightPlaces:
 
 
 def lay_out_rows(
-    network: Network, model: Model, variables: Variables, patterns: Patterns, known: Array | None = None
+    network: Network,
+    model: Model,
+    variables: Variables,
+    patterns: Patterns,
+    terms: Terms,
+    known: Array | None = None,
 ) -> tuple[SightPlaces, Rows]:
     """Rows of a network in the kernel's order, and where each is; `known` (n, 3) are places at which to begin."""
-    terms = [0 if variables.first[j] < 0 else prior.degree + 1 for j, prior in enumerate(network.priors)]
-    store = _make_store(network, model, patterns, terms)
+    store = _make_store(model, patterns)
     starts = _starting_places(network, known)
     weight = np.zeros((2, int(sum(len(patterns.sights[q]) * n for q, n in store.piece[:, [0, 2]]))))
     angles = RayAngles(len(network.points))
@@ -113,7 +118,7 @@ def lay_out_rows(
         data=store.data,
         weight=weight,
         piece=store.piece,
-        **_sight_tables(network, variables, patterns, terms),
+        **_sight_tables(network, variables, patterns),
         terrain=np.zeros((0, 0)) if grid is None else np.ascontiguousarray(grid.radii, dtype=np.float64),
         terrain_frame=np.zeros(4)
         if grid is None
@@ -123,14 +128,13 @@ def lay_out_rows(
     return places, rows
 
 
-def _make_store(network: Network, model: Model, patterns: Patterns, terms: list[int]) -> _Store:
+def _make_store(model: Model, patterns: Patterns) -> _Store:
     """Room for everything."""
     widest = max(len(sights) for sights in patterns.sights)
     stored = np.zeros((len(patterns.sights), widest), dtype=np.int64)
     for q, sights in enumerate(patterns.sights):
         for j, sight in enumerate(sights):
-            bases = terms[sight.image] if sight.image >= 0 else 0
-            stored[q, j] = components(model, sight.kind, sight.width, bases, sight.shared)
+            stored[q, j] = components(model, sight.kind, sight.width, len(sight.terms), sight.shared)
     ends = np.cumsum(stored, axis=1)
     pattern, count = patterns.piece_pattern, np.diff(patterns.piece_first)
     numbers = count * (ends[:, -1][pattern] if widest else 0)
@@ -140,9 +144,7 @@ def _make_store(network: Network, model: Model, patterns: Patterns, terms: list[
     return _Store(patterns, ends - stored, np.ascontiguousarray(piece, dtype=np.int64), np.empty(int(numbers.sum())))
 
 
-def _sight_tables(
-    network: Network, variables: Variables, patterns: Patterns, terms: list[int]
-) -> dict[str, Any]:
+def _sight_tables(network: Network, variables: Variables, patterns: Patterns) -> dict[str, Any]:
     """What the patterns' sights feel of the unknowns."""
     table: list[tuple[int, int, int, int, int]] = []
     focal: list[float] = []
@@ -150,11 +152,10 @@ def _sight_tables(
     for q, sights in enumerate(patterns.sights):
         members = patterns.group_variables[patterns.group[q]]
         for sight in sights:
-            bases = terms[sight.image] if sight.image >= 0 else 0
-            table.append((sight.kind, sight.width, bases, sight.shared, len(entries)))
+            table.append((sight.kind, sight.width, len(sight.terms), sight.shared, len(entries)))
             focal.append(network.images[sight.image].interior.focal_length if sight.kind == IMAGE else 0.0)
-            inside = [(sight.variable, 6 * t) for t in range(bases)]
-            inside += [(sight.variable, step) for step in range(sight.shift)]
+            inside = list(sight.terms)
+            inside += [(sight.moved, step) for step in range(sight.shift)]
             inside += [(v, step) for v in sight.felt for step in range(int(variables.width[v]))]
             entries += [(int(variables.first[v]) + step, members.index(v), step) for v, step in inside]
     columns = np.array(table, dtype=np.int64).reshape(-1, 5).T
@@ -175,9 +176,9 @@ def _sight_tables(
     }
 
 
-def _ranks(points: Index, images: Index) -> Index:
-    """Rank of each row among its point's, by image (and as given, for the same image)."""
-    order = np.lexsort((images, points))
+def _ranks(points: Index, images: Index, nodes: Index) -> Index:
+    """Rank of each row among its point's, by image, then by first node (then as given)."""
+    order = np.lexsort((nodes, images, points))
     ordered = points[order]
     begins = np.flatnonzero(np.diff(ordered, prepend=-1))
     rank = np.empty_like(order)
@@ -195,7 +196,7 @@ def _fill_rays(
     network: Network,
     model: Model,
     store: _Store,
-    terms: list[int],
+    terms: Terms,
     effects: SharedEffects,
     starts: Array,
     weight: Array,
@@ -203,7 +204,7 @@ def _fill_rays(
 ) -> NDArray[np.int32]:
     """Constants of the image rays, and their angles; the place of each among all sights."""
     rays = network.rays
-    slots = _ranks(rays.point, rays.image)
+    slots = _ranks(rays.point, rays.image, terms.of_rays)
     place_among = np.empty(rays.point.size, dtype=np.int32)
     for j, mine in enumerate(_by_image(rays.image, len(network.images))):
         if mine.size == 0:
@@ -223,19 +224,19 @@ def _fill_rays(
         else:
             for values in (pose.velocity, turning, slope):
                 at = store.put(place, stride, at, values)
-        if terms[j]:
-            basis, rate = polynomial(image.normalised(lines), terms[j] - 1)
-            both = np.concatenate([basis, rate * image.normalised_rate], axis=1)
+        if terms.count(j):
+            basis, rate = terms.basis(j, lines, terms.of_rays[mine])
+            both = np.concatenate([basis, rate], axis=1)
             at = store.put(place, stride, at, basis if model.line == MEASURED else both)
         store.put(place, stride, at, effects.of(IMAGE, j, image.normalised(lines)))
     weight[:, place_among] = 1.0 / rays.sigmas.T
     return place_among
 
 
-def _fill_ranges(network: Network, store: _Store, terms: list[int], effects: SharedEffects, weight: Array) -> Index:
+def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedEffects, weight: Array) -> Index:
     """Constants of the ranges; the instrument is where the camera is at the shot's time."""
     ranges = network.ranges
-    slots = _ranks(ranges.point, ranges.image) + network.ray_counts[ranges.point]
+    slots = _ranks(ranges.point, ranges.image, terms.of_ranges) + network.ray_counts[ranges.point]
     place_among = np.empty(ranges.point.size, dtype=np.int64)
     for j, mine in enumerate(_by_image(ranges.image, len(network.images))):
         if mine.size == 0:
@@ -245,10 +246,10 @@ def _fill_ranges(network: Network, store: _Store, terms: list[int], effects: Sha
         place, stride, place_among[mine] = store.place(ranges.point[mine], slots[mine])
         at = store.put(place, stride, 0, image.trajectory.pose(since).position)
         at = store.put(place, stride, at, ranges.values[mine])
-        u = image.normalised(image.timing.lines(since))
-        if terms[j]:
-            at = store.put(place, stride, at, polynomial(u, terms[j] - 1)[0])
-        store.put(place, stride, at, effects.of(RANGE, j, u))
+        lines = image.timing.lines(since)
+        if terms.count(j):
+            at = store.put(place, stride, at, terms.basis(j, lines, terms.of_ranges[mine])[0])
+        store.put(place, stride, at, effects.of(RANGE, j, image.normalised(lines)))
     weight[0, place_among] = 1.0 / ranges.sigmas
     return place_among
 
@@ -282,7 +283,7 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
 
 
 def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array) -> tuple[Index, Index]:
-    """Heights above the terrain model: their weights, and the axes along which its shift moves it.
+    """Heights above the terrain model: their weights, and how its unknowns move it.
 
     Returned are their places among all sights, and the points that they belong to.
     """
@@ -293,7 +294,7 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     place, stride, among = store.place(mine, slots[mine])
     weight[0, among] = 1.0 / network.surface.sigmas[mine]
     if network.terrain_moves:
-        store.put(place, stride, 0, east_north(starts[mine]))
+        store.put(place, stride, 0, network.surface.directions(starts[mine]))
     return among, mine
 
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from mgsgraph.adjustment.graph.angles import angles_of
-from mgsgraph.adjustment.graph.patterns import Variables, felt_by
+from mgsgraph.adjustment.graph.patterns import felt_by
+from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.factors.rows import IMAGE, RANGE, Model
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
@@ -65,6 +66,33 @@ def shared_values(network: Network, variables: Variables, orientation: Array) ->
     """Value (width,) of each shared unknown, in the vector (columns,) of all that points share."""
     first = network.first_shared
     return tuple(orientation[variables.columns_of(first + k)] for k in range(len(network.shared)))
+
+
+def shift_values(network: Network, variables: Variables, orientation: Array) -> tuple[Array, Array | None]:
+    """(p, 2) m east and north of each shift, and (w,) m and rad of the terrain model's height and tilt, None where they
+    are known, in the vector (columns,) of all that points share.
+    """
+    first, surface = len(network.images), network.surface
+    values = [orientation[variables.columns_of(first + p)] for p in range(len(network.shift_names))]
+    if surface is None or not surface.raised:
+        return np.array(values).reshape(-1, 2), None
+    level = 2 if surface.shift_sigma else 0
+    values[-1], lift = np.pad(values[-1][:level], (0, 2 - level)), values[-1][level:]
+    return np.array(values), lift
+
+
+def strip_values(
+    network: Network, variables: Variables, orientation: Array
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Of each strip its nodes (k, 6) and its trend (w,), in the vector (columns,) of all that points share."""
+    nodes, trends = list[Array](), list[Array]()
+    for strip, first in zip(network.strips, network.first_of_strips.tolist(), strict=False):
+        last = first + len(strip.nodes)
+        begin, end = variables.columns_of(first).start, variables.columns_of(last - 1).stop
+        nodes.append(orientation[begin:end].reshape(-1, 6))
+        width = strip.prior.trend_sigmas.size
+        trends.append(orientation[end : end + width])
+    return tuple(nodes), tuple(trends)
 
 
 def footprint_shifts(network: Network, values: tuple[Array, ...]) -> Array:

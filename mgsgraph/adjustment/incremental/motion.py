@@ -32,7 +32,7 @@ def ground_motion(known: KnownImage, angles: Angles) -> Array:
     origin, direction, _, _ = image.rays(line, sample)
     _, by_origin, by_direction = intersect_ellipsoid(origin, direction, image.body, 0.0)
     pose = image.pose(line)
-    turn = OrientationCorrection(np.zeros((terms, 6)), angles).axes(pose, np.zeros(1))[0]
+    turn = OrientationCorrection(np.zeros((terms, 6)), angles).axes(pose, image.moments(line))[0]
     look = pose.matrix[0] @ direction[0]
     # M = Exp([theta]x)' M0: a ray d = M' look turns by M0' (theta x look)
     turned = -pose.matrix[0].T @ _cross(look) @ turn

@@ -295,4 +295,4 @@ def _surface(scene: Scene, points: GroundPoints) -> Surface | None:
     finite = surface.sigmas[np.isfinite(surface.sigmas)]
     if not (np.any(over) and finite.size):
         return None
-    return Surface(surface.grid, np.where(over, np.median(finite), np.inf), surface.shift_sigma)
+    return replace(surface, sigmas=np.where(over, np.median(finite), np.inf))

@@ -85,6 +85,9 @@ def standing(
     for one in network.shared:
         found = f"shared unknown {one.name!r}"
         raise InputError("plan", found, "orientation and shifts alone, for now", "plan with an adjustment without it")
+    for strip in network.strips:
+        found, remedy = f"strip {strip.name!r}", "plan with an adjustment without [[strips]]"
+        raise InputError("plan", found, "images with an orientation of their own, for now", remedy)
     kept = np.flatnonzero(np.isfinite(places[:, 0]))
     if kept.size == 0:
         raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")

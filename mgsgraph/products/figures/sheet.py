@@ -188,9 +188,9 @@ def in_sheets(images: Sequence[int], per_sheet: int) -> list[list[int]]:
     return [list(images[k : k + per_sheet]) for k in range(0, len(images), per_sheet)]
 
 
-def left_out(images: int, shown: int, which: str) -> str:
-    """Words for a caption when not all images are drawn; `which` says which ones are."""
-    return "" if shown >= images else f"; of {images} images the {which} are drawn, the tables have all"
+def left_out(images: int, shown: int, which: str, what: str = "images") -> str:
+    """Words for a caption when not all images (or strips) are drawn; `which` says which ones are."""
+    return "" if shown >= images else f"; of {images} {what} the {which} are drawn, the tables have all"
 
 
 def number(value: float, digits: int = 3) -> str:

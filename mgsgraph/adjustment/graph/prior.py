@@ -1,0 +1,146 @@
+"""What is known of the shared unknowns beforehand, as whitened rows about zero: of most each by itself, of a strip's
+orientation images together (`network.strips`).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.graph.variables import Variables
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    from mgsgraph.adjustment.graph.patterns import PairBlocks
+
+
+class PriorFactor(NamedTuple):
+    """Whitened rows sum_v blocks[v] x_v on a few variables."""
+
+    variables: tuple[int, ...]
+    """Ascending."""
+    blocks: tuple[Array, ...]
+    """Of each a matrix (rows, width)."""
+    about: Index
+    """(rows,) column of the shared unknowns that each row is chiefly about."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Half the sum of squares of all its rows is the prior's part of the cost."""
+
+    columns: int
+    """Number of shared unknowns."""
+    weights: Array
+    """(columns,) 1/m and 1/rad of unknowns that are known each by itself; 0 of strips', and where nothing is known."""
+    factors: tuple[PriorFactor, ...]
+    """On the unknowns of strips."""
+    first: Index
+    """(v,) first column of each variable."""
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Pairs of variables, first < second, that some factor joins."""
+        members = (factor.variables for factor in self.factors)
+        return sorted({(v, w) for mine in members for k, v in enumerate(mine) for w in mine[k + 1 :]})
+
+    @cached_property
+    def root(self) -> "csr_array":
+        """(rows, columns) of the factors alone."""
+        from scipy.sparse import coo_array  # slow to import
+
+        rows, columns, values, count = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)], 0
+        for factor in self.factors:
+            for v, block in zip(factor.variables, factor.blocks, strict=True):
+                row, column = np.nonzero(block)
+                rows.append(count + row)
+                columns.append(self.first[v] + column)
+                values.append(block[row, column])
+            count += factor.blocks[0].shape[0]
+        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+        return coo_array(entries, shape=(count, self.columns)).tocsr()
+
+    @cached_property
+    def every(self) -> "csr_array":
+        """(rows, columns) of all rows: those of unknowns known each by itself, then the factors'."""
+        from scipy.sparse import csr_array, vstack  # slow to import
+
+        known = np.flatnonzero(self.weights)
+        own = csr_array((self.weights[known], (np.arange(known.size), known)), shape=(known.size, self.columns))
+        return csr_array(vstack([own, self.root]))
+
+    @cached_property
+    def about(self) -> Index:
+        """(rows,) column that each row is chiefly about."""
+        return np.concatenate([np.flatnonzero(self.weights), *(factor.about for factor in self.factors)])
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(np.count_nonzero(self.weights)) + sum(factor.about.size for factor in self.factors)
+
+    def residuals(self, values: Array) -> Array:
+        """(columns + rows of factors,) whitened, of all unknowns (columns,); zero where nothing is known."""
+        own = values * self.weights
+        return np.append(own, self.root @ values) if self.factors else own
+
+    def cost(self, values: Array) -> float:
+        """Of all unknowns (columns,)."""
+        residuals = self.residuals(values)
+        return 0.5 * float(residuals @ residuals)
+
+    def gradient(self, values: Array) -> Array:
+        """(columns,) per m and rad."""
+        own = values * self.weights**2
+        return own + self.root.T @ (self.root @ values) if self.factors else own
+
+    def normal(self) -> Array:
+        """(columns, columns) of all rows; for small networks."""
+        own = np.diag(self.weights**2)
+        return own + (self.root.T @ self.root).toarray() if self.factors else own
+
+    def whitening(self, scales: Array) -> "csr_array | None":
+        """(rows, columns) square root of all this information on unknowns in units of `scales` (columns,), of order one
+        where nothing is known; None without factors: then it is the identity.
+        """
+        from scipy.sparse import csr_array, diags_array, vstack  # slow to import
+
+        if not self.factors:
+            return None
+        known = self.every @ diags_array(scales)
+        unknown = np.flatnonzero(np.asarray(abs(known).sum(axis=0)).ravel() == 0.0)
+        ones = csr_array((np.ones(unknown.size), (np.arange(unknown.size), unknown)), (unknown.size, self.columns))
+        return csr_array(vstack([known, ones]))
+
+    def information(self, blocks: "PairBlocks") -> Array:
+        """The factors' normal matrix, flat in the blocks of the reduced one; empty where there are none."""
+        if not self.factors:
+            return np.zeros(0)
+        pairs = zip(blocks.first.tolist(), blocks.second.tolist(), strict=True)
+        place = dict(zip(pairs, blocks.offset.tolist(), strict=True))
+        flat = np.zeros(blocks.target.size)
+        for variables, own, _ in self.factors:
+            for k, v in enumerate(variables):
+                for w, other in zip(variables[k:], own[k:], strict=True):
+                    product = own[k].T @ other
+                    flat[place[v, w] : place[v, w] + product.size] += product.ravel()
+        return flat
+
+
+def make_prior(network: Network, variables: Variables) -> Prior:
+    """Of a network."""
+    with np.errstate(divide="ignore"):
+        weights = np.where(np.isinf(variables.sigmas), 0.0, 1.0 / variables.sigmas)
+    factors = list[PriorFactor]()
+    for strip, first in zip(network.strips, network.first_of_strips.tolist(), strict=False):
+        last = first + strip.widths.size
+        begin, end = variables.columns_of(first).start, variables.columns_of(last - 1).stop
+        weights[begin:end] = 0.0
+        for unknowns, blocks, about in strip.prior.factors(strip.nodes):
+            columns = variables.first[first + about[:, 0]] + about[:, 1]
+            factors.append(PriorFactor(tuple(first + k for k in unknowns), blocks, columns))
+    return Prior(variables.sigmas.size, weights, tuple(factors), variables.first)

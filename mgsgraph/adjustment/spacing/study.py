@@ -1,0 +1,94 @@
+"""All questions to the spacing of a network's orientation images at once: which one, where closer, what vibrates."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.spacing.choice import Choice, choose_spacing
+from mgsgraph.adjustment.spacing.course import Course, course
+from mgsgraph.adjustment.spacing.densify import Densified, densify
+from mgsgraph.adjustment.spacing.respaced import respaced
+from mgsgraph.adjustment.spacing.spectrum import Spectrum, spectra
+from mgsgraph.adjustment.spacing.support import LEAST
+from mgsgraph.network import Network
+
+_FEWEST = 8
+"""Values of a strip's corrections that a spectrum takes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripSpectra:
+    """What vibrates in one strip."""
+
+    course: Course
+    """Its corrections, at the closest nodes of which candidates were adjusted."""
+    spectra: tuple[Spectrum, ...]
+    """Of the six axes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NodeStudy:
+    """What was found."""
+
+    name: str
+    """Of the case."""
+    choice: Choice
+    """Of the spacing."""
+    solution: Solution
+    """With the spacing chosen, all rays taking part."""
+    courses: tuple[Course, ...]
+    """Of each strip in it."""
+    strips: tuple[StripSpectra, ...]
+    """Of each strip that has enough closest nodes."""
+    densified: Densified | None
+    """Nodes where residuals ask for them, from the widest candidate on; None where that was not asked for."""
+
+
+def study_nodes(
+    network: Network,
+    settings: SolverSettings,
+    name: str,
+    spacings: Sequence[float],
+    share: float = 0.2,
+    seed: int = 0,
+    closer: bool = False,
+    least: int = LEAST,
+    progress: Callable[[int, int], None] = lambda _done, _most: None,
+) -> NodeStudy:
+    """Choose a spacing, adjust with it, look for vibrations, and for places that ask for closer nodes.
+
+    Parameters
+    ----------
+    network : Network
+        With strips.
+    settings : SolverSettings
+        The blunder limit holds in the adjustments of all rays.
+    name : str
+        Of the case.
+    spacings : sequence of float
+        s, candidates.
+    share, seed, least
+        See `choose_spacing`.
+    closer : bool
+        Whether to give nodes to the widest candidate that the rays support, where residuals ask for them.
+    progress : callable
+        Called with the number of steps done, and of all.
+    """
+    steps = len(set(spacings)) + 2 + closer
+    choice = choose_spacing(network, settings, spacings, share, seed, least, lambda done, _: progress(done, steps))
+    good = [one.spacing for one in choice.candidates if not one.refused]
+    progress(steps - 2 - closer, steps)
+    solution = adjust_network(choice.chosen_network, settings, name)
+    progress(steps - 1 - closer, steps)
+    finest = solution if good[0] == choice.spacing else adjust_network(respaced(network, good[0]), settings, name)
+    strips = range(len(network.strips))
+    fine = [course(finest, k) for k in strips]
+    found = tuple(StripSpectra(one, tuple(spectra(one))) for one in fine if one.times.size >= _FEWEST)
+    progress(steps - closer, steps)
+    densified = densify(respaced(network, good[-1]), settings, least=least) if closer else None
+    if densified is not None:
+        densified = replace(densified, solution=replace(densified.solution, name=name))
+        progress(steps, steps)
+    return NodeStudy(name, choice, solution, tuple(course(solution, k) for k in strips), found, densified)

@@ -1,0 +1,187 @@
+"""Whether the rays of a network support the orientation images of its strips: nodes that hardly a ray feels are named.
+
+A node counts as felt by the rays near it: those up to the next node on either side (the next but one for a spline,
+whose functions are wider). They must be of points that something else places, too (another ray, or an a-priori place):
+a lone ray tells nothing of orientation. And they must be of two lines at least, where two lines look for half of that
+time or longer: with one alone, position and pointing can't be told apart.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Array, Index, Mask, assign
+from mgsgraph.network import Network
+from mgsgraph.ties import PointKind
+from mgsgraph.wording import NAMED, some
+
+LEAST = 3
+"""Rays near a node: they bring the six rows that its six unknowns take, were the points known."""
+_COARSER = 0.95
+"""Share of the number of intervals that is tried next when a supported spacing is sought."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripRays:
+    """Rays of one strip, by time."""
+
+    strip: str
+    """Its name."""
+    rays: Index
+    """(m,) rays of the network."""
+    line: Index
+    """(m,) which of the strip's images each belongs to, counted within the strip."""
+    times: Array
+    """(m,) s past the epoch of the strip's nodes."""
+    looks: Array
+    """(lines, 2) s past that epoch, when each image begins and ends."""
+
+    def only(self, chosen: Mask) -> "StripRays":
+        """Some of them."""
+        return StripRays(self.strip, self.rays[chosen], self.line[chosen], self.times[chosen], self.looks)
+
+
+def strip_rays(network: Network, strip: int) -> StripRays:
+    """All rays of a strip's images."""
+    one = network.strips[strip]
+    place = np.full(len(network.images), -1)
+    place[one.images] = np.arange(one.images.size)
+    rays = np.flatnonzero(place[network.rays.image] >= 0)
+    line, times, looks = place[network.rays.image[rays]], np.empty(rays.size), np.empty((one.images.size, 2))
+    for k, j in enumerate(one.images.tolist()):
+        image, mine = network.images[j], line == k
+        later = image.trajectory.epoch - one.nodes.epoch
+        times[mine] = image.timing.at(network.rays.places[rays[mine], 0])[0] + later
+        looks[k] = image.timing.at(np.array([0.0, float(image.lines)]))[0] + later
+    return StripRays(one.name, rays, line, times, looks)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Support:
+    """What the rays of a strip do for its nodes."""
+
+    strip: str
+    """Its name."""
+    nodes: OrientationImages
+    """They."""
+    rays: Index
+    """(k,) rays near each node that tell something."""
+    lines: Index
+    """(k,) lines that these are of."""
+    looking: Index
+    """(k,) lines that look there for half the time or longer."""
+    least: int
+    """Rays that there should be."""
+
+    def __post_init__(self) -> None:
+        for name in ("rays", "lines", "looking"):
+            value = np.array(getattr(self, name), dtype=np.int64)
+            value.flags.writeable = False
+            assign(self, **{name: value})
+
+    @property
+    def weak(self) -> Mask:
+        """(k,) True for nodes that the rays don't support."""
+        return np.asarray((self.rays < self.least) | (self.lines < np.minimum(self.looking, 2)))
+
+
+def support(network: Network, strip: int, least: int = LEAST, taken: Mask | None = None) -> Support:
+    """How many rays feel each node of a strip.
+
+    Parameters
+    ----------
+    network : Network
+    strip : int
+    least : int
+        Rays that each node should have near it.
+    taken : (rays,), optional
+        Those that take part; when absent all that are not marked as blunders.
+    """
+    return felt(network.strips[strip].nodes, telling(network, strip, taken), least)
+
+
+def telling(network: Network, strip: int, taken: Mask | None = None) -> StripRays:
+    """Rays of a strip whose points something else places, too."""
+    used = ~network.rays.rejected if taken is None and network.rays.rejected is not None else taken
+    used = np.ones(network.rays.point.size, dtype=bool) if used is None else used
+    counts = np.bincount(network.rays.point, used, len(network.points))
+    placed = (counts >= 2) | (network.points.kinds != PointKind.FREE)
+    mine = strip_rays(network, strip)
+    return mine.only(used[mine.rays] & placed[network.rays.point[mine.rays]])
+
+
+def felt(nodes: OrientationImages, rays: StripRays, least: int = LEAST) -> Support:
+    """The same for any nodes over rays of a strip."""
+    reach = 1 if nodes.basis == "lagrange" else 2
+    number, last = np.arange(len(nodes)), len(nodes) - 1
+    start, stop = nodes.times[np.maximum(number - reach, 0)], nodes.times[np.minimum(number + reach, last)]
+    counts, looking = np.zeros((rays.looks.shape[0], len(nodes)), dtype=np.int64), np.zeros(len(nodes), dtype=np.int64)
+    for k, (first, end) in enumerate(rays.looks.tolist()):
+        times = np.sort(rays.times[rays.line == k])
+        counts[k] = np.searchsorted(times, stop, side="right") - np.searchsorted(times, start, side="left")
+        looking += np.minimum(stop, end) - np.maximum(start, first) >= 0.5 * (stop - start)
+    return Support(rays.strip, nodes, counts.sum(axis=0), np.count_nonzero(counts, axis=0), looking, least)
+
+
+def supported_spacing(nodes: OrientationImages, rays: StripRays, least: int = LEAST) -> float:
+    """Spacing, s, of even nodes over the same time that the rays support throughout, at least that of `nodes`; infinite
+    where they support none.
+    """
+    start, stop = nodes.coverage
+    intervals = max(round((stop - start) / float(np.diff(nodes.times).min())), SUPPORT - 1)
+    while True:
+        spacing = (stop - start) / intervals
+        if not np.any(felt(evenly_spaced(nodes.basis, nodes.epoch, (start, stop), spacing), rays, least).weak):
+            return spacing
+        if intervals == SUPPORT - 1:
+            return float("inf")
+        intervals = max(min(int(intervals * _COARSER), intervals - 1), SUPPORT - 1)
+
+
+def require_supported(network: Network, least: int = LEAST, taken: Mask | None = None) -> None:
+    """Raise InputError, naming the weak nodes, unless rays feel every node of every strip.
+
+    Parameters
+    ----------
+    network : Network
+    least : int
+        Rays that each node should have near it; see `Support`.
+    taken : (rays,), optional
+        Those that take part; when absent all that are not marked as blunders.
+    """
+    for k in range(len(network.strips)):
+        rays = telling(network, k, taken)
+        found = felt(network.strips[k].nodes, rays, least)
+        if np.any(found.weak):
+            raise unsupported(found, rays)
+
+
+def unsupported(found: Support, rays: StripRays) -> InputError:
+    """The error for nodes that are closer than the rays support: which ones, what is near them, what would do."""
+    weak, start = np.flatnonzero(found.weak), found.nodes.coverage[0]
+    names = [f"{k + 1} ({found.nodes.times[k] - start:.4g} s)" for k in weak.tolist()]
+    counts = ", ".join(str(count) for count in found.rays[weak][:NAMED].tolist())
+    counts += f", ... (at the most {found.rays[weak].max()})" if weak.size > NAMED else ""
+    lone = int(np.count_nonzero(found.rays[weak] >= found.least))
+    of_one = f", {lone} of them with rays of one line alone" if lone else ""
+    spacing = supported_spacing(found.nodes, rays, found.least)
+    remedy = "leave the strip out, or match more points"
+    if np.isfinite(spacing):
+        remedy = f"a spacing of {_rounded_up(spacing)} s is what they support"
+        remedy += ", or other times for the nodes" if found.nodes.basis == "lagrange" else ""
+    return InputError(
+        f"strip {found.strip!r}, nodes closer than the data supports",
+        f"node{'s' if weak.size > 1 else ''} {some(names, weak.size)} of {len(found.nodes)}, counted from the strip's "
+        f"first line; rays near {'them' if weak.size > 1 else 'it'}: {counts}{of_one}",
+        f"{found.least} or more up to the next node{'' if found.nodes.basis == 'lagrange' else ' but one'}, "
+        "in two lines where two look",
+        remedy,
+    )
+
+
+def _rounded_up(spacing: float) -> str:
+    """Three digits, not below what is meant."""
+    digits = 10.0 ** (int(np.floor(np.log10(spacing))) - 2)
+    return f"{np.ceil(spacing / digits - 1e-9) * digits:.4g}"

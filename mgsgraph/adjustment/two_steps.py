@@ -1,0 +1,203 @@
+"""The two steps of Spiegel et al. (LPSC 2006): first the rays alone, then their points on the terrain model.
+
+Step 1 makes the block consistent in itself and finds the blunders of matching. Step 2 adds one row for each point over
+the terrain model, with what step 1 rejected kept out, and fits the whole block to the model. A point far off the model
+is judged there, too: a blunder that step 1 could not see (all its rays agree on a wrong place) or ground that is not as
+the model has it. Its rays stay, its height row goes.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.analysis.forward import RaysAlone
+from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.cluster import Connection
+from mgsgraph.adjustment.passes import Progress, Selection, everything
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.network import Network
+
+Announce = Callable[[str], None]
+"""Called at the beginning of each step with what it is."""
+
+_MOST_PASSES = 6
+_MEDIAN_OF_UNIT = 0.6745
+"""Median modulus of a normal error, in its sigmas."""
+_FLOOR = 0.1
+"""A-priori sigmas below which the spread of heights is not taken at its word, as `passes.select` has it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwoSteps:
+    """Both adjustments of one network."""
+
+    network: Network
+    """With its terrain model, as it was given."""
+    free: Solution
+    """Step 1: without the terrain model."""
+    fitted: Solution
+    """Step 2: with it. Of its network the surface lacks the rows that were judged to be off."""
+    off: Mask
+    """(n,) points whose height row was judged to be a blunder, or the ground another one than the model's."""
+    at_rest: bool
+    """Whether that judgement came to rest."""
+    history: tuple[tuple[Iteration, ...], tuple[Iteration, ...]]
+    """Every step tried of either, over all passes."""
+    seconds: tuple[float, float]
+    """Wall time of either."""
+    rays_alone: RaysAlone
+    """Forward intersection of the rays that step 1 left in."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether both did."""
+        return self.free.converged and self.fitted.converged
+
+    def __repr__(self) -> str:
+        return f"TwoSteps(free {self.free!r}, fitted {self.fitted!r}, {int(self.off.sum())} heights off)"
+
+
+def adjust_in_two_steps(
+    network: Network,
+    settings: SolverSettings,
+    name: str = "adjustment",
+    progress: Progress = lambda _: None,
+    announce: Announce = lambda _: None,
+    cluster: Connection | None = None,
+) -> TwoSteps:
+    """Adjust a network without its terrain model, and then with it.
+
+    Parameters
+    ----------
+    network : Network
+        With a terrain model (`Network.surface`).
+    settings : SolverSettings
+        Its blunder limit (`reject`) judges rays and ranges in step 1, and heights in step 2; 0 judges nothing.
+    name, progress, cluster
+        As of `adjust_network`.
+    announce : callable
+        Called at the beginning of each step.
+
+    Raises
+    ------
+    InputError
+        When the network has no terrain model, or no point on it.
+    WeakNetwork
+        When rays, laser and priors alone leave some direction of the orientation undetermined.
+    """
+    require_terrain(network)
+    begin = time.perf_counter()
+    announce("step 1 of 2, without terrain")
+    free = adjust_network(without_terrain(network), settings, f"{name}, step 1", progress, cluster)
+    middle = time.perf_counter()
+    announce("step 2 of 2, with terrain")
+    selection, quiet = selection_of(network, free), replace(settings, reject=0.0)
+    rays_alone = RaysAlone(without_terrain(network), quiet, selection)
+    off, seen, history = np.zeros(len(network.points), dtype=np.bool_), set[bytes](), tuple[Iteration, ...]()
+    while True:
+        fitted = adjust_network(without_heights(network, off), quiet, name, progress, cluster, selection)
+        history += fitted.history
+        seen.add(off.tobytes())
+        judged = heights_off(network, fitted, rays_alone, settings.reject)
+        at_rest = np.array_equal(judged, off)
+        if at_rest or judged.tobytes() in seen or len(seen) == _MOST_PASSES:
+            break
+        off = judged
+    off.flags.writeable = False
+    seconds = middle - begin, time.perf_counter() - middle
+    return TwoSteps(network, free, fitted, off, at_rest, (free.history, history), seconds, rays_alone)
+
+
+def require_terrain(network: Network, where: str = "two steps") -> None:
+    """Raise InputError unless some points lie on a terrain model; `where` names the network in errors."""
+    if network.surface is None:
+        raise InputError(where, "no terrain model as control", "one to fit the block to in step 2", "add [terrain]")
+    if not np.any(np.isfinite(network.surface.sigmas)):
+        raise InputError(where, "a terrain model on which no point lies", "points over its posts")
+
+
+def without_terrain(network: Network) -> Network:
+    """A network without its terrain model and what is unknown of that."""
+    return replace(network, surface=None)
+
+
+def without_heights(network: Network, off: Mask) -> Network:
+    """A network without the height rows of some points (n,)."""
+    surface = network.surface
+    if surface is None or not np.any(off):
+        return network
+    return replace(network, surface=replace(surface, sigmas=np.where(off, np.inf, surface.sigmas)))
+
+
+def selection_of(network: Network, free: Solution) -> Selection:
+    """Rays and ranges that step 1 has left in."""
+    whole = everything(network)
+    rays = whole.rays if free.rays_rejected is None else ~free.rays_rejected
+    ranges = whole.ranges if free.ranges_rejected is None else ~free.ranges_rejected
+    return Selection(rays, ranges, whole.out)
+
+
+def heights_above(network: Network, places: Array, solution: Solution | None = None) -> tuple[Array, Array]:
+    """Heights of points above the network's terrain model, along its normal.
+
+    Parameters
+    ----------
+    network : Network
+        With a terrain model.
+    places : (n, 3)
+        m, body-fixed.
+    solution : Solution, optional
+        The model is where this puts it, which differs where its shift or tilt is unknown; else where it is given.
+
+    Returns
+    -------
+    heights : (n,)
+        m; NaN for points without a place, beside the model or over missing posts.
+    normals : (n, 3)
+        d(height) / d(place).
+    """
+    assert network.surface is not None
+    if solution is not None and solution.network.terrain_moves:
+        places = places - network.surface.moved(places, solution.shift_values[-1])
+    heights, normals = np.full(len(places), np.nan), np.full(places.shape, np.nan)
+    known = np.all(np.isfinite(places), axis=1)
+    heights[known], normals[known] = network.surface.grid.height_above(places[known])
+    return heights, normals
+
+
+def heights_off(network: Network, fitted: Solution, rays_alone: RaysAlone, limit: float) -> Mask:
+    """(n,) points whose height contradicts the terrain model by more than `limit` robust standard deviations.
+
+    Judged is the height h above the model of the place where the rays alone put the point, with the orientation of step
+    2, over root(s^2 + q): s is the sigma of the height row, q the variance of h by the rays' noise. That is the row's
+    own residual over its standard deviation, s root(1 - q'/s^2) with q' = q s^2 / (s^2 + q), the shared unknowns taken
+    for true; so it is the same test whether the row takes part or not, and rows may return. The spread is estimated
+    from the median, as for rays.
+    """
+    surface = network.surface
+    assert surface is not None
+    result = np.zeros(len(network.points), dtype=np.bool_)
+    if limit == 0.0:
+        return result
+    places, covariances = rays_alone.at(orientation_values(network, fitted))
+    heights, normals = heights_above(network, places, fitted)
+    own = np.einsum("ni,nij,nj->n", normals, covariances, normals)
+    known = np.flatnonzero(np.isfinite(surface.sigmas) & np.isfinite(heights))
+    sizes = np.abs(heights[known]) / np.sqrt(surface.sigmas[known] ** 2 + own[known])
+    unit = max(float(np.median(sizes)) / _MEDIAN_OF_UNIT, _FLOOR) if sizes.size else 1.0
+    result[known[sizes > limit * unit]] = True
+    return result
+
+
+def orientation_values(network: Network, fitted: Solution) -> list[Array]:
+    """Values of the shared unknowns but for the terrain model's, as the network without it numbers them."""
+    values = fitted.values
+    if network.terrain_moves:
+        del values[network.first_shared - 1]
+    return values

@@ -1,0 +1,136 @@
+"""Images of a case, by support data or by labels and kernels; those of one strip on one trajectory."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceInput
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_polynomials
+from mgsgraph.io.image_label import instrument_of
+from mgsgraph.io.isd import Aberration, read_isd
+
+
+def read_images(
+    wanted: CaseInput, orientations: Sequence[OrientationInput], of_strips: Sequence[Sequence[int]], path: Path
+) -> tuple[tuple[PushbroomImage, ...], tuple[PolynomialFit, ...]]:
+    """All images, and what polynomials of their nominal orientation cost, where these are used.
+
+    Parameters
+    ----------
+    wanted : CaseInput
+        The case file.
+    orientations : sequence of OrientationInput
+        Of each image.
+    of_strips : sequence
+        Images of each strip.
+    path : Path
+        Where the case file is.
+    """
+    found, fits = dict[int, PushbroomImage](), list[PolynomialFit]()
+    for k, mine in enumerate(of_strips):
+        _require_of_strip(wanted, orientations, mine, f"{path}, strips[{k}] ({wanted.strips[k].name})")
+        found |= _together(wanted, mine, path)
+    for j, (entry, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
+        if j not in found:
+            found[j] = read_image(entry, wanted.spice, path.parent, f"{path}, images[{j}]")
+        if orientation.nominal == "polynomial":
+            found[j], fit = fit_polynomials(found[j], orientation.nominal_order)
+            fits.append(fit)
+    return tuple(found[j] for j in range(len(wanted.images))), tuple(fits)
+
+
+def _require_of_strip(
+    wanted: CaseInput, orientations: Sequence[OrientationInput], mine: Sequence[int], where: str
+) -> None:
+    """Raise InputError where what is said of an image contradicts its strip."""
+    for j in mine:
+        entry = wanted.images[j]
+        if entry.held:
+            raise InputError(where, f"image {entry.name}, which is held", "adjusted images", "take one of the two out")
+        if entry.orientation is not None:
+            found = f"image {entry.name}, which has an orientation table of its own"
+            raise InputError(where, found, "images that the strip's prior is for", "take one of the two out")
+        if orientations[j].nominal == "polynomial":
+            found = f"image {entry.name} with nominal = 'polynomial'"
+            raise InputError(where, found, "the trajectory itself, which all images share", "nominal = 'trajectory'")
+
+
+def _together(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, PushbroomImage]:
+    """HRSC images of a strip that are read alike, on one trajectory (the very record), by their number."""
+    groups, folder = dict[tuple[object, ...], list[int]](), path.parent
+    for j in mine:
+        entry = wanted.images[j]
+        if entry.isd is None and entry.label is not None and instrument_of(folder / entry.label) == "HRSC":
+            alike = (_kernels(entry, wanted.spice), entry.constants, entry.attitude_bias_s, entry.position_bias_s)
+            groups.setdefault(alike, []).append(j)
+    return {
+        j: image
+        for members in groups.values()
+        if len(members) > 1
+        for j, image in zip(members, _hrsc_strip([wanted.images[j] for j in members], wanted.spice, path), strict=True)
+    }
+
+
+def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
+    from mgsgraph.io.hrsc import read_hrsc_strip
+
+    folder, first = path.parent, entries[0]
+    images = read_hrsc_strip(
+        [folder / entry.label for entry in entries if entry.label is not None],
+        _required_kernels(first, spice, folder, f"{path}, image {first.name}"),
+        [entry.name for entry in entries],
+        constants=first.constants,
+        attitude_bias=first.attitude_bias_s or 0.0,
+        position_bias=first.position_bias_s,
+        interval=spice.sampling_s if spice else 0.1,
+        line_times=[_line_times(entry, folder) for entry in entries],
+    )
+    return [
+        image if entry.focal_length_m is None
+        else replace(image, interior=replace(image.interior, focal_length=entry.focal_length_m))
+        for image, entry in zip(images, entries, strict=True)
+    ]  # fmt: skip
+
+
+def _kernels(entry: ImageInput, spice: SpiceInput | None) -> tuple[str, ...]:
+    return entry.kernels or (spice.kernels if spice else ())
+
+
+def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> list[Path]:
+    kernels = _kernels(entry, spice)
+    if not kernels:
+        raise InputError(where, "a label without kernels", "kernels = [...] here or in [spice]")
+    return [folder / kernel for kernel in kernels]
+
+
+def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
+    """From image support data, or from a label and SPICE kernels; `where` names the table in errors."""
+    if (entry.isd is None) == (entry.label is None):
+        found = "neither isd nor label" if entry.isd is None else "both isd and label"
+        raise InputError(where, found, "one of them")
+    if entry.isd is not None:
+        stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
+        return read_isd(folder / entry.isd, entry.name, stated)
+    from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load: those who need it wait
+
+    assert entry.label is not None
+    return read_labelled_image(
+        folder / entry.label,
+        _required_kernels(entry, spice, folder, where),
+        entry.name,
+        focal_length=entry.focal_length_m,
+        constants=entry.constants,
+        attitude_bias=entry.attitude_bias_s,
+        position_bias=entry.position_bias_s,
+        interval=spice.sampling_s if spice else 0.1,
+        line_times=_line_times(entry, folder),
+    )
+
+
+def _line_times(entry: ImageInput, folder: Path) -> Path | Literal["mean"] | None:
+    if entry.line_times is None:
+        return None
+    return "mean" if entry.line_times == "mean" else folder / entry.line_times

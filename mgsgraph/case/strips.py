@@ -1,0 +1,203 @@
+"""[[strips]] of a case file: images on one trajectory, adjusted through common orientation images."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.network import NodePrior, Strip
+from mgsgraph.network.passes import require_one_pass, seconds, straightest
+from mgsgraph.units import MGON, MRAD
+from mgsgraph.wording import listed
+
+_Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+_SPACING = 10.0
+"""s between nodes where nothing is said: 40 km on the ground for Mars Express."""
+_MOST_NODES = 10_000
+"""In a strip; more are a slip in the unit of their spacing."""
+_SIZES = (1e-9, 1e9)
+"""Sigmas that mean something."""
+_DEFAULTS = {"": (1.0, 3.0), "bias_": (50.0, 28.0), "drift_": (10.0, 5.0)}
+"""m and mgon, of a node's departures from the trend, of the trend's constant part, and of its linear part."""
+
+Sigmas = float | list[float]
+"""One number for all three axes, or three."""
+
+
+class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Where a strip's orientation images stand: evenly spaced, or at times; at most one of the four is said."""
+
+    basis: Basis = "lagrange"
+    """Third-order polynomials through the four nearest, or the uniform cubic B-spline."""
+    spacing_s: _Positive | None = None
+    """Largest spacing; 10 s when nothing is said."""
+    spacing_lines: _Positive | None = None
+    """The same in lines of the strip's nadir image (`network.passes.straightest`), by its mean line period."""
+    times_et_s: tuple[float, ...] = ()
+    """Times, s TDB past J2000."""
+    times_utc: tuple[str, ...] = ()
+    """Times, UTC as in 2008-02-08T12:08:53.843; by the leap seconds of the case's kernels."""
+
+    def images(
+        self, pictures: Sequence[PushbroomImage], to_et: Callable[[Sequence[str], str], Array], where: str
+    ) -> OrientationImages:
+        """The nodes of a strip of these images; `to_et` turns UTC into s TDB past J2000, `where` names this table."""
+        said = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
+        if len(said) > 1:
+            raise InputError(where, listed(said), "one of them")
+        edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
+        start, stop = float(edges[:, 0].min()), float(edges[:, 1].max())
+        if self.times_et_s or self.times_utc:
+            times = to_et(self.times_utc, f"{where}, times_utc") if self.times_utc else np.array(self.times_et_s)
+            return OrientationImages(self.basis, epoch, times - epoch)
+        spacing = self.spacing_s or _SPACING
+        if self.spacing_lines is not None:
+            reference = pictures[straightest(pictures)]
+            first, last = seconds(reference)
+            spacing = self.spacing_lines * (last - first) / reference.lines
+        key = said[0] if said else "spacing_s"
+        if said and spacing > stop - start:
+            raise InputError(f"{where}, {key}", f"{spacing:.6g} s", f"less than the strip's {stop - start:.6g} s")
+        if (stop - start) / spacing > _MOST_NODES:
+            found = f"{spacing:.3g} s, {(stop - start) / spacing:.3g} nodes on {stop - start:.6g} s"
+            raise InputError(f"{where}, {key}", found, f"at most {_MOST_NODES} nodes", "a larger spacing")
+        return evenly_spaced(self.basis, epoch, (start - epoch, stop - epoch), spacing)
+
+
+class StripPriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.strips`.
+
+    Sigmas are one number or three: along the body-fixed X, Y, Z and about the camera's axes x, y, z. The default bias
+    of the attitude is what Spiegel et al. (papers/003) state of Mars Express; all others are those of simulated blocks.
+    """
+
+    position_sigma_m: Sigmas | None = None
+    """Departures of a node from the trend; 1 m when absent, inf where nothing is known."""
+    angle_sigma_mgon: Sigmas | None = None
+    """The same of the attitude; 3 mgon when neither unit is said."""
+    angle_sigma_mrad: Sigmas | None = None
+    """The same in another unit."""
+    position_bias_sigma_m: Sigmas | None = None
+    """Constant of the whole strip; 50 m when absent, 0 for none."""
+    angle_bias_sigma_mgon: Sigmas | None = None
+    """The same of the attitude; 28 mgon when neither unit is said."""
+    angle_bias_sigma_mrad: Sigmas | None = None
+    """The same in another unit."""
+    position_drift_sigma_m: Sigmas | None = None
+    """Linear in time, at the ends of the strip; 10 m when absent, 0 for none."""
+    angle_drift_sigma_mgon: Sigmas | None = None
+    """The same of the attitude; 5 mgon when neither unit is said."""
+    angle_drift_sigma_mrad: Sigmas | None = None
+    """The same in another unit."""
+    correlation_time_s: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 60.0
+    """In which departures forget themselves to 1/e; 0: nodes know nothing of each other."""
+
+    def prior(self, where: str) -> NodePrior:
+        """The record, in m and rad; `where` names this table in errors."""
+        sigmas, _ = self._six("", where)
+        trends = [
+            np.where(said | np.isfinite(sigmas), values, 0.0)  # a default gives way where nodes know nothing
+            for values, said in (self._six(part, where) for part in ("bias_", "drift_"))
+        ]
+        try:
+            return NodePrior(sigmas, trends[0], trends[1], self.correlation_time_s)
+        except InputError as error:
+            raise error.within(where) from None
+
+    def _six(self, part: str, where: str) -> tuple[Array, Mask]:
+        """(6,) m and rad of departures, bias or drift, and which of them are said."""
+        keys = {f"position_{part}sigma_m": 1.0}, {f"angle_{part}sigma_mgon": MGON, f"angle_{part}sigma_mrad": MRAD}
+        values, said = list[Array](), list[bool]()
+        for units, default in zip(keys, _DEFAULTS[part], strict=True):
+            given = {key: value for key in units if (value := getattr(self, key)) is not None}
+            if len(given) > 1:
+                raise InputError(where, listed(list(given)), "one of them")
+            key, value = next(iter(given.items()), (next(iter(units)), default))
+            values.append(_three(value, f"{where}, {key}", bool(part)) * units[key])
+            said.append(bool(given))
+        return np.concatenate(values), np.repeat(said, 3)
+
+
+def _three(value: Sigmas, where: str, trend: bool) -> Array:
+    """Three sigmas; those of a trend may be 0, others inf."""
+    sigmas = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    sound = ((sigmas >= _SIZES[0]) & (sigmas <= _SIZES[1])) | (sigmas == (0.0 if trend else np.inf))
+    if sigmas.size not in (1, 3) or not np.all(sound):
+        other = "0 for none" if trend else "inf for unknown"
+        raise InputError(where, f"{value}", f"one number from {_SIZES[0]:g} to {_SIZES[1]:g}, or three ({other})")
+    return np.broadcast_to(sigmas, 3)
+
+
+class StripInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Images on one trajectory."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1)]
+    """What to call it in reports."""
+    images: tuple[str, ...] = ()
+    """Names of its images; when absent, all that no other strip names."""
+    nodes: NodesInput = NodesInput()
+    """Its orientation images."""
+    prior: StripPriorInput = StripPriorInput()
+    """What is known of them beforehand."""
+
+
+def members(entries: Sequence[StripInput], names: Sequence[str], path: str) -> list[list[int]]:
+    """Images of each strip, ascending, by the names of all; each image is of one strip at most."""
+    index, owner = {name: j for j, name in enumerate(names)}, dict[int, int]()
+    for k, entry in enumerate(entries):
+        where = f"{path}, strips[{k}], images"
+        for name in entry.images:
+            if name not in index:
+                known = ", ".join(list(names)[:4])
+                raise InputError(where, f"the image {name!r}", f"some of the case's images ({known})")
+            if index[name] in owner:
+                other = entries[owner[index[name]]].name
+                raise InputError(where, f"{name!r}, which strip {other!r} has already", "each image once")
+            owner[index[name]] = k
+    for k in [k for k, entry in enumerate(entries) if not entry.images][:1]:
+        if sum(not entry.images for entry in entries) > 1:
+            raise InputError(f"{path}, strips", "several without images", "names: one alone may take those left over")
+        left = [j for j in range(len(names)) if j not in owner]
+        if not left:
+            raise InputError(f"{path}, strips[{k}]", "no image that no other strip names", "images = [...]")
+        owner |= dict.fromkeys(left, k)
+    return [sorted(j for j, at in owner.items() if at == k) for k in range(len(entries))]
+
+
+def strips_of(
+    entries: Sequence[StripInput],
+    of_strips: Sequence[Sequence[int]],
+    images: Sequence[PushbroomImage],
+    to_et: Callable[[int, Sequence[str], str], Array],
+    path: str,
+) -> tuple[Strip, ...]:
+    """The strips of a network.
+
+    Parameters
+    ----------
+    entries : sequence of StripInput
+    of_strips : sequence
+        Images of each, as `members` gives them.
+    images : sequence of PushbroomImage
+        All of the network.
+    to_et : callable
+        Turns times in UTC into s TDB past J2000: of a strip (its number), the texts, and their place for errors.
+    path : str
+        Case file, for errors.
+    """
+    found = []
+    for k, (entry, mine) in enumerate(zip(entries, of_strips, strict=True)):
+        where, pictures = f"{path}, strips[{k}]", [images[j] for j in mine]
+        require_one_pass(pictures, where)
+        try:
+            nodes = entry.nodes.images(pictures, partial(to_et, k), f"{where}.nodes")
+        except InputError as error:
+            raise error if path in str(error) else error.within(f"{where}.nodes") from None
+        found.append(Strip(entry.name, np.array(mine), nodes, entry.prior.prior(f"{where}.prior")))
+    return tuple(found)

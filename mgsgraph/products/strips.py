@@ -1,0 +1,301 @@
+"""Strips in reports: how their trajectories were corrected along time, and how well that is known.
+
+Corrections are those of the orientation images alone, in the terms of the flight (`analysis.frames`): along, across and
+radial; roll, pitch and yaw. What unknowns that images share do to them on top stands in `shared.csv`.
+"""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.flight_sigmas import flight_axes_at
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import COMPONENTS as AXES
+from mgsgraph.geometry.orientation import Moments, OrientationCorrection
+from mgsgraph.geometry.orientation_images import SUPPORT
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import JointNodePrior, Network, NodePrior
+from mgsgraph.network.passes import seconds, straightest
+from mgsgraph.products.writing import columns, quoted, whole, write_csv
+from mgsgraph.units import ARCSEC, KM, MGON
+from mgsgraph.wording import cells, many, short, some, span, three
+
+POSITION, ROTATION = ("along", "across", "radial"), ("roll", "pitch", "yaw")
+"""Components of corrections along a strip: m, and rad."""
+_SHORT = ("along", "acr.", "rad.")
+_J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
+_ROWS = 24
+"""Strips that are listed."""
+_FEW_RAYS = 3
+"""Two rays make one tie of two lines; fewer say nothing of six components."""
+_NAME = 22
+"""Characters of a strip's name in the table."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripCourse:
+    """Corrections along a strip, at some times."""
+
+    times: Array
+    """(n,) s TDB past J2000."""
+    values: Array
+    """(n, 6) m along, across and radial, and rad of roll, pitch and yaw."""
+    sigmas: Array
+    """(n, 6) the same, of `values`, for sigma0 = 1."""
+
+
+def strip_course(solution: Solution, strip: int, times: Array) -> StripCourse:
+    """Corrections of a strip at times (n,) in s TDB past J2000, by the four nodes nearest to each."""
+    nodes = solution.network.strips[strip].nodes
+    first, basis, _ = nodes.at(times - nodes.epoch, nodes.epoch)
+    values = np.einsum("nk,nkc->nc", basis, solution.nodes[strip][first[:, None] + np.arange(SUPPORT)])
+    variable = int(solution.network.first_of_strips[strip])
+    covariance = np.empty((times.size, 6, 6))
+    for k in np.unique(first).tolist():
+        mine = first == k
+        joint = solution.joint_covariance.of(range(variable + k, variable + k + SUPPORT))
+        joint = joint.reshape(SUPPORT, 6, SUPPORT, 6)
+        covariance[mine] = np.einsum("np,piqj,nq->nij", basis[mine], joint, basis[mine])
+    turn = _to_flight(solution, strip, times)
+    sigmas = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", turn, covariance, turn), 0.0))
+    return StripCourse(times, np.einsum("nij,nj->ni", turn, values), sigmas)
+
+
+def _to_flight(solution: Solution, strip: int, times: Array) -> Array:
+    """(n, 6, 6) from the components of a correction to those of the flight; each time by an image that knows it."""
+    pictures = _pictures(solution, strip)
+    spans = np.array([image.trajectory.coverage for image in pictures]) + [[one.trajectory.epoch] for one in pictures]
+    off = np.maximum(spans[:, 0] - times[:, None], times[:, None] - spans[:, 1])
+    owner, turn = np.argmin(np.maximum(off, 0.0), axis=1), np.zeros((times.size, 6, 6))
+    for j in np.unique(owner).tolist():
+        mine, trajectory = owner == j, pictures[j].trajectory
+        since = np.clip(times[mine] - trajectory.epoch, *trajectory.coverage)
+        pose, still = trajectory.pose(since), np.zeros(since.size)
+        level = flight_axes_at(pose.position, pose.velocity)
+        roll = np.einsum("nij,nj->ni", pose.matrix, level[:, 0]) * [1.0, 1.0, 0.0]
+        roll /= np.linalg.norm(roll, axis=1, keepdims=True)
+        yaw = np.broadcast_to([0.0, 0.0, 1.0], roll.shape)
+        moments = Moments(still, 0.0, since, still, trajectory.epoch)
+        axes = OrientationCorrection(np.zeros((1, 6)), solution.settings.angles).axes(pose, moments)
+        turn[mine, :3, :3] = level
+        turn[mine, 3:, 3:] = np.stack([roll, np.cross(yaw, roll), yaw], axis=1) @ axes
+    return turn
+
+
+def _pictures(solution: Solution, strip: int) -> list[PushbroomImage]:
+    return [solution.network.images[j] for j in solution.network.strips[strip].images.tolist()]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StripReport:
+    """One strip, in figures."""
+
+    name: str
+    """What it is called."""
+    basis: str
+    """Between its nodes."""
+    images: tuple[str, ...]
+    """Names."""
+    nodes: int
+    """All of them; a spline has one beyond either end."""
+    spacing: float
+    """s between nodes, on the average."""
+    lines: float
+    """The same in lines of the image that looks straight down."""
+    ground: float
+    """The same in m over ground; NaN where that image misses the body."""
+    course: StripCourse
+    """Corrections at the nodes within the strip."""
+    trend: tuple[tuple[str, str, float, float], ...]
+    """Bias and drift of the observed trajectory: "bias" or "drift", component (of the camera's own axes), value and
+    sigma in m or rad."""
+
+    @property
+    def largest(self) -> Array:
+        """(6,) m and rad, largest correction at a node."""
+        return np.asarray(np.abs(self.course.values).max(axis=0))
+
+    @property
+    def mean_sigmas(self) -> Array:
+        """(6,) m and rad, mean sigma of the nodes."""
+        return np.asarray(self.course.sigmas.mean(axis=0))
+
+
+def strip_reports(solution: Solution) -> list[StripReport]:
+    """All strips, in their order."""
+    return [_report(solution, k) for k in range(len(solution.network.strips))]
+
+
+def node_times(solution: Solution, strip: int) -> Array:
+    """(k,) s TDB past J2000 of the nodes within a strip: all but the outer two of a spline."""
+    nodes = solution.network.strips[strip].nodes
+    start, stop = nodes.coverage
+    return nodes.times[(nodes.times >= start) & (nodes.times <= stop)] + nodes.epoch
+
+
+def _report(solution: Solution, strip: int) -> StripReport:
+    one, pictures = solution.network.strips[strip], _pictures(solution, strip)
+    image = pictures[straightest(pictures)]
+    start, stop = seconds(image)
+    spacing = float(np.ptp(one.nodes.times)) / (len(one.nodes) - 1)
+    lines = spacing * image.lines / (stop - start)
+    _, derivative = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    return StripReport(
+        one.name, one.nodes.basis, tuple(picture.name for picture in pictures),
+        len(one.nodes), spacing, lines, float(np.linalg.norm(derivative[0, :, 0])) * lines,
+        strip_course(solution, strip, node_times(solution, strip)), _trend(solution, strip),
+    )  # fmt: skip
+
+
+def _trend(solution: Solution, strip: int) -> tuple[tuple[str, str, float, float], ...]:
+    prior, values = solution.network.strips[strip].prior, solution.trends[strip]
+    if not isinstance(prior, NodePrior) or not values.size:
+        return ()
+    variable = int(solution.network.first_of_strips[strip + 1]) - 1
+    sigmas = np.sqrt(np.diagonal(solution.joint_covariance.block(variable, variable)))
+    biases = int(np.count_nonzero(prior.bias))
+    return tuple(
+        ("bias" if c < biases else "drift", AXES[component], float(values[c]), float(sigmas[c]))
+        for c, component in enumerate(prior.trend_components.tolist())
+    )
+
+
+# --- tables
+
+
+def strips_json(solution: Solution) -> list[dict[str, Any]]:
+    """For solution.json; units in the keys."""
+    return [
+        {
+            "name": one.name, "basis": one.basis, "images": list(one.images), "nodes": one.nodes,
+            "spacing_s": one.spacing, "spacing_lines": one.lines, "spacing_km": one.ground / KM,
+            "largest_correction_m": one.largest[:3], "largest_roll_pitch_yaw_mgon": one.largest[3:] / MGON,
+            "mean_sigma_m": one.mean_sigmas[:3], "mean_sigma_roll_pitch_yaw_mgon": one.mean_sigmas[3:] / MGON,
+            "trend": [_trend_json(*part) for part in one.trend],
+        }
+        for one in strip_reports(solution)
+    ]  # fmt: skip
+
+
+def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[str, Any]:
+    unit, scale = ("mgon", MGON) if component in AXES[3:] else ("m", 1.0)
+    return {"part": part, "component": component, f"value_{unit}": value / scale, f"sigma_{unit}": sigma / scale}
+
+
+def strips_csv(solution: Solution, path: Path) -> None:
+    """Write one row per node within a strip: its time, and corrections with sigmas in m, mgon and arcsec."""
+    found = strip_reports(solution)
+    times = np.concatenate([one.course.times for one in found])
+    values, sigmas = (np.concatenate([getattr(one.course, part) for one in found]) for part in ("values", "sigmas"))
+    count = [one.course.times.size for one in found]
+    text = {
+        "strip": [quoted(one.name) for one, n in zip(found, count, strict=True) for _ in range(n)],
+        "node": whole(np.concatenate([np.arange(1, n + 1) for n in count])),
+        "time_tdb": [calendar(time) for time in times.tolist()],
+    }
+    since = [one.course.times - one.course.times[0] for one in found]
+    numbers = {"time_et_s": times, "time_in_strip_s": np.concatenate(since)}
+    for part, of in (("correction", values), ("sigma", sigmas)):
+        numbers |= columns([f"{part}_{name}_m" for name in POSITION], of[:, :3])
+        for unit, scale in (("mgon", MGON), ("arcsec", ARCSEC)):
+            numbers |= columns([f"{part}_{name}_{unit}" for name in ROTATION], of[:, 3:] / scale)
+    write_csv(path, text, numbers)
+
+
+def calendar(time: float) -> str:
+    """Calendar date of s TDB past J2000, in TDB: UTC is the leap seconds (64 to 69) behind."""
+    return (_J2000 + timedelta(seconds=round(time, 3))).strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3]
+
+
+# --- words
+
+
+def strips_statements(solution: Solution) -> list[str]:
+    """A sentence or two about each strip."""
+    found = strip_reports(solution)
+    more = [f"{many(len(found) - _ROWS, 'more strip')}: see solution.json."] if len(found) > _ROWS else []
+    return [_words(one) for one in found[:_ROWS]] + more
+
+
+def _words(one: StripReport) -> str:
+    return (
+        f"Strip {one.name} ({many(len(one.images), 'image')}): {one.nodes} orientation images ({one.basis}), one every "
+        f"{one.spacing:.3g} s, {one.lines:.0f} lines or {one.ground / KM:.3g} km on the ground. They correct the "
+        f"trajectory by up to {three(one.largest[:3])} m along, across and radially and by up to "
+        f"{three(one.largest[3:] / MGON)} mgon in roll, pitch and yaw, with mean sigmas of "
+        f"{three(one.mean_sigmas[:3])} m and {three(one.mean_sigmas[3:] / MGON)} mgon."
+    )
+
+
+def strips_table(solution: Solution) -> str:
+    """Aligned text for the terminal; empty without strips."""
+    found = strip_reports(solution)
+    if not found:
+        return ""
+    lines = [
+        f"{'Strips':<{_NAME + 2}} {'nodes':>5} {'every s':>8} {'lines':>7} {'km':>6}   "
+        f"{'mean sigma [m]':>17}  {'mean sigma [mgon]':>23}",
+        " " * (_NAME + 36) + " ".join(f"{name:>5}" for name in _SHORT)
+        + "  " + " ".join(f"{name:>7}" for name in ROTATION),
+    ]  # fmt: skip
+    for one in found[:_ROWS]:
+        sigmas = one.mean_sigmas
+        lines.append(
+            f"  {short(one.name, _NAME):<{_NAME}} {one.nodes:>5} {one.spacing:>8.2f} {one.lines:>7.0f} "
+            f"{one.ground / KM:>6.1f}   {cells(sigmas[:3], 5)}  {cells(sigmas[3:] / MGON, 7)}"
+        )
+    if len(found) > _ROWS:
+        lines.append(f"  and {many(len(found) - _ROWS, 'more strip')}: see solution.json")
+    return "\n".join([*lines, "  (sigmas for sigma0 = 1; every node: strips.csv)"])
+
+
+def strips_inventory(network: Network) -> str:
+    """Strips of a network, with what is known of their trajectories beforehand."""
+    lines = ["Strips"]
+    for one in network.strips:
+        start, stop = one.nodes.coverage
+        names = [network.images[j].name for j in one.images.tolist()]
+        spacing = np.ptp(one.nodes.times) / (len(one.nodes) - 1)
+        lines += [
+            f"  {one.name}: {some(names, len(names))}",
+            f"    {len(one.nodes)} orientation images ({one.nodes.basis}), one every {spacing:.4g} s of "
+            f"{stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
+            f"    a-priori sigmas: {_prior_words(one.prior)}",
+        ]
+    return "\n".join(lines)
+
+
+def _prior_words(prior: NodePrior | JointNodePrior) -> str:
+    if isinstance(prior, JointNodePrior):
+        return "of all nodes jointly"
+    parts = [
+        f"{name} {span(sigmas[:3])} m and {span(sigmas[3:] / MGON)} mgon"
+        for name, sigmas in (("bias", prior.bias), ("drift", prior.drift), ("departures", prior.sigmas))
+    ]
+    after = f", correlated over {prior.correlation_time:g} s" if prior.correlation_time else ", each by itself"
+    return f"{', '.join(parts)}{after}"
+
+
+def bare_intervals(network: Network) -> list[str]:
+    """Sentences about strips with intervals between nodes in which hardly anything was measured."""
+    found = []
+    for one in network.strips:
+        rays = np.isin(network.rays.image, one.images)
+        count = np.zeros(len(one.nodes) - 1, dtype=np.int64)
+        for j in one.images.tolist():
+            image, mine = network.images[j], rays & (network.rays.image == j)
+            times = image.timing.at(network.rays.places[mine, 0])[0] + (image.trajectory.epoch - one.nodes.epoch)
+            count += np.histogram(times, one.nodes.times)[0]
+        start, stop = one.nodes.coverage
+        inside = (one.nodes.times[:-1] >= start) & (one.nodes.times[1:] <= stop)
+        few = int(np.count_nonzero(inside & (count < _FEW_RAYS)))
+        if few:
+            found.append(
+                f"strip {one.name}: in {few} of {int(inside.sum())} intervals between its nodes fewer than "
+                f"{_FEW_RAYS} rays were measured: there it follows its prior and its neighbours"
+            )
+    return found

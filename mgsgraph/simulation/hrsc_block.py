@@ -1,0 +1,353 @@
+"""A block of HRSC strips as Mars Express takes them: five stereo lines a strip, matched points, a terrain model.
+
+What Spiegel et al. (papers/003) had: strips of 300 to 4000 km from heights of 265 to 500 km, overlapping across track,
+points matched automatically in three to five lines (and, where strips overlap, in lines of both), attitude known to
+28 mgon, and MOLA's grid, 200 m off in the plane and 10 m in height. The TRUE orientation of a strip is its nominal
+trajectory (+) nodes drawn from the prior that the network states (bias, drift, Gauss-Markov departures), plus jitter,
+where asked for, of which the network knows nothing. Image places are true ones plus noise of the stated sigma.
+
+With the truth on the adjustment's own nodes and without jitter and blunders an adjustment with these sigmas has honest
+statistics, but for one thing: neighbouring points share posts of the terrain model and so their error, of which surface
+rows know nothing (`redraw` draws these rows independently, as they state).
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Array, Mask, assign
+from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, PointClass, Ranges, Strip, Surface
+from mgsgraph.simulation.circle import MARS
+from mgsgraph.simulation.hrsc_camera import PIXELS, STEREO
+from mgsgraph.simulation.hrsc_flight import Flight, Readout, strip_images
+from mgsgraph.simulation.hrsc_ground import block_terrain, mola_grid
+from mgsgraph.simulation.hrsc_points import Matches, Pass, Visits, matched_points
+from mgsgraph.simulation.observations import require_count, require_positive
+from mgsgraph.simulation.redraw import Draw
+from mgsgraph.simulation.strip_truth import Jitter, true_correction
+from mgsgraph.simulation.terrain import SiteTerrain
+from mgsgraph.ties import PointKind
+from mgsgraph.units import DEG, KM, MGON
+
+_SHORTEST, _LONGEST = 50e3, 4500e3
+"""m, of strips: the orbit leaves the heights of the survey beyond."""
+_FIRST, _REVOLUTION = 130_000_000.0, 24_000.0
+"""s TDB past J2000 of the first pericentre, in February 2004, and from one to the next: 6.7 hours."""
+_INCLINATION = 86.6 * DEG
+"""Of Mars Express' orbit, about; with the eccentricity it only shapes the passes."""
+_WIDTH = PIXELS * 0.007 / 175.0
+"""Swath over altitude."""
+_BLUNDER = (5.0, 100.0)
+"""px, least and largest size of a blunder."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryErrors:
+    """Sigmas of what is wrong with the observed trajectory; of all three axes alike.
+
+    28 mgon are the paper's, for all angles: it improves pitch and yaw from them without terrain, roll only with it. For
+    the position it has nothing; 50 m make the point heights' sigma of a free adjustment that of the paper, 30 to 50 m.
+    """
+
+    attitude: float = 28.0 * MGON
+    """rad, bias of pitch, roll and yaw."""
+    attitude_drift: float = 5.0 * MGON
+    """rad, linear, at the ends of a strip."""
+    attitude_wander: float = 3.0 * MGON
+    """rad, of the departures from both."""
+    position: float = 50.0
+    """m, bias along X, Y, Z."""
+    position_drift: float = 10.0
+    """m, linear, at the ends of a strip."""
+    position_wander: float = 1.0
+    """m, of the departures from both."""
+    correlation_time: float = 60.0
+    """s in which departures forget themselves to 1/e; 0 for independent ones."""
+
+    @property
+    def prior(self) -> NodePrior:
+        """The same as the network states it."""
+        wander, bias, drift = (
+            np.array([position] * 3 + [angle] * 3)
+            for position, angle in (
+                (self.position_wander, self.attitude_wander),
+                (self.position, self.attitude),
+                (self.position_drift, self.attitude_drift),
+            )
+        )
+        return NodePrior(wander, bias, drift, self.correlation_time)
+
+
+@dataclass(frozen=True, slots=True)
+class TerrainErrors:
+    """A terrain model like MOLA's and what is wrong with it."""
+
+    posts_per_degree: int = 64
+    """Of the grid."""
+    vertical: float = 10.0
+    """m rms, noise of each post; and the stated sigma of a point's height above the model (see `hrsc_ground`)."""
+    planimetric: float = 200.0
+    """m, sigma eastward and northward of the common shift, which is an unknown of the network; 0 for none."""
+    missing: float = 0.0
+    """Share of posts that are missing."""
+
+    def __post_init__(self) -> None:
+        require_count("block settings, posts per degree", self.posts_per_degree, 1)
+        require_positive("block settings, vertical error of the terrain model", self.vertical)
+        if not (np.isfinite(self.planimetric) and self.planimetric >= 0.0):
+            found = f"{self.planimetric} m"
+            raise InputError("block settings, planimetric error of the terrain model", found, "a positive number, or 0")
+        _require_share("missing posts", self.missing)
+
+
+@dataclass(frozen=True, slots=True)
+class BlockSettings:
+    """What block to simulate."""
+
+    strips: int = 4
+    """Number of strips."""
+    crossing: int = 0
+    """How many of them, the last ones, fly southward across the middle of the others, which fly northward."""
+    length: float = 600e3
+    """m of ground that a strip is long."""
+    altitudes: tuple[float, float] = (265e3, 400e3)
+    """m above the ellipsoid of the first and the last strip's pericentre; evenly spread between."""
+    eccentricity: float = 0.6
+    """Of the orbits; 0 for circles."""
+    pericentre: float = 0.4
+    """Share of a strip that is flown before the pericentre."""
+    overlap: float = 0.3
+    """Share of the narrower swath that neighbours have in common, at the pericentres."""
+    centre: tuple[float, float] = (175.0 * DEG, -10.0 * DEG)
+    """rad, longitude and planetocentric latitude of the middle of the pericentres."""
+    readout: Readout = field(default_factory=Readout)
+    """Of the five lines."""
+    points: int = 10_000
+    """Number of matched points."""
+    matches: Matches = field(default_factory=Matches)
+    """In how many lines, and how well."""
+    basis: Basis = "lagrange"
+    """Between the nodes."""
+    spacing: float = 10.0
+    """s between nodes, at most."""
+    true_spacing: float | None = None
+    """s between the nodes of the truth, at most; None for a truth on the adjustment's own."""
+    errors: TrajectoryErrors = field(default_factory=TrajectoryErrors)
+    """Of the trajectories."""
+    jitter: Jitter | None = None
+    """Of all strips, on top; no prior knows it."""
+    terrain: TerrainErrors | None = field(default_factory=TerrainErrors)
+    """Of the terrain model; None for a network without."""
+    ground: int = 1
+    """Seed of the true ground, which blocks of several seeds share."""
+
+    def __post_init__(self) -> None:
+        require_count("block settings, strips", self.strips, 1)
+        require_count("block settings, points", self.points, 1)
+        require_count("block settings, ground", self.ground, 0)
+        require_count("block settings, crossing strips", self.crossing, 0)
+        if self.crossing >= self.strips:
+            found = f"{self.crossing} of {self.strips}"
+            raise InputError("block settings, crossing strips", found, "fewer than all")
+        if not _SHORTEST <= self.length <= _LONGEST:
+            expected = f"{_SHORTEST / KM:.0f} .. {_LONGEST / KM:.0f} km"
+            raise InputError("block settings, length", f"{self.length / KM:g} km", expected)
+        for value in self.altitudes:
+            if not 150e3 <= value <= 1500e3:
+                raise InputError("block settings, altitudes", f"{value / KM:g} km", "150 .. 1500 km")
+        if not 0.0 <= self.eccentricity < 0.9:
+            raise InputError("block settings, eccentricity", f"{self.eccentricity}", "0 .. 0.9")
+        _require_share("pericentre", self.pericentre)
+        _require_share("overlap", self.overlap)
+        require_positive("block settings, spacing", self.spacing)
+        if self.true_spacing is not None:
+            require_positive("block settings, true spacing", self.true_spacing)
+        if not (np.all(np.isfinite(self.centre)) and abs(self.centre[1]) <= 70.0 * DEG):
+            found = f"latitude {self.centre[1] / DEG:g} deg"
+            raise InputError("block settings, centre", found, "within 70 deg of the equator")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedBlock:
+    """A simulated block: what an adjustment is given, and the truth it should find."""
+
+    settings: BlockSettings
+    """As simulated."""
+    seed: int
+    """Of the random generator."""
+    truth: Draw
+    """The network and its truth: corrections (one per image, the strip's own), shift of the terrain model, places."""
+    blunders: Mask
+    """(k,) True for rays that are none of their points'."""
+    relief: SiteTerrain
+    """True ground."""
+
+    def __post_init__(self) -> None:
+        blunders = np.array(self.blunders, dtype=np.bool_)
+        blunders.flags.writeable = False
+        assign(self, blunders=blunders)
+
+    @property
+    def network(self) -> Network:
+        """What an adjustment is given."""
+        return self.truth.network
+
+    @property
+    def corrections(self) -> tuple[OrientationCorrection, ...]:
+        """True orientation of each image: nominal (+) correction; images of one strip share theirs."""
+        return self.truth.corrections
+
+    @property
+    def places(self) -> Array:
+        """(n, 3) m, body-fixed, true points."""
+        return self.truth.places
+
+    def true_nodes(self, strip: int) -> Array:
+        """(k, 6) true coefficients, m and rad, of a strip's nodes; InputError where the truth isn't on these nodes."""
+        one = self.network.strips[strip]
+        correction = self.corrections[one.images[0]]
+        if correction.nodes is not one.nodes:
+            raise InputError(f"strip {one.name!r}", "a truth on other nodes", "one without true spacing or jitter")
+        return np.asarray(correction.coefficients[correction.polynomial_terms :])
+
+    def __repr__(self) -> str:
+        nodes = sum(len(strip.nodes) for strip in self.network.strips)
+        return f"SimulatedBlock({len(self.network.strips)} strips, {nodes} nodes; {self.network!r}; seed {self.seed})"
+
+
+class _Strip(NamedTuple):
+    """A strip before points are matched."""
+
+    flight: Flight
+    images: tuple[PushbroomImage, ...]
+    nodes: OrientationImages
+
+
+def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) -> SimulatedBlock:
+    """Simulate a block; the same settings and seed give the same block.
+
+    Parameters
+    ----------
+    settings : BlockSettings, optional
+        The default block when absent.
+    seed : int
+        zero or positive; of orientation, points and terrain model, each with a stream of its own. Orbits and the true
+        ground are the settings'.
+
+    Raises
+    ------
+    InputError
+        Where strips are too narrow or short for the points asked for.
+    """
+    settings = settings or BlockSettings()
+    require_count("simulated block, seed", seed, 0)
+    of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)
+    strips = _strips(settings)
+    prior = settings.errors.prior
+    true = [
+        true_correction(prior, strip.nodes, settings.true_spacing, settings.jitter, rng)
+        for strip, rng in zip(strips, of_orientation.spawn(len(strips)), strict=True)
+    ]
+    relief = block_terrain(*settings.centre, settings.ground)
+    passes = [Pass(one.flight.axes, one.images, truth) for one, truth in zip(strips, true, strict=True)]
+    places, visits = matched_points(passes, relief, settings.points, settings.matches, of_points)
+    rays, blunders = _rays(visits, settings.matches, of_points)
+    surface, shift = _surface(settings.terrain, relief, places, of_terrain)
+    network = _network(strips, prior, len(places), rays, surface)
+    corrections = tuple(correction for correction in true for _ in STEREO)
+    return SimulatedBlock(settings, seed, Draw(network, corrections, shift, places), blunders, relief)
+
+
+def _strips(settings: BlockSettings) -> list[_Strip]:
+    made = []
+    for k, flight in enumerate(_flights(settings)):
+        interval = flight.passage(settings.length, settings.pericentre)
+        images = strip_images(f"HRSC/{k:02d}", flight, interval, settings.readout)
+        edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] for image in images]
+        coverage = min(float(one[0]) for one in edges), max(float(one[1]) for one in edges)
+        made.append(_Strip(flight, images, evenly_spaced(settings.basis, flight.epoch, coverage, settings.spacing)))
+    return made
+
+
+def _flights(settings: BlockSettings) -> list[Flight]:
+    """Northward ones side by side, westward to eastward, then southward ones the same way."""
+    longitude, latitude = settings.centre
+    east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+    up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+    north = np.cross(up, east)
+    heading = float(np.arcsin(np.cos(_INCLINATION) / np.cos(latitude)))
+    altitudes = np.linspace(*settings.altitudes, settings.strips)
+    northward = settings.strips - settings.crossing
+    flights = list[Flight]()
+    for of_kind, sign in ((altitudes[:northward], 1.0), (altitudes[northward:], -1.0)):
+        direction = np.sin(heading) * east + sign * np.cos(heading) * north
+        eastward = sign * np.cross(direction, up)
+        for altitude, aside in zip(of_kind, _abreast(of_kind, settings.overlap), strict=True):
+            turned = np.cos(aside) * up + np.sin(aside) * eastward
+            epoch = _FIRST + _REVOLUTION * len(flights)
+            flights.append(Flight(epoch, turned, direction, float(altitude), settings.eccentricity))
+    return flights
+
+
+def _abreast(altitudes: Array, overlap: float) -> Array:
+    """Angles (n,) in rad at Mars' centre by which swaths from these altitudes lie aside of the middle of all."""
+    width = _WIDTH * altitudes / MARS.equatorial
+    steps = 0.5 * (width[1:] + width[:-1]) - overlap * np.minimum(width[1:], width[:-1])
+    place = np.concatenate([np.zeros(min(altitudes.size, 1)), np.cumsum(steps)])
+    return np.asarray(place - 0.5 * (place[:1] + place[-1:]))
+
+
+def _rays(visits: Visits, matches: Matches, rng: np.random.Generator) -> tuple[ImageRays, Mask]:
+    """Image places as measured, by point and image, and which of them are blunders."""
+    noisy = visits.places + matches.sigma * rng.standard_normal(visits.places.shape)
+    blunders = rng.random(visits.point.size) < matches.blunders
+    size, way = rng.uniform(*_BLUNDER, visits.point.size), rng.uniform(0.0, 2.0 * np.pi, visits.point.size)
+    off = np.where(blunders, size, 0.0)[:, None] * np.column_stack([np.cos(way), np.sin(way)])
+    return ImageRays(visits.point, visits.image, noisy + off, np.full(noisy.shape, matches.sigma)), blunders
+
+
+def _surface(
+    errors: TerrainErrors | None, relief: SiteTerrain, places: Array, rng: np.random.Generator
+) -> tuple[Surface | None, Array]:
+    """Terrain model as control, and what it lacks of the truth, (1, 2) m east and north; no rows where posts miss."""
+    if errors is None:
+        return None, np.zeros((0, 2))
+    shift = errors.planimetric * rng.standard_normal(2)
+    grid = mola_grid(relief, places, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
+    sigmas = np.where(np.isfinite(grid.at(places)), errors.vertical, np.inf)
+    return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]
+
+
+def _network(strips: list[_Strip], prior: NodePrior, points: int, rays: ImageRays, surface: Surface | None) -> Network:
+    images = tuple(image for one in strips for image in one.images)
+    own = OrientationPrior(prior.node_sigmas(np.zeros(1)))  # of no effect: images of strips have none of their own
+    none = np.zeros(0)
+    return Network(
+        images=images,
+        priors=(own,) * len(images),
+        held=np.ones(len(images), dtype=bool),
+        points=GroundPoints(
+            ids=tuple(f"P{i:07d}" for i in range(points)),
+            classes=np.full(points, int(PointClass.TIE)),
+            kinds=np.full(points, int(PointKind.FREE)),
+            places=np.full((points, 3), np.nan),
+            covariances=np.zeros((points, 3, 3)),
+        ),
+        rays=rays,
+        ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
+        surface=surface,
+        strips=tuple(
+            Strip(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one.nodes, prior)
+            for k, one in enumerate(strips)
+        ),
+    )
+
+
+def _require_share(what: str, value: float) -> None:
+    if not 0.0 <= value < 1.0:
+        raise InputError(f"block settings, {what}", f"{value}", "a share, 0 .. 1")

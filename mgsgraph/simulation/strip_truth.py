@@ -1,0 +1,117 @@
+"""True orientation of a strip's images: nodes drawn from what is stated of them, and jitter that nobody states."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
+from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import JointNodePrior, NodePrior
+from mgsgraph.network.strips import normalised
+
+Axis = Literal["pitch", "roll", "yaw"]
+"""About the camera's x (across), y (flight) or z (optical axis): HRSC's."""
+
+NODES_PER_WAVE = 12
+"""True nodes in a period of jitter; Lagrange's polynomials then follow a sine to 0.3 % of its amplitude."""
+
+
+@dataclass(frozen=True, slots=True)
+class Jitter:
+    """A vibration of the camera."""
+
+    amplitude: float
+    """rad."""
+    frequency: float
+    """Hz."""
+    axis: Axis = "pitch"
+    """About which it turns."""
+
+    def __post_init__(self) -> None:
+        for name, unit in (("amplitude", "rad"), ("frequency", "Hz")):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"jitter, {name}", f"{value} {unit}", "a positive number")
+        if self.axis not in get_args(Axis):
+            raise InputError("jitter, axis", repr(self.axis), f"one of {', '.join(get_args(Axis))}")
+
+    @property
+    def component(self) -> int:
+        """Of the orientation's six."""
+        return 3 + get_args(Axis).index(self.axis)
+
+
+def drawn_nodes(prior: NodePrior | JointNodePrior, nodes: OrientationImages, rng: np.random.Generator) -> Array:
+    """Coefficients (k, 6) of nodes, m and rad, drawn from their prior.
+
+    Raises
+    ------
+    InputError
+        Where the prior leaves a direction of them without finite sigma.
+    """
+    if isinstance(prior, JointNodePrior):
+        return _of_joint_prior(prior, nodes, rng)
+    if not np.all(np.isfinite(prior.sigmas)):
+        raise InputError("node prior", "an infinite sigma", "finite ones, to draw from")
+    bias, drift = rng.standard_normal((2, 6)) * [prior.bias, prior.drift]
+    departures = rng.standard_normal((len(nodes), 6))
+    if prior.correlation_time > 0.0:
+        memory = np.exp(-np.diff(nodes.times) / prior.correlation_time)
+        for k, share in enumerate(memory, start=1):
+            departures[k] = share * departures[k - 1] + np.sqrt(1.0 - share**2) * departures[k]
+    return np.asarray(bias + drift * normalised(nodes)[:, None] + prior.sigmas * departures)
+
+
+def _of_joint_prior(prior: JointNodePrior, nodes: OrientationImages, rng: np.random.Generator) -> Array:
+    size = 6 * len(nodes)
+    if prior.root.shape[1] != size or np.linalg.matrix_rank(prior.root) < size:
+        raise InputError("joint node prior", "directions of the nodes of which it says nothing", "all, to draw from")
+    triangle = np.linalg.qr(prior.root, mode="r")
+    return np.asarray(np.linalg.solve(triangle, rng.standard_normal(size)).reshape(-1, 6))
+
+
+def strip_correction(nodes: OrientationImages, values: Array, angles: Angles = "camera") -> OrientationCorrection:
+    """The correction of any image of a strip: no polynomial, and the values (k, 6) of its nodes."""
+    return OrientationCorrection(np.vstack([np.zeros((1, 6)), values]), angles, nodes)
+
+
+def correction_at(correction: OrientationCorrection, times: Array, epoch: float) -> Array:
+    """A strip's correction (n, 6) in m and rad at times (n,) in s past `epoch` (s TDB past J2000)."""
+    zero = np.zeros(times.size)
+    return correction.at(Moments(zero, 0.0, times, zero, epoch))[0]
+
+
+def true_correction(
+    prior: NodePrior | JointNodePrior,
+    nodes: OrientationImages,
+    true_spacing: float | None,
+    jitter: Jitter | None,
+    rng: np.random.Generator,
+) -> OrientationCorrection:
+    """The truth of a strip.
+
+    Parameters
+    ----------
+    prior : NodePrior or JointNodePrior
+        What it is drawn from, but for the jitter.
+    nodes : OrientationImages
+        Of the adjustment, which the truth has, too, when neither true spacing nor jitter asks for others.
+    true_spacing : float, optional
+        s between the nodes of the truth (Lagrange's basis, so that its values there are the draws), over the same time.
+    jitter : Jitter, optional
+        Its phase is drawn.
+    rng : Generator
+    """
+    if true_spacing is not None:
+        nodes = evenly_spaced("lagrange", nodes.epoch, nodes.coverage, true_spacing)
+    smooth = strip_correction(nodes, drawn_nodes(prior, nodes, rng))
+    if jitter is None:
+        return smooth
+    fine = evenly_spaced("lagrange", nodes.epoch, nodes.coverage, 1.0 / (NODES_PER_WAVE * jitter.frequency))
+    values = correction_at(smooth, fine.times, fine.epoch)
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    values[:, jitter.component] += jitter.amplitude * np.sin(2.0 * np.pi * jitter.frequency * fine.times + phase)
+    return strip_correction(fine, values)

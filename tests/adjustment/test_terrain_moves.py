@@ -1,0 +1,268 @@
+"""A terrain model that lies beside the truth, too low and tilted: its own unknowns, found and told."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from jacobians import assert_jacobians
+from networks import network, pair, terrain, with_tilting_surface
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.analysis.frames import Frames
+from mgsgraph.adjustment.analysis.grouping import group_rows, scaled
+from mgsgraph.adjustment.graph import lay_out
+from mgsgraph.adjustment.graph.bundle import point_key, shift_key
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.factors.explicit import sight_factor
+from mgsgraph.factors.rows import SURFACE, one_sight
+from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network import GroundPoints, Network, PointClass, Surface
+from mgsgraph.network.parts import part
+from mgsgraph.products.archive import read_solution, write_archive
+from mgsgraph.products.control import control_json, control_statements, surface_heights
+from mgsgraph.simulation.redraw import redraw
+from mgsgraph.ties import PointKind
+from mgsgraph.units import ARCSEC, DEG, MRAD
+
+RADIUS = 3.39e6
+MIDDLE = from_planetocentric(np.array([[20.0 * DEG, 12.0 * DEG, RADIUS]]))[0]
+HALF = 2.5 * DEG
+TRUE = np.array([150.0, -40.0, 30.0, 20.0 * ARCSEC, -8.0 * ARCSEC])
+"""m and rad: how the truth lies beside the model."""
+UNKNOWN = {"shift_sigma": 200.0, "height_sigma": 50.0, "tilt_sigma": 1e-4, "middle": MIDDLE}
+
+
+def ground(longitude: Array, latitude: Array) -> Array:
+    """(n, 3) m, hills of 600 m, some 20 km from one to the next."""
+    x, y = (longitude - 20.0 * DEG) * 60.0 / DEG, (latitude - 12.0 * DEG) * 60.0 / DEG
+    height = 600.0 * np.sin(x / 3.3 + 0.3 * np.sin(y / 5.0)) * np.cos(y / 4.1) + 200.0 * np.sin((x + y) / 7.0)
+    return from_planetocentric(np.column_stack([longitude, latitude, RADIUS + height]))
+
+
+@cache
+def model() -> TerrainGrid:
+    """The posts of a model that must be moved by what is `TRUE` to lie on the ground."""
+    step, count = DEG / 96.0, int(2.0 * HALF / (DEG / 96.0)) + 21
+    first = 20.0 * DEG - HALF - 10 * step, 12.0 * DEG + HALF + 10 * step
+    posts = np.stack(np.meshgrid(first[0] + step * np.arange(count), first[1] - step * np.arange(count)), axis=-1)
+    surface = Surface(terrain(network(pair())), np.ones(1), **UNKNOWN)
+    above = ground(*posts.reshape(-1, 2).T)
+    for _ in range(5):  # the place of the ground that a post has when the model is moved onto it
+        here = above - surface.moved(above, TRUE)
+        off = posts.reshape(-1, 2) - planetocentric(here)[:, :2]
+        above = ground(*(planetocentric(above)[:, :2] + off).T)
+    radii = np.linalg.norm(above - surface.moved(above, TRUE), axis=1)
+    return TerrainGrid("made up", radii.reshape(posts.shape[:2]), *first, step, step)
+
+
+@cache
+def control(seed: int, shown: tuple[str, ...] = tuple(UNKNOWN)) -> Network:
+    """The pair, and 400 known points over 300 km, on a model that lies beside them."""
+    net, rng = network(pair()), np.random.default_rng(seed)
+    n, ties = 400, len(net.points)
+    place = np.array([20.0, 12.0]) * DEG + rng.uniform(-HALF, HALF, (n, 2))
+    true = ground(*place.T)
+    points = GroundPoints(
+        net.points.ids + tuple(f"c{i}" for i in range(n)),
+        np.append(net.points.classes, np.full(n, PointClass.CONTROL)),
+        np.append(net.points.kinds, np.full(n, PointKind.CONSTRAINED)),
+        np.concatenate([net.points.places, true + rng.normal(0.0, 3.0, (n, 3))]),
+        np.concatenate([net.points.covariances, np.tile(9.0 * np.eye(3), (n, 1, 1))]),
+    )
+    # the model's own error of 10 m: heights are differences, and the places may have it as well as the posts
+    noisy = points.places.copy()
+    noisy[ties:] += 10.0 * rng.standard_normal((n, 1)) * (true / np.linalg.norm(true, axis=1)[:, None])
+    points = replace(points, places=noisy)
+    sigmas = np.append(np.full(ties, np.inf), np.full(n, 10.0))
+    return replace(net, points=points, surface=Surface(model(), sigmas, **{k: UNKNOWN[k] for k in shown}))  # type: ignore[arg-type]
+
+
+@cache
+def solved(seed: int = 1) -> Solution:
+    return adjust_network(control(seed), SolverSettings())
+
+
+def test_the_truth_is_found_within_the_sigmas() -> None:
+    squares = []
+    for seed in (1, 2, 3):
+        solution = solved(seed)
+        assert solution.converged
+        error = solution.shift_values[-1] - TRUE
+        spread = solution.shift_spread(0)
+        sigmas = np.sqrt(np.diag(spread))
+        print(error, sigmas)
+        assert np.all(sigmas < [30.0, 30.0, 1.0, 2.0 * ARCSEC, 2.0 * ARCSEC])
+        assert np.all(np.abs(error) < 4.0 * sigmas)
+        squares.append(float(error @ np.linalg.solve(spread, error)))
+    assert 0.1 < np.mean(squares) / 5.0 < 3.0
+
+
+def test_without_these_unknowns_the_heights_do_not_fit() -> None:
+    level = adjust_network(control(1, ("shift_sigma",)), SolverSettings())
+    assert level.cost_final > 1.5 * solved().cost_final
+    assert level.lift is None
+    assert level.shift_values[-1].size == 2
+
+
+def test_any_of_them_may_be_unknown_alone() -> None:
+    lifted = adjust_network(control(1, ("height_sigma",)), SolverSettings())
+    assert lifted.shifts.tolist() == [[0.0, 0.0]]
+    assert np.all(lifted.shift_covariance(0) == 0.0)
+    assert lifted.lift is not None
+    assert abs(lifted.lift[0] - 30.0) < 5.0
+    assert "rose by" in " ".join(control_statements(lifted))
+    tilted = adjust_network(control(1, ("tilt_sigma", "middle")), SolverSettings())
+    assert [term.unit for term in tilted.network.shift_terms[0]] == ["rad", "rad"]
+
+
+def test_what_moves_the_model_is_its_derivative() -> None:
+    """Directions against a model that is turned and moved as a whole: a rotation about axes through the middle."""
+    surface = control(1).surface
+    assert surface is not None
+    points = ground(*(np.array([20.0, 12.0]) * DEG + np.random.default_rng(4).uniform(-HALF, HALF, (20, 2))).T)
+    axes = east_north_up(MIDDLE[None])[0]
+    for k in range(2):
+        turn = 1e-4
+        arm = points - MIDDLE
+        rotated = (
+            arm * np.cos(turn) + np.cross(axes[k], arm) * np.sin(turn)
+            + np.outer(arm @ axes[k], axes[k]) * (1.0 - np.cos(turn))
+        )  # fmt: skip
+        np.testing.assert_allclose(surface.moved(points, turn * np.eye(5)[3 + k]), rotated - arm, rtol=0, atol=2e-3)
+    up = surface.moved(points, np.array([0.0, 0.0, 7.0, 0.0, 0.0]))
+    np.testing.assert_allclose(up, 7.0 * points / np.linalg.norm(points, axis=1)[:, None], atol=1e-9)
+    assert np.abs(np.einsum("nkj,nj->nk", surface.directions(points)[:, :2], points)).max() < 1e-6
+
+
+def test_rows_have_the_derivatives_of_all_five() -> None:
+    """The oracle, and the height that the terrain model itself says where it was moved to."""
+    made = lay_out(with_tilting_surface(network(pair())), SolverSettings())
+    surface, rng = made.network.surface, np.random.default_rng(2)
+    assert surface is not None
+    assert made.variables.angular[-5:].tolist() == [False, False, False, True, True]
+    sights = [
+        (i, j) for pattern, first, count in made.rows.piece[:, :3].tolist() for i in range(first, first + count)
+        for j, sight in enumerate(made.patterns.sights[pattern]) if sight.kind == SURFACE
+    ]  # fmt: skip
+    agreed = 0
+    for i, j in sights:
+        point, moves = made.rows.start[i], rng.standard_normal(5) * [50.0, 50.0, 30.0, 1e-4, 1e-4]
+        own, noise = one_sight(made.rows, made.groups, made.model, i, j), gtsam.noiseModel.Unit.Create(1)
+        factor = sight_factor([shift_key(0)], [5], point_key(0), own, made.model, noise, "a height")
+        values = gtsam.Values()
+        values.insert(shift_key(0), moves)
+        values.insert(point_key(0), point)
+        units = {shift_key(0): np.array([1.0, 1.0, 1.0, 1e-4, 1e-4]), point_key(0): np.ones(3)}
+        assert_jacobians(factor, values, units, tolerance=1e-5)
+        under = point[None] - surface.moved(point[None], moves)
+        if np.array_equal(surface.grid.cells(under)[0], made.rows.terrain_cell[i]):
+            want = surface.grid.height_above(under)[0][0]
+            assert abs(abs(factor.unwhitenedError(values)[0]) - abs(want)) < 1e-6
+            agreed += 1
+    assert agreed >= 6
+
+
+def test_heights_after_the_adjustment_are_those_over_the_moved_model() -> None:
+    before, after = surface_heights(solved())
+    assert after.size == 400
+    assert np.sqrt(np.mean(after**2)) < 12.0
+    assert np.sqrt(np.mean(before**2)) > 25.0
+
+
+def test_points_rest_on_the_patch_under_them_in_the_moved_model() -> None:
+    """Posts are 600 m apart, the model moves by 150 m: a patch under the point itself would be another for many."""
+    solution = solved()
+    surface, held = solution.network.surface, slice(-400, None)
+    assert surface is not None
+    assert solution.terrain_cells is not None
+    places = solution.places[held]
+    under = surface.grid.cells(places - surface.moved(places, solution.shift_values[-1]))
+    assert np.mean(np.all(under == solution.terrain_cells[held], axis=1)) > 0.98
+    assert np.mean(np.all(surface.grid.cells(places) == solution.terrain_cells[held], axis=1)) < 0.9
+
+
+def test_it_is_told_in_words_and_numbers() -> None:
+    solution = solved()
+    record = control_json(solution)["shifts"][0]
+    assert solution.lift is not None
+    assert record["up_m"] == solution.lift[0]
+    np.testing.assert_allclose(record["tilt_about_east_north_mrad"], solution.lift[1:] / MRAD)
+    sigmas = np.sqrt(np.diag(solution.shift_spread(0)))
+    np.testing.assert_allclose(record["sigma_tilt_about_east_north_mrad"], sigmas[3:] / MRAD)
+    assert record["sigma_up_m"] == sigmas[2]
+    words = " ".join(control_statements(solution))
+    assert f"It rose by {solution.lift[0]:+.1f} m" in words
+    assert "through the middle of the points" in words
+
+
+def test_the_archive_keeps_them_and_knows_what_is_missing(tmp_path: Path) -> None:
+    solution = solved()
+    write_archive(solution, tmp_path / "solution.npz")
+    again = read_solution(tmp_path)
+    assert np.array_equal(again.shift_values[0], solution.shift_values[0])
+    assert again.network.shift_terms == solution.network.shift_terms
+    write_archive(replace(solution, lift=None), tmp_path / "solution.npz")
+    with pytest.raises(InputError, match="lift: values of other unknowns"):
+        read_solution(tmp_path)
+
+
+def test_an_archive_of_an_older_version_has_none(tmp_path: Path) -> None:
+    level = adjust_network(replace(network(pair()), surface=None), SolverSettings())
+    path = tmp_path / "solution.npz"
+    write_archive(level, path)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    record = json.loads(arrays["record"].tobytes().decode())
+    del record["lift"]
+    arrays["record"] = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+    assert read_solution(path).lift is None
+
+
+def test_columns_are_named_with_their_units() -> None:
+    net = with_tilting_surface(network(pair()))
+    axes = Frames(lay_out(net, SolverSettings())).axes[-5:]
+    assert [f"{axis} {axis.unit}" for axis in axes] == [
+        "east shift m", "north shift m", "upward shift m", "tilt about east rad", "tilt about north rad",
+    ]  # fmt: skip
+    grouping = group_rows(net)
+    assert {grouping.names[g] for g in grouping.unknowns[-1]} == {"shifts", "tilts"}
+    factors = np.where(np.array(grouping.names) == "tilts", 3.0, 2.0)
+    wider = scaled(net, grouping, factors).surface
+    assert wider is not None
+    assert (wider.shift_sigma, wider.height_sigma) == (300.0, 80.0)
+    assert wider.tilt_sigma == pytest.approx(6e-4)
+
+
+def test_draws_of_such_a_network_are_found_again() -> None:
+    net = with_tilting_surface(network(pair()))
+    draw = redraw(net, np.random.default_rng(3))
+    assert draw.lift is not None
+    assert draw.lift.shape == (3,)
+    found = adjust_network(draw.network, SolverSettings())
+    error = found.shift_values[-1] - np.concatenate([draw.shifts[-1], draw.lift])
+    spread = found.shift_spread(1)
+    assert error @ np.linalg.solve(spread, error) < 25.0
+
+
+def test_what_is_kept_image_by_image_cannot_hold_them() -> None:
+    net = with_tilting_surface(network(pair()))
+    with pytest.raises(InputError, match="unknown height or tilt"):
+        part(net, np.arange(3))
+
+
+def test_a_tilt_needs_a_middle_and_sigmas_are_not_negative() -> None:
+    grid = terrain(network(pair()))
+    with pytest.raises(InputError, match="middle of the points"):
+        Surface(grid, np.ones(1), tilt_sigma=1e-4)
+    for name in ("shift", "height", "tilt"):
+        with pytest.raises(InputError, match=f"surface, {name} sigma: -1"):
+            Surface(grid, np.ones(1), **{f"{name}_sigma": -1.0})  # type: ignore[arg-type]

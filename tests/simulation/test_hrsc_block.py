@@ -1,0 +1,378 @@
+"""Simulated HRSC blocks: published geometry, exact rays, statistics against stated sigmas, jitter, redraws."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north, planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.orientation_images import Basis
+from mgsgraph.network import Network, NodePrior
+from mgsgraph.simulation.hrsc_block import (
+    BlockSettings,
+    SimulatedBlock,
+    TerrainErrors,
+    simulate_hrsc_block,
+)
+from mgsgraph.simulation.hrsc_camera import PIXELS, STEREO
+from mgsgraph.simulation.hrsc_flight import Readout
+from mgsgraph.simulation.hrsc_points import Matches
+from mgsgraph.simulation.observations import MARGIN
+from mgsgraph.simulation.redraw import redraw
+from mgsgraph.simulation.strip_truth import Jitter, correction_at
+from mgsgraph.units import DEG, MGON
+
+SMALL = BlockSettings(strips=3, crossing=1, length=300e3, points=1500)
+TINY = BlockSettings(strips=1, length=100e3, points=20, terrain=None)
+EXACT = Matches(sigma=1e-9)
+
+
+@pytest.fixture(scope="module")
+def block() -> SimulatedBlock:
+    return simulate_hrsc_block(SMALL)
+
+
+@pytest.fixture(scope="module")
+def seeds() -> list[SimulatedBlock]:
+    settings = replace(TINY, points=1, terrain=TerrainErrors(posts_per_degree=4))
+    return [simulate_hrsc_block(settings, seed) for seed in range(40)]
+
+
+def assert_unit_variance(normalised: np.ndarray) -> None:
+    """Mean square 1 and mean 0 within 4.5 sigma of what as many standard normal numbers have."""
+    n = normalised.size
+    assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
+    assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)
+
+
+def exact_places(network: Network, truth: np.ndarray, corrections: tuple[OrientationCorrection, ...]) -> np.ndarray:
+    """(k, 2) where the rays' true points stand."""
+    places = np.empty_like(network.rays.places)
+    for j, image in enumerate(network.images):
+        mine = network.rays.image == j
+        places[mine], _ = image.ground_to_image(truth[network.rays.point[mine]], corrections[j])
+    return places
+
+
+def heights(network: Network, places: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """(n,) m above the terrain model, the truth lying `shift` (2,) east and north of it; NaN beside posts."""
+    assert network.surface is not None
+    above, _ = network.surface.grid.height_above(places - shift @ east_north(places))
+    return above
+
+
+# --- flight
+
+
+@pytest.mark.parametrize(("line", "angle"), [("S1", 18.93), ("P1", 12.75), ("ND", 0.0), ("P2", -12.75), ("S2", -18.94)])
+def test_lines_look_ahead_and_back_over_the_ground(block: SimulatedBlock, line: str, angle: float) -> None:
+    """At the spacecraft, between its nadir and the ground seen by the middle of the line, along its ground track."""
+    for strip in block.network.strips:
+        image = block.network.images[strip.images[STEREO.index(line)]]
+        middle = np.array([0.5 * image.lines])
+        ground, _ = image.image_to_ground(middle, np.array([0.5 * image.samples]))
+        pose = image.pose(middle)
+        up = pose.position[0] / np.linalg.norm(pose.position)
+        forward = pose.velocity[0] - (pose.velocity[0] @ up) * up
+        sight = ground[0] - pose.position[0]
+        found = np.arctan2(sight @ forward / np.linalg.norm(forward), -sight @ up) / DEG
+        assert found == pytest.approx(angle, abs=0.02)
+        across = np.cross(up, forward / np.linalg.norm(forward))
+        assert abs(np.arcsin(sight @ across / np.linalg.norm(sight))) < 0.05 * DEG
+
+
+def test_lines_of_a_strip_share_one_trajectory_and_the_swath(block: SimulatedBlock) -> None:
+    for strip in block.network.strips:
+        images = [block.network.images[j] for j in strip.images]
+        assert [image.name.split("/")[-1] for image in images] == list(STEREO)
+        assert all(image.trajectory is images[0].trajectory for image in images)
+        nadir = images[STEREO.index("ND")]
+        lines, samples = np.meshgrid([40.0, 0.5 * nadir.lines, nadir.lines - 40.0], [700.0, 2600.0, 4500.0])
+        ground, _ = nadir.image_to_ground(lines.ravel(), samples.ravel(), -1500.0)
+        for image in images:
+            places, _ = image.ground_to_image(ground)
+            assert np.all((places > 0.0) & (places < [image.lines, image.samples]))
+
+
+def test_line_rates_change_within_every_image_without_a_break(block: SimulatedBlock) -> None:
+    for image in block.network.images:
+        timing = image.timing
+        assert timing.periods.size == 2
+        assert timing.periods[0] != timing.periods[1]
+        ends = timing.start_times[:-1] + np.diff(timing.first_lines) * timing.periods[:-1]
+        np.testing.assert_allclose(ends, timing.start_times[1:], rtol=0, atol=1e-12)
+    changes = np.array([image.timing.start_times[1] for image in block.network.images[:5]])
+    assert np.ptp(changes) < 0.02  # as far as whole lines allow
+
+
+def test_pixels_and_heights_are_the_survey_s() -> None:
+    """12.5 m along track at 265 km and in proportion to the altitude; 25 m at 500 km are the paper's rounding."""
+    readout = Readout(macropixels=(1, 1, 1, 1, 1))
+    settings = replace(TINY, strips=2, altitudes=(265e3, 500e3), eccentricity=0.0, readout=readout)
+    for strip, altitude in zip((0, 1), (265e3, 500e3), strict=True):
+        image = simulate_hrsc_block(settings).network.images[5 * strip + STEREO.index("ND")]
+        middle = 0.5 * image.lines + np.array([-0.5, 0.5])
+        ground, _ = image.image_to_ground(middle, np.full(2, 2592.0))
+        assert np.linalg.norm(np.diff(ground, axis=0)) == pytest.approx(12.5 * altitude / 265e3, rel=0.01)
+        across, _ = image.image_to_ground(np.full(2, middle[0]), np.array([2591.5, 2592.5]))
+        assert np.linalg.norm(np.diff(across, axis=0)) == pytest.approx(4e-5 * altitude, rel=0.02)
+
+
+def test_line_rates_follow_height_and_speed_from_part_to_part() -> None:
+    """In the middle of each part lines are 12.5 m apart per 265 km of altitude there, which grows by a third."""
+    readout = Readout(macropixels=(1, 1, 1, 1, 1), rates=5)
+    made = simulate_hrsc_block(replace(TINY, length=2000e3, pericentre=0.2, readout=readout))
+    image = made.network.images[STEREO.index("ND")]
+    edges = np.append(image.timing.first_lines, image.lines)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    before, after = (image.image_to_ground(middle + off, np.full(5, 2592.0))[0] for off in (-0.5, 0.5))
+    altitude = np.linalg.norm(image.pose(middle).position, axis=1) - np.linalg.norm(before, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(after - before, axis=1), 12.5 * altitude / 265e3, rtol=0.01)
+    assert altitude.max() > 1.3 * altitude.min()
+
+
+def test_orbits_climb_from_their_pericentre_as_kepler_has_it() -> None:
+    """r = q (1 + e) / (1 + e cos nu), nu the angle between position and pericentre."""
+    made = simulate_hrsc_block(replace(TINY, length=2800e3, altitudes=(300e3, 300e3)))
+    image = made.network.images[STEREO.index("ND")]
+    times, _ = image.timing.at(np.linspace(0.0, image.lines, 40))
+    place, _ = image.trajectory.position.at(times)  # type: ignore[attr-defined]
+    lowest, _ = image.trajectory.position.at(np.zeros(1))  # type: ignore[attr-defined]
+    radius, least = np.linalg.norm(place, axis=1), np.linalg.norm(lowest)
+    cosine = place @ lowest[0] / (radius * least)
+    np.testing.assert_allclose(radius, least * 1.6 / (1.0 + 0.6 * cosine), rtol=0, atol=0.01)
+    assert times[0] / times[-1] == pytest.approx(-0.4 / 0.6, rel=0.06)  # it is faster about the pericentre
+    assert 300e3 < np.ptp(radius) + 300e3 < 500e3
+
+
+# --- points and rays
+
+
+def test_neighbours_overlap_by_the_stated_share() -> None:
+    settings = replace(TINY, strips=2, altitudes=(265e3, 265e3), eccentricity=0.0, overlap=0.4, pericentre=0.5)
+    first, second = (simulate_hrsc_block(settings).network.images[j] for j in (2, 7))
+    edge, _ = first.image_to_ground(np.full(1, 0.5 * first.lines), np.full(1, float(PIXELS)))
+    place, _ = second.ground_to_image(edge)
+    assert place[0, 1] / PIXELS == pytest.approx(0.4, abs=0.02)
+
+
+def test_strips_share_points_and_those_that_cross_fly_the_other_way(block: SimulatedBlock) -> None:
+    network = block.network
+    seen = np.zeros((len(network.points), 3), dtype=int)
+    np.add.at(seen, (network.rays.point, network.strip_of[network.rays.image]), 1)
+    assert set(np.unique(seen)) == {0, 3, 4, 5}
+    assert np.all(seen.max(axis=1) >= 3)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        assert np.count_nonzero((seen[:, a] > 0) & (seen[:, b] > 0)) > 20
+    north = [np.sign(network.images[5 * k].pose(np.array([100.0])).velocity[0, 2]) for k in range(3)]
+    assert north == [1.0, 1.0, -1.0]
+
+
+def test_points_are_matched_in_as_many_lines_as_stated() -> None:
+    made = simulate_hrsc_block(replace(TINY, points=2000, matches=Matches(shares=(0.2, 0.3, 0.5))))
+    counts = np.bincount(made.network.ray_counts, minlength=6)[3:] / 2000
+    np.testing.assert_allclose(counts, [0.2, 0.3, 0.5], atol=0.06)  # fewer see the points at the swath's edges
+
+
+@pytest.mark.parametrize("basis", ["lagrange", "spline"])
+@pytest.mark.parametrize("jitter", [None, Jitter(5 * MGON, 0.4, "yaw")])
+def test_true_rays_meet_their_true_points(basis: Basis, jitter: Jitter | None) -> None:
+    """By the corrected sightlines, which know nothing of the way by which points were projected."""
+    settings = replace(SMALL, points=300, basis=basis, true_spacing=2.5, jitter=jitter, matches=EXACT)
+    made = simulate_hrsc_block(settings)
+    network = made.network
+    for j, image in enumerate(network.images):
+        mine = network.rays.image == j
+        lines, samples = network.rays.places[mine].T
+        origins, directions = image.sightlines(lines, samples, made.corrections[j])
+        offset = made.places[network.rays.point[mine]] - origins
+        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        distance = np.linalg.norm(offset, axis=1)
+        miss = np.linalg.norm(np.cross(offset, unit), axis=1) / (distance * image.pixel_angle)
+        assert miss.max() < 1e-6
+    error = network.rays.places - exact_places(network, made.places, made.corrections)
+    assert np.abs(error).max() < 1e-6
+
+
+def test_measures_have_the_stated_noise_and_lie_on_their_images(block: SimulatedBlock) -> None:
+    rays = block.network.rays
+    error = rays.places - exact_places(block.network, block.places, block.corrections)
+    assert_unit_variance(error / rays.sigmas)
+    size = np.array([(image.lines, image.samples) for image in block.network.images])[rays.image]
+    assert np.all((rays.places > 0.9 * MARGIN) & (rays.places < size - 0.9 * MARGIN))
+    order = np.lexsort([rays.image, rays.point])
+    assert np.array_equal(order, np.arange(order.size))
+    assert np.unique(rays.point * 100 + rays.image).size == order.size
+
+
+def test_blunders_are_those_marked() -> None:
+    made = simulate_hrsc_block(replace(SMALL, matches=Matches(blunders=0.05)))
+    error = made.network.rays.places - exact_places(made.network, made.places, made.corrections)
+    size = np.linalg.norm(error, axis=1)
+    assert np.mean(made.blunders) == pytest.approx(0.05, abs=0.012)
+    assert np.all((size > 2.5) == made.blunders)
+    assert size.max() < 103.0
+
+
+def test_true_points_lie_on_the_ground(block: SimulatedBlock) -> None:
+    longitude, latitude, radius = planetocentric(block.places).T
+    np.testing.assert_allclose(radius, block.relief.ground_radius(longitude, latitude), rtol=0, atol=1e-6)
+    assert np.ptp(block.relief.height(longitude, latitude)) > 500.0
+
+
+# --- terrain model
+
+
+def test_the_terrain_model_is_off_by_its_shift_and_its_noise(block: SimulatedBlock) -> None:
+    """10 m rms in height where the shift is undone, its sign as adjustments have it, and worse where it is not."""
+    shift = block.truth.shifts[0]
+    assert 20.0 < np.linalg.norm(shift) < 700.0
+    off = heights(block.network, block.places, shift)
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(10.0, rel=0.1)
+    assert abs(np.mean(off)) < 2.0
+    for wrong in (0.0 * shift, -shift):
+        assert np.sqrt(np.mean(heights(block.network, block.places, wrong) ** 2)) > 11.0
+    assert block.network.surface is not None
+    grid = block.network.surface.grid
+    assert grid.longitude_step == grid.latitude_step == pytest.approx(DEG / 64)
+    assert np.all(block.network.surface.sigmas == 10.0)
+    assert block.network.surface.shift_sigma == 200.0
+
+
+def test_shifts_have_the_stated_sigma(seeds: list[SimulatedBlock]) -> None:
+    assert_unit_variance(np.array([made.truth.shifts[0] for made in seeds]) / 200.0)
+
+
+def test_points_beside_missing_posts_have_no_surface_row() -> None:
+    made = simulate_hrsc_block(replace(SMALL, terrain=TerrainErrors(missing=0.05, planimetric=0.0)))
+    surface = made.network.surface
+    assert surface is not None
+    assert np.array_equal(np.isinf(surface.sigmas), surface.grid.cells(made.places)[:, 0] < 0)
+    assert np.mean(np.isinf(surface.sigmas)) == pytest.approx(1.0 - 0.95**4, abs=0.05)
+    assert made.truth.shifts.shape == (0, 2)
+    assert not made.network.terrain_moves
+
+
+# --- orientation
+
+
+def test_attitude_is_known_to_28_milligon_over_seeds(seeds: list[SimulatedBlock]) -> None:
+    """As the paper has it, about all three axes, in the middle of the strips; along X, Y, Z positions to 50 m."""
+    found = []
+    for made in seeds:
+        nodes = made.network.strips[0].nodes
+        found.append(correction_at(made.corrections[0], np.array([np.mean(nodes.coverage)]), nodes.epoch)[0])
+    assert_unit_variance(np.array(found)[:, 3:] / (np.hypot(28.0, 3.0) * MGON))
+    assert_unit_variance(np.array(found)[:, :3] / np.hypot(50.0, 1.0))
+
+
+def test_jitter_is_a_sine_about_one_axis_that_no_prior_knows() -> None:
+    jitter = Jitter(4.0 * MGON, 0.7, "roll")
+    smooth, shaken = (simulate_hrsc_block(replace(TINY, jitter=one), 3) for one in (None, jitter))
+    strip = smooth.network.strips[0]
+    times = np.linspace(*strip.nodes.coverage, 4001)
+    before, after = (correction_at(made.corrections[0], times, strip.nodes.epoch) for made in (smooth, shaken))
+    added = after - before
+    wave = 2.0 * np.pi * 0.7 * times
+    basis = np.column_stack([np.sin(wave), np.cos(wave)])
+    fitted, *_ = np.linalg.lstsq(basis, added[:, 4])
+    assert np.linalg.norm(fitted) == pytest.approx(jitter.amplitude, rel=3e-3)
+    assert np.abs(added[:, 4] - basis @ fitted).max() < 0.01 * jitter.amplitude
+    assert np.abs(added[:, [3, 5]]).max() < 2e-3 * jitter.amplitude  # what the finer nodes smooth of the draws' kinks
+    assert np.abs(added[:, :3]).max() < 1e-2
+    prior = shaken.network.strips[0].prior
+    assert isinstance(prior, NodePrior)
+    assert np.array_equal(prior.sigmas, SMALL.errors.prior.sigmas)
+    with pytest.raises(InputError, match="other nodes"):
+        shaken.true_nodes(0)
+
+
+def test_the_truth_may_have_nodes_of_its_own() -> None:
+    """Denser ones wander between the adjustment's; with the same spacing they are the adjustment's."""
+    made = simulate_hrsc_block(replace(TINY, true_spacing=1.0))
+    strip, found = made.network.strips[0], made.corrections[0].nodes
+    assert found is not None
+    assert found.coverage == pytest.approx(strip.nodes.coverage)
+    assert np.diff(found.times).max() <= 1.0 < np.diff(strip.nodes.times).min()
+    same = simulate_hrsc_block(TINY)
+    assert same.corrections[0].nodes is same.network.strips[0].nodes
+    assert np.array_equal(same.true_nodes(0), same.corrections[0].coefficients[1:])
+    assert not np.any(same.corrections[0].coefficients[0])
+
+
+# --- seeds, redraws, errors
+
+
+def test_the_same_seed_gives_the_same_block_and_another_a_different_one_on_the_same_ground() -> None:
+    settings = replace(SMALL, points=60, strips=2)
+    one, same, other = (simulate_hrsc_block(settings, seed) for seed in (1, 1, 2))
+    assert one.network.surface is not None
+    assert same.network.surface is not None
+    np.testing.assert_array_equal(one.network.rays.places, same.network.rays.places)
+    np.testing.assert_array_equal(one.network.surface.grid.radii, same.network.surface.grid.radii)
+    np.testing.assert_array_equal(one.places, same.places)
+    np.testing.assert_array_equal(one.corrections[7].coefficients, same.corrections[7].coefficients)
+    assert not np.array_equal(one.places, other.places)
+    assert not np.array_equal(one.corrections[0].coefficients, other.corrections[0].coefficients)
+    assert other.relief is one.relief
+    assert simulate_hrsc_block(replace(settings, ground=2)).relief is not one.relief
+    for a, b in zip(one.network.images, other.network.images, strict=True):
+        assert isinstance(a, PushbroomImage)
+        assert (a.lines, a.timing.start_times.tolist()) == (b.lines, b.timing.start_times.tolist())
+
+
+def test_redraws_draw_strips_from_their_priors(block: SimulatedBlock) -> None:
+    draws = [redraw(block.network, np.random.default_rng(seed)) for seed in range(3)]
+    for draw in draws:
+        error = draw.network.rays.places - exact_places(block.network, draw.places, draw.corrections)
+        assert_unit_variance(error / block.network.rays.sigmas)
+        assert_unit_variance(heights(block.network, draw.places, draw.shifts[0]) / 10.0)
+        for k, strip in enumerate(block.network.strips):
+            mine = [draw.corrections[j] for j in strip.images]
+            assert all(one is mine[0] for one in mine)
+            assert mine[0].nodes is strip.nodes
+            assert not np.any(mine[0].coefficients[0])
+            assert k == 0 or mine[0] is not draw.corrections[0]
+    values = np.array([draw.corrections[5 * k].coefficients[1:] for draw in draws for k in (0,)])
+    assert np.all(np.ptp(values, axis=0) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"strips": 0}, "strips: 0"),
+        ({"strips": 2, "crossing": 2}, "crossing strips: 2 of 2"),
+        ({"length": 9000e3}, "length: 9000 km; expected 50 .. 4500 km"),
+        ({"altitudes": (265e3, 5000e3)}, "altitudes: 5000 km"),
+        ({"eccentricity": 1.2}, "eccentricity: 1.2"),
+        ({"overlap": 1.0}, "overlap: 1.0"),
+        ({"spacing": -1.0}, "spacing: -1.0"),
+        ({"true_spacing": 0.0}, "true spacing: 0.0"),
+        ({"centre": (0.0, 80 * DEG)}, "centre: latitude 80 deg"),
+        ({"points": 0}, "points: 0"),
+        ({"altitudes": (np.nan, 300e3)}, "altitudes: nan km"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=f"^block settings, {message}"):
+        replace(SMALL, **change)  # type: ignore[arg-type]
+
+
+def test_parts_of_settings_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(InputError, match="add up to 1"):
+        Matches(shares=(0.5, 0.5, 0.5))
+    with pytest.raises(InputError, match="blunders: 2"):
+        Matches(blunders=2.0)
+    with pytest.raises(InputError, match="macropixels"):
+        Readout(macropixels=(1, 2, 3, 1, 1))
+    with pytest.raises(InputError, match="jitter, axis"):
+        Jitter(1e-5, 1.0, "x")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="jitter, frequency"):
+        Jitter(1e-5, 0.0)
+    with pytest.raises(InputError, match="missing posts"):
+        TerrainErrors(missing=1.5)
+    with pytest.raises(InputError, match="seed"):
+        simulate_hrsc_block(SMALL, -1)

@@ -1,0 +1,275 @@
+"""[[strips]] in a case file."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mex import CHANGES, FOLDER, LINES, kernels, times_file
+from strip_files import STRIPS, block, write_block
+
+import mgsgraph
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.case import adjust
+from mgsgraph.case.strips import NodesInput, StripPriorInput
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.network import NodePrior, Strip
+from mgsgraph.network.passes import require_one_pass, seconds, straightest
+from mgsgraph.units import MGON, MRAD
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("block")
+    write_block(path)
+    return path
+
+
+def case_with(folder: Path, strips: str, name: str = "other.toml") -> Path:
+    """The block's case with other strips."""
+    text = (folder / "case.toml").read_text(encoding="utf-8")
+    assert text.endswith(STRIPS)
+    path = folder / name
+    path.write_text(text.removesuffix(STRIPS) + strips, encoding="utf-8")
+    return path
+
+
+def strip_of(folder: Path, table: str) -> Strip:
+    """The first strip alone, `table` being what follows its name."""
+    images = 'images = ["HRSC/00/S1", "HRSC/00/P1", "HRSC/00/ND", "HRSC/00/P2", "HRSC/00/S2"]'
+    return mgsgraph.read_case(case_with(folder, f'[[strips]]\nname = "one"\n{images}\n{table}\n')).network.strips[0]
+
+
+def prior_of(folder: Path, table: str) -> NodePrior:
+    prior = strip_of(folder, f"prior = {{ {table} }}").prior
+    assert isinstance(prior, NodePrior)
+    return prior
+
+
+def test_the_case_is_the_block(folder: Path) -> None:
+    """Read from its files, with the defaults that the block was drawn with: the same strips, cost and places."""
+    case, net = mgsgraph.read_case(folder / "case.toml"), block().network
+    for read, made in zip(case.network.strips, net.strips, strict=True):
+        assert (read.name, read.images.tolist()) == (made.name, made.images.tolist())
+        assert isinstance(read.prior, NodePrior)
+        assert isinstance(made.prior, NodePrior)
+        for part in ("sigmas", "bias", "drift", "correlation_time"):
+            np.testing.assert_allclose(getattr(read.prior, part), getattr(made.prior, part), rtol=1e-12)
+        np.testing.assert_allclose(read.nodes.times + read.nodes.epoch, made.nodes.times + made.nodes.epoch, atol=1e-6)
+    assert [image.timing.periods.size for image in case.network.images] == [3] * 10
+    got, want = adjust(case), adjust_network(net, case.settings)
+    assert got.cost_final == pytest.approx(want.cost_final, rel=1e-6)
+    np.testing.assert_allclose(got.places, want.places, atol=0.01)
+    assert not np.any(case.network.unadjusted)
+
+
+# --- where the nodes stand
+
+
+def test_spacing_in_seconds_and_lines(folder: Path) -> None:
+    """Lines are those of the nadir image, by its own mean period; nodes reach from the first line to the last."""
+    pictures = block().network.images[:5]
+    edges = np.array([seconds(image) for image in pictures])
+    assert straightest(pictures) == 2
+    start, stop = seconds(pictures[2])
+    for table, spacing in (
+        ("spacing_s = 4.0", 4.0), ("spacing_lines = 1500", 1500 * (stop - start) / pictures[2].lines), ("", 10.0)
+    ):
+        nodes = strip_of(folder, f"nodes = {{ {table} }}").nodes
+        times = nodes.times + nodes.epoch
+        step = np.diff(times)
+        np.testing.assert_allclose(times[[0, -1]], [edges[:, 0].min(), edges[:, 1].max()], atol=1e-6)
+        np.testing.assert_allclose(step, step[0], rtol=1e-6)
+        assert step[0] <= spacing * (1.0 + 1e-9)
+        assert (times[-1] - times[0]) / (step.size - 1) > spacing or step.size == 3  # one fewer would be too few
+
+
+def test_spline_reaches_beyond(folder: Path) -> None:
+    nodes = strip_of(folder, 'nodes = { basis = "spline", spacing_s = 4.0 }').nodes
+    lagrange = strip_of(folder, "nodes = { spacing_s = 4.0 }").nodes
+    assert len(nodes) == len(lagrange) + 2
+    assert nodes.coverage == pytest.approx(lagrange.coverage)
+
+
+def test_nodes_at_given_times(folder: Path) -> None:
+    evenly = strip_of(folder, "nodes = { spacing_s = 4.0 }").nodes
+    wanted = np.sort(np.concatenate([evenly.times, evenly.times[3:5] + 1.0])) + evenly.epoch
+    wanted[[0, -1]] += [-1.0, 1.0]
+    nodes = strip_of(folder, f"nodes = {{ times_et_s = {wanted.tolist()} }}").nodes
+    np.testing.assert_allclose(nodes.times + nodes.epoch, wanted, atol=1e-6)
+
+
+def test_times_in_utc(folder: Path, shared_data: Path) -> None:
+    """START_TIME of h5270 and the time of its first line, within its milliseconds; the block flew at another time."""
+    leap_seconds = shared_data / FOLDER / "naif0012.tls"
+    said = ", ".join(f'"2008-02-08T12:08:{second}.843"' for second in (53, 54, 55, 56))
+    path = case_with(folder, f'[[strips]]\nname = "one"\nimages = ["HRSC/00/ND"]\nnodes = {{ times_utc = [{said}] }}\n')
+    text = path.read_text(encoding="utf-8").replace("[ties]", f'[spice]\nkernels = ["{leap_seconds}"]\n[ties]', 1)
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="expected lines within its nodes'") as caught:
+        mgsgraph.read_case(path)
+    time = float(str(caught.value).split("nodes' ")[1].split(" to")[0])
+    epoch = float(str(caught.value).split("s past ")[1].split(" s TDB")[0])
+    assert epoch + time == pytest.approx(CHANGES[0][0], abs=2e-3)
+
+
+def test_times_in_utc_need_leap_seconds(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"times_utc: times in UTC without kernels; expected a leap seconds kernel"):
+        strip_of(folder, 'nodes = { times_utc = ["2008-02-08T12:08:53"] }')
+
+
+# --- what is known beforehand
+
+
+def test_units_of_the_prior(folder: Path) -> None:
+    prior = prior_of(
+        folder,
+        "position_sigma_m = [2.0, 3.0, 4.0], angle_sigma_mrad = 0.01, angle_bias_sigma_mgon = [28.0, 0.0, 14.0], "
+        "position_drift_sigma_m = 0.0, angle_drift_sigma_mgon = 7, correlation_time_s = 0",
+    )
+    np.testing.assert_allclose(prior.sigmas, [2.0, 3.0, 4.0, *[0.01 * MRAD] * 3])
+    np.testing.assert_allclose(prior.bias, [50.0, 50.0, 50.0, 28.0 * MGON, 0.0, 14.0 * MGON])
+    np.testing.assert_allclose(prior.drift, [0.0, 0.0, 0.0, *[7.0 * MGON] * 3])
+    assert prior.correlation_time == 0.0
+    assert pytest.approx(400_000.0) == 2.0 * np.pi / MGON  # 400 gon are a turn
+
+
+def test_defaults_give_way_where_nodes_know_nothing() -> None:
+    prior = StripPriorInput(position_sigma_m=float("inf")).prior("here")
+    assert np.all(np.isinf(prior.sigmas[:3]))
+    assert prior.bias[:3].tolist() == prior.drift[:3].tolist() == [0.0] * 3
+    assert np.all(prior.bias[3:] == pytest.approx(28.0 * MGON))
+    with pytest.raises(InputError, match=r"here: node prior, bias: sigma 5.0 of component 0 whose nodes have none"):
+        StripPriorInput(position_sigma_m=float("inf"), position_bias_sigma_m=5.0).prior("here")
+
+
+# --- what is wrong, in one line
+
+ONE = '[[strips]]\nname = "one"\nimages = ["HRSC/00/S1", "HRSC/00/ND"]\n'
+TWO = '[[strips]]\nname = "two"\n'
+WRONG = {
+    "unknown image": (ONE.replace("00/S1", "00/S9"), r"strips\[0\], images: the image 'HRSC/00/S9'; expected some of"),
+    "in two strips": (ONE + TWO + 'images = ["HRSC/00/ND"]', r"strips\[1\], images: 'HRSC/00/ND', which strip 'one'"),
+    "twice": (ONE.replace("00/S1", "00/ND"), r"strips\[0\], images: 'HRSC/00/ND', which strip 'one' has already"),
+    "both without images": (TWO + TWO, "several without images"),
+    "the same name": (ONE + '[[strips]]\nname = "one"\nimages = ["HRSC/00/P1"]', "the name 'one'|'one' twice"),
+    "no name": (ONE.replace('"one"', '""'), r"strips\[0\]\.name"),
+    "two passes": (TWO, r"strips\[0\]: images HRSC/00/.. and HRSC/01/.., 39\d minutes apart; expected images of one"),
+    "an unknown key": (ONE + "spacing = 3", "unknown field `spacing`"),
+    "an unknown unit": (ONE + "nodes = { spacing_km = 3 }", r"strips\[0\]\.nodes.*unknown field `spacing_km`"),
+    "an unknown basis": (ONE + 'nodes = { basis = "linear" }', r"'linear'; expected one of 'lagrange', 'spline'"),
+    "two spacings": (ONE + "nodes = { spacing_s = 3, spacing_lines = 30 }", "spacing_s and spacing_lines; expected"),
+    "text": (ONE + 'nodes = { spacing_s = "often" }', r"strips\[0\]\.nodes\.spacing_s"),
+    "negative spacing": (ONE + "nodes = { spacing_s = -3 }", r"strips\[0\]\.nodes\.spacing_s"),
+    "long spacing": (ONE + "nodes = { spacing_s = 3000 }", r"nodes, spacing_s: 3000 s; expected less than"),
+    "long spacing in lines": (ONE + "nodes = { spacing_lines = 1e7 }", r"spacing_lines: .* s; expected less than"),
+    "a slip in the unit": (ONE + "nodes = { spacing_s = 1e-4 }", "at most 10000 nodes"),
+    "few times": (ONE + "nodes = { times_et_s = [1, 2, 3] }", r"strips\[0\]\.nodes: orientation images: 3 nodes"),
+    "times that go back": (ONE + "nodes = { times_et_s = [1, 2, 4, 3] }", "times that don't increase"),
+    "times of another pass": (ONE + "nodes = { times_et_s = [1, 2, 3, 4] }", "00/S1.*lines within its nodes'"),
+    "nan": (ONE + "nodes = { times_et_s = [1, 2, nan, 4] }", "nan; expected a number"),
+    "uneven spline": (ONE + 'nodes = { basis = "spline", times_et_s = [1, 2, 4, 5] }', "even ones for a uniform"),
+    "no prior at all": (ONE + "prior = { position_sigma_m = 0 }", "position_sigma_m: 0.*from 1e-09 to 1e"),
+    "two angles": (ONE + "prior = { angle_sigma_mgon = 1, angle_sigma_mrad = 1 }", "_mgon and angle_sigma_mrad; exp"),
+    "two numbers": (ONE + "prior = { position_bias_sigma_m = [1, 2] }", "or three \\(0 for none\\)"),
+    "infinite bias": (ONE + "prior = { position_bias_sigma_m = inf }", "position_bias_sigma_m: inf"),
+    "negative memory": (ONE + "prior = { correlation_time_s = -1 }", "correlation_time_s"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_one_clear_line(folder: Path, fault: str) -> None:
+    strips, message = WRONG[fault]
+    path = case_with(folder, strips)
+    with pytest.raises(InputError, match=message) as caught:
+        mgsgraph.read_case(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "HRSC/00/ND"', 'name = "HRSC/00/ND"\nheld = true', "image HRSC/00/ND, which is held"),
+        ('name = "HRSC/00/ND"', 'name = "HRSC/00/ND"\norientation = { degree = 1 }', "an orientation table of its own"),
+        ("[ties]", '[orientation]\nnominal = "polynomial"\n[ties]', "nominal = 'polynomial'; expected the trajectory"),
+    ],
+)
+def test_what_contradicts_a_strip(folder: Path, old: str, new: str, message: str) -> None:
+    path = case_with(folder, ONE)
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=message) as caught:
+        mgsgraph.read_case(path)
+    assert str(caught.value).startswith(f"{path}, strips[0] (one)")
+
+
+def test_cameras_that_look_elsewhere_are_no_strip() -> None:
+    """A camera turned by 1 degree at the same time; one that is 5 km away; alike, they are."""
+    one, other = block().network.images[:2]
+    require_one_pass([one, other], "here")
+    assert isinstance(other.trajectory, Trajectory)
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(0.02), np.sin(0.02)], [0.0, -np.sin(0.02), np.cos(0.02)]])
+
+    def with_table(**tables: object) -> PushbroomImage:
+        return replace(other, trajectory=replace(other.trajectory, **tables))  # type: ignore[type-var]
+
+    turned = with_table(camera=replace(other.trajectory.camera, constant=turn))
+    with pytest.raises(InputError, match=r"here: images .* 0 m apart and turned by 0\.020 rad; expected images of"):
+        require_one_pass([one, turned], "here")
+    table = other.trajectory.position
+    moved = with_table(position=replace(table, positions=table.positions + np.array([5e3, 0.0, 0.0])))
+    with pytest.raises(InputError, match=r"5000 m apart"):
+        require_one_pass([moved, one], "here")
+
+
+# --- HRSC by labels: one trajectory
+
+
+def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_path: Path) -> None:
+    """Of the real kernels; outside of a strip each label has a trajectory of its own."""
+    label = (shared_data / FOLDER / "h5270_0000_ir2_pds3.lbl").read_text()
+    times_file(tmp_path)
+    names = ("IR", "NADIR")
+    text = ["format = 1", 'name = "h5270"', "[ground_control]", 'file = "points.gcp"', "[spice]", "sampling_s = 0.5"]
+    text.append(f"kernels = {[str(path) for path in kernels(shared_data)]}")
+    for name in names:
+        (tmp_path / f"{name}.lbl").write_text(label.replace("MEX_HRSC_IR", f"MEX_HRSC_{name}"))
+        text += ["[[images]]", f'name = "{name}"', f'label = "{name}.lbl"', 'line_times = "line_times.csv"']
+    text.append("focal_length_m = 0.17")  # of the nadir line alone
+    (tmp_path / "points.gcp").write_text("G1 20.0 77.6 0.0 1 1 1 IR 100 200 1 1 NADIR 300 400 1 1\n")
+    path = tmp_path / "case.toml"
+    path.write_text("\n".join(text))
+    apart = mgsgraph.read_case(path).network.images
+    path.write_text("\n".join([*text, "[[strips]]", 'name = "h5270"', "nodes = { spacing_lines = 1000 }"]))
+    net = mgsgraph.read_case(path).network
+
+    assert apart[0].trajectory is not apart[1].trajectory
+    assert net.images[0].trajectory is net.images[1].trajectory
+    assert [image.name for image in net.images] == list(names)
+    assert net.images[0].interior.focal_length == pytest.approx(0.17482)
+    assert net.images[1].interior.focal_length == 0.17
+    places = np.array([0.0, 7000.3, LINES]), np.array([3.0, 600.0, 1288.0])
+    for one, alone in zip(net.images, apart, strict=True):
+        np.testing.assert_allclose(one.image_to_ground(*places)[0], alone.image_to_ground(*places)[0], atol=1e-4)
+    assert len(net.strips[0].nodes) == 17  # 15,088 lines in 16 intervals
+
+
+# --- who can't take them
+
+
+def test_projects_refuse_them_and_leave_nothing_behind(folder: Path, tmp_path: Path) -> None:
+    said = "strip 'HRSC/00': orientation images in what is adjusted image by image"
+    with pytest.raises(InputError, match=said):
+        group(["init", str(tmp_path / "project"), "--case", str(folder / "case.toml")], standalone_mode=False)
+    assert not (tmp_path / "project").exists()
+    group(["init", str(tmp_path / "project")], standalone_mode=False)
+    with pytest.raises(InputError, match="adjust such a case as a whole"):
+        group(["add", str(tmp_path / "project"), str(folder / "case.toml")], standalone_mode=False)
+
+
+def test_times_and_spacings_are_one_choice() -> None:
+    with pytest.raises(InputError, match="here: spacing_lines and times_et_s; expected one of them"):
+        NodesInput(spacing_lines=10.0, times_et_s=(1.0,)).images((), lambda texts, where: np.zeros(0), "here")

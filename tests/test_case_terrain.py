@@ -1,0 +1,234 @@
+"""The terrain model of a case: its keys, its forms, and ties that it doesn't cover, counted and told."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import profiles
+import pytest
+
+import mgsgraph
+from mgsgraph.campaign.inputs import checksums
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, PointClass, Surface
+from mgsgraph.network.observations import nominal_ground
+from mgsgraph.network.terrain_control import coverage, terrain_ground
+from mgsgraph.products.control import control_json, control_statements
+from mgsgraph.products.inventory import inventory
+from mgsgraph.simulation.circle import MARS
+from mgsgraph.units import DEG, MRAD
+
+STEP = 0.01
+"""degrees between posts."""
+
+
+def ties(net: Network) -> Array:
+    """(n, 2) degrees, longitude and latitude of the ties' ground."""
+    rays = net.rays.chosen(net.points.classes[net.rays.point] == PointClass.TIE)
+    points, first = np.unique(rays.point, return_index=True)
+    assert points.size == 20
+    return planetocentric(nominal_ground(net.images, rays.chosen(first)))[:, :2] / DEG
+
+
+def with_terrain(
+    case_file: Path, keys: str = "", west: float = -0.5, east: float = 0.5, height: float = 0.0,
+    hole: tuple[float, float] | None = None, scale: float = 1.0,
+) -> Path:  # fmt: skip
+    """The case with a GeoTIFF of heights above a sphere, from `west` to `east` of the ties' middle (degrees)."""
+    rasterio = pytest.importorskip("rasterio")
+    places = ties(mgsgraph.read_case(case_file).network)
+    middle, low, high = places[:, 0].mean(), places[:, 1].min() - 0.3, places[:, 1].max() + 0.3
+    columns, rows = round((east - west) / STEP), round((high - low) / STEP)
+    latitude = (high - (np.arange(rows) + 0.5) * STEP) * DEG
+    a, b = MARS.equatorial, MARS.polar
+    radius = a * b / np.sqrt((b * np.cos(latitude)) ** 2 + (a * np.sin(latitude)) ** 2)
+    values = np.repeat((radius - 3396190.0 + height)[:, None], columns, axis=1) / scale
+    if hole is not None:
+        longitude = west + (np.arange(columns) + 0.5) * STEP
+        values[:, (longitude > hole[0]) & (longitude < hole[1])] = -1e9
+    with rasterio.open(
+        case_file.with_name("dtm.tif"), "w", driver="GTiff", height=rows, width=columns, count=1, dtype="float64",
+        crs="+proj=longlat +R=3396190 +no_defs", nodata=-1e9,
+        transform=rasterio.Affine(STEP, 0, middle + west, 0, -STEP, high),
+    ) as file:
+        file.write(values, 1)
+        file.scales = (scale,)
+    return add(case_file, f'radius = "dtm.tif"\nreference_radius_m = 3396190.0\n{keys}')
+
+
+def add(case_file: Path, keys: str) -> Path:
+    without(case_file)
+    with case_file.open("a", encoding="utf-8") as file:
+        file.write(f"\n[terrain]\n{keys}\n")
+    return case_file
+
+
+def without(case_file: Path) -> Path:
+    """The case without its terrain model, which `add` put last."""
+    text, _, _ = case_file.read_text(encoding="utf-8").partition("\n[terrain]\n")
+    case_file.write_text(text, encoding="utf-8")
+    return case_file
+
+
+def surface_of(case_file: Path) -> Surface:
+    found = mgsgraph.read_case(case_file).network.surface
+    assert found is not None
+    return found
+
+
+def middle_of(case_file: Path) -> Array:
+    return ties(mgsgraph.read_case(case_file).network)
+
+
+def test_its_place_is_an_unknown_or_part_of_each_sigma(case_file: Path) -> None:
+    moving = surface_of(with_terrain(case_file, scale=0.25, height=-4000.0))
+    assert np.abs(moving.grid.radii - MARS.equatorial + 4000.0).max() < 200.0
+    assert [term.name for term in moving.terms] == ["east shift", "north shift"]
+    assert np.all(moving.sigmas[np.isfinite(moving.sigmas)] == 10.0)
+    assert np.isfinite(moving.sigmas).sum() == 20
+    resting = surface_of(add(case_file, 'radius = "dtm.tif"\nreference_radius_m = 3396190.0\nshift = false'))
+    assert resting.terms == ()
+    mine = np.isfinite(resting.sigmas)
+    # the ellipsoid's own slope against the sphere
+    assert np.all(resting.sigmas[mine] > 10.0)
+    assert np.all(resting.sigmas[mine] < 11.0)
+
+
+def test_height_and_tilt_may_be_unknown_and_are_said(case_file: Path) -> None:
+    path = with_terrain(case_file, "height_sigma_m = 30.0\ntilt_sigma_mrad = 0.1")
+    found = surface_of(path)
+    assert [term.sigma for term in found.terms] == [200.0, 200.0, 30.0, 0.1 * MRAD, 0.1 * MRAD]
+    assert found.middle is not None
+    place = planetocentric(found.middle[None])[0, :2] / DEG
+    np.testing.assert_allclose(place, middle_of(path).mean(axis=0), atol=1e-3)
+    text = inventory(mgsgraph.read_case(path))
+    assert "20 points lie on it, sigma of their heights 10.0 m" in text
+    assert "upward shift 30 m, tilt about east 0.1 mrad, tilt about north 0.1 mrad" in text
+    solution = mgsgraph.adjust(mgsgraph.read_case(path))
+    assert "It rose by" in " ".join(control_statements(solution))
+    assert "leaves out" not in text
+    assert "doesn't cover" not in " ".join(control_statements(solution))
+
+
+def test_ties_beside_it_and_over_holes_are_counted(case_file: Path) -> None:
+    places = middle_of(case_file)
+    east = np.sort(places[:, 0] - places[:, 0].mean())
+    edge, hole = 0.5 * (east[14] + east[15]), 0.5 * (east[3] + east[4])
+    # posts in steps of 0.01 degrees: which ties they cover follows from the grid
+    path = with_terrain(case_file, west=-0.3, east=edge, hole=(-0.3, hole))
+    net = mgsgraph.read_case(path).network
+    assert net.surface is not None
+    on = int(np.isfinite(net.surface.sigmas).sum())
+    assert 0 < on < 20
+    ground = terrain_ground(net.images, net.rays, net.surface.grid)
+    points, first = np.unique(net.rays.point, return_index=True)
+    mine = net.points.classes[points] == PointClass.TIE
+    covered = coverage(net.surface.grid, ground[first[mine]])
+    assert (covered.on, covered.total) == (on, 20)
+    assert covered.beside > 0
+    assert covered.over_holes > 0
+    text = inventory(mgsgraph.read_case(path))
+    assert re.search(r"of 20 tie points it leaves out \d+ outside the model \(points .* E, .* N; model ", text)
+    assert re.search(r"and \d+ over missing posts: these have no such row", text)
+    solution = mgsgraph.adjust(mgsgraph.read_case(path))
+    record = control_json(solution)["surface"]
+    assert record["outside"] > 0
+    assert record["over_missing_posts"] > 0
+    assert 18 <= record["count"] + record["outside"] + record["over_missing_posts"] <= 20
+    assert "doesn't cover, and doesn't hold" in " ".join(control_statements(solution))
+
+
+def test_a_model_of_other_ground_is_an_error_with_both_boxes(case_file: Path) -> None:
+    said = r"no tie point lies over.*of 20, 20 outside the model \(points .*; model "
+    with pytest.raises(InputError, match=said) as error:
+        mgsgraph.read_case(with_terrain(case_file, west=3.0, east=4.0))
+    numbers = [float(x) for x in re.findall(r"-?\d+\.\d{3}", str(error.value).replace("+", ""))]
+    assert len(numbers) == 8
+    assert numbers[4] - numbers[0] > 2.5
+    case = with_terrain(without(case_file), hole=(-0.4, 0.4))
+    with pytest.raises(InputError, match="of 20, 20 over missing posts"):
+        mgsgraph.read_case(case)
+
+
+def test_ground_is_found_where_the_terrain_is(case_file: Path) -> None:
+    """4 km below the ellipsoid an oblique ray ends a kilometre farther on."""
+    net = mgsgraph.read_case(with_terrain(case_file, height=-4000.0)).network
+    assert net.surface is not None
+    ground = terrain_ground(net.images, net.rays, net.surface.grid)
+    assert np.abs(np.linalg.norm(ground, axis=1) - net.surface.grid.at(ground)).max() < 1.0
+    origins = np.empty_like(ground)
+    for j, image in enumerate(net.images):
+        mine = net.rays.image == j
+        start, direction = image.sightlines(*net.rays.places[mine].T)
+        along = ground[mine] - start
+        direction = direction / np.linalg.norm(direction, axis=1)[:, None]
+        origins[mine] = along - np.einsum("ni,ni->n", along, direction)[:, None] * direction
+    assert np.abs(origins).max() < 1e-5
+
+
+def test_tiles_and_heights_above_the_areoid_are_the_same_model(case_file: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    whole = surface_of(with_terrain(case_file, height=-500.0))
+    folder = case_file.parent
+    with rasterio.open(folder / "dtm.tif") as file:
+        values, place, kind = file.read(1), file.transform, dict(file.profile)
+    for name, columns in (("west", slice(0, 48)), ("east", slice(48, None))):
+        part = values[:, columns]
+        own = kind | {"width": part.shape[1], "transform": place @ rasterio.Affine.translation(columns.start, 0)}
+        with rasterio.open(folder / f"{name}.tif", "w", **own) as file:
+            file.write(part, 1)
+    with rasterio.open(folder / "areoid.tif", "w", **kind) as file:
+        file.write(np.full_like(values, 3396190.0), 1)
+    path = add(case_file, 'radius = ["east.tif", "west.tif"]\nareoid = "areoid.tif"')
+    net = mgsgraph.read_case(path).network
+    assert net.surface is not None
+    np.testing.assert_allclose(net.surface.grid.radii, whole.grid.radii, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(net.surface.sigmas, whole.sigmas)
+    assert net.areoid is not None
+    assert abs(np.nanmean(net.areoid.radii) - 3396190.0) < 1e-6
+    assert {"east.tif", "west.tif", "areoid.tif"} <= {Path(name).name for name in checksums(path)}
+
+
+def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:
+    """Three profiles side by side, in the form in which the Orbital Data Explorer serves them."""
+    folder = case_file.parent
+    profiles.write_profile(folder / "one.csv")
+    rows = (folder / "one.csv").read_text(encoding="utf-8").splitlines()
+    names = []
+    for k, east in enumerate((-0.06, 0.0, 0.06)):
+        moved = [rows[0]]
+        for row in rows[1:]:
+            values = row.split(",")
+            moved.append(",".join([f"{float(values[0]) + east:.9f}", *values[1:-1], f"{18933 + k}"]))
+        names.append(f"track{k}.csv")
+        (folder / names[-1]).write_text("\n".join(moved) + "\n", encoding="utf-8")
+    path = add(case_file, f"tracks = {names!r}\nlongest_edge_m = 6000.0".replace("'", '"'))
+    net = mgsgraph.read_case(path).network
+    assert net.surface is not None
+    assert net.surface.grid.post_sigmas is not None
+    there = np.isfinite(net.surface.sigmas)
+    assert there.sum() > 0
+    assert np.all(net.surface.sigmas[there] >= 10.0)
+    assert "track0.csv" in inventory(mgsgraph.read_case(path))
+    assert {"track0.csv", "track1.csv", "track2.csv"} <= {Path(name).name for name in checksums(path)}
+    add(case_file, f"tracks = {names!r}\nlongest_edge_m = 100.0".replace("'", '"'))
+    with pytest.raises(InputError, match=r"edges up to 0\.1 km"):
+        mgsgraph.read_case(case_file)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("shift = false", "neither radius nor tracks"),
+        ('radius = "a.img"\ntracks = "b.csv"', "both radius and tracks"),
+        ('radius = "a.img"\nareoid = "b.img"\ntopography = "c.img"', "both areoid and topography"),
+        ('radius = "a.tif"\nareoid = "b.img"\nreference_radius_m = 3396000.0', "both areoid and reference_radius_m"),
+        ('radius = "a.img"\ntilt_sigma_mrad = -1.0', "tilt_sigma_mrad"),
+        ('radius = "a.img"\npost_step_deg = 3.0', "post_step_deg"),
+    ],
+)
+def test_what_it_cannot_say(case_file: Path, keys: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        mgsgraph.read_case(add(case_file, keys))
