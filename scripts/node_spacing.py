@@ -40,10 +40,10 @@ CASES: dict[str, tuple[TrajectoryErrors, Jitter | None]] = {
 }
 WORDS = """# How close orientation images should stand
 
-Simulated HRSC strips of 200 km, flown over in 98 s, five lines, image noise 0.4 px (about 2 mgon) in macropixels;
-nominal trajectories are off by 28 mgon and 50 m with a drift and departures (Gauss-Markov, 60 s), which the prior states:
-0.3 mgon and 0.3 m *calm*, 3 mgon and 1 m *wandering*. True nodes stand every 2 s. Jitter is known to no prior. Made by
-`scripts/node_spacing.py`.
+Simulated HRSC strips of 200 km, flown over in 98 s, five lines, image noise 0.4 px (about 2 mgon) in macropixels.
+Nominal trajectories are off by 28 mgon and 50 m with a drift and departures (Gauss-Markov, 60 s), which the prior
+states: 0.3 mgon and 0.3 m *calm*, 3 mgon and 1 m *wandering*. True nodes stand every 2 s. Jitter is known to no prior.
+Made by `scripts/node_spacing.py`.
 
 * *2 s ... 32 s*: rms misfit of one ray each of a fifth of the points, held out of the adjustment, in sigmas that it has
   when orientation is known; mean over the seeds. 1 is noise.

@@ -96,7 +96,7 @@ class OrientationCorrection:
     @property
     def polynomial_terms(self) -> int:
         """Rows that belong to the polynomial."""
-        return self.coefficients.shape[0] - (0 if self.nodes is None else len(self.nodes))
+        return int(self.coefficients.shape[0]) - (0 if self.nodes is None else len(self.nodes))
 
     def basis(self, moments: Moments) -> Array:
         """(n, d) what each row of coefficients counts at n lines; dense, for few of them."""

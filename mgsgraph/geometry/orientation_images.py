@@ -135,4 +135,5 @@ def evenly_spaced(basis: Basis, epoch: float, coverage: tuple[float, float], spa
     intervals = max(int(np.ceil((stop - start) / spacing - 1e-9)), SUPPORT - 1)
     step = (stop - start) / intervals
     beyond = 0 if basis == "lagrange" else 1
-    return OrientationImages(basis, epoch, start + step * np.arange(-beyond, intervals + 1 + beyond))
+    numbers = np.arange(-beyond, intervals + 1 + beyond, dtype=np.float64)
+    return OrientationImages(basis, epoch, np.asarray(start + step * numbers))

@@ -21,7 +21,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior, polynomial
 from mgsgraph.geometry.orientation_images import OrientationImages
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 
 
 class LinearFactor(NamedTuple):
@@ -200,11 +200,12 @@ class Strip:
         return replace(self, prior=self.prior.scaled(nodes, trend))
 
     @property
-    def angular(self) -> list[Array]:
+    def angular(self) -> list[Mask]:
         """True for a column in rad, of each of them."""
         every = [np.arange(6) >= 3 for _ in range(len(self.nodes))]
-        trend = isinstance(self.prior, NodePrior) and self.prior.trend_sigmas.size > 0
-        return every + ([self.prior.trend_components >= 3] if trend else [])
+        if isinstance(self.prior, NodePrior) and self.prior.trend_sigmas.size:
+            every.append(self.prior.trend_components >= 3)
+        return every
 
 
 def _about(unknown: int, columns: Index) -> Index:

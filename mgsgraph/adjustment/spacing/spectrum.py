@@ -241,8 +241,8 @@ class _Series:
             shown = course.response @ course.wander @ course.response.T
             wander = noise + _white(course.axis(shown, axis), root)
         times = course.times - 0.5 * (course.times[0] + course.times[-1])
-        values = np.linalg.solve(root, course.values[:, axis])
-        response = np.linalg.solve(root, course.axis(course.response, axis))
+        values: Array = np.asarray(np.linalg.solve(root, course.values[:, axis]))
+        response: Array = np.asarray(np.linalg.solve(root, course.axis(course.response, axis)))
         return cls(times, root, values, response, noise, wander)
 
     @property

@@ -162,8 +162,8 @@ def _said(found: StripSpectra) -> str:
         f"{what}{more}. Noise alone shows {', '.join(number(one) for one in floors)} mgon rms in roll, pitch and yaw "
         f"(medians over frequency), and crosses the dashed level somewhere in {100.0 * FALSE_ALARMS:g} % of such "
         f"panels. {found.course.times.size} orientation images tell frequencies up to {number(first.nyquist)} Hz; what "
-        "is above the level but no vibration is explained by the departures that the prior expects, or surer in "
-        "another axis."
+        "is above the level but no vibration is explained by the departures that the prior expects, surer in another "
+        "axis, or may be the trace of a stronger one."
     )
 
 
