@@ -39,6 +39,7 @@ from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.rows import FIXED, PRIOR
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, PointClass
+from mgsgraph.network.support import require_felt_nodes
 
 
 @dataclass(slots=True)
@@ -90,6 +91,7 @@ def adjust_network(
     WeakNetwork
         Nothing determines some direction of the orientation.
     InputError
+        Orientation images that hardly a ray feels, closer than the data supports.
         The explicit form, or one of GTSAM's optimisers, on a cluster; a partition that is too large for its worker.
     SolverError
         The cluster has gone.
@@ -98,6 +100,7 @@ def adjust_network(
     if cluster is not None:
         require_bundles(settings, cluster.where)
     network.require_felt()
+    require_felt_nodes(network, None if left_in is None else left_in.rays)
     layout = lay_out(network, settings)
     clock.stop("set up")
     with _sweeper(layout, cluster) as sweeper:

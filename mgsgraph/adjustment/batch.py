@@ -28,6 +28,8 @@ _ROUNDING = 1e-11
 """Share of the cost by which it may seem to rise: body-fixed metres leave that much rounding in the residuals."""
 _NEAR = 1e-8
 """Share up to which a rise may come from where the inner solves began, and is looked at again."""
+_DENSE = 4000
+"""Columns up to which a step is solved for by one dense factor where GTSAM gives up."""
 _REMEDY = "look for blunders (reject), or try another loss"
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
 
@@ -185,5 +187,29 @@ def _damped_step(
         return damped.optimize(ordering)
     except RuntimeError as error:
         if "Indeterminate" in str(error):
-            return None
+            return _dense_step(damped, ordering, scales)
         raise
+
+
+def _dense_step(
+    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, scales: Mapping[int, Array]
+) -> gtsam.VectorValues | None:
+    """The same by one dense Cholesky factor in units of the scales; None when too large or not positive definite.
+
+    GTSAM calls a clique indeterminate when its last two pivots differ by more than 2^12: ten thousands of ties on two
+    images bring that about, or nodes that hardly depart from a strip's trend, though every direction is determined.
+    """
+    keys = [ordering.at(k) for k in range(ordering.size())]
+    unit = np.concatenate([scales[key] for key in keys])
+    if unit.size > _DENSE:
+        return None
+    hessian, right = linear.hessian(ordering)
+    try:
+        root = np.linalg.cholesky(hessian * unit * unit[:, None])
+    except np.linalg.LinAlgError:
+        return None
+    solved = np.linalg.solve(root.T, np.linalg.solve(root, right * unit)) * unit
+    step, ends = gtsam.VectorValues(), np.cumsum([0, *(scales[key].size for key in keys)])
+    for k, key in enumerate(keys):
+        step.insert(key, solved[ends[k] : ends[k + 1]])
+    return step

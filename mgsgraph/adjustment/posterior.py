@@ -122,10 +122,14 @@ def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCov
         if "Indeterminate" not in str(error):
             raise
         normal = scaled_normal(graph.layout, reduction)
-        weak = defects(graph.layout, normal, POORLY)
-        if weak.number:
-            raise weak.error() from None
-        return _in_one_clique(graph.layout, normal)
+        if np.any(np.isinf(graph.layout.sigmas)):
+            weak = defects(graph.layout, normal, POORLY)
+            if weak.number:
+                raise weak.error() from None
+        try:
+            return _in_one_clique(graph.layout, normal)
+        except np.linalg.LinAlgError:
+            raise defects(graph.layout, normal, POORLY).error() from None
 
 
 def _in_one_clique(layout: Layout, normal: Array) -> JointCovariance:

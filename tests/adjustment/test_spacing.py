@@ -16,7 +16,11 @@ from mgsgraph.adjustment.spacing.choice import choose_spacing, error_of_mean
 from mgsgraph.adjustment.spacing.densify import critical_chi_square, densify, halved, pattern
 from mgsgraph.adjustment.spacing.held_out import hold_out, misfits, whitening
 from mgsgraph.adjustment.spacing.respaced import respaced, with_nodes
-from mgsgraph.adjustment.spacing.support import (
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.network import JointNodePrior
+from mgsgraph.network.support import (
     LEAST,
     require_supported,
     strip_rays,
@@ -24,10 +28,6 @@ from mgsgraph.adjustment.spacing.support import (
     supported_spacing,
     telling,
 )
-from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.network import JointNodePrior
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.units import MGON

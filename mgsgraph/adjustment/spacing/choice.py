@@ -18,10 +18,10 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.spacing.held_out import HeldOut, hold_out, misfits, whitening
 from mgsgraph.adjustment.spacing.respaced import require_respaceable, respaced
-from mgsgraph.adjustment.spacing.support import LEAST, require_supported
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network import Network
+from mgsgraph.network.support import LEAST, require_supported
 
 _STRETCHES = 10
 """Stretches of time that a strip has at least, whose sums count as independent."""

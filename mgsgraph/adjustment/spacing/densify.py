@@ -26,11 +26,11 @@ from mgsgraph.adjustment.passes import Selection
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.spacing.respaced import require_respaceable, with_nodes
-from mgsgraph.adjustment.spacing.support import LEAST, StripRays, felt, require_supported, strip_rays, telling
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
+from mgsgraph.network.support import LEAST, StripRays, felt, require_supported, strip_rays, telling
 
 _PARTS = 4
 """Parts of an interval in which patterns are averaged."""

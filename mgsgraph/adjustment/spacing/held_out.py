@@ -12,10 +12,10 @@ import numpy as np
 
 from mgsgraph.adjustment.passes import Selection
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.spacing.support import strip_rays
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen_index
 from mgsgraph.network import Network
+from mgsgraph.network.support import strip_rays
 from mgsgraph.ties import PointKind
 
 _RAYS = 3

@@ -11,8 +11,8 @@ from mgsgraph.adjustment.spacing.course import Course, course
 from mgsgraph.adjustment.spacing.densify import Densified, densify
 from mgsgraph.adjustment.spacing.respaced import respaced
 from mgsgraph.adjustment.spacing.spectrum import Spectrum, spectra
-from mgsgraph.adjustment.spacing.support import LEAST
 from mgsgraph.network import Network
+from mgsgraph.network.support import LEAST
 
 _FEWEST = 8
 """Values of a strip's corrections that a spectrum takes."""

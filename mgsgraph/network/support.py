@@ -13,7 +13,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask, assign
-from mgsgraph.network import Network
+from mgsgraph.network.network import Network
 from mgsgraph.ties import PointKind
 from mgsgraph.wording import NAMED, some
 
@@ -84,7 +84,12 @@ class Support:
     @property
     def weak(self) -> Mask:
         """(k,) True for nodes that the rays don't support."""
-        return np.asarray((self.rays < self.least) | (self.lines < np.minimum(self.looking, 2)))
+        return np.asarray(self.unfelt | (self.lines < np.minimum(self.looking, 2)))
+
+    @property
+    def unfelt(self) -> Mask:
+        """(k,) True for nodes with too few rays near them, of however many lines."""
+        return np.asarray(self.rays < self.least)
 
 
 def support(network: Network, strip: int, least: int = LEAST, taken: Mask | None = None) -> Support:
@@ -138,6 +143,19 @@ def supported_spacing(nodes: OrientationImages, rays: StripRays, least: int = LE
         if intervals == SUPPORT - 1:
             return float("inf")
         intervals = max(min(int(intervals * _COARSER), intervals - 1), SUPPORT - 1)
+
+
+def require_felt_nodes(network: Network, taken: Mask | None = None) -> None:
+    """Raise InputError unless every node of every strip has some rays near it: the least that an adjustment needs.
+
+    Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. `taken` as of
+    `require_supported`.
+    """
+    for k in range(len(network.strips)):
+        rays = telling(network, k, taken)
+        found = felt(network.strips[k].nodes, rays)
+        if np.any(found.unfelt):
+            raise unsupported(found, rays)
 
 
 def require_supported(network: Network, least: int = LEAST, taken: Mask | None = None) -> None:
