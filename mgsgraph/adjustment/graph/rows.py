@@ -322,13 +322,14 @@ def _start_at_crossings(network: Network, free: Mask, starts: Array) -> None:
     rays, count = network.rays, len(network.images)
     mine = np.flatnonzero(free[rays.point])
     sums = RaySums(starts.shape[0])
-    seen = [(network.images[j], mine[k]) for j, k in enumerate(_by_image(rays.image[mine], count)) if k.size]
-    for image, rows in seen:
-        sums.add(rays.point[rows], *image.sightlines(*rays.places[rows].T))
+    seen = list[tuple[Index, Array, Array]]()
+    for j, k in enumerate(_by_image(rays.image[mine], count)):
+        if k.size:
+            seen.append((mine[k], *network.images[j].sightlines(*rays.places[mine[k]].T)))
+            sums.add(rays.point[mine[k]], *seen[-1][1:])
     crossing, angle = sums.places()
     usable = free & np.all(np.isfinite(crossing), axis=1) & (angle > _PARALLEL)
-    for image, rows in seen:  # rays that part meet behind their cameras
-        origins, directions = image.sightlines(*rays.places[rows].T)
+    for rows, origins, directions in seen:  # rays that part meet behind their cameras
         ahead = np.einsum("ki,ki->k", crossing[rays.point[rows]] - origins, directions) > 0.0
         usable[rays.point[rows[~ahead]]] = False
     starts[usable] = crossing[usable]
