@@ -8,7 +8,7 @@ the spectrum of the closest. Writes a table, docs/node_spacing.md by default.
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,13 +30,14 @@ SPACINGS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """s."""
 SHARE = 0.2
 CALM = TrajectoryErrors(attitude_wander=0.3 * MGON, position_wander=0.3)
-CASES: dict[str, tuple[TrajectoryErrors, Jitter | None]] = {
-    "calm": (CALM, None),
-    "wandering": (TrajectoryErrors(), None),
-    "wandering; pitch 3 mgon at 0.03 Hz": (TrajectoryErrors(), Jitter(3.0 * MGON, 0.03, "pitch")),
-    "wandering; pitch 3 mgon at 0.06 Hz": (TrajectoryErrors(), Jitter(3.0 * MGON, 0.06, "pitch")),
-    "wandering; roll 2 mgon at 0.11 Hz": (TrajectoryErrors(), Jitter(2.0 * MGON, 0.11, "roll")),
-    "calm; pitch 3 mgon at 0.06 Hz": (CALM, Jitter(3.0 * MGON, 0.06, "pitch")),
+CASES: dict[str, tuple[TrajectoryErrors, Jitter | None, float]] = {
+    "calm": (CALM, None, 1.0),
+    "calm; sigmas stated half as large": (CALM, None, 0.5),
+    "wandering": (TrajectoryErrors(), None, 1.0),
+    "wandering; pitch 3 mgon at 0.03 Hz": (TrajectoryErrors(), Jitter(3.0 * MGON, 0.03, "pitch"), 1.0),
+    "wandering; pitch 3 mgon at 0.06 Hz": (TrajectoryErrors(), Jitter(3.0 * MGON, 0.06, "pitch"), 1.0),
+    "wandering; roll 2 mgon at 0.11 Hz": (TrajectoryErrors(), Jitter(2.0 * MGON, 0.11, "roll"), 1.0),
+    "calm; pitch 3 mgon at 0.06 Hz": (CALM, Jitter(3.0 * MGON, 0.06, "pitch"), 1.0),
 }
 WORDS = """# How close orientation images should stand
 
@@ -46,7 +47,7 @@ states: 0.3 mgon and 0.3 m *calm*, 3 mgon and 1 m *wandering*. True nodes stand 
 Made by `scripts/node_spacing.py`.
 
 * *2 s ... 32 s*: rms misfit of one ray each of a fifth of the points, held out of the adjustment, in sigmas that it has
-  when orientation is known; mean over the seeds. 1 is noise.
+  when orientation is known, as stated; mean over the seeds. 1 is noise of the stated size.
 * *chosen*: the coarsest spacing no worse than the best by more than one standard error of the difference, ray by ray;
   its rms and its number of nodes (means).
 * *densified*: nodes given, from 32 s on, to intervals whose residuals ask for them; the same rays held out.
@@ -56,10 +57,11 @@ TABLE
 
 What it says. Where the flight is calm, nodes 16 s apart predict as well as those 2 s apart. Jitter takes nodes closer
 than a quarter of its period, and held-out rays ask for them; the spectrum names its axis, frequency and amplitude, and
-names none without. (At 0.03 Hz there are three periods, and the wandering trajectory blurs them.) In the last row the
-prior allows departures of 0.3 mgon where 3 are flown: close nodes are held back by it, no spacing predicts well, and
-residuals ask for nodes in vain. The spectrum still tells what vibrates, and `mgsgraph nodes` says that the prior is too
-narrow.
+names none without. Sigmas of rays that are stated half as large as they are double all misfits, but ask for no nodes
+and make no vibrations: patterns are held against how much rays of one line scatter within a moment. (At 0.03 Hz there
+are three periods, and the wandering trajectory blurs them.) In the last row the prior allows departures of 0.3 mgon
+where 3 are flown: close nodes are held back by it, no spacing predicts well, and residuals ask for nodes in vain. The
+spectrum still tells what vibrates, and `mgsgraph nodes` says that the prior is too narrow.
 
 Bumps in the noise floor are real: a vibration whose period is the time by which one line follows the next over the
 ground (here about 7.6 s, 0.13 Hz) moves both alike, and the points with them.
@@ -76,13 +78,14 @@ class Run:
     vibrations: list[tuple[str, Peak]]
 
 
-def run(errors: TrajectoryErrors, jitter: Jitter | None, seed: int, points: int) -> Run:
+def run(errors: TrajectoryErrors, jitter: Jitter | None, stated: float, seed: int, points: int) -> Run:
     """Choose a spacing, give nodes where residuals ask for them, and look for vibrations."""
     settings = BlockSettings(
         strips=1, length=200e3, points=points, terrain=None, spacing=32.0, true_spacing=2.0, jitter=jitter,
         errors=errors,
     )  # fmt: skip
     net, plain = simulate_hrsc_block(settings, seed).network, SolverSettings()
+    net = replace(net, rays=replace(net.rays, sigmas=stated * net.rays.sigmas))
     choice = choose_spacing(net, plain, SPACINGS, SHARE, seed)
     held = hold_out(net, SHARE, np.random.default_rng(seed))
     closer = densify(respaced(net, SPACINGS[-1]), plain, left_in=held.left_in(net)).solution
@@ -122,8 +125,8 @@ def main() -> None:
     titles = ["flight", *(f"{one:g} s" for one in SPACINGS), "chosen (s)", "there (nodes)", "densified (nodes)",
               "vibrations named (mgon, Hz)"]  # fmt: skip
     lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
-    for name, (errors, jitter) in CASES.items():
-        lines.append(row(name, [run(errors, jitter, seed, wanted.points) for seed in range(1, wanted.seeds + 1)]))
+    for name, case in CASES.items():
+        lines.append(row(name, [run(*case, seed, wanted.points) for seed in range(1, wanted.seeds + 1)]))
         print(lines[-1], flush=True)
     took = f"{wanted.seeds} seeds, {wanted.points} points a strip, {time.perf_counter() - began:.0f} s."
     wanted.out.write_text(WORDS.replace("TABLE", "\n".join([*lines, "", took])), encoding="utf-8")

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from networks import network, pair
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.network import JointNodePrior, NodePrior, Strip
-from mgsgraph.network.strips import normalised
+from mgsgraph.network.strips import as_nodes, normalised
 
 TIMES = np.array([0.0, 2.0, 3.0, 7.0, 11.0])
 NODES = OrientationImages("lagrange", 0.0, TIMES)
@@ -88,8 +89,11 @@ def test_strips_of_a_network() -> None:
     with_strip = replace(net, strips=(Strip("A", np.array([0]), nodes, prior),))
 
     assert with_strip.strip_of.tolist() == [0, -1]
-    assert with_strip.held.tolist() == [True, False]
-    assert not np.any(with_strip.unadjusted)
+    assert with_strip.own.tolist() == [False, True]
+    assert not np.any(with_strip.held)
+    assert np.all(replace(with_strip, strips=()).own)
+    with pytest.raises(InputError, match="it is held"):
+        replace(with_strip, held=np.array([True, False]))
     assert with_strip.first_of_strips.tolist() == [2, 2 + len(nodes)]
     with pytest.raises(InputError, match=r"strip 'A', images: image 0; expected .* one strip alone"):
         replace(net, strips=(Strip("A", np.array([0]), nodes, prior), Strip("B", np.array([0]), nodes, prior)))
@@ -100,3 +104,22 @@ def test_strips_of_a_network() -> None:
         replace(net, strips=(Strip("A", np.array([0]), nodes, prior),) * 2)
     with pytest.raises(InputError, match="at least one, each once"):
         Strip("A", np.array([0, 0]), nodes, prior)
+
+
+def test_rows_of_a_joint_prior_are_about_what_they_hold() -> None:
+    """Also where some coefficient is unknown: then no node has a finite sigma of that component."""
+    sigmas = np.ones((4, 6)) * SIGMAS
+    sigmas[3, 0] = np.inf
+    nodes = evenly_spaced("lagrange", 0.0, (0.0, 9.0), 3.0)
+    prior = as_nodes(OrientationPrior(sigmas), nodes, normalised(nodes))
+    (factor,) = prior.factors(nodes)
+    chief = prior.root[np.arange(len(factor.about)), 6 * factor.about[:, 0] + factor.about[:, 1]]
+    assert len(factor.about) == 23
+    assert np.all(chief != 0.0)
+    assert set(factor.about[:, 1].tolist()) == set(range(6))
+
+
+@given(st.floats(1e5, 1e9))
+def test_departures_that_hardly_forget_themselves(time: float) -> None:
+    for unknowns, blocks, _ in NodePrior(SIGMAS, np.zeros(6), np.zeros(6), time).factors(NODES):
+        assert all(np.all(np.isfinite(block)) for block in blocks), unknowns

@@ -226,8 +226,8 @@ def _posterior(
     clock.stop("covariance")
     shifts, lift = shift_values(network, layout.variables, orientation)
     coefficients = tuple(
-        np.zeros_like(prior.sigmas) if network.held[j] else orientation[layout.columns_of(j)].reshape(-1, 6)
-        for j, prior in enumerate(network.priors)
+        orientation[layout.columns_of(j)].reshape(-1, 6) if own else np.zeros_like(network.priors[j].sigmas)
+        for j, own in enumerate(network.own.tolist())
     )
     nodes, trends = strip_values(network, layout.variables, orientation)
     message = solved.outcome.message

@@ -205,10 +205,11 @@ def _dense_step(
         return None
     hessian, right = linear.hessian(ordering)
     try:
-        root = np.linalg.cholesky(hessian * unit * unit[:, None])
+        scaled = hessian * unit * unit[:, None]
+        np.linalg.cholesky(scaled)  # definite, or it says so
     except np.linalg.LinAlgError:
         return None
-    solved = np.linalg.solve(root.T, np.linalg.solve(root, right * unit)) * unit
+    solved = np.linalg.solve(scaled, right * unit) * unit
     step, ends = gtsam.VectorValues(), np.cumsum([0, *(scales[key].size for key in keys)])
     for k, key in enumerate(keys):
         step.insert(key, solved[ends[k] : ends[k + 1]])

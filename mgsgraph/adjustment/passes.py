@@ -15,7 +15,7 @@ from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.rows import OUT, Rows
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind
 
@@ -168,6 +168,7 @@ def _solved(
 def select(layout: Layout, solved: Solved, limit: float, sweeper: Sweeper = IN_PROCESS) -> Selection:
     """Rows within `limit` robust standard deviations of their class; all are judged anew, so rejected ones may return.
 
+    Of a point's rays the worst alone goes in one pass: it has pulled the point off the others, which come back to it.
     The spread of a class is estimated from its median (median of a Rayleigh-distributed norm: 1.1774 sigma; of a normal
     modulus: 0.6745 sigma), but not below a tenth of the a-priori sigma.
     """
@@ -180,7 +181,17 @@ def select(layout: Layout, solved: Solved, limit: float, sweeper: Sweeper = IN_P
     for point_class in PointClass:
         mine = class_of_ray == point_class
         keep[mine] = _within(rays[mine], limit, 1.1774)
+    keep = _worst_alone(keep, solved.selection.rays, rays, network.rays.point)
     return Selection(keep, _within(shots, limit, 0.6745), solved.selection.out)
+
+
+def _worst_alone(keep: Mask, taken: Mask, sizes: Array, points: Index) -> Mask:
+    """Which rays (k,) stay: those to `keep`, and, of others taken so far, all but the worst of each point."""
+    leaving = taken & ~keep
+    known = np.where(np.isfinite(sizes), sizes, np.inf)
+    worst = np.zeros(int(points.max(initial=-1)) + 1)
+    np.maximum.at(worst, points[leaving], known[leaving])
+    return np.asarray(keep | (leaving & (known < worst[points])))
 
 
 def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS) -> Array:

@@ -233,7 +233,7 @@ def orientation_profile(solution: Solution, image: int, places: int = 31) -> Ori
     correction, moments = solution.correction(image), picture.moments(lines)
     before, after = picture.pose(lines), picture.pose(lines, correction)
     covariance = np.stack([
-        _through(solution.joint_covariance, felt) for felt in designs(solution.network, image, correction, lines)
+        _through(solution.joint_covariance, felt) for felt in designs(solution.network, image, correction.angles, lines)
     ])  # fmt: skip
     turn = correction.axes(before, moments)
     about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)

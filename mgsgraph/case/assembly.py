@@ -165,6 +165,8 @@ class Parts:
         ties = points.classes[members] == PointClass.TIE
         members, places = members[ties], ground[first[ties]]
         covered = coverage(terrain, places)
+        if covered.total == 0:
+            raise InputError(terrain.source, "a terrain model for a case without tie points", "tie points to lie on it")
         if covered.on == 0:
             raise InputError(
                 terrain.source, f"no tie point lies over the terrain model: of {covered.total}, {covered.words}",

@@ -21,7 +21,7 @@ _SPACING = 10.0
 """s between nodes where nothing is said: 40 km on the ground for Mars Express."""
 _MOST_NODES = 10_000
 """In a strip; more are a slip in the unit of their spacing."""
-_SIZES = (1e-9, 1e9)
+_SIZES = (1e-4, 1e9)
 """Sigmas that mean something."""
 _DEFAULTS = {"": (1.0, 3.0), "bias_": (50.0, 28.0), "drift_": (10.0, 5.0)}
 """m and mgon, of a node's departures from the trend, of the trend's constant part, and of its linear part."""
@@ -139,7 +139,7 @@ class StripInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     name: Annotated[str, msgspec.Meta(min_length=1)]
     """What to call it in reports."""
-    images: tuple[str, ...] = ()
+    images: tuple[str, ...] | None = None
     """Names of its images; when absent, all that no other strip names."""
     nodes: NodesInput = NodesInput()
     """Its orientation images."""
@@ -152,7 +152,9 @@ def members(entries: Sequence[StripInput], names: Sequence[str], path: str) -> l
     index, owner = {name: j for j, name in enumerate(names)}, dict[int, int]()
     for k, entry in enumerate(entries):
         where = f"{path}, strips[{k}], images"
-        for name in entry.images:
+        if entry.images is not None and not entry.images:
+            raise InputError(where, "an empty list", "names of images", "leave it out to take all that are left")
+        for name in entry.images or ():
             if name not in index:
                 known = ", ".join(list(names)[:4])
                 raise InputError(where, f"the image {name!r}", f"some of the case's images ({known})")
@@ -160,8 +162,8 @@ def members(entries: Sequence[StripInput], names: Sequence[str], path: str) -> l
                 other = entries[owner[index[name]]].name
                 raise InputError(where, f"{name!r}, which strip {other!r} has already", "each image once")
             owner[index[name]] = k
-    for k in [k for k, entry in enumerate(entries) if not entry.images][:1]:
-        if sum(not entry.images for entry in entries) > 1:
+    for k in [k for k, entry in enumerate(entries) if entry.images is None][:1]:
+        if sum(entry.images is None for entry in entries) > 1:
             raise InputError(f"{path}, strips", "several without images", "names: one alone may take those left over")
         left = [j for j in range(len(names)) if j not in owner]
         if not left:

@@ -16,6 +16,8 @@ from mgsgraph.units import DEG
 
 _EDGES = 65
 """Lines of each image at whose edges and middle its ground is taken."""
+_MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoid": "mega"}
+"""How MEGDR's files of each kind begin."""
 
 
 def read_terrain_model(
@@ -61,7 +63,10 @@ def _read_grid(path: Path, entry: TerrainInput, kind: TerrainKind) -> TerrainGri
 
     sigmas = entry.vertical_sigma_m, entry.planimetric_sigma_m
     if path.suffix.lower() in (".img", ".lbl"):
-        return read_megdr(path, *sigmas)
+        grid = read_megdr(path, *sigmas)
+        if grid.kind != kind:
+            raise InputError(str(path), f"a grid of {grid.kind}", f"one of {kind}", f"MEGDR's {_MEGDR[kind]} files")
+        return grid
     return read_terrain(path, entry.reference_radius_m if kind == "radius" else None, kind, *sigmas)
 
 

@@ -1,6 +1,7 @@
 """`mgsgraph adjust`: from a case file to a folder of results."""
 
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,13 +78,15 @@ def _in_two_steps(
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.cli.stages import stage_bar
+    from mgsgraph.products.results import write_results
     from mgsgraph.products.step_merit import step_merit
     from mgsgraph.products.two_steps import two_steps_page, write_two_steps
 
     require_terrain(read.network, str(read.path))
     with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
-    with stage_bar(2) as stages:
+    write_results(steps.fitted, out, figures=False)  # what took longest is safe, whatever becomes of the rest
+    with _solution_kept(out), stage_bar(2) as stages:
         with stages.stage("figures of merit"):
             merit = step_merit(steps)
         with stages.stage("tables and figures"):
@@ -91,3 +94,17 @@ def _in_two_steps(
     click.echo(two_steps_page(merit))
     click.echo(f"Results are in {out}")
     return steps.converged
+
+
+@contextmanager
+def _solution_kept(out: Path) -> Iterator[None]:
+    """Say where the solution is, should what follows it fail or be interrupted."""
+    said = f"the solution of step 2 is in {out}, without figures of merit"
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"mgsgraph: interrupted; {said}", err=True)
+        raise click.exceptions.Exit(130) from None
+    except Exception:
+        click.echo(f"mgsgraph: {said}", err=True)
+        raise

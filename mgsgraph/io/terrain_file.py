@@ -128,5 +128,5 @@ def _require_plausible(values: Array, kind: TerrainKind, path: Path) -> None:
     if kind != "topography" and np.nanmin(values) < 1e5:
         raise InputError(
             str(path), f"values from {np.nanmin(values):g} m on", "radii",
-            "say above which sphere they are: reference_radius = 3396190",
+            "say above which sphere they are: reference_radius_m = 3396190.0",
         )

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import Angles, OrientationCorrection
+from mgsgraph.geometry.orientation import Angles, OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.network import Network
 from mgsgraph.network.shared import SharedKind, image_effect
@@ -22,46 +22,66 @@ def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, 
     dict
         Of each variable (images, then shifts, then shared unknowns, then strips' nodes) a matrix (6 d, width), m and
         rad per unit. Of the d rows the first are those of the polynomial of the larger degree of those that add up;
-        then come the nodes of the image's strip.
+        then come the nodes of the image's strip. (Of k nodes that makes k matrices of 6 k rows: `designs` needs none.)
     """
-    strip = int(network.strip_of[image])
-    picture, own = network.images[image], 6 if strip >= 0 else network.priors[image].sigmas.size
-    first = network.first_shared
+    polynomials, strip = _of_polynomial(network, image, angles), int(network.strip_of[image])
+    if strip < 0:
+        return polynomials
+    rows = _polynomial_rows(polynomials)
+    nodes, first = 6 * len(network.strips[strip].nodes), int(network.first_of_strips[strip])
+    own = {first + k: np.eye(rows + nodes, 6, -rows - 6 * k) for k in range(nodes // 6)}
+    return {v: np.pad(part, ((0, nodes), (0, 0))) for v, part in polynomials.items()} | own
+
+
+def _of_polynomial(network: Network, image: int, angles: Angles) -> dict[int, Array]:
+    """(6 d, width) of each variable, of the polynomials alone; none for an image of a strip that shares nothing."""
+    picture, first = network.images[image], network.first_shared
     felt = {
         first + k: np.moveaxis(image_effect(picture, shared.kind, angles), 0, -1).reshape(-1, shared.kind.width)
         for k, shared in enumerate(network.shared)
         if shared.kind.moves_pose and shared.of(image)
     }
-    rows = max([own, *(part.shape[0] for part in felt.values())])
-    nodes = 0 if strip < 0 else 6 * len(network.strips[strip].nodes)
-    every = {v: np.pad(part, ((0, rows + nodes - part.shape[0]), (0, 0))) for v, part in felt.items()}
-    if strip < 0:
-        return {image: np.eye(rows, own)} | every
-    first = int(network.first_of_strips[strip])
-    return every | {first + k: np.eye(rows + nodes, 6, -rows - 6 * k) for k in range(nodes // 6)}
+    own = 0 if network.strip_of[image] >= 0 else network.priors[image].sigmas.size
+    rows = max([own, *(int(part.shape[0]) for part in felt.values())])
+    every = {image: np.eye(rows, own)} if own else {}
+    return every | {v: np.pad(part, ((0, rows - part.shape[0]), (0, 0))) for v, part in felt.items()}
 
 
-def designs(network: Network, image: int, correction: OrientationCorrection, lines: Array) -> list[dict[int, Array]]:
+def _polynomial_rows(polynomials: dict[int, Array]) -> int:
+    """6 d of the polynomials; a correction has a constant term at least."""
+    return max([6, *(int(part.shape[0]) for part in polynomials.values())])
+
+
+def designs(network: Network, image: int, angles: Angles, lines: Array) -> list[dict[int, Array]]:
     """How an image's whole correction at lines (n,) follows from the variables it depends on there.
 
     Returns
     -------
     list of dict
-        Of each line: of each variable a matrix (6, width), m and rad per unit; of a strip's nodes those around alone.
+        Of each line: of each variable a matrix (6, width), m and rad per unit; of a strip's nodes the four around it.
     """
-    basis = correction.basis(network.images[image].moments(lines))
-    parts = correction_parts(network, image, correction.angles)
-    whole = {v: np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for v, part in parts.items()}
-    return [{v: part[k] for v, part in whole.items() if np.any(part[k])} for k in range(lines.size)]
+    polynomials, strip = _of_polynomial(network, image, angles), int(network.strip_of[image])
+    moments = network.images[image].moments(lines)
+    basis, _ = polynomial(moments.u, _polynomial_rows(polynomials) // 6 - 1)
+    whole = {v: np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for v, part in polynomials.items()}
+    found = [{v: part[k] for v, part in whole.items()} for k in range(lines.size)]
+    if strip >= 0:
+        start = int(network.first_of_strips[strip])
+        first, values, _ = network.strips[strip].nodes.at(moments.times, moments.epoch)
+        for felt, node, weights in zip(found, (start + first).tolist(), values.tolist(), strict=True):
+            felt |= {node + k: weight * np.eye(6) for k, weight in enumerate(weights) if weight != 0.0}
+    return found
 
 
 def whole_correction(network: Network, image: int, values: Sequence[Array], angles: Angles) -> OrientationCorrection:
     """The whole correction of one image, `values` being those of all variables."""
-    parts = correction_parts(network, image, angles)
-    whole = sum(part @ values[variable] for variable, part in parts.items())
-    strip = int(network.strip_of[image])
-    nodes = None if strip < 0 else network.strips[strip].nodes
-    return OrientationCorrection(np.reshape(whole, (-1, 6)), angles, nodes)
+    polynomials, strip = _of_polynomial(network, image, angles), int(network.strip_of[image])
+    whole = sum((part @ values[v] for v, part in polynomials.items()), np.zeros(_polynomial_rows(polynomials)))
+    coefficients, nodes = np.reshape(whole, (-1, 6)), None
+    if strip >= 0:
+        nodes, first = network.strips[strip].nodes, int(network.first_of_strips[strip])
+        coefficients = np.vstack([coefficients, *values[first : first + len(nodes)]])
+    return OrientationCorrection(coefficients, angles, nodes)
 
 
 def adjusted_image(network: Network, image: int, values: Sequence[Array]) -> PushbroomImage:

@@ -35,8 +35,7 @@ class Network:
     priors: tuple[OrientationPrior, ...]
     """A-priori sigmas of each image's orientation corrections."""
     held: Mask
-    """(images,) True for an image without orientation coefficients of its own: not adjusted, or (whether marked or not)
-    adjusted through the orientation images of its strip."""
+    """(images,) True for an image whose orientation is not adjusted; none of a strip (`own`)."""
     points: GroundPoints
     """Tie points, laser footprints, control points."""
     rays: ImageRays
@@ -94,8 +93,6 @@ class Network:
             for j in one.images[one.images >= m][:1]:
                 raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
         self._require_strips()
-        in_strip = self.strip_of >= 0
-        assign(self, held=frozen_mask(held | in_strip, "network, held", m))
 
     def _require_strips(self) -> None:
         require_unique(tuple(strip.name for strip in self.strips), "strips")
@@ -108,6 +105,8 @@ class Network:
                     expected = "an image of the network, of one strip alone"
                     raise InputError(f"{where}, images", f"image {j}", expected)
                 image = self.images[j]
+                if self.held[j]:
+                    raise InputError(f"{where}, image {image.name}", "it is held", "images that are adjusted")
                 edges, period = image.timing.at(np.array([0.0, float(image.lines)]))
                 since, slack = edges + (image.trajectory.epoch - strip.nodes.epoch), 2.0 * float(period.max())
                 if since[0] < start - slack or since[1] > stop + slack:
@@ -191,9 +190,9 @@ class Network:
         return owner
 
     @property
-    def unadjusted(self) -> Mask:
-        """(images,) True for an image whose orientation is not adjusted at all."""
-        return np.asarray(self.held & (self.strip_of < 0))
+    def own(self) -> Mask:
+        """(images,) True for an image with orientation coefficients of its own: neither held nor of a strip."""
+        return np.asarray(~self.held & (self.strip_of < 0))
 
     @property
     def first_shared(self) -> int:

@@ -7,6 +7,8 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import Pose
 
 LONGEST_PAUSE = 1800.0
 """s between the images of a pass: a quarter of the shortest revolution about Mars and Moon, and so another pass."""
@@ -31,6 +33,23 @@ def straightest(images: Sequence[PushbroomImage]) -> int:
         place, _ = image.interior.focal_plane(np.array([0.5 * image.samples]))
         off.append(round(float(np.linalg.norm(place)) / image.interior.focal_length, 6))
     return int(np.argmin(off))
+
+
+def nominal_poses(images: Sequence[PushbroomImage], times: Array) -> Pose:
+    """Nominal poses of a pass at times (n,) in s TDB past J2000, rates per second: each by an image whose lines cover
+    it, or come nearest; for images may have tables of their own, which end with their lines.
+    """
+    edges = np.array([seconds(image) for image in images])
+    beyond = np.maximum(edges[:, :1] - times, times - edges[:, 1:])
+    owner = np.where(beyond <= 0.0, 0.0, beyond).argmin(axis=0)
+    parts = [np.empty((times.size, *shape)) for shape in ((3,), (3,), (3, 3), (3,))]
+    for j in np.unique(owner).tolist():
+        mine = np.flatnonzero(owner == j)
+        trajectory = images[j].trajectory
+        pose = trajectory.pose(np.clip(times[mine] - trajectory.epoch, *trajectory.coverage))
+        for whole, part in zip(parts, (pose.position, pose.velocity, pose.matrix, pose.turning), strict=True):
+            whole[mine] = part
+    return Pose(*parts)
 
 
 def require_one_pass(images: Sequence[PushbroomImage], where: str) -> None:

@@ -23,6 +23,11 @@ from mgsgraph.geometry.orientation import OrientationPrior, polynomial
 from mgsgraph.geometry.orientation_images import OrientationImages
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 
+_LONGEST = 1e9
+"""s: departures that take longer to forget themselves can't be told from a bias."""
+_UNKNOWN = 1e5
+"""m of a position for a rad of a rotation, where nothing else says what counts for more."""
+
 
 class LinearFactor(NamedTuple):
     """Whitened rows sum_v blocks[v] x_v on some unknowns of a strip: its nodes 0 .. k - 1, and its trend, number k."""
@@ -40,7 +45,8 @@ class NodePrior:
     """What is known of a strip's nodes beforehand; every entry (6,), m along X, Y, Z and rad."""
 
     sigmas: Array
-    """Of a node about the trend; infinite where nothing is known."""
+    """Of a node's coefficient about the trend; infinite where nothing is known. A spline's orientation at a node is the
+    mean of three coefficients, 1:4:1, and so known better: to 0.71 of this where they know nothing of each other."""
     bias: Array
     """Sigma of the trend's constant part; 0 where there is none."""
     drift: Array
@@ -60,8 +66,9 @@ class NodePrior:
             for c in np.flatnonzero((trend > 0.0) & np.isinf(sigmas))[:1]:
                 found = f"sigma {trend[c]} of component {c} whose nodes have none"
                 raise InputError(f"node prior, {name}", found, "a sigma of the nodes, too", "leave it out")
-        if not (np.isfinite(self.correlation_time) and self.correlation_time >= 0.0):
-            raise InputError("node prior, correlation time", f"{self.correlation_time} s", "seconds, or 0 for none")
+        if not 0.0 <= self.correlation_time <= _LONGEST:
+            expected = f"0 (none) to {_LONGEST:g} s"
+            raise InputError("node prior, correlation time", f"{self.correlation_time} s", expected)
         assign(self, sigmas=sigmas, bias=bias, drift=drift)
 
     @property
@@ -98,14 +105,13 @@ class NodePrior:
         known = np.flatnonzero(np.isfinite(self.sigmas))
         s, count = normalised(nodes), len(nodes)
         trend, weight = self.trend(s)[:, known], np.diag(1.0 / self.sigmas)[known]
-        if self.correlation_time > 0.0:
-            memory = np.exp(-np.diff(nodes.times) / self.correlation_time)
-        else:
-            memory = np.zeros(count - 1)
+        with np.errstate(divide="ignore"):
+            apart = np.diff(nodes.times) / self.correlation_time
+        memory, forgotten = np.exp(-apart), np.sqrt(-np.expm1(-2.0 * apart))
         has_trend = trend.shape[2] > 0
         for k in range(count if known.size else 0):
             before = float(memory[k - 1]) if k else 0.0
-            scale = 1.0 / np.sqrt(1.0 - before**2)
+            scale = 1.0 / float(forgotten[k - 1]) if k else 1.0
             parts = {k - 1: -before * scale * weight} if before > 0.0 else {}
             parts[k] = scale * weight
             if has_trend:
@@ -149,7 +155,10 @@ class JointNodePrior:
         """All rows on all nodes."""
         if self.root.shape[1] != 6 * len(nodes):
             raise InputError("joint node prior", f"{self.root.shape[1]} columns", f"six for each of {len(nodes)} nodes")
-        largest = np.abs(self.root * self.node_sigmas(normalised(nodes)).ravel()).argmax(axis=1)
+        sigmas = self.node_sigmas(normalised(nodes)).ravel()
+        unknown = np.tile([_UNKNOWN] * 3 + [1.0] * 3, len(nodes))
+        counts = np.abs(self.root) * np.where(np.isfinite(sigmas), sigmas, unknown)
+        largest = counts.argmax(axis=1)
         about = np.stack(np.divmod(largest, 6), axis=1)
         yield LinearFactor(tuple(range(len(nodes))), tuple(np.split(self.root, len(nodes), axis=1)), about)
 

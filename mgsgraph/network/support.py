@@ -15,7 +15,7 @@ from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages, eve
 from mgsgraph.geometry.records import Array, Index, Mask, assign
 from mgsgraph.network.network import Network
 from mgsgraph.ties import PointKind
-from mgsgraph.wording import NAMED, some
+from mgsgraph.wording import some
 
 LEAST = 3
 """Rays near a node: they bring the six rows that its six unknowns take, were the points known."""
@@ -148,14 +148,17 @@ def supported_spacing(nodes: OrientationImages, rays: StripRays, least: int = LE
 def require_felt_nodes(network: Network, taken: Mask | None = None) -> None:
     """Raise InputError unless every node of every strip has some rays near it: the least that an adjustment needs.
 
-    Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. `taken` as of
-    `require_supported`.
+    Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. And nodes before
+    the first rays and after the last ones need none: there a strip follows its prior. `taken` as there, below.
     """
     for k in range(len(network.strips)):
         rays = telling(network, k, taken)
         found = felt(network.strips[k].nodes, rays)
-        if np.any(found.unfelt):
-            raise unsupported(found, rays)
+        seen = np.flatnonzero(~found.unfelt)
+        weak = np.flatnonzero(found.unfelt)
+        inner = weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
+        if inner.size:
+            raise unsupported(found, rays, inner)
 
 
 def require_supported(network: Network, least: int = LEAST, taken: Mask | None = None) -> None:
@@ -173,30 +176,32 @@ def require_supported(network: Network, least: int = LEAST, taken: Mask | None =
         rays = telling(network, k, taken)
         found = felt(network.strips[k].nodes, rays, least)
         if np.any(found.weak):
-            raise unsupported(found, rays)
+            raise unsupported(found, rays, np.flatnonzero(found.weak))
 
 
-def unsupported(found: Support, rays: StripRays) -> InputError:
+def unsupported(found: Support, rays: StripRays, weak: Index) -> InputError:
     """The error for nodes that are closer than the rays support: which ones, what is near them, what would do."""
-    weak, start = np.flatnonzero(found.weak), found.nodes.coverage[0]
-    names = [f"{k + 1} ({found.nodes.times[k] - start:.4g} s)" for k in weak.tolist()]
-    counts = ", ".join(str(count) for count in found.rays[weak][:NAMED].tolist())
-    counts += f", ... (at the most {found.rays[weak].max()})" if weak.size > NAMED else ""
-    lone = int(np.count_nonzero(found.rays[weak] >= found.least))
-    of_one = f", {lone} of them with rays of one line alone" if lone else ""
+    start = found.nodes.coverage[0]
+    names = [
+        f"{k + 1} at {found.nodes.times[k] - start:.4g} s ({_near(int(found.rays[k]), int(found.lines[k]))})"
+        for k in weak.tolist()
+    ]
     spacing = supported_spacing(found.nodes, rays, found.least)
+    but_one = "" if found.nodes.basis == "lagrange" else " but one"
     remedy = "leave the strip out, or match more points"
     if np.isfinite(spacing):
         remedy = f"a spacing of {_rounded_up(spacing)} s is what they support"
         remedy += ", or other times for the nodes" if found.nodes.basis == "lagrange" else ""
     return InputError(
         f"strip {found.strip!r}, nodes closer than the data supports",
-        f"node{'s' if weak.size > 1 else ''} {some(names, weak.size)} of {len(found.nodes)}, counted from the strip's "
-        f"first line; rays near {'them' if weak.size > 1 else 'it'}: {counts}{of_one}",
-        f"{found.least} or more up to the next node{'' if found.nodes.basis == 'lagrange' else ' but one'}, "
-        "in two lines where two look",
+        f"of {len(found.nodes)} nodes (times from the strip's beginning) {some(names, weak.size)}",
+        f"{found.least} rays or more near each (up to the next node{but_one}, of two lines where two look)",
         remedy,
     )
+
+
+def _near(rays: int, lines: int) -> str:
+    return f"{rays} rays near it{', all of one line' if rays > 1 and lines == 1 else ''}"
 
 
 def _rounded_up(spacing: float) -> str:

@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import shutil
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,15 +26,29 @@ ANALYSIS = "analysis.json"
 NODES = "nodes.json"
 """File that makes a folder without any of them a study of orientation images by this program."""
 
+_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES)
+"""The first of these in a folder says of what kind its results are."""
+TABLES = (
+    RECORD, "solution.npz", "summary.json", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
+    "shared.csv", "strips.csv",
+    "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
+    REGISTRATION, "registration.csv", "discrepancy.csv",
+    PLAN, "plan.csv",
+    ANALYSIS, "components.csv", "components_iterated.csv", "reliability.csv", "sigmas.tif",
+    NODES, "spacings.csv", "course.csv", "spectra.csv",
+)  # fmt: skip
+"""Files of results but for figures."""
+FIGURES = (
+    "residuals", "orientation", "strips", "registration", "map", "connectivity", "height_map",
+    "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "spacings", "spectrum", "course",
+)  # fmt: skip
+"""Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
+_INPUTS = "inputs"
+"""Folder that a demonstration keeps its case in."""
 _OURS = re.compile(
-    r"solution\.(json|npz)|summary\.json|inputs|registration\.(json|csv)"
-    r"|plan\.(json|csv|png|svg)"
-    r"|analysis\.json|(components(_iterated)?|reliability)\.csv|sigmas\.tif|sigmas_[A-Za-z0-9._-]+\.(csv|png|svg)"
-    r"|nodes\.json|(spacings|course|spectra)\.csv|(spacings|(spectrum|course)(_\d+)?)\.(png|svg)"
-    r"|(sigma_map|quantiles)\.(png|svg)"
-    r"|two_steps\.(txt|json|csv)|height_map\.(png|svg)|(heights|height_cells)\.csv"
-    r"|(points|orientation|residuals|connectivity|discrepancy|shared|strips)\.csv"
-    r"|(residuals|orientation|registration|map|connectivity|overlay|closeups|discrepancy)(_\d+)?\.(png|svg)"
+    "|".join(map(re.escape, (*TABLES, _INPUTS)))
+    + rf"|({'|'.join(FIGURES)})(_\d+)?\.(png|svg)"
+    + r"|sigmas_[A-Za-z0-9._-]+\.(csv|png|svg)"  # of one image, whose name is in it
 )
 """Names of what results hold; a folder with anything else in it is not replaced."""
 _REMEDIES = {
@@ -75,6 +90,7 @@ def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
         aside.mkdir()
         yield aside
         require_replaceable(path, record)
+        _warn_of_strangers(aside, record)
         _put_in_place(aside, target)
     except OSError as error:
         raise _refusal(shown, error) from None
@@ -125,16 +141,32 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
         if any(target.iterdir()) and (kept := _kind(target)) != record:
             found = f"not a result of {PROGRAM}" if kept is None else f"another kind of result ({kept})"
             raise InputError(shown, f"exists and is {found}", remedy="choose another --out")
-        for other in sorted(entry.name for entry in target.iterdir() if not _OURS.fullmatch(entry.name))[:1]:
+        for other in _strangers(target)[:1]:
             found = f"an earlier result that holds {other!r}, too, which would be lost"
             raise InputError(shown, found, remedy="move that away, or choose another --out")
     except OSError as error:
         raise _refusal(shown, error) from None
 
 
+def _warn_of_strangers(folder: Path, record: str) -> None:
+    """Warn where results hold a file that TABLES and FIGURES lack, which keeps the next ones from replacing them.
+
+    Nothing is refused for it, for the work has been done; our tests, to which warnings are errors, stop there.
+    """
+    if record not in _KINDS or not (folder / record).exists():
+        return
+    for name in _strangers(folder):
+        warnings.warn(f"{name!r} is not a name that results are known to hold: see products.atomic", stacklevel=2)
+
+
+def _strangers(folder: Path) -> list[str]:
+    """Names in a folder of ours that no result has, in order."""
+    return sorted(entry.name for entry in folder.iterdir() if not _OURS.fullmatch(entry.name))
+
+
 def _kind(folder: Path) -> str | None:
     """The file by which a folder is known as ours, RECORD before others; None for a foreign folder."""
-    return next((name for name in (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES) if _is_ours(folder / name)), None)
+    return next((name for name in _KINDS if _is_ours(folder / name)), None)
 
 
 def _is_ours(path: Path) -> bool:

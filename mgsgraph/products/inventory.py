@@ -21,7 +21,7 @@ from mgsgraph.products.connectivity import (
     link_statement,
     weakest_joints,
 )
-from mgsgraph.products.strips import bare_intervals, strips_inventory
+from mgsgraph.products.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
 from mgsgraph.wording import some
@@ -117,7 +117,7 @@ def _images(network: Network) -> str:
     for j, image in enumerate(network.images):
         middle, spacing = _ground_spacing(image)
         longitude, latitude, _ = planetocentric(middle)
-        held = ", held" if network.unadjusted[j] else ""
+        held = ", held" if network.held[j] else ""
         corners = _corners(image)
         lines.append(
             f"  {image.name}: {image.lines} lines x {image.samples} samples{held}; "
@@ -240,7 +240,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
     flat = np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~network.undetermined)
     if flat.size:
         found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {_some(network, flat)}")
-    found += [*_poor_images(network), *bare_intervals(network)]
+    found += [*_poor_images(network), *bare_nodes(network)]
     angle = _convergence(network)
     if np.any(angle < _NARROW):
         found.append(
@@ -249,7 +249,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
             "expect their sigma along the line of sight to be large"
         )
     found += _doubtful_observations(network, prediction)
-    held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.unadjusted)
+    held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
     if not held_down:
         found.append(
             "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"

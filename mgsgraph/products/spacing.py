@@ -38,7 +38,7 @@ def seconds_of(text: str) -> list[float]:
 
 
 def spacing_table(choice: Choice) -> str:
-    """Candidates and how well they predict rays held out; 1 is noise."""
+    """Candidates and how well they predict rays held out; noise is 1, or what rays do scatter."""
     lines = [
         "Misfits of rays held out, in sigmas that they have when orientation is known (rms, median; worse: mean square "
         "less that of the best)"
@@ -77,8 +77,8 @@ def node_statements(study: NodeStudy) -> list[str]:
     if chosen is good[0] or chosen is good[-1]:
         end, other = ("closest", "closer") if chosen is good[0] else ("widest", "wider")
         found.append(f"That is the {end} candidate that could be adjusted: a {other} one may be better.")
-    if choice.blunders:
-        found.append(f"{many(choice.blunders, 'ray')} held out that no candidate can predict (blunders) don't count.")
+    found += _put_aside(choice)
+    found.append(_scatter(choice))
     for known, spectrum, peak in _vibrations(study):
         found.append(_vibration(peak, spectrum))
         if peak.amplitude > _CONTRADICTED * known:
@@ -95,6 +95,42 @@ def node_statements(study: NodeStudy) -> list[str]:
     if study.densified is not None:
         found += _closer(study.densified)
     return found
+
+
+def _put_aside(choice: Choice) -> list[str]:
+    """Rays that don't count, and why."""
+    found, closest = [], choice.candidates[choice.closest]
+    if choice.rejected:
+        found.append(
+            f"{many(choice.rejected, 'ray')} rejected as blunders, with nodes every {closest.spacing:g} s, took part "
+            "with no candidate."
+        )
+    if choice.blunders:
+        found.append(f"{many(choice.blunders, 'ray')} held out that no candidate can predict (blunders) don't count.")
+    if choice.unjudged:
+        found.append(
+            f"{many(choice.unjudged, 'ray')} held out could not be judged and don't count: the other rays of their "
+            "points don't place these, or they lie beyond an image."
+        )
+    return found
+
+
+def _scatter(choice: Choice) -> str:
+    """How much rays scatter."""
+    scatter = choice.scatter
+    if not math.isfinite(scatter.error):
+        return "There are too few rays to tell how much they scatter: their stated sigmas are taken at their word."
+    said = (
+        f"Rays of one line within a moment, which no orientation tells apart, scatter {scatter.factor:.3f} +- "
+        f"{scatter.error:.3f} times their stated sigmas"
+    )
+    if not scatter.contradicts:
+        return f"{said}: noise in spectra and residuals is taken as that."
+    return (
+        f"{said}, WHICH ARE WRONG, unless blunders are among them. Noise in spectra and residuals, and the rms of rays "
+        "held out that means noise, are taken as that; but rays are weighed against priors as stated: correct the "
+        "sigmas of rays."
+    )
 
 
 def _vibrations(study: NodeStudy) -> Iterator[tuple[float, Spectrum, Peak]]:
@@ -170,6 +206,13 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
         "name": study.name,
         "rays_held_out": choice.candidates[choice.best].squares.size,
         "blunders_held_out": choice.blunders,
+        "unjudged_held_out": choice.unjudged,
+        "rays_rejected": choice.rejected,
+        "closest_s": choice.candidates[choice.closest].spacing,
+        "ray_scatter": {
+            "factor": choice.scatter.factor, "error": choice.scatter.error, "redundancy": choice.scatter.freedom,
+            "contradicts_stated": choice.scatter.contradicts,
+        },
         "candidates": candidates,
         "best_s": choice.candidates[choice.best].spacing,
         "chosen_s": choice.spacing,
@@ -186,7 +229,7 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
             "message": densified.message,
             "rounds": [
                 {"nodes": one.nodes, "sigma0": one.sigma0, "asked": one.asked, "granted": one.granted,
-                 "refused": one.refused} for one in densified.rounds
+                 "refused": one.refused, "ray_scatter": one.factor} for one in densified.rounds
             ],
             "times_et_s": {
                 strip.name: strip.nodes.epoch + strip.nodes.times for strip in densified.network.strips

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.flight_sigmas import flight_axes_at
+from mgsgraph.adjustment.analysis.flight_sigmas import strip_turns
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
-from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import JointNodePrior, Network, NodePrior
 from mgsgraph.network.passes import seconds, straightest
+from mgsgraph.network.support import support
 from mgsgraph.products.writing import columns, quoted, whole, write_csv
 from mgsgraph.units import ARCSEC, KM, MGON
 from mgsgraph.wording import cells, many, short, some, span, three
@@ -30,8 +30,6 @@ _SHORT = ("along", "acr.", "rad.")
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 _ROWS = 24
 """Strips that are listed."""
-_FEW_RAYS = 3
-"""Two rays make one tie of two lines; fewer say nothing of six components."""
 _NAME = 22
 """Characters of a strip's name in the table."""
 
@@ -60,30 +58,9 @@ def strip_course(solution: Solution, strip: int, times: Array) -> StripCourse:
         joint = solution.joint_covariance.of(range(variable + k, variable + k + SUPPORT))
         joint = joint.reshape(SUPPORT, 6, SUPPORT, 6)
         covariance[mine] = np.einsum("np,piqj,nq->nij", basis[mine], joint, basis[mine])
-    turn = _to_flight(solution, strip, times)
+    turn = strip_turns(solution.network, strip, times, solution.settings.angles)
     sigmas = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", turn, covariance, turn), 0.0))
     return StripCourse(times, np.einsum("nij,nj->ni", turn, values), sigmas)
-
-
-def _to_flight(solution: Solution, strip: int, times: Array) -> Array:
-    """(n, 6, 6) from the components of a correction to those of the flight; each time by an image that knows it."""
-    pictures = _pictures(solution, strip)
-    spans = np.array([image.trajectory.coverage for image in pictures]) + [[one.trajectory.epoch] for one in pictures]
-    off = np.maximum(spans[:, 0] - times[:, None], times[:, None] - spans[:, 1])
-    owner, turn = np.argmin(np.maximum(off, 0.0), axis=1), np.zeros((times.size, 6, 6))
-    for j in np.unique(owner).tolist():
-        mine, trajectory = owner == j, pictures[j].trajectory
-        since = np.clip(times[mine] - trajectory.epoch, *trajectory.coverage)
-        pose, still = trajectory.pose(since), np.zeros(since.size)
-        level = flight_axes_at(pose.position, pose.velocity)
-        roll = np.einsum("nij,nj->ni", pose.matrix, level[:, 0]) * [1.0, 1.0, 0.0]
-        roll /= np.linalg.norm(roll, axis=1, keepdims=True)
-        yaw = np.broadcast_to([0.0, 0.0, 1.0], roll.shape)
-        moments = Moments(still, 0.0, since, still, trajectory.epoch)
-        axes = OrientationCorrection(np.zeros((1, 6)), solution.settings.angles).axes(pose, moments)
-        turn[mine, :3, :3] = level
-        turn[mine, 3:, 3:] = np.stack([roll, np.cross(yaw, roll), yaw], axis=1) @ axes
-    return turn
 
 
 def _pictures(solution: Solution, strip: int) -> list[PushbroomImage]:
@@ -280,22 +257,21 @@ def _prior_words(prior: NodePrior | JointNodePrior) -> str:
     return f"{', '.join(parts)}{after}"
 
 
-def bare_intervals(network: Network) -> list[str]:
-    """Sentences about strips with intervals between nodes in which hardly anything was measured."""
+def bare_nodes(network: Network) -> list[str]:
+    """Sentences about strips with nodes near which hardly anything was measured."""
     found = []
-    for one in network.strips:
-        rays = np.isin(network.rays.image, one.images)
-        count = np.zeros(len(one.nodes) - 1, dtype=np.int64)
-        for j in one.images.tolist():
-            image, mine = network.images[j], rays & (network.rays.image == j)
-            times = image.timing.at(network.rays.places[mine, 0])[0] + (image.trajectory.epoch - one.nodes.epoch)
-            count += np.histogram(times, one.nodes.times)[0]
-        start, stop = one.nodes.coverage
-        inside = (one.nodes.times[:-1] >= start) & (one.nodes.times[1:] <= stop)
-        few = int(np.count_nonzero(inside & (count < _FEW_RAYS)))
-        if few:
+    for k, strip in enumerate(network.strips):
+        near = support(network, k)
+        seen = np.flatnonzero(~near.unfelt)
+        weak = np.flatnonzero(near.unfelt)
+        inner = weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
+        if inner.size:
             found.append(
-                f"strip {one.name}: in {few} of {int(inside.sum())} intervals between its nodes fewer than "
-                f"{_FEW_RAYS} rays were measured: there it follows its prior and its neighbours"
+                f"strip {strip.name}: fewer than {near.least} rays near {inner.size} of its {len(strip.nodes)} nodes, "
+                "between others that have them: closer than the data supports, and refused by adjust"
+            )
+        if outer := weak.size - inner.size:
+            found.append(
+                f"strip {strip.name}: no rays near {many(outer, 'node')} at its ends: there it follows its prior"
             )
     return found

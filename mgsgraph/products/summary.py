@@ -83,13 +83,13 @@ def _weight_unit(solution: Solution) -> str:
     if abs(sigma0 - 1.0) <= _limit(1) / math.sqrt(2.0 * freedom):
         return f"{head}: the observations fit as well as their stated sigmas say, and the quoted sigmas hold."
     if sigma0 < 1.0:
-        better = f"{1.0 / sigma0:.2g} times better than" if sigma0 > 0.0 else "without any error, against"
+        better = f"{1.0 / sigma0:.3g} times better than" if sigma0 > 0.0 else "without any error, against"
         return (
             f"{head}: the observations fit {better} their stated sigmas. All sigmas are quoted for sigma0 = 1 and "
             f"are cautious; multiply them by {sigma0:.3g} if you trust the fit."
         )
     return (
-        f"{head}: the observations fit {sigma0:.2g} times worse than their stated sigmas. All sigmas are quoted for "
+        f"{head}: the observations fit {sigma0:.3g} times worse than their stated sigmas. All sigmas are quoted for "
         "sigma0 = 1 and are too small by that factor, unless blunders are to blame: look at the largest residuals."
     )
 
@@ -128,7 +128,7 @@ def _datum(solution: Solution) -> list[str]:
     constant = _constant_sigmas(network)
     if constant.size == 0:
         return ["Every image is held: the points have the sigmas of their rays alone, as if the orientation were true."]
-    held = int(network.unadjusted.sum())
+    held = int(network.held.sum())
     also = f" and {many(held, 'held image')}" if held else ""
     return [
         f"No laser rows and no ground control: only the orientation priors{also} hold the block on the ground. The "
@@ -139,7 +139,7 @@ def _datum(solution: Solution) -> list[str]:
 
 def _constant_sigmas(network: Network) -> Array:
     """(n, 6) m and rad, a-priori sigmas of the constant terms of images, and of strips in their middle."""
-    own = [network.priors[j].sigmas[0] for j in np.flatnonzero(~network.held)]
+    own = [network.priors[j].sigmas[0] for j in np.flatnonzero(network.own)]
     return np.array(own + [strip.prior.node_sigmas(np.zeros(len(strip.nodes)))[0] for strip in network.strips])
 
 
@@ -262,7 +262,7 @@ def _image_table(solution: Solution, rays: RayStatistics) -> str:
         correction = f"{cells(moved[:3], 7)}  {cells(moved[6:] / ARCSEC, 7)}"
         lines.append(
             f"  {short(image.name, _NAME):<{_NAME}} {rays.total[j]:>6} {rays.count[j].sum():>6}  "
-            f"{cells(rays.rms_of_images[j], 7)}  {'held'.rjust(23) if solution.network.unadjusted[j] else correction}"
+            f"{cells(rays.rms_of_images[j], 7)}  {'held'.rjust(23) if solution.network.held[j] else correction}"
         )
     if len(images) > _ROWS:
         lines.append(f"  and {many(len(images) - _ROWS, 'more image')}: see solution.json")

@@ -98,7 +98,7 @@ def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
     line, sample = rays.rms_of_images[j]
     record: dict[str, Any] = {
         "name": image.name,
-        "held": bool(solution.network.unadjusted[j]),
+        "held": bool(solution.network.held[j]),
         "strip": _strip_name(solution, j),
         "lines": image.lines,
         "samples": image.samples,

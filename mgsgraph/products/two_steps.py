@@ -23,6 +23,8 @@ _ROWS = 24
 """Strips listed in a table."""
 _NAME, _WIDTH = 18, 6
 """Characters of a strip's name, and of a number."""
+_HARDLY = 0.05
+"""Share by which a figure changes without being worth a factor."""
 
 
 def write_two_steps(merit: StepMerit, folder: str | Path, figures: bool = True) -> None:
@@ -229,8 +231,8 @@ def _of_heights(merit: StepMerit) -> list[str]:
     if heights.count:
         found.append(
             f"Heights above the terrain: rms {three(heights.rms)} m before, after step 1 and after step 2 "
-            f"({many(heights.count, 'point')}): reduced by a factor of {_factor(heights.factors[1])} by the rays alone "
-            f"and of {_factor(heights.factors[2])} with the terrain. All are of the places where the rays alone put "
+            f"({many(heights.count, 'point')}): {_change(heights.factors[1])} by the rays alone "
+            f"and {_change(heights.factors[2])} with the terrain. All are of the places where the rays alone put "
             f"the points; of the adjusted ones, each pulled by its own height row, it is {heights.rms_adjusted:.3g} m."
         )
         if merit.steps.network.terrain_moves:
@@ -245,13 +247,18 @@ def _of_heights(merit: StepMerit) -> list[str]:
     if merit.lost:
         found.append(
             f"{many(merit.lost, 'tie point')} with a height row {'are' if merit.lost > 1 else 'is'} left out of these "
-            "heights: over missing posts at one of the stages, or without a place."
+            "heights: over missing posts at one of the stages, or without a place, as where their rays were rejected."
         )
     return found
 
 
-def _factor(value: float) -> str:
-    return f"{value:.2g}" if math.isfinite(value) else "-"
+def _change(factor: float) -> str:
+    """What has become of something that is so many times less than before."""
+    if not math.isfinite(factor):
+        return "not comparable"
+    if abs(factor - 1.0) < _HARDLY:
+        return "hardly changed"
+    return f"reduced by a factor of {factor:.2g}" if factor > 1.0 else f"made larger by a factor of {1.0 / factor:.2g}"
 
 
 # --- files

@@ -330,7 +330,7 @@ def _network(strips: list[_Strip], prior: NodePrior, points: int, rays: ImageRay
     return Network(
         images=images,
         priors=(own,) * len(images),
-        held=np.ones(len(images), dtype=bool),
+        held=np.zeros(len(images), dtype=bool),
         points=GroundPoints(
             ids=tuple(f"P{i:07d}" for i in range(points)),
             classes=np.full(points, int(PointClass.TIE)),

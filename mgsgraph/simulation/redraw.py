@@ -80,7 +80,7 @@ def _drawn_corrections(network: Network, rng: np.random.Generator, angles: Angle
     """One for each image; the images of a strip have one in common."""
     owner = network.strip_of
     own = {
-        j: _drawn_correction(network.priors[j].sigmas * (not network.held[j]), rng, angles)
+        j: _drawn_correction(network.priors[j].sigmas * network.own[j], rng, angles)
         for j in np.flatnonzero(owner < 0).tolist()
     }
     common = [strip_correction(one.nodes, drawn_nodes(one.prior, one.nodes, rng), angles) for one in network.strips]

@@ -1,13 +1,16 @@
 """Spectra of a strip's corrections: planted vibrations appear, none appear of noise more often than stated."""
 
 import math
+from dataclasses import fields, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lombscargle
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.analysis.flight_sigmas import strip_turns
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.spacing.course import AXES, Course, course
@@ -15,6 +18,7 @@ from mgsgraph.adjustment.spacing.spectrum import Spectrum, spectra, spectrum
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import Basis
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Axis, Jitter, correction_at
 from mgsgraph.units import MGON
@@ -174,6 +178,37 @@ def test_course_is_the_correction(basis: Basis) -> None:
     # pitch is about the camera's x, roll about its y
     np.testing.assert_allclose(np.abs(one.values[:, PITCH]), np.abs(at[:, 3]), atol=0.03 * np.abs(at[:, 3:]).max())
     np.testing.assert_allclose(np.abs(one.values[:, ROLL]), np.abs(at[:, 4]), atol=0.03 * np.abs(at[:, 3:]).max())
+
+
+def test_each_time_has_the_axes_of_an_image_that_covers_it() -> None:
+    """Over 26 degrees of arc, of images that know the seconds of their own lines alone."""
+    settings = BlockSettings(strips=1, length=1500e3, points=100, terrain=None, spacing=20.0)
+    net = simulate_hrsc_block(settings, 1).network
+    nodes = net.strips[0].nodes
+    times = nodes.epoch + nodes.times
+    spans = [one.timing.at(np.array([0.0, float(one.lines)]))[0] for one in net.images]
+    short = [
+        replace(one, trajectory=cut(one.trajectory, float(start) - 3.0, float(stop) + 3.0))
+        for one, (start, stop) in zip(net.images, spans, strict=True)
+    ]
+    assert spans[0][1] + 50.0 < max(stop for _, stop in spans)  # the first one knows nothing of the end
+    whole, found = (strip_turns(one, 0, times, "camera") for one in (net, replace(net, images=tuple(short))))
+    # lines look from one spacecraft: axes differ by what tables leave at their ends
+    np.testing.assert_allclose(found, whole, atol=1e-5)
+    np.testing.assert_allclose(found @ np.swapaxes(found, 1, 2), np.broadcast_to(np.eye(6), found.shape), atol=1e-12)
+
+
+def cut(trajectory: Trajectory, start: float, stop: float) -> Trajectory:
+    """A trajectory of some of its time, s past its epoch."""
+    def part(table: Any) -> Any:
+        inside = (table.times >= start) & (table.times <= stop)
+        return replace(table, **{
+            field.name: value[inside] for field in fields(table)
+            if isinstance(value := getattr(table, field.name), np.ndarray) and value.shape[:1] == inside.shape
+        })  # fmt: skip
+
+    tables = [field.name for field in fields(trajectory) if field.name != "epoch"]
+    return replace(trajectory, **{name: part(getattr(trajectory, name)) for name in tables})
 
 
 def test_noise_is_the_covariance_where_nothing_is_known_beforehand() -> None:

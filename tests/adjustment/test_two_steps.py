@@ -28,7 +28,13 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network
-from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TerrainErrors, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_block import (
+    BlockSettings,
+    SimulatedBlock,
+    TerrainErrors,
+    TrajectoryErrors,
+    simulate_hrsc_block,
+)
 from mgsgraph.simulation.hrsc_points import Matches
 
 SETTINGS = SolverSettings(reject=4.0)
@@ -141,6 +147,33 @@ def test_a_priori_covariance_is_the_priors_own(which: str) -> None:
         places, covariances = RaysAlone(net, SolverSettings(), everything(net)).nominal()
         assert np.all(np.isfinite(places))
         assert np.all(np.isnan(covariances))
+
+
+@pytest.mark.parametrize("share", [1.0, 1e-2, 1e-6])
+@pytest.mark.parametrize("forgets", [0.0, 60.0])
+def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float, forgets: float) -> None:
+    """In closed form: bias, drift, and departures that are correlated by the time between them."""
+    errors = TrajectoryErrors()
+    errors = replace(errors, attitude_wander=share * errors.attitude_wander, correlation_time=forgets,
+                     position_wander=share * errors.position_wander)  # fmt: skip
+    settings = BlockSettings(strips=2, length=120e3, points=100, terrain=None, errors=errors)
+    net = simulate_hrsc_block(settings, seed=4).network
+    joint = prior_covariance(lay_out(net, SolverSettings()))
+    assert joint is not None
+    for strip, first in zip(net.strips, net.first_of_strips.tolist(), strict=False):
+        times = strip.nodes.times
+        ago = np.abs(times[:, None] - times)
+        along = 2.0 * (times - times[0]) / (times[-1] - times[0]) - 1.0
+        course = np.exp(-ago / forgets) if forgets else np.eye(times.size)
+        sizes = [(errors.position, errors.position_drift, errors.position_wander)] * 3
+        sizes += [(errors.attitude, errors.attitude_drift, errors.attitude_wander)] * 3
+        found = joint.of(range(first, first + times.size))
+        for axis, (bias, drift, wander) in enumerate(sizes):
+            want = bias**2 + drift**2 * np.multiply.outer(along, along) + wander**2 * course
+            np.testing.assert_allclose(found[axis::6, axis::6], want, rtol=1e-9)
+    first, second, end = net.first_of_strips.tolist()
+    assert not np.any(joint.of(range(first, end))[: joint.of(range(first, second)).shape[0], -6:])
+    assert np.all(np.isfinite(RaysAlone(net, SolverSettings(), everything(net)).nominal()[1]))
 
 
 def test_forward_intersection_carries_the_orientation_on() -> None:

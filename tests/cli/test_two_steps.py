@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,10 @@ from pathlib import Path
 import networks
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from mgsgraph.cli import group
+from mgsgraph.products import step_merit
 from mgsgraph.units import DEG
 
 REFERENCE = 3_396_190.0
@@ -23,18 +27,19 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def add_terrain(case_file: Path) -> None:
-    """The simulated relief beside the case, as a GeoTIFF."""
+def add_terrain(case_file: Path, east: float = 0.0, missing: float = 0.0) -> None:
+    """The simulated relief beside the case, as a GeoTIFF; so many degrees off, some share of its posts missing."""
     rasterio = pytest.importorskip("rasterio")
     grid = networks.terrain(networks.network(networks.pair(ties=20, shots=8)))
     rows, columns = grid.radii.shape
     step = grid.longitude_step / DEG
-    west, north = grid.first_longitude / DEG - 0.5 * step, grid.first_latitude / DEG + 0.5 * step
+    radii = np.where(np.random.default_rng(1).random((rows, columns)) < missing, np.nan, grid.radii)
+    west, north = grid.first_longitude / DEG - 0.5 * step + east, grid.first_latitude / DEG + 0.5 * step
     with rasterio.open(
         case_file.with_name("terrain.tif"), "w", driver="GTiff", height=rows, width=columns, count=1, dtype="float64",
         crs=f"+proj=longlat +R={REFERENCE} +no_defs", transform=rasterio.Affine(step, 0, west, 0, -step, north),
     ) as file:
-        file.write(np.asarray(grid.radii) - REFERENCE, 1)
+        file.write(radii - REFERENCE, 1)
     with case_file.open("a", encoding="utf-8") as file:
         file.write(f'\n[terrain]\nradius = "terrain.tif"\nreference_radius_m = {REFERENCE}\n')
 
@@ -68,3 +73,42 @@ def test_from_a_case_to_the_page_and_the_map(case_file: Path, tmp_path: Path) ->
     again = run("adjust", case_file, "--out", out, "--no-figures")  # one step replaces it
     assert again.returncode == 0, again.stderr
     assert not any(path.name.startswith(("two_steps", "height")) for path in out.iterdir())
+
+
+@pytest.mark.parametrize(("east", "missing"), [(30.0, 0.0), (0.0, 2.0)])
+def test_terrain_without_points_is_told_in_a_line(
+    case_file: Path, tmp_path: Path, east: float, missing: float
+) -> None:
+    add_terrain(case_file, east, missing)
+    done = run("adjust", case_file, "--two-steps", "--no-figures", "--out", tmp_path / "out")
+    assert done.returncode == 2, done.stdout
+    assert done.stderr.startswith("mgsgraph: error: ")
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_terrain_without_ties_is_told_in_a_line(case_file: Path, tmp_path: Path) -> None:
+    add_terrain(case_file)
+    case_file.write_text(re.sub(r"\[ties\][^\[]*", "", case_file.read_text(encoding="utf-8")), encoding="utf-8")
+    done = run("adjust", case_file, "--two-steps", "--no-figures", "--out", tmp_path / "out")
+    assert done.returncode == 2, done.stdout
+    assert done.stderr.endswith("a terrain model for a case without tie points; expected tie points to lie on it\n")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("problem", "status"), [(RuntimeError("no such luck"), 1), (KeyboardInterrupt(), 130)])
+def test_the_solution_outlives_its_merit(
+    case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, problem: BaseException, status: int
+) -> None:
+    def fails(_: object) -> None:
+        raise problem
+
+    add_terrain(case_file)
+    monkeypatch.setattr(step_merit, "step_merit", fails)
+    out = tmp_path / "out"
+    told = CliRunner().invoke(group, ["adjust", str(case_file), "--two-steps", "--out", str(out)])
+    assert told.exit_code == status
+    assert f"the solution of step 2 is in {out}, without figures of merit" in told.output
+    assert json.loads((out / "solution.json").read_text(encoding="utf-8"))["program"] == "mgsgraph"
+    assert (out / "solution.npz").exists()
+    assert not (out / "two_steps.txt").exists()

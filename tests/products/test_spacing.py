@@ -2,6 +2,8 @@
 
 import csv
 import json
+import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,8 +14,9 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.spacing.study import NodeStudy, study_nodes
 from mgsgraph.products.figures.sheet import plain_style
 from mgsgraph.products.figures.spacing import course_sheet, spacing_sheet, spectrum_sheet
-from mgsgraph.products.spacing import node_statements, spacing_table, write_nodes
+from mgsgraph.products.spacing import node_statements, nodes_json, spacing_table, write_nodes
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_points import Matches
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.units import MGON
 
@@ -42,6 +45,31 @@ def test_words() -> None:
     assert "Chosen: 3 s" in said
     assert "closest candidate" in said
     assert "Where residuals asked for closer nodes: " in said
+
+
+def test_rays_put_aside_and_sigmas_that_are_wrong_are_named() -> None:
+    settings = BlockSettings(
+        strips=1, length=150e3, points=500, terrain=None, spacing=20.0, matches=Matches(blunders=0.01),
+        jitter=Jitter(4.0 * MGON, 0.06, "pitch"),
+    )  # fmt: skip
+    made = simulate_hrsc_block(settings, 1)
+    net = replace(made.network, rays=replace(made.network.rays, sigmas=0.5 * made.network.rays.sigmas))
+    found = study_nodes(net, SolverSettings(reject=4.0), "block", [4.0, 20.0], closer=True)
+    said = " ".join(node_statements(found))
+    assert re.search(r"\d+ rays rejected as blunders, with nodes every 4 s, took part with no candidate", said)
+    factor = re.search(r"scatter (\S+) \+- (\S+) times their stated sigmas, WHICH ARE WRONG", said)
+    assert factor is not None
+    assert float(factor[1]) == pytest.approx(2.0, abs=4.0 * float(factor[2]))
+    record = nodes_json(found)
+    assert record["ray_scatter"]["factor"] == pytest.approx(float(factor[1]), abs=1e-3)
+    assert record["rays_rejected"] == found.choice.rejected > 0.8 * made.blunders.sum()
+    # jitter that wide nodes can't follow is no blunder: the same rays throughout
+    assert found.densified is not None
+    np.testing.assert_array_equal(
+        found.densified.solution.rays_rejected, found.choice.closest_solution.rays_rejected
+    )
+    assert "WRONG" not in " ".join(node_statements(study()))
+    assert "blunders" not in " ".join(node_statements(study()))
 
 
 def test_files(tmp_path: Path) -> None:

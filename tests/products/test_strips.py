@@ -26,7 +26,7 @@ from mgsgraph.products.archive import read_solution, write_archive
 from mgsgraph.products.figures import write_figures
 from mgsgraph.products.figures.orientation import drawn_strip
 from mgsgraph.products.inventory import inventory
-from mgsgraph.products.strips import bare_intervals, calendar, node_times, strip_course, strip_reports, strips_csv
+from mgsgraph.products.strips import bare_nodes, calendar, node_times, strip_course, strip_reports, strips_csv
 from mgsgraph.products.summary import statements, summary_table
 from mgsgraph.products.tables import solution_json
 from mgsgraph.units import ARCSEC, MGON
@@ -213,20 +213,22 @@ def test_check(tmp_path: Path) -> None:
     assert "no laser, no ground control, no held image" in said
 
 
-def test_bare_intervals_are_counted() -> None:
-    """Rays between the third and the fifth node are taken out: two more intervals are bare."""
+def test_bare_nodes_are_counted() -> None:
+    """Rays between the third and the fifth node are taken out: the fourth one has none; and none at the end."""
     net = block().network
     strip = net.strips[0]
     strip = replace(strip, nodes=evenly_spaced("lagrange", strip.nodes.epoch, strip.nodes.coverage, 6.0))
     net = replace(net, strips=(strip,), rays=net.rays.chosen(net.rays.image < 5))
-    assert bare_intervals(net) == []
+    assert bare_nodes(net) == []
     times = np.empty(net.rays.point.size)
     for j in range(5):
         mine = net.rays.image == j
         times[mine] = net.images[j].timing.at(net.rays.places[mine, 0])[0]
     gone = (times > strip.nodes.times[2]) & (times < strip.nodes.times[4])
-    (said,) = bare_intervals(replace(net, rays=net.rays.chosen(~gone)))
-    assert said.startswith(f"strip HRSC/00: in 2 of {len(strip.nodes) - 1} intervals between its nodes fewer than 3")
+    (said,) = bare_nodes(replace(net, rays=net.rays.chosen(~gone)))
+    assert said.startswith(f"strip HRSC/00: fewer than 3 rays near 1 of its {len(strip.nodes)} nodes, between others")
+    (said,) = bare_nodes(replace(net, rays=net.rays.chosen(times < strip.nodes.times[-3])))
+    assert said == "strip HRSC/00: no rays near 2 nodes at its ends: there it follows its prior"
 
 
 # --- pictures

@@ -13,14 +13,17 @@ from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.spacing.course import course
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.network import Network
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, PointClass
 from mgsgraph.products.archive import read_solution
 from mgsgraph.products.figures.height_maps import height_map_sheet
 from mgsgraph.products.figures.sheet import plain_style
 from mgsgraph.products.height_cells import height_cells
+from mgsgraph.products.results import write_results
 from mgsgraph.products.step_merit import STAGES, StepMerit, owners, step_merit
 from mgsgraph.products.two_steps import cells_of, two_steps_json, two_steps_statements, two_steps_table, write_two_steps
 from mgsgraph.simulation.hrsc_block import BlockSettings, TerrainErrors, simulate_hrsc_block
@@ -90,15 +93,51 @@ def test_the_whole_is_its_parts(which: str) -> None:
     assert [group.name for group in found.groups] == [name for name, _ in owners(networks(which))]
     assert found.whole.points <= sum(group.points for group in found.groups)
     for group in (found.whole, *found.groups):
-        np.testing.assert_allclose(group.point_factors * group.mean, group.mean[[0, 0, 0]])
-        np.testing.assert_allclose(group.heights.factors * group.heights.rms, group.heights.rms[0])
         assert np.all(group.mean[1] < group.mean[0])  # what an adjustment knows is no less than what each point knows
         assert np.all(group.poses[2] <= group.poses[0] * (1.0 + 1e-9))
     assert found.whole.heights.count == int(found.used.sum())
     np.testing.assert_allclose(found.whole.heights.rms, np.sqrt(np.mean(found.heights[:, found.used] ** 2, axis=1)))
     np.testing.assert_allclose(cells_of(found).total, found.whole.heights.rms)
-    np.testing.assert_allclose(found.whole.poses, np.mean([group.poses for group in found.groups], axis=0))
-    np.testing.assert_allclose(found.whole.poses[0], np.mean([group.poses[0] for group in found.groups], axis=0))
+
+
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_sigmas_of_points_are_those_of_the_solutions(which: str) -> None:
+    """Along the vertical of each point, whatever flew over it."""
+    found, steps = merit(which), merit(which).steps
+    ties = (steps.network.points.classes == PointClass.TIE) & steps.free.determined & steps.fitted.determined
+    up = steps.fitted.places[ties] / np.linalg.norm(steps.fitted.places[ties], axis=1, keepdims=True)
+    stages = (steps.rays_alone.nominal()[1], steps.free.covariances, steps.fitted.covariances)
+    sigmas = [np.sqrt(np.einsum("ni,nij,nj->n", up, one[ties], up)) for one in stages]
+    assert found.whole.points == int(ties.sum())
+    np.testing.assert_allclose(found.whole.mean[:, 2], np.mean(sigmas, axis=1), rtol=1e-9)
+    np.testing.assert_allclose(found.whole.median[:, 2], np.median(sigmas, axis=1), rtol=1e-9)
+    np.testing.assert_allclose(
+        found.whole.point_factors[:, 2], np.mean(sigmas[0]) / np.mean(sigmas, axis=1), rtol=1e-9
+    )
+
+
+def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
+    """As `spacing.course` has them at the nodes, between which they hardly change."""
+    found, net = merit("block"), networks("block")
+    means = np.empty((2, len(net.strips), 6))
+    for step, solution in enumerate((found.steps.free, found.steps.fitted)):
+        for k, strip in enumerate(net.strips):
+            image = net.images[int(strip.images[2])]
+            nodes, at = course(solution, k), image.moments(np.linspace(0.0, float(image.lines), 101))
+            times = at.times + (at.epoch - nodes.epoch)
+            means[step, k] = [np.interp(times, nodes.times, nodes.sigmas[:, axis]).mean() for axis in range(6)]
+            np.testing.assert_allclose(found.groups[k].poses[step + 1], means[step, k], rtol=0.01)
+    np.testing.assert_allclose(found.whole.poses[1:], means.mean(axis=1), rtol=0.01)
+
+
+def test_what_is_held_is_known_beforehand() -> None:
+    """Without unknowns the orientation is not uncertain, and step 1 has nothing to add to the rays."""
+    net = replace(networks("block"), strips=(), held=np.ones(10, dtype=bool))
+    found = step_merit(adjust_in_two_steps(net, SolverSettings()))
+    assert np.all(found.whole.poses == 0.0)
+    np.testing.assert_allclose(found.whole.mean[0], found.whole.mean[1], rtol=1e-9)
+    assert np.all(found.whole.mean[2] < found.whole.mean[1])
+    assert "no a-priori sigma" not in " ".join(two_steps_statements(found))
 
 
 def test_a_priori_attitude_is_the_settings() -> None:
@@ -117,20 +156,49 @@ def test_the_block_does_what_the_paper_says() -> None:
     assert whole.heights.rms_adjusted < whole.heights.rms[2] < whole.heights.rms_given
 
 
-def test_heights_before_are_those_of_plain_intersection() -> None:
-    """By distances in space instead of pixels: nearly the same point where all lines have pixels alike."""
+def test_heights_before_are_of_the_places_that_fit_the_images_best() -> None:
+    """By Gauss-Newton on the pixels, with differences for derivatives, from where the rays come closest in space."""
     net, found = networks("block"), merit("block")
-    origins, directions = np.empty((2, net.rays.point.size, 3))
-    for j, image in enumerate(net.images):
-        mine = net.rays.image == j
-        origins[mine], directions[mine] = image.sightlines(*net.rays.places[mine].T)
-    places, _, _ = intersect_rays(origins, directions, net.rays.point, len(net.points))
     assert net.surface is not None
-    longitude, latitude, radius = planetocentric(places[found.points]).T
-    plain = radius - net.surface.grid.radius(longitude, latitude)[0]
-    spread = np.std(plain - found.heights[0])
-    assert abs(np.mean(plain - found.heights[0])) < 5.0
-    assert spread < 0.5 * np.std(plain)
+    left_out = found.steps.free.rays_rejected
+    assert left_out is not None
+    rays = np.flatnonzero(~left_out)
+    point, origins, directions = net.rays.point[rays], *np.empty((2, rays.size, 3))
+    for j, image in enumerate(net.images):
+        mine = net.rays.image[rays] == j
+        origins[mine], directions[mine] = image.sightlines(*net.rays.places[rays[mine]].T)
+    places, _, _ = intersect_rays(origins, directions, point, len(net.points))
+
+    def misfit(at: Array) -> Array:
+        result = np.empty((rays.size, 2))
+        for j, image in enumerate(net.images):
+            mine = net.rays.image[rays] == j
+            measured = net.rays.places[rays[mine]]
+            result[mine] = image.ground_to_image(at[point[mine]], start=measured[:, 0])[0] - measured
+        return result / net.rays.sigmas[rays]
+
+    for _ in range(3):
+        r = misfit(places)
+        by = np.stack([(misfit(places + step) - misfit(places - step)) / 20.0 for step in 10.0 * np.eye(3)], axis=2)
+        normal, right = np.zeros((len(net.points), 3, 3)), np.zeros((len(net.points), 3))
+        np.add.at(normal, point, np.einsum("rki,rkj->rij", by, by))
+        np.add.at(right, point, np.einsum("rki,rk->ri", by, r))
+        some = np.unique(point)
+        places[some] -= np.linalg.solve(normal[some], right[some, :, None])[:, :, 0]
+    np.testing.assert_allclose(found.heights[0], above(net, places[found.points]), atol=0.02, rtol=0.02)
+    assert np.std(found.heights[0]) > 50.0
+
+
+def test_heights_after_step_1_are_of_its_places() -> None:
+    net, found = networks("block"), merit("block")
+    np.testing.assert_allclose(found.heights[1], above(net, found.steps.free.places[found.points]), rtol=0.02)
+
+
+def above(net: Network, places: Array) -> Array:
+    """m above the terrain model along the radius: across it where that is level, a little more on slopes."""
+    assert net.surface is not None
+    longitude, latitude, radius = planetocentric(places).T
+    return np.asarray(radius - net.surface.grid.radius(longitude, latitude)[0])
 
 
 def test_points_over_missing_posts_are_counted() -> None:
@@ -176,6 +244,16 @@ def test_files(which: str, tmp_path: Path) -> None:
         cells = list(csv.DictReader(file))
     squares = sum(float(row["points"]) * float(row["rms_before_m"]) ** 2 for row in cells)
     assert np.sqrt(squares / used.size) == pytest.approx(found.whole.heights.rms[0])
+
+
+def test_results_with_figures_can_be_replaced(tmp_path: Path) -> None:
+    found, out = merit("block"), tmp_path / "out"
+    write_two_steps(found, out)
+    drawn = {path.name for path in out.iterdir()}
+    assert {"strips.png", "strips.svg", "map.png", "height_map.png", "height_map.svg", "two_steps.txt"} <= drawn
+    write_two_steps(found, out, figures=False)
+    write_results(found.steps.fitted, out, figures=False)
+    assert not any(path.name.startswith(("strips.png", "two_steps")) for path in out.iterdir())
 
 
 @pytest.mark.parametrize("which", ["pair", "block"])

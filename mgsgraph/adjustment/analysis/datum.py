@@ -16,11 +16,12 @@ from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.factors.bundle import Reduction
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection, polynomial
+from mgsgraph.geometry.orientation import Moments, OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
+from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Strip
+from mgsgraph.network.passes import nominal_poses
 from mgsgraph.wording import listed
 
 UNDETERMINED = 1e-13
@@ -134,7 +135,7 @@ def datum_transformations(layout: Layout) -> Array:
         columns = slice(layout.columns_of(first).start, layout.columns_of(last).stop)
         moves[columns] = _of_nodes(layout, strip, middle)
     moves /= layout.scales[:, None]
-    if np.any(layout.network.unadjusted):
+    if np.any(layout.network.held):
         return np.zeros((layout.columns, 7))
     return np.asarray(moves / np.maximum(np.linalg.norm(moves, axis=0), 1e-300))
 
@@ -143,26 +144,25 @@ def _of_image(layout: Layout, image: int, middle: Array) -> Array:
     """(6 (degree + 1), 7) m and rad, coefficients of one image for the seven transformations (per m, rad and one)."""
     picture, degree = layout.network.images[image], layout.network.priors[image].degree
     lines = np.linspace(0.0, float(picture.lines), _PLACES)
-    basis, _ = polynomial(picture.normalised(lines), degree)
-    return _fitted(basis, _changes(layout, picture, lines, middle))
+    pose, moments = picture.pose(lines), picture.moments(lines)
+    return _fitted(polynomial(moments.u, degree)[0], _changes(layout, pose, moments, middle))
 
 
 def _of_nodes(layout: Layout, strip: Strip, middle: Array) -> Array:
     """(6 k, 7) m and rad, the nodes of a strip for the seven transformations."""
-    picture = layout.network.images[int(strip.images[0])]
     start, stop = strip.nodes.coverage
     times = np.linspace(start, stop, 2 * _PLACES + 2 * len(strip.nodes))
-    lines = picture.timing.lines(times + (strip.nodes.epoch - picture.trajectory.epoch))
-    basis, _ = strip.nodes.dense(picture.timing.at(lines)[0], picture.trajectory.epoch)
-    return _fitted(basis, _changes(layout, picture, lines, middle))
+    pose = nominal_poses([layout.network.images[j] for j in strip.images.tolist()], times + strip.nodes.epoch)
+    zero = np.zeros(times.size)
+    moments = Moments(zero, 0.0, times, zero, strip.nodes.epoch)
+    return _fitted(strip.nodes.dense(times, strip.nodes.epoch)[0], _changes(layout, pose, moments, middle))
 
 
-def _changes(layout: Layout, picture: PushbroomImage, lines: Array, middle: Array) -> Array:
-    """(n, 6, 7) m and rad, corrections of an image at lines (n,) for the seven transformations."""
-    pose = picture.pose(lines)
-    change = np.zeros((lines.size, 6, 7))
+def _changes(layout: Layout, pose: Pose, moments: Moments, middle: Array) -> Array:
+    """(n, 6, 7) m and rad, corrections of nominal poses at n moments for the seven transformations."""
+    change = np.zeros((moments.times.size, 6, 7))
     change[:, :3] = _displacement(pose.position - middle)
-    axes = OrientationCorrection(np.zeros((1, 6)), layout.angles).axes(pose, picture.moments(lines))
+    axes = OrientationCorrection(np.zeros((1, 6)), layout.angles).axes(pose, moments)
     change[:, 3:, 3:6] = np.linalg.solve(axes, pose.matrix)
     return change
 

@@ -7,10 +7,12 @@ import numpy as np
 from mgsgraph.adjustment.analysis.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import designs
+from mgsgraph.network.passes import nominal_poses
 
 _LEVEL = 1e-9
 """Share of the velocity below which its level part says nothing."""
@@ -39,15 +41,34 @@ def pose_sigmas(
     """
     picture = network.images[image]
     moments, nominal = picture.moments(lines), picture.pose(lines)
-    axes, result = correction.axes(nominal, moments), np.empty((lines.size, 6))
-    for k, felt in enumerate(designs(network, image, correction, lines)):
-        level = flight_axes(nominal.position[k], nominal.velocity[k])
-        turn = np.zeros((6, 6))
-        turn[:3, :3] = level
-        turn[3:, 3:] = camera_axes(nominal.matrix[k] @ level[0]) @ axes[k]
-        design = turn @ np.concatenate([np.zeros((6, 0)), *felt.values()], axis=1)
+    turns, result = _turns(nominal, correction.axes(nominal, moments)), np.empty((lines.size, 6))
+    for k, felt in enumerate(designs(network, image, correction.angles, lines)):
+        design = turns[k] @ np.concatenate([np.zeros((6, 0)), *felt.values()], axis=1)
         result[k] = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", design, joint.of(felt), design), 0.0))
     return result
+
+
+def strip_turns(network: Network, strip: int, times: Array, angles: Angles) -> Array:
+    """(n, 6, 6) from the components of a strip's corrections, m and rad, to along, across and radial, roll, pitch and
+    yaw of its flight, at times (n,) in s TDB past J2000.
+
+    Each time is taken from an image of the strip that knows it (`network.passes.nominal_poses`).
+    """
+    pose, still = nominal_poses([network.images[j] for j in network.strips[strip].images.tolist()], times), 0.0 * times
+    axes = OrientationCorrection(np.zeros((1, 6)), angles).axes(pose, Moments(still, 0.0, times, still, 0.0))
+    return _turns(pose, axes)
+
+
+def _turns(pose: Pose, axes: Array) -> Array:
+    """(n, 6, 6) from components of corrections to the axes of the flight; `axes` (n, 3, 3) are how the camera turns
+    about its own axes per rad of each rotation component.
+    """
+    found = np.zeros((axes.shape[0], 6, 6))
+    for k, (position, velocity) in enumerate(zip(pose.position, pose.velocity, strict=True)):
+        level = flight_axes(position, velocity)
+        found[k, :3, :3] = level
+        found[k, 3:, 3:] = camera_axes(pose.matrix[k] @ level[0]) @ axes[k]
+    return found
 
 
 def point_sigmas(covariances: Array, places: Array, velocities: Array) -> Array:

@@ -18,10 +18,11 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, prior_factors, shared_values, variable_key
-from mgsgraph.adjustment.marginals import JointCovariance, marginals
+from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
 from mgsgraph.adjustment.passes import Selection, determined_points
 from mgsgraph.adjustment.posterior import point_covariances
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 
@@ -85,11 +86,44 @@ class RaysAlone:
 
 def prior_covariance(layout: Layout) -> JointCovariance | None:
     """Joint covariance of the shared unknowns as their priors alone have it; None where of some nothing is known."""
-    if np.any(np.isinf(layout.sigmas)) or layout.columns == 0:
+    if np.any(np.isinf(layout.sigmas)):
         return None
     graph = gtsam.NonlinearFactorGraph()
     for factor in prior_factors(layout):
         graph.add(factor)
     first, width = layout.variables.first.tolist(), layout.variables.width.tolist()
     keys = [variable_key(layout, v) if start >= 0 else None for v, start in enumerate(first)]
-    return marginals(graph.linearize(shared_values(layout, np.zeros(layout.columns))), keys, width)
+    try:
+        return marginals(graph.linearize(shared_values(layout, np.zeros(layout.columns))), keys, width)
+    except RuntimeError as error:
+        if "Indeterminate" not in str(error):
+            raise
+    return joint_covariance(_strip_by_strip(layout))
+
+
+def _strip_by_strip(layout: Layout) -> SquareRoot:
+    """Square root of the priors' information by a dense QR decomposition of each strip's rows.
+
+    GTSAM calls a clique indeterminate when its last two pivots differ by more than 2^12, which nodes do that may hardly
+    leave a trend of which little is known. The rows themselves lose half as many digits as their squares.
+    """
+    variables, every, scales = layout.variables, layout.prior.every.tocsc(), layout.scales
+    cliques, rows = list[list[int]](), [np.zeros(0)]
+    for members in _known_together(layout):
+        columns = np.concatenate([np.arange(variables.first[v], variables.columns_of(v).stop) for v in members])
+        part = every[:, columns]
+        own = part[np.unique(part.nonzero()[0])].toarray() * scales[columns]
+        cliques.append(members)
+        rows.append((np.linalg.qr(own, mode="r") / scales[columns]).ravel())
+    sizes = np.array([len(members) for members in cliques], dtype=np.int64)
+    together = np.array([v for members in cliques for v in members], dtype=np.int64)
+    return SquareRoot(variables.first.copy(), variables.width.copy(), together, sizes, sizes.copy(),
+                      np.concatenate(rows))  # fmt: skip
+
+
+def _known_together(layout: Layout) -> list[list[int]]:
+    """Adjusted variables in groups that no prior joins: strip by strip, and any other by itself."""
+    adjusted = np.array(layout.variables.adjusted(), dtype=np.int64)
+    strip = np.searchsorted(layout.network.first_of_strips, adjusted, side="right") - 1
+    alone = [[v] for v in adjusted[strip < 0].tolist()]
+    return alone + [adjusted[strip == k].tolist() for k in np.unique(strip[strip >= 0]).tolist()]

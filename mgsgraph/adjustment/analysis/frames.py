@@ -179,6 +179,11 @@ class Frames:
             if columns.start <= rows.start < columns.stop:  # a tilt counts where the ground is as far as from a camera
                 reach = np.array([1.0 if term.unit == "m" else self.of(0).reach[4] for term in terms])
                 result[rows.start - columns.start : rows.stop - columns.start] *= reach[:, None]
+        for strip, after in zip(network.strips, network.first_of_strips[1:].tolist(), strict=True):
+            if strip.prior.trend_sigmas.size:  # by itself a trend moves nothing: its nodes do
+                rows = self.layout.columns_of(after - 1)
+                if columns.start <= rows.start < columns.stop:
+                    result[rows.start - columns.start : rows.stop - columns.start] = 0.0
         for k, shared in enumerate(self.layout.network.shared):
             rows = self.layout.columns_of(network.first_shared + k)
             if columns.start <= rows.start < columns.stop and shared.kind.unit != "m":

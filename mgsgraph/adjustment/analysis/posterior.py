@@ -237,7 +237,8 @@ class Posterior:
         turn[:, 3:, 3:] = correction.axes(nominal, moments)
         turned = -rotation.logarithm(pose.matrix @ np.swapaxes(nominal.matrix, 1, 2))
         first, found = self.linearised.layout.variables.first, []
-        for k, (line, felt) in enumerate(zip(lines, designs(self.network, image, correction, lines), strict=True)):
+        follows = designs(self.network, image, correction.angles, lines)
+        for k, (line, felt) in enumerate(zip(lines, follows, strict=True)):
             names = tuple(f"{name} of image {picture.name} at line {line:g}" for name in COMPONENTS)
             values = np.concatenate([pose.position[k], turned[k]])
             by_shared = {v: turn[k] @ part for v, part in felt.items() if first[v] >= 0}

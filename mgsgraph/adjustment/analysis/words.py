@@ -1,5 +1,6 @@
 """Directions of the orientation, in parts and in words."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ from mgsgraph.adjustment.analysis.frames import Axis, FlightFrame, Frames
 from mgsgraph.geometry.records import Array
 from mgsgraph.wording import listed, some
 
+_NODE = re.compile(r"node (\d+) of (\d+) of (strip .+)")
 _LEAST = 0.01
 """Share of a direction from which a part is kept."""
 _NAMED = 0.08
@@ -74,8 +76,9 @@ def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) 
     together = f" ({'together ' if len(named) > 1 or len(named[0]) > 1 else ''}{100.0 * told:.0f} %)"
     if sigma is None:
         return text
-    amounts = " against ".join(quantity(abs(part.amount) * sigma, part.axis.unit) for part in terms[0].parts)
-    whose = f" of {terms[0].owner}" if len(terms) > 1 and len(named[0]) > 1 else ""
+    main = named[0][0]
+    amounts = " against ".join(quantity(abs(part.amount) * sigma, part.axis.unit) for part in main.parts)
+    whose = f" of {main.owner}" if len(terms) > 1 and len(named[0]) > 1 else ""
     return f"{text}{together}: one sigma is {amounts}{whose}"
 
 
@@ -96,11 +99,30 @@ def _group(terms: Sequence[_Term]) -> str:
 
 def _owners(owners: Sequence[str]) -> str:
     images = [owner.removeprefix("image ") for owner in owners if owner.startswith("image ")]
-    rest = [owner for owner in owners if not owner.startswith("image ")]
+    rest = _with_runs([owner for owner in owners if not owner.startswith("image ")])
     if len(images) > _MOST:
         images = [some(images, len(images), _MOST - 1)]
         return listed([f"images {images[0]}", *rest])
     return listed([f"image{'s' * (len(images) > 1)} {listed(images)}", *rest]) if images else listed(rest)
+
+
+def _with_runs(owners: Sequence[str]) -> list[str]:
+    """Owners, nodes of one strip put together: "nodes 2-5 and 9 of 12 of strip A", or "all 12 nodes of strip A"."""
+    of_strips, others = dict[tuple[str, str], list[int]](), list[str]()
+    for owner in owners:
+        if found := _NODE.fullmatch(owner):
+            of_strips.setdefault((found[2], found[3]), []).append(int(found[1]))
+        else:
+            others.append(owner)
+    for (count, strip), numbers in of_strips.items():
+        if len(numbers) == int(count):
+            others.append(f"all {count} nodes of {strip}")
+        else:
+            runs = np.split(np.sort(numbers), np.flatnonzero(np.diff(np.sort(numbers)) > 1) + 1)
+            texts = [f"{run[0]}-{run[-1]}" if run.size > 1 else f"{run[0]}" for run in runs]
+            which = some(texts, len(texts)) if len(texts) > _MOST else listed(texts)
+            others.append(f"node{'s' * (len(numbers) > 1)} {which} of {count} of {strip}")
+    return others
 
 
 def _terms(frames: Frames, parts: Sequence[Part]) -> list[_Term]:

@@ -34,7 +34,7 @@ def parallel(network: Network, angles: Array) -> Mask:
 def _pointing(network: Network, image: int) -> float:
     """A-priori sigma of the direction of an image's rays, rad, as far as it is known: rotations across the axis."""
     strip = int(network.strip_of[image])
-    if network.unadjusted[image]:
+    if network.held[image]:
         return 0.0
     sigmas = (network.priors[image].sigmas if strip < 0 else network.strips[strip].sigmas[0][None])[0, 3:5]
     known = sigmas[np.isfinite(sigmas)]

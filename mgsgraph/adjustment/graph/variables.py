@@ -50,7 +50,7 @@ def make_variables(network: Network) -> Variables:
     sigmas += [part for strip in network.strips for part in strip.sigmas]
     angular += [part for strip in network.strips for part in strip.angular]
     width = np.array([part.size for part in sigmas], dtype=np.int64)
-    adjusted = np.concatenate([~network.held, np.ones(len(sigmas) - len(network.images), dtype=bool)])
+    adjusted = np.concatenate([network.own, np.ones(len(sigmas) - len(network.images), dtype=bool)])
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     kept = [part for part, taken in zip(sigmas, adjusted, strict=True) if taken]
     angular = [part for part, taken in zip(angular, adjusted, strict=True) if taken]

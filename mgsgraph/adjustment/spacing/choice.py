@@ -1,10 +1,11 @@
 """Candidate spacings of orientation images, judged by how well each predicts rays that it has not seen.
 
 All candidates see the same rays and are asked for the same ones, so that they are judged by differences ray by ray:
-what a ray's own noise does to all of them alike drops out. Rays near in time share the error of the orientation there
-and are not independent; standard errors are those of sums over stretches of time. Of all spacings that are not worse
-than the best one by more than one standard error of the difference, the coarsest is chosen (the rule of one standard
-error, Breiman et al. 1984): it predicts as well, with fewer unknowns.
+what a ray's own noise does to all of them alike drops out. Blunders, where they are sought, are so once, with the
+closest nodes that the rays support: wider ones would take what they can't follow for blunders. Rays near in time share
+the error of the orientation there and are not independent; standard errors are those of sums over stretches of time. Of
+all spacings that are not worse than the best one by more than one standard error of the difference, the coarsest is
+chosen (the rule of one standard error, Breiman et al. 1984): it predicts as well, with fewer unknowns.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,8 +17,9 @@ import numpy as np
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.spacing.held_out import HeldOut, hold_out, misfits, whitening
+from mgsgraph.adjustment.spacing.held_out import HeldOut, hold_out, misfits, unmarked, whitening
 from mgsgraph.adjustment.spacing.respaced import require_respaceable, respaced
+from mgsgraph.adjustment.spacing.scatter import Scatter, ray_scatter
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network import Network
@@ -93,12 +95,26 @@ class Choice:
     """The coarsest that is not worse by more than one standard error."""
     blunders: int
     """Rays held out that no candidate can predict, and that count for none."""
+    unjudged: int
+    """Rays held out that count for none, as nothing else places their points well enough."""
+    closest: int
+    """Closest candidate that can be adjusted with all rays."""
+    closest_solution: Solution
+    """Of all rays, with its nodes: what it rejected took part with no candidate."""
+    scatter: Scatter
+    """Of the rays in it."""
 
     def __post_init__(self) -> None:
         for name in ("rms_errors", "worse", "worse_errors"):
             value = np.array(getattr(self, name), dtype=np.float64)
             value.flags.writeable = False
             assign(self, **{name: value})
+
+    @property
+    def rejected(self) -> int:
+        """Rays that took part with no candidate, as blunders."""
+        marks = self.closest_solution.rays_rejected
+        return 0 if marks is None else int(np.count_nonzero(marks))
 
     @property
     def spacing(self) -> float:
@@ -125,9 +141,10 @@ def choose_spacing(
     Parameters
     ----------
     network : Network
-        With strips; rays and ranges that it marks as rejected take no part.
+        With strips; rays and ranges that it marks as rejected take no part, or with a blunder limit are judged anew.
     settings : SolverSettings
-        A blunder limit is put aside: candidates must see the same rays.
+        A blunder limit holds in one adjustment of all rays, with the closest nodes; what that rejects takes part with
+        no candidate, so that all see the same rays.
     spacings : sequence of float
         s, candidates; two at least that differ in their nodes.
     share : float
@@ -137,7 +154,7 @@ def choose_spacing(
     least : int
         Rays that each node needs near it; candidates where one has fewer are refused, with the reason.
     progress : callable
-        Called with the number of candidates adjusted, and of all.
+        Called with the number of adjustments done, and of all: one with all rays, and one of each candidate.
 
     Raises
     ------
@@ -147,12 +164,42 @@ def choose_spacing(
     require_respaceable(network)
     held = hold_out(network, share, np.random.default_rng(seed))
     tried, plain = _distinct(network, spacings), replace(settings, reject=0.0)
+    progress(0, len(tried) + 1)
+    closest, whole = _closest(tried, settings, least)
+    clean = network
+    if settings.reject > 0.0:
+        clean = replace(
+            network,
+            rays=replace(network.rays, rejected=whole.rays_rejected),
+            ranges=replace(network.ranges, rejected=whole.ranges_rejected),
+        )
+        held = hold_out(clean, share, np.random.default_rng(seed))
     trials = list[_Trial]()
     for done, (spacing, one) in enumerate(tried):
-        progress(done, len(tried))
-        trials.append(_trial(spacing, one, plain, held, least))
-    progress(len(tried), len(tried))
-    return _judged(network, trials, held)
+        progress(done + 1, len(tried) + 1)
+        trials.append(_trial(spacing, replace(clean, strips=one.strips), plain, held, least))
+    progress(len(tried) + 1, len(tried) + 1)
+    judged = _judged(clean, trials, held)
+    candidates = tuple(_candidate(trial, squares) for trial, squares in zip(trials, judged.squares, strict=True))
+    return _choice(network, candidates, judged, closest, whole)
+
+
+def adjust_unmarked(network: Network, settings: SolverSettings, name: str) -> Solution:
+    """Adjust a network without what it marks as blunders; a blunder limit judges all anew."""
+    return adjust_network(network, settings, name, left_in=None if settings.reject > 0.0 else unmarked(network))
+
+
+def _closest(tried: Sequence[tuple[float, Network]], settings: SolverSettings, least: int) -> tuple[int, Solution]:
+    """The closest spacing that all rays support, and the adjustment with it."""
+    said = ""
+    for k, (spacing, one) in enumerate(tried):
+        name = f"nodes every {spacing:g} s"
+        try:
+            require_supported(one, least)
+            return k, adjust_unmarked(one, settings, name)
+        except (InputError, WeakNetwork, SolverError) as error:
+            said = f"0 of {len(tried)} that can be adjusted, two needed; of {spacing:g} s: {error}"
+    raise InputError("candidate spacings", said)
 
 
 class _Trial(NamedTuple):
@@ -190,7 +237,18 @@ def _trial(spacing: float, network: Network, settings: SolverSettings, held: Hel
     return _Trial(spacing, network, solution, misfits(solution, held), "")
 
 
-def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> Choice:
+class _Judged(NamedTuple):
+    """What rays held out say."""
+
+    squares: list[Array]
+    """Of each trial, (h,) half the squared norms of whitened misfits; empty where it was refused."""
+    stretch: Index
+    """(h,)"""
+    blunders: int
+    unjudged: int
+
+
+def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> _Judged:
     good = [k for k, trial in enumerate(trials) if trial.solution is not None]
     if len(good) < 2:
         last = [trial for trial in trials if trial.refused][-1]
@@ -207,12 +265,9 @@ def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> Choice
     robust = np.sqrt(2.0 * np.median(squares[:, judged], axis=1)) / _MEDIAN
     blunder = judged & np.all(np.sqrt(2.0 * squares) > _BLUNDER * robust[:, None], axis=0)
     kept = judged & ~blunder
-    squares, stretch = squares[:, kept], _stretches(trials, held)[kept]
-    none = np.zeros(0)
-    candidates = tuple(
-        _candidate(trial, squares[good.index(k)] if k in good else none) for k, trial in enumerate(trials)
-    )
-    return _choice(network, candidates, stretch, int(np.count_nonzero(blunder)))
+    by_trial = [squares[good.index(k), kept] if k in good else np.zeros(0) for k in range(len(trials))]
+    unjudged = int(np.count_nonzero(~judged))
+    return _Judged(by_trial, _stretches(trials, held)[kept], int(np.count_nonzero(blunder)), unjudged)
 
 
 def _candidate(trial: _Trial, squares: Array) -> Candidate:
@@ -236,17 +291,32 @@ def _stretches(trials: Sequence[_Trial], held: HeldOut) -> Index:
     return found
 
 
-def _choice(network: Network, candidates: tuple[Candidate, ...], stretch: Index, blunders: int) -> Choice:
+def _choice(
+    network: Network, candidates: tuple[Candidate, ...], judged: _Judged, closest: int, whole: Solution
+) -> Choice:
     good = [k for k, one in enumerate(candidates) if not one.refused]
     best = min(good, key=lambda k: candidates[k].rms)
     worse, errors, rms_errors = (np.full(len(candidates), np.nan) for _ in range(3))
     for k in good:
         one = candidates[k]
         difference = one.squares - candidates[best].squares
-        worse[k], errors[k] = float(difference.mean()), error_of_mean(difference, stretch)
-        rms_errors[k] = error_of_mean(one.squares, stretch) / (2.0 * one.rms)
-    chosen = max(k for k in good if worse[k] <= errors[k])
-    return Choice(network, candidates, stretch, rms_errors, worse, errors, best, chosen, blunders)
+        worse[k], errors[k] = float(difference.mean()), error_of_mean(difference, judged.stretch)
+        rms_errors[k] = error_of_mean(one.squares, judged.stretch) / (2.0 * one.rms)
+    return Choice(
+        network=network,
+        candidates=candidates,
+        stretch=judged.stretch,
+        rms_errors=rms_errors,
+        worse=worse,
+        worse_errors=errors,
+        best=best,
+        chosen=max(k for k in good if worse[k] <= errors[k]),
+        blunders=judged.blunders,
+        unjudged=judged.unjudged,
+        closest=closest,
+        closest_solution=whole,
+        scatter=ray_scatter(whole),
+    )
 
 
 def error_of_mean(values: Array, stretch: Index) -> float:

@@ -5,16 +5,20 @@ Of the estimate x of the nodes the posterior covariance is C = (L + P)^-1, L bei
 prior. Were there nothing to correct, x would still not be zero: the noise of the data puts C L C = C - C P C into it.
 And of a true correction t it shows C L t = (1 - C P) t: what the prior pulls towards zero is missing. Both are needed
 to tell jitter from noise; the posterior covariance alone also holds what the prior leaves open, and no noise.
+
+C follows from the stated sigmas, by which the adjustment weighed, right or wrong. What noise does put into x follows
+from how much rays do scatter (`scatter`): f times as much as stated puts f squared C L C into it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.frames import FLIGHT, camera_axes, flight_axes
+from mgsgraph.adjustment.analysis.flight_sigmas import strip_turns
+from mgsgraph.adjustment.analysis.frames import FLIGHT
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.spacing.scatter import ray_scatter
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import NodePrior, Strip
 from mgsgraph.network.strips import normalised
@@ -40,7 +44,7 @@ class Course:
     covariance: Array
     """(6 k, 6 k) of their errors, for sigma0 = 1: node after node."""
     noise: Array
-    """(6 k, 6 k) of what the noise of the data would put into them, were there nothing to correct."""
+    """(6 k, 6 k) of what the noise of the data, as it is, would put into them, were there nothing to correct."""
     response: Array
     """(6 k, 6 k) what is shown of true corrections there."""
     wander: Array | None
@@ -48,6 +52,8 @@ class Course:
     forget themselves; else None."""
     known: Array
     """(6,) m and rad, the prior's sigma of departures from the trend, axis by axis; infinite where it knows nothing."""
+    factor: float = 1.0
+    """Times their stated sigmas that rays scatter: what `noise` holds."""
 
     def __post_init__(self) -> None:
         k = np.size(self.times)
@@ -66,8 +72,17 @@ class Course:
         return matrix[axis::6, axis::6]
 
 
-def course(solution: Solution, strip: int) -> Course:
-    """The corrections of a strip at its nodes."""
+def course(solution: Solution, strip: int, factor: float | None = None) -> Course:
+    """The corrections of a strip at its nodes.
+
+    Parameters
+    ----------
+    solution : Solution
+    strip : int
+    factor : float, optional
+        Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
+    """
+    factor = ray_scatter(solution).factor if factor is None else factor
     one = solution.network.strips[strip]
     count = len(one.nodes)
     if count > _MOST:
@@ -80,7 +95,7 @@ def course(solution: Solution, strip: int) -> Course:
     noise = (joint - through @ joint)[own, own]
     response = np.eye(6 * count) - through[own, own]
     times, to_values = _at_times(one)
-    turns = _turns(solution, one, times)
+    turns = strip_turns(solution.network, strip, times + one.nodes.epoch, solution.settings.angles)
     turn = _block_diagonal(turns) @ np.kron(to_values, np.eye(6))
     # of a spline the coefficients at the outer nodes have no values; the rest stands for the whole
     back = np.linalg.pinv(turn)
@@ -91,10 +106,11 @@ def course(solution: Solution, strip: int) -> Course:
         times=times,
         values=(turn @ solution.nodes[strip].ravel()).reshape(-1, 6),
         covariance=_symmetric(turn @ joint[own, own] @ turn.T),
-        noise=_symmetric(turn @ noise @ turn.T),
+        noise=factor**2 * _symmetric(turn @ noise @ turn.T),
         response=turn @ response @ back,
         wander=None if wander is None else _symmetric(turn @ wander @ turn.T),
         known=_known(one, turns),
+        factor=factor,
     )
 
 
@@ -127,22 +143,6 @@ def _at_times(strip: Strip) -> tuple[Array, Array]:
     if nodes.basis == "lagrange":
         return nodes.times, np.eye(len(nodes))
     return nodes.times[1:-1], nodes.dense(nodes.times[1:-1], nodes.epoch)[0]
-
-
-def _turns(solution: Solution, strip: Strip, times: Array) -> Array:
-    """(t, 6, 6) from the components of a correction to the axes of the flight, at each time."""
-    trajectory = solution.network.images[strip.images[0]].trajectory
-    angles: Angles = solution.settings.angles
-    since = np.clip(times + (strip.nodes.epoch - trajectory.epoch), *trajectory.coverage)
-    pose = trajectory.pose(since)
-    zero = np.zeros(times.size)
-    axes = OrientationCorrection(np.zeros((1, 6)), angles).axes(pose, Moments(zero, 0.0, since, zero, trajectory.epoch))
-    found = np.zeros((times.size, 6, 6))
-    for k in range(times.size):
-        level = flight_axes(pose.position[k], pose.velocity[k])
-        found[k, :3, :3] = level
-        found[k, 3:, 3:] = camera_axes(pose.matrix[k] @ level[0]) @ axes[k]
-    return found
 
 
 def _block_diagonal(blocks: Array) -> Array:

@@ -5,7 +5,7 @@ residuals show a pattern in time that lines share, of samples (roll), of lines (
 across (yaw). Each interval between nodes is cut into four parts, and the weighted mean of each pattern in each part is
 held against its noise: their squares sum up to chi-square if there is no pattern. Residuals are smaller than the noise
 of the rays, as their points follow them: of a point with n rays they have 1 - 3 / (2 n) of its variance, on the
-average, and are divided by that.
+average, and are divided by that, and by how much more rays scatter than is stated for them (`scatter`).
 
 An interval asks for a node in its middle where its sum exceeds what noise explains at the stated level, corrected for
 the number of intervals, and where the pattern is large enough to matter. It gets the node if rays support it. Nodes of
@@ -26,6 +26,7 @@ from mgsgraph.adjustment.passes import Selection
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.spacing.respaced import require_respaceable, with_nodes
+from mgsgraph.adjustment.spacing.scatter import ray_scatter
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -50,7 +51,7 @@ class Misfit:
     freedom: Index
     """(k - 1,) its degrees of freedom: means that there are."""
     size: Array
-    """(k - 1,) rms of the pattern beyond its noise, in sigmas of a ray."""
+    """(k - 1,) rms of the pattern beyond its noise, in sigmas of a ray as it scatters."""
 
     def asking(self, level: float, worth: float, intervals: int) -> Mask:
         """(k - 1,) intervals whose pattern is none of noise, at a level for all `intervals` of a network together, and
@@ -74,6 +75,8 @@ class Round:
     """Nodes that each strip got."""
     refused: tuple[int, ...]
     """Intervals of each strip that asked for a node which the rays don't support."""
+    factor: float
+    """Times their stated sigmas that rays scatter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,10 +149,10 @@ def densify(
 def _closer(solution: Solution, level: float, worth: float, least: int) -> tuple[list[OrientationImages], Round]:
     """Nodes of each strip for the next adjustment, and the round that asked for them."""
     strips = solution.network.strips
-    total = sum(len(strip.nodes) - 1 for strip in strips)
+    total, factor = sum(len(strip.nodes) - 1 for strip in strips), ray_scatter(solution).factor
     nodes, asked, refused = list[OrientationImages](), list[int](), list[int]()
     for k, strip in enumerate(strips):
-        asking = pattern(solution, k).asking(level, worth, total)
+        asking = pattern(solution, k, factor).asking(level, worth, total)
         rays = telling(solution.network, k, solution.rays_used)
 
         def supported(other: OrientationImages, rays: StripRays = rays) -> Mask:
@@ -161,7 +164,7 @@ def _closer(solution: Solution, level: float, worth: float, least: int) -> tuple
         refused.append(denied)
     counts = tuple(len(strip.nodes) for strip in strips)
     granted = tuple(len(other) - count for other, count in zip(nodes, counts, strict=True))
-    return nodes, Round(counts, solution.sigma0, tuple(asked), granted, tuple(refused))
+    return nodes, Round(counts, solution.sigma0, tuple(asked), granted, tuple(refused), factor)
 
 
 def halved(
@@ -203,8 +206,17 @@ def _graded(times: Array, halve: Mask) -> Array:
     return times
 
 
-def pattern(solution: Solution, strip: int) -> Misfit:
-    """What the residuals of a strip's rays show between its nodes."""
+def pattern(solution: Solution, strip: int, factor: float | None = None) -> Misfit:
+    """What the residuals of a strip's rays show between its nodes.
+
+    Parameters
+    ----------
+    solution : Solution
+    strip : int
+    factor : float, optional
+        Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
+    """
+    factor = ray_scatter(solution).factor if factor is None else factor
     network, nodes = solution.network, solution.network.strips[strip].nodes
     mine = strip_rays(network, strip)
     mine = mine.only(solution.rays_used[mine.rays] & np.isfinite(solution.residuals[mine.rays]).all(axis=1))
@@ -212,9 +224,10 @@ def pattern(solution: Solution, strip: int) -> Misfit:
     angle = np.array([image.pixel_angle for image in images])[mine.line]
     width = np.array([float(image.samples) for image in images])[mine.line]
     counts = np.bincount(network.rays.point, solution.rays_used, len(network.points))[network.rays.point[mine.rays]]
-    sigmas = network.rays.sigmas[mine.rays] * angle[:, None]
+    scatter = factor * network.rays.sigmas[mine.rays]
+    sigmas = scatter * angle[:, None]
     redundancy = 1.0 - 1.5 / np.maximum(counts, 2)
-    residuals = solution.residuals[mine.rays] / network.rays.sigmas[mine.rays] / np.sqrt(redundancy)[:, None]
+    residuals = solution.residuals[mine.rays] / scatter / np.sqrt(redundancy)[:, None]
     across = 2.0 * network.rays.places[mine.rays, 1] / width - 1.0
     # whitened residuals of each pattern, and the whitened size that an angle of 1 rad has in them
     shapes = (

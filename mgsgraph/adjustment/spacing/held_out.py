@@ -6,7 +6,7 @@ they have. The covariance of the orientation stays out on purpose: it grows with
 would praise a candidate for not knowing. So a misfit of 1 is noise, and what is above comes from the orientation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,9 +44,14 @@ class HeldOut:
 
     def left_in(self, network: Network) -> Selection:
         """What takes part in an adjustment."""
-        rejected = network.ranges.rejected
-        ranges = np.ones(network.ranges.point.size, dtype=bool) if rejected is None else ~rejected
-        return Selection(self.taken(network), ranges, network.undetermined.copy())
+        return replace(unmarked(network), rays=self.taken(network))
+
+
+def unmarked(network: Network) -> Selection:
+    """All that is not marked as blunders."""
+    marks = network.ranges.rejected
+    ranges = np.ones(network.ranges.point.size, dtype=bool) if marks is None else ~marks
+    return Selection(_good(network), ranges, network.undetermined.copy())
 
 
 def _good(network: Network) -> Mask:
@@ -116,12 +121,12 @@ def whitening(network: Network, held: HeldOut, places: Array) -> Array:
     chosen = np.full(len(network.points), -1)
     chosen[points] = np.arange(points.size)
     taken = np.flatnonzero(held.taken(network) & (chosen[network.rays.point] >= 0))
-    owner, known = chosen[network.rays.point[taken]], _known(network, points, places)
-    slopes = _slopes(network, taken, places) / network.rays.sigmas[taken][:, :, None]
+    owner, known = chosen[network.rays.point[taken]], known_besides_rays(network, points, places)
+    slopes = ray_slopes(network, taken, places) / network.rays.sigmas[taken][:, :, None]
     seen = np.isfinite(slopes).all(axis=(1, 2))
     np.add.at(known, owner[seen], np.swapaxes(slopes[seen], 1, 2) @ slopes[seen])
-    own = _slopes(network, held.rays, places)
-    spread = own @ _inverse(known) @ np.swapaxes(own, 1, 2)
+    own = ray_slopes(network, held.rays, places)
+    spread = own @ point_covariances(known) @ np.swapaxes(own, 1, 2)
     spread[network.points.kinds[points] == PointKind.FIXED] = 0.0
     spread[:, [0, 1], [0, 1]] += network.rays.sigmas[held.rays] ** 2
     found = np.full_like(spread, np.nan)
@@ -130,7 +135,7 @@ def whitening(network: Network, held: HeldOut, places: Array) -> Array:
     return found
 
 
-def _known(network: Network, points: Index, places: Array) -> Array:
+def known_besides_rays(network: Network, points: Index, places: Array) -> Array:
     """(h, 3, 3) per m^2, what is known of points without their rays: a-priori place, and height above the terrain."""
     known = np.zeros((points.size, 3, 3))
     constrained = network.points.kinds[points] == PointKind.CONSTRAINED
@@ -138,11 +143,12 @@ def _known(network: Network, points: Index, places: Array) -> Array:
     if network.surface is not None:
         above, normal = network.surface.grid.height_above(places[points])
         weight = np.where(np.isfinite(above), network.surface.sigmas[points] ** -2.0, 0.0)
+        normal = np.where(np.isfinite(above)[:, None], normal, 0.0)  # NaN off the model, even of no weight
         known += weight[:, None, None] * normal[:, :, None] * normal[:, None, :]
     return known
 
 
-def _slopes(network: Network, rays: Index, places: Array) -> Array:
+def ray_slopes(network: Network, rays: Index, places: Array) -> Array:
     """(m, 2, 3) px per m, how the line and sample of rays follow their points, nominally."""
     found = np.full((rays.size, 2, 3), np.nan)
     points, images = network.rays.point[rays], network.rays.image[rays]
@@ -153,7 +159,7 @@ def _slopes(network: Network, rays: Index, places: Array) -> Array:
     return found
 
 
-def _inverse(matrices: Array) -> Array:
+def point_covariances(matrices: Array) -> Array:
     """Inverses of (h, 3, 3); NaN where one is singular, as of a point that nothing places."""
     found = np.full_like(matrices, np.nan)
     scale = np.trace(matrices, axis1=1, axis2=2) / 3.0

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.passes import Selection
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.adjustment.spacing.choice import Choice, choose_spacing
+from mgsgraph.adjustment.spacing.choice import Choice, adjust_unmarked, choose_spacing
 from mgsgraph.adjustment.spacing.course import Course, course
 from mgsgraph.adjustment.spacing.densify import Densified, densify
 from mgsgraph.adjustment.spacing.respaced import respaced
@@ -23,7 +23,7 @@ class StripSpectra:
     """What vibrates in one strip."""
 
     course: Course
-    """Its corrections, at the closest nodes of which candidates were adjusted."""
+    """Its corrections, at the closest nodes that all rays support."""
     spectra: tuple[Spectrum, ...]
     """Of the six axes."""
 
@@ -64,7 +64,8 @@ def study_nodes(
     network : Network
         With strips.
     settings : SolverSettings
-        The blunder limit holds in the adjustments of all rays.
+        The blunder limit holds in the adjustments of all rays with the closest nodes and with those chosen; closer ones
+        are looked for among the rays that the former leaves.
     name : str
         Of the case.
     spacings : sequence of float
@@ -76,19 +77,29 @@ def study_nodes(
     progress : callable
         Called with the number of steps done, and of all.
     """
-    steps = len(set(spacings)) + 2 + closer
+    steps = len(set(spacings)) + 2 + closer  # all rays with the closest nodes, and with those chosen
     choice = choose_spacing(network, settings, spacings, share, seed, least, lambda done, _: progress(done, steps))
     good = [one.spacing for one in choice.candidates if not one.refused]
-    progress(steps - 2 - closer, steps)
-    solution = adjust_network(choice.chosen_network, settings, name)
+    closest = replace(choice.closest_solution, name=name)
     progress(steps - 1 - closer, steps)
-    finest = solution if good[0] == choice.spacing else adjust_network(respaced(network, good[0]), settings, name)
-    strips = range(len(network.strips))
-    fine = [course(finest, k) for k in strips]
+    own = choice.chosen == choice.closest
+    solution = closest if own else adjust_unmarked(choice.chosen_network, settings, name)
+    strips, factor = range(len(network.strips)), choice.scatter.factor
+    fine = [course(closest, k, factor) for k in strips]
     found = tuple(StripSpectra(one, tuple(spectra(one))) for one in fine if one.times.size >= _FEWEST)
+    courses = tuple(fine) if own else tuple(course(solution, k, factor) for k in strips)
     progress(steps - closer, steps)
-    densified = densify(respaced(network, good[-1]), settings, least=least) if closer else None
-    if densified is not None:
-        densified = replace(densified, solution=replace(densified.solution, name=name))
-        progress(steps, steps)
-    return NodeStudy(name, choice, solution, tuple(course(solution, k) for k in strips), found, densified)
+    densified = _densified(respaced(network, good[-1]), closest, least) if closer else None
+    progress(steps, steps)
+    return NodeStudy(name, choice, solution, courses, found, densified)
+
+
+def _densified(network: Network, closest: Solution, least: int) -> Densified:
+    """Nodes where residuals ask for them, of the rays that the closest nodes left: jitter that wide ones can't follow
+    is no blunder.
+    """
+    assert closest.rays_rejected is not None
+    assert closest.ranges_rejected is not None
+    left_in = Selection(~closest.rays_rejected, ~closest.ranges_rejected, network.undetermined.copy())
+    found = densify(network, replace(closest.settings, reject=0.0), least=least, left_in=left_in)
+    return replace(found, solution=replace(found.solution, name=closest.name))

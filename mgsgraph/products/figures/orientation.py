@@ -109,7 +109,7 @@ def drawn_image(solution: Solution, image: int) -> Drawn:
     profile = orientation_profile(solution, image, _PLACES)
     return Drawn(
         solution.network.images[image].name, profile.lines, components(profile), coupling(solution, image),
-        bool(solution.network.unadjusted[image]),
+        bool(solution.network.held[image]),
     )  # fmt: skip
 
 

@@ -59,8 +59,9 @@ def spacing_sheet(choice: Choice, name: str) -> Sheet:
     refused = [f"{one.spacing:g} s" for one in choice.candidates if one.refused]
     caption = (
         f"{chosen.squares.size} rays held out, predicted with nodes at each spacing: misfit in sigmas that it has when "
-        f"orientation is known, so that 1 is noise. Best: {best.spacing:g} s (rms {number(best.rms, 4)}). Chosen: "
-        f"{chosen.spacing:g} s (rms {number(chosen.rms, 4)}), the coarsest not worse by more than one standard error; "
+        f"orientation is known; noise alone, as rays scatter, is {number(choice.scatter.factor, 3)}. Best: "
+        f"{best.spacing:g} s (rms {number(best.rms, 4)}). Chosen: {chosen.spacing:g} s (rms {number(chosen.rms, 4)}), "
+        "the coarsest not worse by more than one standard error; "
         "bars are standard errors, on the right of differences ray by ray"
         + (f"; refused, as rays don't support them: {', '.join(refused)}." if refused else ".")
     )
@@ -71,7 +72,7 @@ def spacing_sheet(choice: Choice, name: str) -> Sheet:
     spread = np.array([choice.candidates[k].median_error for k in good])
     left.errorbar(spacings, rms, choice.rms_errors[good], color=AFTER, marker="o", ms=4.0, capsize=2.5)
     left.errorbar(spacings * 1.04, median, spread, color=BEFORE, marker="s", ms=3.5, capsize=2.5, ls="--", lw=1.0)
-    left.axhline(1.0, color=SOFT, lw=0.9)
+    left.axhline(choice.scatter.factor, color=SOFT, lw=0.9)
     words(left, "spacing (s)", "misfit held out (sigma)")
     shown = np.maximum(choice.worse[good], 0.0)
     right.errorbar(spacings, shown, choice.worse_errors[good], color=AFTER, marker="o", ms=4.0, capsize=2.5)
