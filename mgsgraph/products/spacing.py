@@ -89,8 +89,9 @@ def node_statements(study: NodeStudy) -> list[str]:
     quiet = [one.course.strip for one in study.strips if not any(spectrum.vibrations for spectrum in one.spectra)]
     if quiet:
         found.append(
-            f"No vibration stands out in {some(quiet, len(quiet))}: neither above what noise shows "
-            f"({100.0 * FALSE_ALARMS:g} % false alarms per axis), nor above what the prior expects."
+            f"No vibration stands out in {some(quiet, len(quiet))}: what is above noise there "
+            f"({100.0 * FALSE_ALARMS:g} % false alarms per axis) is no more than the prior expects of that axis, or of "
+            "another one that explains it better."
         )
     if study.densified is not None:
         found += _closer(study.densified)

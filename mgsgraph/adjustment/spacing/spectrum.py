@@ -118,9 +118,7 @@ def spectra(course: Course, false_alarms: float = FALSE_ALARMS) -> list[Spectrum
         return float(peak.test - (peak.amplitude / known[axis]) ** 2)
 
     def owner(peak: Peak, axis: str) -> str:
-        # what the prior explains is no vibration, and so owns none
-        rivals = [(other, of) for other, of in every if other.beyond_prior or not peak.beyond_prior]
-        same = [(standing(other, of), of) for other, of in rivals if abs(other.frequency - peak.frequency) < resolution]
+        same = [(standing(other, of), of) for other, of in every if abs(other.frequency - peak.frequency) < resolution]
         if (best := max(same)[1]) != axis:
             return best
         strong = [(standing(other, of), of) for other, of in every if other.beyond_prior and leaks(other, peak)]
