@@ -331,10 +331,22 @@ def _name_outlines(panel: Axes, connected: Connectivity, outlines: list[Array], 
     few = len(names) <= _FEW
     tries = np.array([_at_ends(o, k) if few else _beside(o, half[0], k)
                       for k, (o, half) in enumerate(zip(inches, _half(names), strict=True))])  # fmt: skip
+    if not few:
+        _keep_off_others(tries, inches)
     marks = np.empty((0, 2)) if few else np.concatenate(inches)
     labels = roomy(names, tries, marks, (float(size[0]), float(size[1])))
     for j, place in zip(labels.which.tolist(), labels.places, strict=True):
         _write(panel, low + place * per_inch, names[j], 6.5)
+
+
+def _keep_off_others(tries: Array, outlines: list[Array]) -> None:
+    """Strike out places (m, c, 2) beside an outline that lie on another one's ground: a name there would be its."""
+    for k, outline in enumerate(outlines):
+        if outline.size:
+            low, high = outline.min(axis=0), outline.max(axis=0)
+            on_it = np.all((tries > low) & (tries < high), axis=2)
+            on_it[k] = False
+            tries[on_it] = np.nan
 
 
 def _at_ends(outline: Array, turn: int) -> Array:
