@@ -224,7 +224,7 @@ def test_no_name_stands_on_another_images_ground() -> None:
     """Two strips side by side: beside the left one on the right is the other one's ground; between far ones is none."""
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 5.0], [0.0, 5.0]])
     for gap, left in ((0.2, False), (9.0, True)):
-        outlines = [square, square + [1.0 + gap, 0.0]]
+        outlines = [square, square + np.array([1.0 + gap, 0.0])]
         tries = np.array([[[1.5, 2.5], [-0.5, 2.5]], [[2.5 + gap, 2.5], [0.5 + gap, 2.5]]])
         _keep_off_others(tries, outlines)
         assert np.all(np.isfinite(tries[0, 0])) == left
