@@ -8,18 +8,25 @@ import tempfile
 from pathlib import Path
 
 
-def _find_a_place_for_compiled_kernels() -> None:
-    """Let numba cache in the temporary folder where neither the package nor the user's cache can be written."""
-    if "NUMBA_CACHE_DIR" in os.environ or os.access(Path(__file__).parent, os.W_OK):
+def _find_a_place_for_compiled_kernels(package: Path) -> None:
+    """Let numba cache beside a checkout's sources, else in the user's cache, else in the temporary folder.
+
+    Not in site-packages: there its files would outlive the package, and a folder `mgsgraph` without a package in it
+    hides an editable installation's.
+    """
+    if "NUMBA_CACHE_DIR" in os.environ:
         return
+    if "site-packages" not in package.parts and os.access(package, os.W_OK):
+        return
+    place = Path(tempfile.gettempdir()) / f"mgsgraph-kernels-{os.getuid()}"
     try:
         caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         caches.mkdir(parents=True, exist_ok=True)
-        usable = os.access(caches, os.W_OK)
+        if os.access(caches, os.W_OK):
+            place = caches / "mgsgraph"
     except (OSError, RuntimeError):
-        usable = False
-    if not usable:
-        os.environ["NUMBA_CACHE_DIR"] = str(Path(tempfile.gettempdir()) / f"mgsgraph-kernels-{os.getuid()}")
+        pass
+    os.environ["NUMBA_CACHE_DIR"] = str(place)
 
 
-_find_a_place_for_compiled_kernels()
+_find_a_place_for_compiled_kernels(Path(__file__).parent)
