@@ -83,15 +83,20 @@ def _weight_unit(solution: Solution) -> str:
     if abs(sigma0 - 1.0) <= _limit(1) / math.sqrt(2.0 * freedom):
         return f"{head}: the observations fit as well as their stated sigmas say, and the quoted sigmas hold."
     if sigma0 < 1.0:
-        better = f"{1.0 / sigma0:.3g} times better than" if sigma0 > 0.0 else "without any error, against"
+        better = f"{_times(1.0 / sigma0)} times better than" if sigma0 > 0.0 else "without any error, against"
         return (
             f"{head}: the observations fit {better} their stated sigmas. All sigmas are quoted for sigma0 = 1 and "
             f"are cautious; multiply them by {sigma0:.3g} if you trust the fit."
         )
     return (
-        f"{head}: the observations fit {sigma0:.3g} times worse than their stated sigmas. All sigmas are quoted for "
-        "sigma0 = 1 and are too small by that factor, unless blunders are to blame: look at the largest residuals."
+        f"{head}: the observations fit {_times(sigma0)} times worse than their stated sigmas. All sigmas are quoted "
+        "for sigma0 = 1 and are too small by that factor, unless blunders are to blame: look at the largest residuals."
     )
+
+
+def _times(factor: float) -> str:
+    """A factor over one in two digits, near one in three: "1 times better" says nothing."""
+    return f"{factor:.2g}" if factor >= 2.0 else f"{factor:.3g}"
 
 
 def _fits(solution: Solution, rays: RayStatistics) -> list[str]:
