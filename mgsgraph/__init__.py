@@ -20,13 +20,20 @@ if TYPE_CHECKING:
     from mgsgraph.case import Case as Case
     from mgsgraph.case import adjust as adjust
     from mgsgraph.case import read_case as read_case
+    from mgsgraph.case.scene import read_scene as read_scene
     from mgsgraph.errors import InputError as InputError
     from mgsgraph.errors import MgsgraphError as MgsgraphError
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
+    from mgsgraph.matching.settings import MatchSettings as MatchSettings
     from mgsgraph.network import Network as Network
     from mgsgraph.network.parts import KnownImage as KnownImage
     from mgsgraph.products.archive import read_solution as read_solution
+    from mgsgraph.products.exchange import convert as convert
+    from mgsgraph.products.exchange_setting import ExchangeSetting as ExchangeSetting
+    from mgsgraph.products.export.export import export_solution as export_solution
+    from mgsgraph.products.matching import match_into as match_into
+    from mgsgraph.products.report import write_report as write_report
     from mgsgraph.products.results import write_results as write_results
     from mgsgraph.ties import TiePoints as TiePoints
 
@@ -35,11 +42,16 @@ _HOME = {
     "adjust_network": "mgsgraph.adjustment.adjust",
     "Adjustment": "mgsgraph.adjustment.adjust",
     "Case": "mgsgraph.case",
+    "convert": "mgsgraph.products.exchange",
+    "export_solution": "mgsgraph.products.export.export",
+    "ExchangeSetting": "mgsgraph.products.exchange_setting",
     "Impact": "mgsgraph.adjustment.incremental.impact",
     "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
     "InputError": "mgsgraph.errors",
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
+    "match_into": "mgsgraph.products.matching",
+    "MatchSettings": "mgsgraph.matching.settings",
     "MgsgraphError": "mgsgraph.errors",
     "Network": "mgsgraph.network",
     "orientation_profile": "mgsgraph.adjustment.solution",
@@ -47,10 +59,12 @@ _HOME = {
     "Pixel": "mgsgraph.adjustment.analysis.posterior",
     "Posterior": "mgsgraph.adjustment.analysis.posterior",
     "read_case": "mgsgraph.case",
+    "read_scene": "mgsgraph.case.scene",
     "read_solution": "mgsgraph.products.archive",
     "Solution": "mgsgraph.adjustment.solution",
     "SolverSettings": "mgsgraph.adjustment.settings",
     "TiePoints": "mgsgraph.ties",
+    "write_report": "mgsgraph.products.report",
     "write_results": "mgsgraph.products.results",
 }
 __all__ = sorted(_HOME)

@@ -29,7 +29,7 @@ class InputError(MgsgraphError, ValueError):
 
     def within(self, place: str) -> "InputError":
         """The same error with the file (or record) that its finding comes from put before it."""
-        self.args = (f"{place}: {self}",)
+        self.args = (f"{place}: {self}".replace("\n", " "),)
         self.where = f"{place}: {self.where}"
         return self
 

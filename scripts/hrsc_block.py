@@ -25,6 +25,7 @@ from benchmark_command import OneLine, at_least, show, status
 from benchmark_run import require_writable, write_text
 from benchmark_strips import positive
 from benchmark_table import machine, number, table
+from nees import Z99
 
 from mgsgraph.adjustment.adjust import versions
 from mgsgraph.adjustment.marginals import JointCovariance
@@ -43,8 +44,6 @@ OUT = Path(__file__).resolve().parents[1] / "docs"
 PAGE, PICTURE = "hrsc_block.md", "hrsc_block.png"
 ATTITUDE = np.array([4, 3, 5])
 """Components of a node about the camera's y, x and z: roll, pitch and yaw."""
-Z99 = 2.5758293035489004
-"""Quantile of the normal distribution, 99 % two-sided."""
 WORDS = """# Simulated HRSC blocks, as the paper has them
 
 Made by `scripts/hrsc_block.py`: {seeds} seeds of {strips} strips, {length:g} km each, from {low:g} to {high:g} km above
@@ -118,7 +117,7 @@ def _stated(network: Network, joint: JointCovariance | None) -> Array:
     assert joint is not None  # strips with known sigmas
     variables = np.concatenate([
         np.arange(first, first + len(strip.nodes))
-        for strip, first in zip(network.strips, network.first_of_strips.tolist(), strict=False)
+        for strip, first in network.numbered_strips
     ])  # fmt: skip
     columns = joint.square_root.first[variables][:, None] + ATTITUDE
     return np.asarray(np.sqrt(np.mean(joint.sigmas[columns] ** 2, axis=0)))
@@ -127,7 +126,7 @@ def _stated(network: Network, joint: JointCovariance | None) -> Array:
 def _of_nodes(block: SimulatedBlock, solution: Solution) -> list[float]:
     """Normalised squares of the errors of each strip's nodes."""
     found = []
-    for k, (strip, first) in enumerate(zip(block.network.strips, block.network.first_of_strips.tolist(), strict=False)):
+    for k, (strip, first) in enumerate(block.network.numbered_strips):
         error = (solution.nodes[k] - block.true_nodes(k)).ravel()
         # the block without terrain has fewer variables before the strips
         first += int(solution.network.first_of_strips[0] - block.network.first_of_strips[0])

@@ -15,6 +15,9 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
         ("analysis.md", "PoseEstimate("),
         ("strips.md", "HRSC/01: "),
         ("two_steps.md", "reduced by a factor"),
+        ("review.md", "5 of 20 tie points"),
+        ("jigsaw.md", "network_without_laser.net"),
+        ("exchange.md", "PointId of 1 point (they are counted anew)"),
     ],
 )
 def test_python_examples_run(page: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array
 
@@ -186,7 +187,7 @@ def _damped_step(
     try:
         return damped.optimize(ordering)
     except RuntimeError as error:
-        if "Indeterminate" in str(error):
+        if is_indeterminate(error):
             return _dense_step(damped, ordering, scales)
         raise
 

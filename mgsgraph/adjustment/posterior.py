@@ -13,7 +13,7 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, point_key, variable_key
 from mgsgraph.adjustment.graph.shared import footprint_shifts, shared_values
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
-from mgsgraph.adjustment.square_root import SquareRoot
+from mgsgraph.adjustment.square_root import in_cliques, is_indeterminate
 from mgsgraph.factors.bundle import Reduction
 from mgsgraph.factors.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
 from mgsgraph.geometry.body import east_north
@@ -117,9 +117,9 @@ def _weighted(squares: Array, model: Model) -> float:
 def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCovariance:
     """Joint covariance of all orientation coefficients, m and rad, by GTSAM's elimination of a reduced system."""
     try:
-        return _marginals(graph.layout, graph.linear(reduction))
+        return shared_marginals(graph.layout, graph.linear(reduction))
     except RuntimeError as error:
-        if "Indeterminate" not in str(error):
+        if not is_indeterminate(error):
             raise
         normal = scaled_normal(graph.layout, reduction)
         if np.any(np.isinf(graph.layout.sigmas)):
@@ -140,14 +140,10 @@ def _in_one_clique(layout: Layout, normal: Array) -> JointCovariance:
     """
     rows = np.linalg.cholesky(normal).T / layout.scales
     variables = layout.variables
-    adjusted = np.array(variables.adjusted(), dtype=np.int64)
-    one = np.array([adjusted.size])
-    return joint_covariance(
-        SquareRoot(variables.first.copy(), variables.width.copy(), adjusted, one, one.copy(), rows.ravel())
-    )
+    return joint_covariance(in_cliques(variables.first, variables.width, [variables.adjusted()], [rows]))
 
 
-def _marginals(layout: Layout, linear: gtsam.GaussianFactorGraph) -> JointCovariance:
+def shared_marginals(layout: Layout, linear: gtsam.GaussianFactorGraph) -> JointCovariance:
     """Joint covariance of a linear system of the shared unknowns."""
     first, width = layout.variables.first.tolist(), layout.variables.width.tolist()
     return marginals(linear, [variable_key(layout, v) if start >= 0 else None for v, start in enumerate(first)], width)
@@ -180,4 +176,4 @@ def explicit_covariances(
             covariances[i] = found.marginalCovariance(point_key(i))
             first_points.push_back(point_key(i))
     _, reduced = linear.eliminatePartialMultifrontal(first_points)
-    return _marginals(layout, reduced), covariances
+    return shared_marginals(layout, reduced), covariances

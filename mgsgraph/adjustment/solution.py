@@ -10,6 +10,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -219,7 +220,7 @@ class OrientationProfile:
     @property
     def angle_differences(self) -> Array:
         """(n, 3) rad, omega, phi, kappa after minus before, in -pi .. pi."""
-        return (self.angles_after - self.angles_before + np.pi) % (2.0 * np.pi) - np.pi
+        return in_turn(self.angles_after - self.angles_before)
 
 
 def orientation_profile(solution: Solution, image: int, places: int = 31) -> OrientationProfile:

@@ -261,6 +261,29 @@ def eliminate(linear: gtsam.GaussianFactorGraph, keys: Sequence[int | None], wid
     )
 
 
+def is_indeterminate(error: RuntimeError) -> bool:
+    """Whether GTSAM, or `eliminate`, calls a system indeterminate: not positive definite, or so it seems to it."""
+    return "Indeterminate" in str(error)
+
+
+def in_cliques(first: Index, width: Index, cliques: Sequence[Sequence[int]], rows: Sequence[Array]) -> SquareRoot:
+    """Square root of information that joins no variable of one clique with one of another.
+
+    Parameters
+    ----------
+    first, width : (v,)
+        As `SquareRoot` has them.
+    cliques : sequence of sequence of int
+        Variables of each, all frontal.
+    rows : sequence of (c, c) arrays
+        Triangular rows of each.
+    """
+    sizes = np.array([len(members) for members in cliques], dtype=np.int64)
+    members = np.array([v for clique in cliques for v in clique], dtype=np.int64)
+    flat = np.concatenate([np.zeros(0), *(part.ravel() for part in rows)])
+    return SquareRoot(first.copy(), width.copy(), members, sizes, sizes.copy(), flat)
+
+
 def _require_factors(linear: gtsam.GaussianFactorGraph, variable: Mapping[int, int]) -> None:
     """Raise unless there are factors on all of these keys, and on no others."""
     found = set(linear.keyVector())

@@ -136,7 +136,7 @@ def without_heights(network: Network, off: Mask) -> Network:
 
 
 def selection_of(network: Network, free: Solution) -> Selection:
-    """Rays and ranges that step 1 has left in."""
+    """Rays and ranges that an adjustment without blunders (step 1) has left in."""
     whole = everything(network)
     rays = whole.rays if free.rays_rejected is None else ~free.rays_rejected
     ranges = whole.ranges if free.ranges_rejected is None else ~free.ranges_rejected

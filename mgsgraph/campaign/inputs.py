@@ -35,7 +35,7 @@ def _named(wanted: CaseInput) -> Iterator[str]:
     """Every path in a case file but those of kernels."""
     for image in wanted.images:
         times = None if image.line_times == "mean" else image.line_times
-        yield from (name for name in (image.isd, image.label, times) if name is not None)
+        yield from (name for name in (image.isd, image.label, image.cube, image.pixels, times) if name is not None)
     yield from (group.network for group in wanted.tie_groups)
     if wanted.ground_control is not None:
         yield wanted.ground_control.file

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
@@ -17,7 +18,7 @@ from mgsgraph.case.assembly import Parts
 from mgsgraph.case.groups import merged, with_sigmas
 from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
-from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, decode
+from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, TerrainInput, TiesInput, decode
 from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import read_terrain_model
 from mgsgraph.errors import InputError
@@ -26,8 +27,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.io.control_net import read_control_network
-from mgsgraph.io.gcp import read_ground_control
+from mgsgraph.io.asp.gcp import read_ground_control
+from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass
@@ -59,7 +60,7 @@ class Case:
         return f"Case({self.name!r}: {self.network!r})"
 
 
-def read_case(path: str | Path, laser: bool = True) -> Case:
+def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) -> Case:
     """Read a case file and everything that it names.
 
     Parameters
@@ -68,6 +69,8 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
         TOML file.
     laser : bool
         False leaves the laser rows out whatever the file says.
+    ties : Path, optional
+        Control network to use in place of those that the file names.
 
     Raises
     ------
@@ -76,20 +79,17 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
     """
     path = Path(path)
     wanted = decode(path)
+    if ties is not None:
+        wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
     folder = path.parent
-    orientations = [image.orientation or wanted.orientation for image in wanted.images]
+    orientations = wanted.orientations
     of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
     images, fits = read_images(wanted, orientations, of_strips, path)
-    priors = tuple(
-        orientation.prior(
-            f"{path}, images[{j}].orientation" if wanted.images[j].orientation else f"{path}, orientation"
-        )
-        for j, orientation in enumerate(orientations)
-    )
+    priors = wanted.priors(str(path))
     parts = Parts(images)
-    ties = _read_ties(wanted, parts, folder)
-    if ties:
-        parts.add_points(ties, PointClass.TIE, 1.0)
+    tie_points = _read_ties(wanted, parts, folder)
+    if tie_points:
+        parts.add_points(tie_points, PointClass.TIE, 1.0)
     if wanted.ground_control:
         control = read_ground_control(folder / wanted.ground_control.file, images[0].body)
         parts.add_points(control, PointClass.CONTROL, 1.0)
@@ -102,8 +102,8 @@ def read_case(path: str | Path, laser: bool = True) -> Case:
     network = _with_strips(network, wanted, of_strips, path)
     network = _with_shared(network, wanted, path, laser)
     _require_seeing_images(network)
-    pictures = tuple(_picture(image, folder) for image in wanted.images)
-    return Case(wanted.name, path, network, settings, ties, profiles, pictures, fits)
+    pictures = tuple(picture_of(image, folder) for image in wanted.images)
+    return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits)
 
 
 def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]], path: Path) -> Network:
@@ -156,8 +156,14 @@ def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -
     return adjust_network(case.network, case.settings, case.name, progress)
 
 
-def _picture(entry: ImageInput, folder: Path) -> Path | None:
-    """Where an image's pixels are, of those cameras whose pixels can be read."""
+def picture_of(entry: ImageInput, folder: Path) -> Path | None:
+    """Where an image's pixels are: stated, or with the label of those cameras whose pixels can be read."""
+    if entry.pixels is not None:
+        return folder / entry.pixels
+    if entry.cube is not None:
+        from mgsgraph.io.isis_cube import is_map_projected
+
+        return None if is_map_projected(folder / entry.cube) else folder / entry.cube
     if entry.label is None or not instrument_of(folder / entry.label).startswith("MOC"):
         return None
     return folder / entry.label
@@ -170,7 +176,7 @@ def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> TiePoints | Non
     }
     groups = []
     for entry in wanted.tie_groups:
-        group = with_sigmas(read_control_network(folder / entry.network), entry.sigma_px, of_images)
+        group = with_sigmas(read_tie_points(folder / entry.network, parts.images[0].body), entry.sigma_px, of_images)
         parts.require_measures(group)
         groups.append(group)
     return merged(groups) if groups else None
@@ -182,10 +188,11 @@ def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterSh
         raise InputError(f"{path}, laser", "true", "false, or a table (or several) with the shots' file")
     for group in wanted.laser_groups:
         parts.add_profile(read_lidar(path.parent / group.file), group)
-    return tuple(parts.add_mola(_read_shots(entry, path.parent), entry) for entry in wanted.mola)
+    return tuple(parts.add_mola(read_mola(entry, path.parent), entry) for entry in wanted.mola)
 
 
-def _read_shots(entry: MolaInput, folder: Path) -> AltimeterShots:
+def read_mola(entry: MolaInput, folder: Path) -> AltimeterShots:
+    """Shots of a profile as a case states it."""
     leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
     return read_shots(folder / entry.pedr, entry.clock_bias_s, entry.version, leap_seconds)
 
@@ -209,7 +216,11 @@ def _read_terrain(
     entry = wanted.terrain
     if entry is None:
         return None, None
+    radii, areoid = read_terrain_model(entry, path, images, terrain_shots(entry, path))
+    return radii if entry.control else None, areoid
+
+
+def terrain_shots(entry: TerrainInput, path: Path) -> Callable[[Path], AltimeterShots]:
+    """How the tracks of a case's terrain model are read."""
     leap_seconds = path.parent / entry.leap_seconds if entry.leap_seconds else None
-    return read_terrain_model(
-        entry, path, images, lambda file: read_shots(file, version=entry.version, leap_seconds=leap_seconds)
-    )
+    return lambda file: read_shots(file, version=entry.version, leap_seconds=leap_seconds)

@@ -26,7 +26,7 @@ class Parts:
     """Points, rays and ranges as they are gathered from several files; becomes one network."""
 
     def __init__(self, images: tuple[PushbroomImage, ...]) -> None:
-        self._images = images
+        self.images = images
         self._index = {image.name: j for j, image in enumerate(images)}
         self.ids: list[str] = []
         self._sources: dict[str, str] = {}
@@ -71,13 +71,13 @@ class Parts:
         """Shots of a MOLA profile that fall in an image: constrained points, with a range from the simultaneous image
         and, if asked for, back-projected image coordinates. Returns the shots taken.
         """
-        seen = footprints_in_images(self._images, shots)
+        seen = footprints_in_images(self.images, shots)
         usable = shots.ground & np.isfinite(shots.ranges)
         owners = (
             [wanted.image]
             if wanted.image
             else [
-                image.name for image, mine in zip(self._images, seen.simultaneous, strict=True) if np.any(mine & usable)
+                image.name for image, mine in zip(self.images, seen.simultaneous, strict=True) if np.any(mine & usable)
             ]
         )
         if len(owners) > 1:
@@ -93,7 +93,7 @@ class Parts:
         else:
             usable &= seen.inside[owner] & seen.simultaneous[owner]
         if not np.any(usable):
-            where = f"image {self._images[owner].name}" if owner is not None else "any image"
+            where = f"image {self.images[owner].name}" if owner is not None else "any image"
             raise InputError(
                 shots.source,
                 f"{shots.times.size} shots, none of which fall in {where}",
@@ -141,12 +141,12 @@ class Parts:
         shifts = self._profile_shifts() if self._shifts else None
         ground = np.zeros((0, 3))
         if terrain:
-            ground = terrain_ground(self._images, rays, terrain)
+            ground = terrain_ground(self.images, rays, terrain)
         elif areoid:
-            ground = nominal_ground(self._images, rays)
+            ground = nominal_ground(self.images, rays)
         surface = self._surface(points, rays, terrain, ground, wanted or TerrainInput()) if terrain else None
         areoid = areoid.around(ground) if areoid else None
-        return Network(self._images, priors, held, points, rays, ranges, shifts, surface, areoid)
+        return Network(self.images, priors, held, points, rays, ranges, shifts, surface, areoid)
 
     def _profile_shifts(self) -> ProfileShifts:
         names, sigmas, members = zip(*self._shifts, strict=True)
@@ -174,7 +174,7 @@ class Parts:
             )  # fmt: skip
         terrain = terrain.around(ground)
         radius = terrain.at(places)
-        body = self._images[0].body
+        body = self.images[0].body
         if np.any(np.abs(radius[np.isfinite(radius)] - body.equatorial) > 0.05 * body.equatorial):
             found = f"radii about {np.nanmedian(radius) / KM:.0f} km"
             raise InputError(
@@ -226,5 +226,5 @@ class Parts:
         where = {name: k for k, name in reversed(list(enumerate(names)))}
         index = {name: self._image(name, f"{source}, point {ids[int(point[k])]}") for name, k in where.items()}
         image = np.array([index[name] for name in names], dtype=np.int64)
-        require_inside(self._images, image, places, [ids[i] for i in point.tolist()], source)
+        require_inside(self.images, image, places, [ids[i] for i in point.tolist()], source)
         return image

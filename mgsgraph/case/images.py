@@ -108,9 +108,14 @@ def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path,
 
 def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
     """From image support data, or from a label and SPICE kernels; `where` names the table in errors."""
-    if (entry.isd is None) == (entry.label is None):
-        found = "neither isd nor label" if entry.isd is None else "both isd and label"
+    given = [key for key in ("isd", "label", "cube") if getattr(entry, key) is not None]
+    if len(given) != 1:
+        found = f"both {given[0]} and {given[1]}" if given else "neither isd nor label nor cube"
         raise InputError(where, found, "one of them")
+    if entry.cube is not None:
+        from mgsgraph.io.isis_cube import read_isis_cube
+
+        return read_isis_cube(folder / entry.cube, entry.name)
     if entry.isd is not None:
         stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
         return read_isd(folder / entry.isd, entry.name, stated)

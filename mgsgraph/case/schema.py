@@ -65,8 +65,13 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """CSM image support data, JSON; or, instead of it, a label and kernels."""
     label: str | None = None
     """Label of MOC or HRSC: PDS3 image, detached label or ISIS cube; its instrument is the label's."""
+    cube: str | None = None
+    """Or an ISIS cube of MOC that spiceinit has been run on, without kernels."""
     kernels: tuple[str, ...] = ()
     """SPICE kernels or meta-kernels of this image; those of [spice] when absent."""
+    pixels: str | None = None
+    """Its pixels, for `match` and figures: what GDAL reads, or MOC's formats; those that belong to its label when
+    absent."""
     constants: Literal["iak", "ik"] = "iak"
     """Camera constants of the ISIS addendum or of NAIF's instrument kernel."""
     focal_length_m: Positive | None = None
@@ -93,7 +98,7 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Tie points: a control network."""
 
     network: str
-    """ISIS control network, PVL."""
+    """ISIS control network (.pvl, .net) or table (.csv)."""
     sigma_px: Sigma = 1.0
     """Sigma of line and sample where neither the network nor the image ([[images]], measure_sigma_px) says."""
 
@@ -290,6 +295,20 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """SPICE kernels."""
     solver: SolverInput = SolverInput()
     """Choices of the solver."""
+
+    @property
+    def orientations(self) -> list[OrientationInput]:
+        """Of each image: its own, or that of all."""
+        return [image.orientation or self.orientation for image in self.images]
+
+    def priors(self, where: str) -> tuple[OrientationPrior, ...]:
+        """Of each image's corrections; `where` names the file in errors."""
+        return tuple(
+            orientation.prior(
+                f"{where}, images[{j}].orientation" if self.images[j].orientation else f"{where}, orientation"
+            )
+            for j, orientation in enumerate(self.orientations)
+        )
 
     @property
     def tie_groups(self) -> tuple[TiesInput, ...]:

@@ -22,8 +22,8 @@ _MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoi
 
 def read_terrain_model(
     entry: TerrainInput, where: Path, images: Sequence[PushbroomImage], tracks: Callable[[Path], AltimeterShots]
-) -> tuple[TerrainGrid | None, TerrainGrid | None]:
-    """Radii, where they are control, and the areoid, where it is known.
+) -> tuple[TerrainGrid, TerrainGrid | None]:
+    """Radii, and the areoid, where it is known.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def read_terrain_model(
         radii = above_areoid(radii, areoid)
     elif entry.topography is not None:
         areoid = areoid_grid(radii, _read_grid(folder / entry.topography, entry, "topography"))
-    return radii if entry.control else None, areoid
+    return radii, areoid
 
 
 def _read_grid(path: Path, entry: TerrainInput, kind: TerrainKind) -> TerrainGrid:

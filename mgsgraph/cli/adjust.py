@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 @click.argument("case", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the results; made anew.")
 @click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
+@click.option(
+    "--ties", type=click.Path(path_type=Path), metavar="NETWORK", help="Tie points in place of those that CASE names."
+)
 @click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
 @overruling
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
@@ -30,6 +33,7 @@ def adjust(
     out: Path,
     cluster: str | None,
     two_steps: bool,
+    ties: Path | None,
     wishes: "Wishes",
     verbose: bool,
 ) -> None:
@@ -51,7 +55,7 @@ def adjust(
     require_replaceable(out)
     if cluster is not None:
         parse_cluster(cluster)
-    read = read_case(case, laser=wishes.laser)
+    read = read_case(case, wishes.laser, ties)
     settings = wishes.over(read.settings)
     hands: AbstractContextManager[Connection | None] = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:

@@ -19,9 +19,13 @@ _PATH = click.Path(path_type=Path)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draw of these rays.")
 @click.option("--densify", is_flag=True, help="Give nodes to the widest spacing where residuals ask for them.")
 @click.option("--out", type=_PATH, help="Folder for nodes.json, tables and figures; made anew.")
+@click.option(
+    "--ties", type=click.Path(path_type=Path), metavar="NETWORK", help="Tie points in place of those that CASE names."
+)
 @click.option("--no-figures", is_flag=True, help="Write tables only.")
 def nodes(
-    case: Path, spacings: str, hold_out: float, seed: int, densify: bool, out: Path | None, no_figures: bool
+    case: Path, spacings: str, hold_out: float, seed: int, densify: bool, out: Path | None,
+    ties: Path | None, no_figures: bool,
 ) -> None:
     """Adjust CASE (a TOML file with [[strips]]) with orientation images at several spacings, without some of its rays,
     and choose the coarsest that predicts these no worse than the best one; with that, look for vibrations.
@@ -39,7 +43,7 @@ def nodes(
     wanted = seconds_of(spacings)
     if out is not None:
         require_replaceable(out, NODES)
-    read = read_case(case)
+    read = read_case(case, ties=ties)
     with counting_bar("adjusting", "step") as bar:
         study = study_nodes(read.network, read.settings, read.name, wanted, hold_out, seed, densify, progress=bar)
     if out is not None:

@@ -41,6 +41,28 @@ def counting_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
+@contextmanager
+def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """The same for work in several parts, each a known number of things, one bar after the other."""
+    bar: tqdm[None] | None = None
+    shown = ""
+
+    def show(what: str, done: int, most: int) -> None:
+        nonlocal bar, shown
+        if bar is None or shown != what:
+            if bar is not None:
+                bar.close()
+            bar, shown = tqdm(desc=what, total=most, leave=False, disable=None), what
+        bar.total = most
+        bar.update(done - bar.n)
+
+    try:
+        yield show
+    finally:
+        if bar is not None:
+            bar.close()
+
+
 class IterationBar:
     """Called with every iteration."""
 

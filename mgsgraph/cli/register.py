@@ -11,8 +11,11 @@ import click
 @click.option(
     "--solution", type=click.Path(path_type=Path), help="Results of `mgsgraph adjust` CASE: register after it as well."
 )
+@click.option(
+    "--ties", type=click.Path(path_type=Path), metavar="NETWORK", help="Tie points in place of those that CASE names."
+)
 @click.option("--no-figures", is_flag=True, help="Write tables only.")
-def register(case: Path, out: Path, solution: Path | None, no_figures: bool) -> None:
+def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no_figures: bool) -> None:
     """Project the footprints of CASE's laser profiles into its images, and compare the images at them.
 
     Writes registration.json, registration.csv (each shot in each image), discrepancy.csv (by how much two images
@@ -26,7 +29,7 @@ def register(case: Path, out: Path, solution: Path | None, no_figures: bool) -> 
 
     require_replaceable(out, REGISTRATION)
     adjusted = None if solution is None else read_solution(solution)
-    registration = register_case(read_case(case), adjusted)
+    registration = register_case(read_case(case, ties=ties), adjusted)
     write_registration(registration, out, figures=not no_figures)
     for sentence in registration_statements(registration):
         click.echo(f"- {sentence}")

@@ -23,6 +23,26 @@ class Ellipsoid:
                 raise InputError(f"ellipsoid, {name} radius", f"{getattr(self, name)} m", "a positive number")
 
 
+_RADII = {"MARS": 3396.19e3, "MOON": 1737.4e3, "MERCURY": 2440.53e3, "VENUS": 6051.8e3, "EARTH": 6378.14e3}
+"""m, equatorial (IAU 2015)."""
+
+
+def target_name(body: Ellipsoid) -> str:
+    """What SPICE and ISIS call the body of this size, to half a per cent; UNKNOWN for others."""
+    near = [name for name, radius in _RADII.items() if abs(body.equatorial / radius - 1.0) < 5e-3]
+    return near[0] if near else "UNKNOWN"
+
+
+def may_be(body: Ellipsoid, target: str) -> bool:
+    """Whether a body is of the size of the one that SPICE and ISIS call so; True for those whose size isn't known."""
+    return target.upper() not in _RADII or target_name(body) == target.upper()
+
+
+def in_turn(angles: Array, middle: Array | float = 0.0) -> Array:
+    """The same angles (rad, of any shape) in the turn about a middle: at most half a turn from it."""
+    return np.asarray(np.mod(angles - middle + np.pi, 2.0 * np.pi) - np.pi + middle)
+
+
 def planetocentric(points: Array) -> Array:
     """Longitude (east, -pi .. pi), planetocentric latitude (rad) and radius (m) of points (..., 3); (..., 3)."""
     x, y, z = np.moveaxis(points, -1, 0)

@@ -48,6 +48,12 @@ class Moments(NamedTuple):
     epoch: float
     """s TDB past J2000."""
 
+    @classmethod
+    def of_times(cls, times: Array, epoch: float) -> "Moments":
+        """Of times (n,) in s past `epoch` that are no image's lines: for what depends on time alone."""
+        nowhere = np.zeros(times.size)
+        return cls(nowhere, 0.0, times, nowhere, epoch)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationPrior:

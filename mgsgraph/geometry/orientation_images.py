@@ -56,10 +56,19 @@ class OrientationImages:
         return int(self.times.size)
 
     @property
+    def inner(self) -> Array:
+        """Times, s past the epoch, of the nodes within what they describe: all but the outer two of a spline."""
+        return self.times if self.basis == "lagrange" else self.times[1:-1]
+
+    @property
     def coverage(self) -> tuple[float, float]:
         """First and last time, s past the epoch, that they describe."""
-        inner = self.times if self.basis == "lagrange" else self.times[1:-1]
-        return float(inner[0]), float(inner[-1])
+        return float(self.inner[0]), float(self.inner[-1])
+
+    @property
+    def spacing(self) -> float:
+        """S between them, on the average."""
+        return float(np.ptp(self.times)) / (len(self) - 1)
 
     def first_of_four(self, times: Array, epoch: float) -> Index:
         """(n,) the first of the four nodes, one after the other, that times (n,) in s past `epoch` depend on.

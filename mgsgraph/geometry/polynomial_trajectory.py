@@ -11,6 +11,7 @@ from numpy.polynomial import polynomial
 
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.units import ARCSEC
@@ -181,7 +182,7 @@ def _misfit(image: "PushbroomImage", exchanged: "PushbroomImage", s: Array) -> M
     times = start + 0.5 * (s + 1.0) * (stop - start)
     before, after = image.trajectory.pose(times), exchanged.trajectory.pose(times)
     turned = rotation.omega_phi_kappa(after.matrix) - rotation.omega_phi_kappa(before.matrix)
-    turned = np.remainder(turned + np.pi, 2.0 * np.pi) - np.pi
+    turned = in_turn(turned)
     lines = np.repeat(image.timing.lines(times), 3)
     columns = np.tile([0.0, 0.5 * image.samples, float(image.samples)], s.size)
     ground, _ = image.image_to_ground(lines, columns)

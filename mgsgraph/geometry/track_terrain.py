@@ -18,7 +18,7 @@ from scipy.spatial import Delaunay, KDTree, QhullError
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.units import DEG, KM
@@ -75,7 +75,7 @@ def track_terrain(
             raise InputError(source, f"{places.shape[0]} shots around the images", "tracks that cross their ground")
     longitudes, latitudes, radii = planetocentric(places).T
     middle = float(np.angle(np.mean(np.exp(1j * longitudes))))
-    longitudes = np.mod(longitudes - middle + np.pi, 2.0 * np.pi) - np.pi + middle
+    longitudes = in_turn(longitudes, middle)
     shrink = float(np.cos(0.5 * (latitudes.min() + latitudes.max())))
     steps = post_step / shrink, post_step
     west, north = np.floor(longitudes.min() / steps[0]), np.ceil(latitudes.max() / steps[1])
@@ -148,7 +148,7 @@ def _near(places: Array, around: Array, margin: float) -> Mask:
     middle = float(np.angle(np.mean(np.exp(1j * longitudes))))
     arc = margin / float(radii.min())
     wide = arc / max(float(np.cos(np.abs(latitudes).max())), 1e-3)
-    east, own = (np.mod(x - middle + np.pi, 2.0 * np.pi) - np.pi for x in (longitudes, own))
+    east, own = (in_turn(x - middle) for x in (longitudes, own))
     inside = (own > east.min() - wide) & (own < east.max() + wide)
     return np.asarray(inside & (height > latitudes.min() - arc) & (height < latitudes.max() + arc))
 

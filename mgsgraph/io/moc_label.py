@@ -14,7 +14,8 @@ from mgsgraph.units import MILLISECOND
 
 Instrument = Literal["MOC-NA", "MOC-WA-RED", "MOC-WA-BLUE"]
 
-_EXPOSURE_UNITS = {"milliseconds": MILLISECOND, "ms": MILLISECOND, "seconds": 1.0, "s": 1.0, "": MILLISECOND}
+EXPOSURE_UNITS = {"milliseconds": MILLISECOND, "ms": MILLISECOND, "seconds": 1.0, "s": 1.0, "": MILLISECOND}
+"""Of LineExposureDuration, s; milliseconds where none is stated."""
 _DETECTOR = {"MOC-NA": 2048, "MOC-WA-RED": 3456, "MOC-WA-BLUE": 3456}
 _HIGHEST_SUMMING = {"MOC-NA": 8, "MOC-WA-RED": 127, "MOC-WA-BLUE": 127}
 _VARIABLE_SUMMING = (13, 27)
@@ -178,7 +179,7 @@ def _instrument(block: Block, name: str, filter_key: str) -> Instrument:
 
 
 def _exposure(block: Block, key: str) -> float:
-    value = block.number(key, _EXPOSURE_UNITS)
+    value = block.number(key, EXPOSURE_UNITS)
     if value <= 0.0:
         raise InputError(block.where(key), f"{value} s", "a positive line exposure")
     return value

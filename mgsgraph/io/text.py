@@ -21,6 +21,18 @@ def read_text(path: Path) -> str:
         raise InputError(str(path), f"can't be read ({error.strerror})") from None
 
 
+def read_bytes(path: Path) -> bytes:
+    """The whole of a file; InputError when it is missing or can't be read."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", remedy="check the path; a case file's are relative to it") from None
+    except IsADirectoryError:
+        raise InputError(str(path), "a folder", "a file") from None
+    except OSError as error:
+        raise InputError(str(path), f"can't be read ({error.strerror})") from None
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object; InputError with line and column when it is malformed, truncated, or holds NaN."""
 

@@ -189,6 +189,10 @@ class Network:
             owner[strip.images] = k
         return owner
 
+    def pictures(self, strip: int) -> list[PushbroomImage]:
+        """Images of a strip."""
+        return [self.images[j] for j in self.strips[strip].images.tolist()]
+
     @property
     def own(self) -> Mask:
         """(images,) True for an image with orientation coefficients of its own: neither held nor of a strip."""
@@ -204,6 +208,11 @@ class Network:
         """(strips + 1,) first variable of each strip, its first node; then the number of all variables."""
         counts = [strip.widths.size for strip in self.strips]
         return self.first_shared + len(self.shared) + np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+    @property
+    def numbered_strips(self) -> list[tuple[Strip, int]]:
+        """Each strip with the variable of its first node."""
+        return list(zip(self.strips, self.first_of_strips[:-1].tolist(), strict=True))
 
     def of_strips(self, variable: int) -> tuple[Strip, int]:
         """Strip of a variable that is not before the first of them, and which of its unknowns it is."""

@@ -41,7 +41,7 @@ def nominal_poses(images: Sequence[PushbroomImage], times: Array) -> Pose:
     """
     edges = np.array([seconds(image) for image in images])
     beyond = np.maximum(edges[:, :1] - times, times - edges[:, 1:])
-    owner = np.where(beyond <= 0.0, 0.0, beyond).argmin(axis=0)
+    owner = np.maximum(beyond, 0.0).argmin(axis=0)
     parts = [np.empty((times.size, *shape)) for shape in ((3,), (3,), (3, 3), (3,))]
     for j in np.unique(owner).tolist():
         mine = np.flatnonzero(owner == j)

@@ -91,6 +91,12 @@ class Support:
         """(k,) True for nodes with too few rays near them, of however many lines."""
         return np.asarray(self.rays < self.least)
 
+    @property
+    def gaps(self) -> Index:
+        """Nodes with too few rays between others that have them; all where none has."""
+        seen, weak = np.flatnonzero(~self.unfelt), np.flatnonzero(self.unfelt)
+        return weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
+
 
 def support(network: Network, strip: int, least: int = LEAST, taken: Mask | None = None) -> Support:
     """How many rays feel each node of a strip.
@@ -154,11 +160,8 @@ def require_felt_nodes(network: Network, taken: Mask | None = None) -> None:
     for k in range(len(network.strips)):
         rays = telling(network, k, taken)
         found = felt(network.strips[k].nodes, rays)
-        seen = np.flatnonzero(~found.unfelt)
-        weak = np.flatnonzero(found.unfelt)
-        inner = weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
-        if inner.size:
-            raise unsupported(found, rays, inner)
+        if found.gaps.size:
+            raise unsupported(found, rays, found.gaps)
 
 
 def require_supported(network: Network, least: int = LEAST, taken: Mask | None = None) -> None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
@@ -84,7 +84,7 @@ def _box(places: Array, grid: TerrainGrid) -> Array:
         return np.full((2, 2), np.nan)
     longitudes, latitudes, _ = planetocentric(places).T
     middle = grid.box[:, 0].mean()
-    longitudes = np.mod(longitudes - middle + np.pi, 2.0 * np.pi) - np.pi + middle
+    longitudes = in_turn(longitudes, middle)
     corners = np.stack([longitudes, latitudes], axis=1)
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.analysis.components import Components, components_of, honest_sigmas
+from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.adjustment.analysis.levels import Levels
 from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
@@ -33,7 +34,6 @@ from mgsgraph.products.writing import plain, quoted, write_csv
 from mgsgraph.units import MRAD
 from mgsgraph.wording import short
 
-_FLIGHT = ("along", "across", "radial", "roll", "pitch", "yaw")
 _RESIDUALS = (
     f"{'Normalised residuals':<28} {'number':>9} {'worth':>8} {'mean':>6} {'rms':>6} {'skew':>6} {'kurt.':>6} "
     f"{'>1 %':>6} {'>2 %':>6} {'>3 %':>6} {'p':>8}\n"
@@ -156,7 +156,7 @@ def _curve(posterior: Posterior, image: str) -> Section:
     poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
     lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
     shown = sigmas / np.repeat([1.0, MRAD], 3)
-    names = [f"sigma_{axis}_{unit}" for axis, unit in zip(_FLIGHT, ("m",) * 3 + ("mrad",) * 3, strict=True)]
+    names = [f"sigma_{axis}_{unit}" for axis, unit in zip(FLIGHT_NAMES, ("m",) * 3 + ("mrad",) * 3, strict=True)]
     file = _file_of(posterior, image)
 
     def write(folder: Path, figures: bool) -> list[str]:
@@ -172,7 +172,7 @@ def _curve(posterior: Posterior, image: str) -> Section:
         with plain_style():
             return [f"{file}.csv", *save(curve_sheet(poses, file), folder)]
 
-    head = " ".join(f"{axis:>9}" for axis in _FLIGHT)
+    head = " ".join(f"{axis:>9}" for axis in FLIGHT_NAMES)
     rows = [f"{lines[k]:>9.0f} " + " ".join(f"{value:9.4g}" for value in shown[k]) for k in range(0, lines.size, 10)]
     text = f"Sigmas along image {image} (m; mrad)\n{'line':>9} {head}\n" + "\n".join(rows)
     return Section("curves", text, {"image": image, "lines": lines, **dict(zip(names, shown.T, strict=True))}, write)

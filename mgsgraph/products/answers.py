@@ -14,6 +14,7 @@ from mgsgraph.adjustment.analysis.answers import (
     PlaceEstimate,
     PoseEstimate,
 )
+from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
 from mgsgraph.adjustment.analysis.quantity import Quantity
 from mgsgraph.errors import InputError
@@ -21,7 +22,6 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG, MRAD
 
-_FLIGHT = ("along", "across", "radial", "roll", "pitch", "yaw")
 _UNITS = np.array([1.0, 1.0, 1.0, MRAD, MRAD, MRAD])
 _MOST_SHOWN = 12
 """Rows of a correlation matrix that are printed; the file has all."""
@@ -140,7 +140,7 @@ def _difference(found: Difference) -> Answer:
 
 def _flight(covariance: Array) -> str:
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) / _UNITS
-    parts = [f"{name} {sigma:.4g}" for name, sigma in zip(_FLIGHT, sigmas, strict=True)]
+    parts = [f"{name} {sigma:.4g}" for name, sigma in zip(FLIGHT_NAMES, sigmas, strict=True)]
     return f"sigma {', '.join(parts[:3])} m; {', '.join(parts[3:])} mrad"
 
 
@@ -153,7 +153,7 @@ def _pose(found: PoseEstimate) -> Answer:
     return Answer(text, {
         "question": "pose", "image": found.image, "line": found.line, "position_m": found.position.tolist(),
         "matrix_body_to_camera": found.matrix.tolist(), "covariance_m_rad": found.covariance.tolist(),
-        "flight_axes": list(_FLIGHT), "flight_covariance_m_rad": found.flight.tolist(),
+        "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": found.flight.tolist(),
     })  # fmt: skip
 
 
@@ -173,10 +173,10 @@ def _pose_pair(posterior: Posterior, image: str, line: float, other: str, other_
     text = (
         f"Image {other} at line {other_line:g} against {image} at line {line:g}, each along its own flight axes:\n"
         f"  difference: {_flight(difference)}\n"
-        f"  correlation {', '.join(f'{name} {value:.3f}' for name, value in zip(_FLIGHT, shared, strict=True))}"
+        f"  correlation {', '.join(f'{name} {value:.3f}' for name, value in zip(FLIGHT_NAMES, shared, strict=True))}"
     )
     return Answer(text, {
-        "question": "poses", "images": [image, other], "lines": [line, other_line], "flight_axes": list(_FLIGHT),
+        "question": "poses", "images": [image, other], "lines": [line, other_line], "flight_axes": list(FLIGHT_NAMES),
         "joint_flight_covariance_m_rad": joint.tolist(), "correlation": shared.tolist(),
     })  # fmt: skip
 

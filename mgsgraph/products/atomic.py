@@ -4,14 +4,14 @@ import errno
 import json
 import os
 import re
-import secrets
 import shutil
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from mgsgraph.errors import InputError
+from mgsgraph.io.fresh_file import beside
 
 PROGRAM = "mgsgraph"
 """What `program` in solution.json says; by it a folder is known as ours."""
@@ -25,22 +25,27 @@ ANALYSIS = "analysis.json"
 """File that makes a folder without any of them an analysis by this program."""
 NODES = "nodes.json"
 """File that makes a folder without any of them a study of orientation images by this program."""
+MATCH = "match.json"
+"""File that makes a folder without any of them matches by this program."""
+EXPORT = "export.json"
+"""File that makes a folder without any of them an export by this program; it names all others."""
 
-_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES)
+_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, EXPORT)
 """The first of these in a folder says of what kind its results are."""
 TABLES = (
     RECORD, "solution.npz", "summary.json", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
-    "shared.csv", "strips.csv",
+    "shared.csv", "strips.csv", "report.html",
     "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
     REGISTRATION, "registration.csv", "discrepancy.csv",
     PLAN, "plan.csv",
     ANALYSIS, "components.csv", "components_iterated.csv", "reliability.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",
+    EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
 )  # fmt: skip
 """Files of results but for figures."""
 FIGURES = (
     "residuals", "orientation", "strips", "registration", "map", "connectivity", "height_map",
-    "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "spacings", "spectrum", "course",
+    "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "spacings", "spectrum", "course", "matches",
 )  # fmt: skip
 """Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
 _INPUTS = "inputs"
@@ -98,30 +103,6 @@ def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
         shutil.rmtree(aside, ignore_errors=True)
 
 
-def beside(path: Path) -> Path:
-    """A name in the same folder under which something is made before it takes its place."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
-
-
-@contextmanager
-def fresh_file(path: Path, expected: str = "", remedy: str = "") -> Iterator[Path]:
-    """A path to write a file to; what is there takes its place at `path` when all went well.
-
-    `expected` and `remedy` are words of the InputError that is raised where it can't be written.
-    """
-    aside = beside(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield aside
-        aside.replace(path)
-    except OSError as error:
-        found = f"can't be written ({error.strerror or error})"
-        raise InputError(str(path), found, expected, remedy) from None
-    finally:
-        with suppress(OSError):  # gone, or never made
-            aside.unlink()
-
-
 def require_replaceable(path: str | Path, record: str = RECORD) -> None:
     """Raise InputError unless `path` is absent, an empty folder, or an earlier result known by the file `record`; to be
     asked before long work.
@@ -160,8 +141,21 @@ def _warn_of_strangers(folder: Path, record: str) -> None:
 
 
 def _strangers(folder: Path) -> list[str]:
-    """Names in a folder of ours that no result has, in order."""
-    return sorted(entry.name for entry in folder.iterdir() if not _OURS.fullmatch(entry.name))
+    """Names in a folder of ours that no result has, in order; in folders of an export, too."""
+    listed = _listed(folder)
+    folders = {name.split("/")[0] for name in listed if "/" in name}
+    names = {entry.name for entry in folder.iterdir() if not _OURS.fullmatch(entry.name)}
+    within = (path for name in names & folders for path in (folder / name).rglob("*") if not path.is_dir())
+    return sorted((names - folders | {path.relative_to(folder).as_posix() for path in within}) - listed)
+
+
+def _listed(folder: Path) -> set[str]:
+    """Names that an export says it has made, in folders of it too."""
+    try:
+        names = json.loads((folder / EXPORT).read_text(encoding="utf-8"))["files"]
+        return {EXPORT, *map(str, names)}
+    except (OSError, ValueError, TypeError, KeyError):
+        return set()
 
 
 def _kind(folder: Path) -> str | None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.units import DEG
 
@@ -90,7 +90,7 @@ def turned(places: Array, middle: float | None = None) -> tuple[Array, Array]:
     longitudes, latitudes, _ = planetocentric(places).T
     if middle is None:
         middle = float(np.arctan2(np.sin(longitudes).mean(), np.cos(longitudes).mean())) % (2.0 * np.pi)
-    return np.mod(longitudes - middle + np.pi, 2.0 * np.pi) - np.pi + middle, latitudes
+    return in_turn(longitudes, middle), latitudes
 
 
 def _round(ratio: float) -> float:

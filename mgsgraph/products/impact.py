@@ -6,7 +6,7 @@ import numpy as np
 
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.errors import InputError
-from mgsgraph.products.atomic import beside, fresh_file
+from mgsgraph.io.fresh_file import beside, fresh_file
 from mgsgraph.products.writing import columns, quoted, truths, write_csv
 
 _AXES = ("x", "y", "z")

@@ -6,7 +6,8 @@ import numpy as np
 
 from mgsgraph.adjustment.analysis.overlap_sigmas import BANDS, SigmaGrid
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.products.atomic import PROGRAM, fresh_file
+from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.products.atomic import PROGRAM
 from mgsgraph.units import DEG
 
 _CRS = {3396190.0: "IAU_2015:49900", 1737400.0: "IAU_2015:30100"}
@@ -32,7 +33,7 @@ def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
         fresh_file(path) as aside,
         rasterio.open(
             aside, "w", driver="GTiff", width=columns, height=rows, count=len(BANDS), dtype="float32", nodata=np.nan,
-            crs=_crs(body), transform=transform, compress="deflate",
+            crs=body_crs(body), transform=transform, compress="deflate",
         ) as file,
     ):  # fmt: skip
         file.write(grid.values.astype(np.float32))
@@ -42,6 +43,6 @@ def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
             file.set_band_unit(k, "m")
 
 
-def _crs(body: Ellipsoid) -> str:
+def body_crs(body: Ellipsoid) -> str:
     """Coordinate system of planetocentric degrees: IAU's code where it has the body's radius, else a sphere of it."""
     return _CRS.get(body.equatorial, f"+proj=longlat +R={body.equatorial:.3f} +no_defs")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.analysis.flight_sigmas import overhead, point_sigmas, pose_sigmas
+from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -25,7 +26,7 @@ STAGES = ("before", "step_1", "step_2")
 """Nominal orientation and a-priori sigmas; adjusted without terrain; adjusted with it."""
 POINT_AXES = ("X", "Y", "Z")
 """Flight direction, across track to the left, height."""
-POSE_AXES = ("along", "across", "radial", "roll", "pitch", "yaw")
+POSE_AXES = FLIGHT_NAMES
 """Components of `GroupMerit.poses`: m, then rad."""
 _LINES = 31
 """Lines of an image at which its orientation is looked at, as the papers do."""

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.analysis.flight_sigmas import strip_turns
+from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array
@@ -24,7 +24,7 @@ from mgsgraph.products.writing import columns, quoted, whole, write_csv
 from mgsgraph.units import ARCSEC, KM, MGON
 from mgsgraph.wording import cells, many, short, some, span, three
 
-POSITION, ROTATION = ("along", "across", "radial"), ("roll", "pitch", "yaw")
+POSITION, ROTATION = FLIGHT_NAMES[:3], FLIGHT_NAMES[3:]
 """Components of corrections along a strip: m, and rad."""
 _SHORT = ("along", "acr.", "rad.")
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
@@ -61,10 +61,6 @@ def strip_course(solution: Solution, strip: int, times: Array) -> StripCourse:
     turn = strip_turns(solution.network, strip, times, solution.settings.angles)
     sigmas = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", turn, covariance, turn), 0.0))
     return StripCourse(times, np.einsum("nij,nj->ni", turn, values), sigmas)
-
-
-def _pictures(solution: Solution, strip: int) -> list[PushbroomImage]:
-    return [solution.network.images[j] for j in solution.network.strips[strip].images.tolist()]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,15 +106,14 @@ def strip_reports(solution: Solution) -> list[StripReport]:
 def node_times(solution: Solution, strip: int) -> Array:
     """(k,) s TDB past J2000 of the nodes within a strip: all but the outer two of a spline."""
     nodes = solution.network.strips[strip].nodes
-    start, stop = nodes.coverage
-    return nodes.times[(nodes.times >= start) & (nodes.times <= stop)] + nodes.epoch
+    return nodes.inner + nodes.epoch
 
 
 def _report(solution: Solution, strip: int) -> StripReport:
-    one, pictures = solution.network.strips[strip], _pictures(solution, strip)
+    one, pictures = solution.network.strips[strip], solution.network.pictures(strip)
     image = pictures[straightest(pictures)]
     start, stop = seconds(image)
-    spacing = float(np.ptp(one.nodes.times)) / (len(one.nodes) - 1)
+    spacing = one.nodes.spacing
     lines = spacing * image.lines / (stop - start)
     _, derivative = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
     return StripReport(
@@ -236,10 +231,9 @@ def strips_inventory(network: Network) -> str:
     for one in network.strips:
         start, stop = one.nodes.coverage
         names = [network.images[j].name for j in one.images.tolist()]
-        spacing = np.ptp(one.nodes.times) / (len(one.nodes) - 1)
         lines += [
             f"  {one.name}: {some(names, len(names))}",
-            f"    {len(one.nodes)} orientation images ({one.nodes.basis}), one every {spacing:.4g} s of "
+            f"    {len(one.nodes)} orientation images ({one.nodes.basis}), one every {one.nodes.spacing:.4g} s of "
             f"{stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
             f"    a-priori sigmas: {_prior_words(one.prior)}",
         ]
@@ -262,15 +256,12 @@ def bare_nodes(network: Network) -> list[str]:
     found = []
     for k, strip in enumerate(network.strips):
         near = support(network, k)
-        seen = np.flatnonzero(~near.unfelt)
-        weak = np.flatnonzero(near.unfelt)
-        inner = weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
-        if inner.size:
+        if near.gaps.size:
             found.append(
-                f"strip {strip.name}: fewer than {near.least} rays near {inner.size} of its {len(strip.nodes)} nodes, "
-                "between others that have them: closer than the data supports, and refused by adjust"
+                f"strip {strip.name}: fewer than {near.least} rays near {near.gaps.size} of its {len(strip.nodes)} "
+                "nodes, between others that have them: closer than the data supports, and refused by adjust"
             )
-        if outer := weak.size - inner.size:
+        if outer := int(np.count_nonzero(near.unfelt)) - near.gaps.size:
             found.append(
                 f"strip {strip.name}: no rays near {many(outer, 'node')} at its ends: there it follows its prior"
             )

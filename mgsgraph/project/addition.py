@@ -11,10 +11,11 @@ from mgsgraph.case import read_case, read_shots
 from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
+from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Mask
-from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
@@ -110,7 +111,7 @@ def read_addition(
             found, network = _of_case(wanted.path)
             new += found
             networks.append(store.own(network))
-    tie_points = [read_control_network(path) for path in ties]
+    tie_points = [read_tie_points(path, _body(store, new)) for path in ties]
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
     new += [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
     _require_new(_names(new), there, where)
@@ -229,6 +230,12 @@ def _require_known(ties: Sequence[TiePoints], known: Sequence[str]) -> None:
 
 
 # --- shots
+
+
+def _body(store: ProjectStore, new: Sequence[NewImage]) -> Ellipsoid | None:
+    """Of the first image that is known; None where none is yet."""
+    known = ImagesByName(store, [one.known for one in new])
+    return next((known[name].image.body for name in known), None)
 
 
 def _profile(

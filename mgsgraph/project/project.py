@@ -15,7 +15,7 @@ from typing import Any
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.io.checksum import sha256_of
-from mgsgraph.products.atomic import beside
+from mgsgraph.io.fresh_file import beside
 from mgsgraph.products.results import write_results
 from mgsgraph.project.connection import WRITER, connected, made, refusal
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ from mgsgraph.geometry.body import planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.io.control import pvl_writing
+from mgsgraph.io.control.ties import control_network
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.simulation.strip import SimulatedStrip
-from mgsgraph.ties import TiePoints
+from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG, KM, MM, MRAD
 
 _WRITTEN = "2000-01-01T00:00:00"
@@ -141,42 +144,12 @@ def _sun(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def network_text(ties: TiePoints, name: str = "simulated_pair", description: str = "Simulated stereo pair") -> str:
-    """ISIS control network, version 5, as PVL text; free points, pixels counted from 1."""
-    measures: list[list[int]] = [[] for _ in ties.ids]
-    for k, point in enumerate(ties.measure_point.tolist()):
-        measures[point].append(k)
-    text = [
-        "Object = ControlNetwork",
-        f"  NetworkId    = {name}",
-        "  TargetName   = MARS",
-        "  UserName     = mgsgraph",
-        f"  Created      = {_WRITTEN}",
-        f"  LastModified = {_WRITTEN}",
-        f'  Description  = "{description}"',
-        "  Version      = 5",
-    ]
-    for i, name in enumerate(ties.ids):
-        text += ["", "  Object = ControlPoint", "    PointType = Free", f"    PointId   = {name}"]
-        for k in measures[i]:
-            text += _measure(ties, k, reference=k == measures[i][0])
-        text += ["  End_Object"]
-    return "\n".join([*text, "End_Object", "End", ""])
-
-
-def _measure(ties: TiePoints, k: int, reference: bool) -> list[str]:
-    (line, sample), (line_sigma, sample_sigma) = (ties.measures[k] + 0.5).tolist(), ties.measure_sigmas[k].tolist()
-    return [
-        "",
-        "    Group = ControlMeasure",
-        f"      SerialNumber = {ties.measure_image[k]}",
-        "      MeasureType  = RegisteredSubPixel",
-        f"      Sample       = {sample!r}",
-        f"      Line         = {line!r}",
-        f"      SampleSigma  = {sample_sigma!r} <pixels>",
-        f"      LineSigma    = {line_sigma!r} <pixels>",
-        *(["      Reference    = True"] if reference else []),
-        "    End_Group",
-    ]
+    """ISIS control network, version 5, as PVL text; free points without places."""
+    n = len(ties.ids)
+    free = replace(
+        ties, kinds=np.full(n, PointKind.FREE), places=np.full((n, 3), np.nan), covariances=np.zeros((n, 3, 3))
+    )
+    return pvl_writing.network_text(control_network(free, name, "MARS", description, created=_WRITTEN))
 
 
 def lidar_text(lasers: Iterable[LaserProfile]) -> str:

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.simulation.circle import MARS
@@ -78,7 +78,7 @@ def mola_grid(
     """
     step = DEG / posts_per_degree
     lon, lat, _ = planetocentric(points).T
-    turned = terrain.centre_lon + np.remainder(lon - terrain.centre_lon + np.pi, 2.0 * np.pi) - np.pi
+    turned = in_turn(lon, terrain.centre_lon)
     west, south = (int(np.floor(one.min() / step - 0.5)) - _BEYOND for one in (turned, lat))
     east, north = (int(np.ceil(one.max() / step - 0.5)) + _BEYOND for one in (turned, lat))
     columns, rows = (np.arange(west, east + 1) + 0.5) * step, (np.arange(north, south - 1, -1) + 0.5) * step

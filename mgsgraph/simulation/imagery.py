@@ -1,7 +1,9 @@
 """Pictures of the simulated ground as a pushbroom camera takes them: Lambert's law, uneven soil, noise."""
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from mgsgraph.simulation.terrain import SiteTerrain
 Picture = NDArray[np.uint8]
 """(lines, samples) grey values."""
 _Single = NDArray[np.float32]
+Float = TypeVar("Float", Array, _Single)
 
 NOISE = 1.5
 """grey values rms, of each pixel."""
@@ -24,7 +27,7 @@ _DARK, _LEVEL = 10.0, 110.0
 _FAR, _NODE = 32, 4
 """pixels between rays that are intersected with the ground, and between places found from these."""
 _STEPS = 4
-"""Newton steps from a ray to the place of a node near it."""
+"""Newton steps from a ray to the place of a node near it; a pixel takes one more from its nodes."""
 
 
 def render(
@@ -70,9 +73,7 @@ def render(
     def expose(block: int, noise: np.random.Generator) -> None:
         part = picture[block * _FAR : (block + 1) * _FAR]
         sun = _local_sun(points[block, points.shape[1] // 2], terrain, sun_direction)
-        nodes = _on_ground(terrain, *(_between(layer[block : block + 2], _FAR // _NODE) for layer in far))
-        lines, samples = part.shape
-        east, north = (_between(node, _NODE)[:lines, :samples].astype(np.float32) for node in nodes)
+        east, north = _ground_places(terrain, [layer[block : block + 2] for layer in far], *part.shape)
         grey = _DARK + gain * np.maximum(_shade(east, north, terrain, sun), np.float32(0.0))
         grey += NOISE * noise.standard_normal(part.shape, dtype=np.float32)
         part[:] = np.rint(np.clip(grey, 0.0, 255.0))
@@ -112,20 +113,33 @@ def _far_nodes(
     return layers, points.reshape(*shape, 3)
 
 
-def _on_ground(
-    terrain: SiteTerrain, east: Array, north: Array, height: Array, by_east: Array, by_north: Array
-) -> tuple[Array, Array]:
-    """Chart places in m at which lines of sight meet the ground: they pass through (east, north) at a local height (m)
-    and lean by so many m per m of height.
+def _ground_places(
+    terrain: SiteTerrain, far: Sequence[Array], lines: int, samples: int
+) -> tuple[_Single, _Single]:
+    """Chart places (lines, samples) in m of the ground that each pixel of a block of 32 lines sees.
+
+    Found at nodes first; what relief does between them takes one more step at each pixel.
+    """
+    of_nodes = _rise(terrain, [_between(layer, _FAR // _NODE) for layer in far], np.zeros(()), _STEPS)
+    sight = [_between(layer, _FAR)[:lines, :samples].astype(np.float32) for layer in far]
+    rise = _rise(terrain, sight, _between(of_nodes, _NODE)[:lines, :samples].astype(np.float32), 1)
+    east, north, _, by_east, by_north = sight
+    return east + rise * by_east, north + rise * by_north
+
+
+def _rise(terrain: SiteTerrain, sight: Sequence[Float], start: Float, steps: int) -> Float:
+    """How far above a local height (m) lines of sight meet the ground: they pass through (east, north) there and lean
+    by so many m per m of height. Newton's method from a start.
 
     In the plane chart lines of sight change evenly from ray to ray. The regional level, left out here, may tilt by 1 in
     400: over the tens of metres by which relief moves a place, that makes centimetres.
     """
-    rise = np.zeros_like(height)
-    for _ in range(_STEPS):
+    east, north, height, by_east, by_north = sight
+    rise = start + np.zeros_like(height)
+    for _ in range(steps):
         ground, slope_east, slope_north = terrain.local(east + rise * by_east, north + rise * by_north)
-        rise += (ground - height - rise) / (1.0 - slope_east * by_east - slope_north * by_north)
-    return east + rise * by_east, north + rise * by_north
+        rise += (ground - height - rise) / (1 - slope_east * by_east - slope_north * by_north)
+    return rise
 
 
 def _between(nodes: Array, step: int) -> Array:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
 from mgsgraph.io.pedr import FRAME, HEADER_RECORDS, SHOTS, read_pedr
 from mgsgraph.units import DEG
@@ -245,7 +245,7 @@ def _parallax(frames: PedrFrames, count: NDArray[np.int64]) -> Array:
     look = from_planetocentric(craft[middle]) - foot
     step = 100.0 * look / np.linalg.norm(look, axis=1, keepdims=True)
     above, below = planetocentric(foot + step), planetocentric(foot - step)
-    turned = np.remainder(above[:, :2] - below[:, :2] + np.pi, 2.0 * np.pi) - np.pi
+    turned = in_turn(above[:, :2] - below[:, :2])
     return np.asarray(turned / (above[:, 2:] - below[:, 2:]))
 
 

@@ -78,9 +78,9 @@ def _drawn_terrain(surface: Surface | None, rng: np.random.Generator) -> Array:
 
 def _drawn_corrections(network: Network, rng: np.random.Generator, angles: Angles) -> tuple[OrientationCorrection, ...]:
     """One for each image; the images of a strip have one in common."""
-    owner = network.strip_of
+    owner, adjusted = network.strip_of, network.own
     own = {
-        j: _drawn_correction(network.priors[j].sigmas * network.own[j], rng, angles)
+        j: _drawn_correction(network.priors[j].sigmas * adjusted[j], rng, angles)
         for j in np.flatnonzero(owner < 0).tolist()
     }
     common = [strip_correction(one.nodes, drawn_nodes(one.prior, one.nodes, rng), angles) for one in network.strips]

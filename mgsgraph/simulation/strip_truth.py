@@ -80,8 +80,7 @@ def strip_correction(nodes: OrientationImages, values: Array, angles: Angles = "
 
 def correction_at(correction: OrientationCorrection, times: Array, epoch: float) -> Array:
     """A strip's correction (n, 6) in m and rad at times (n,) in s past `epoch` (s TDB past J2000)."""
-    zero = np.zeros(times.size)
-    return correction.at(Moments(zero, 0.0, times, zero, epoch))[0]
+    return correction.at(Moments.of_times(times, epoch))[0]
 
 
 def true_correction(

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, intersect_ellipsoid, planetocentric
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, in_turn, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.simulation.circle import MARS
@@ -163,7 +163,7 @@ class SiteTerrain:
     def chart(self, lon: Array, lat: Array) -> tuple[Array, Array]:
         """Plane places (n,) in m east and north of the centre."""
         scale = self.metres_per_radian
-        turned = np.remainder(lon - self.centre_lon + np.pi, 2.0 * np.pi) - np.pi
+        turned = in_turn(lon - self.centre_lon)
         return scale[0] * turned, scale[1] * (lat - self.centre_lat)
 
     def level(self, lon: Array, lat: Array) -> tuple[Array, Array, Array]:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.io.gcp import read_ground_control
+from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.ties import PointKind, TiePoints
 
 MARS = Ellipsoid(3396190.0, 3376200.0)

@@ -19,6 +19,7 @@ def test_every_name_in_the_products_is_known() -> None:
     found = {
         node.value
         for path in PRODUCTS.rglob("*.py")
+        if path.parent.name != "export"  # which says itself what it has made, in export.json
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and FILE.fullmatch(node.value)
     }

@@ -20,7 +20,6 @@ from mgsgraph.geometry.orientation import Moments, OrientationCorrection, polyno
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.network import Strip
 from mgsgraph.network.passes import nominal_poses
 from mgsgraph.wording import listed
 
@@ -130,10 +129,9 @@ def datum_transformations(layout: Layout) -> Array:
             moves[columns] = _of_image(layout, variable, middle)
         elif variable < layout.network.first_shared:
             moves[columns] = _of_shift(layout, variable - layout.variables.images, middle)
-    for strip, first in zip(layout.network.strips, layout.network.first_of_strips.tolist(), strict=False):
-        last = first + len(strip.nodes) - 1
-        columns = slice(layout.columns_of(first).start, layout.columns_of(last).stop)
-        moves[columns] = _of_nodes(layout, strip, middle)
+    for k, (strip, first) in enumerate(layout.network.numbered_strips):
+        columns = layout.variables.columns_from(first, len(strip.nodes))
+        moves[columns] = _of_nodes(layout, k, middle)
     moves /= layout.scales[:, None]
     if np.any(layout.network.held):
         return np.zeros((layout.columns, 7))
@@ -148,14 +146,13 @@ def _of_image(layout: Layout, image: int, middle: Array) -> Array:
     return _fitted(polynomial(moments.u, degree)[0], _changes(layout, pose, moments, middle))
 
 
-def _of_nodes(layout: Layout, strip: Strip, middle: Array) -> Array:
+def _of_nodes(layout: Layout, strip: int, middle: Array) -> Array:
     """(6 k, 7) m and rad, the nodes of a strip for the seven transformations."""
-    start, stop = strip.nodes.coverage
-    times = np.linspace(start, stop, 2 * _PLACES + 2 * len(strip.nodes))
-    pose = nominal_poses([layout.network.images[j] for j in strip.images.tolist()], times + strip.nodes.epoch)
-    zero = np.zeros(times.size)
-    moments = Moments(zero, 0.0, times, zero, strip.nodes.epoch)
-    return _fitted(strip.nodes.dense(times, strip.nodes.epoch)[0], _changes(layout, pose, moments, middle))
+    nodes = layout.network.strips[strip].nodes
+    times = np.linspace(*nodes.coverage, 2 * _PLACES + 2 * len(nodes))
+    pose = nominal_poses(layout.network.pictures(strip), times + nodes.epoch)
+    changes = _changes(layout, pose, Moments.of_times(times, nodes.epoch), middle)
+    return _fitted(nodes.dense(times, nodes.epoch)[0], changes)
 
 
 def _changes(layout: Layout, pose: Pose, moments: Moments, middle: Array) -> Array:

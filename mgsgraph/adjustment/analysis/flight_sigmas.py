@@ -54,8 +54,8 @@ def strip_turns(network: Network, strip: int, times: Array, angles: Angles) -> A
 
     Each time is taken from an image of the strip that knows it (`network.passes.nominal_poses`).
     """
-    pose, still = nominal_poses([network.images[j] for j in network.strips[strip].images.tolist()], times), 0.0 * times
-    axes = OrientationCorrection(np.zeros((1, 6)), angles).axes(pose, Moments(still, 0.0, times, still, 0.0))
+    pose = nominal_poses(network.pictures(strip), times)
+    axes = OrientationCorrection(np.zeros((1, 6)), angles).axes(pose, Moments.of_times(times, 0.0))
     return _turns(pose, axes)
 
 

@@ -17,12 +17,12 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, prior_factors, shared_values, variable_key
-from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, prior_factors, shared_values
+from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance
 from mgsgraph.adjustment.passes import Selection, determined_points
-from mgsgraph.adjustment.posterior import point_covariances
+from mgsgraph.adjustment.posterior import point_covariances, shared_marginals
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.square_root import SquareRoot
+from mgsgraph.adjustment.square_root import SquareRoot, in_cliques, is_indeterminate
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 
@@ -91,12 +91,10 @@ def prior_covariance(layout: Layout) -> JointCovariance | None:
     graph = gtsam.NonlinearFactorGraph()
     for factor in prior_factors(layout):
         graph.add(factor)
-    first, width = layout.variables.first.tolist(), layout.variables.width.tolist()
-    keys = [variable_key(layout, v) if start >= 0 else None for v, start in enumerate(first)]
     try:
-        return marginals(graph.linearize(shared_values(layout, np.zeros(layout.columns))), keys, width)
+        return shared_marginals(layout, graph.linearize(shared_values(layout, np.zeros(layout.columns))))
     except RuntimeError as error:
-        if "Indeterminate" not in str(error):
+        if not is_indeterminate(error):
             raise
     return joint_covariance(_strip_by_strip(layout))
 
@@ -108,17 +106,13 @@ def _strip_by_strip(layout: Layout) -> SquareRoot:
     leave a trend of which little is known. The rows themselves lose half as many digits as their squares.
     """
     variables, every, scales = layout.variables, layout.prior.every.tocsc(), layout.scales
-    cliques, rows = list[list[int]](), [np.zeros(0)]
-    for members in _known_together(layout):
+    cliques, rows = _known_together(layout), list[Array]()
+    for members in cliques:
         columns = np.concatenate([np.arange(variables.first[v], variables.columns_of(v).stop) for v in members])
         part = every[:, columns]
         own = part[np.unique(part.nonzero()[0])].toarray() * scales[columns]
-        cliques.append(members)
-        rows.append((np.linalg.qr(own, mode="r") / scales[columns]).ravel())
-    sizes = np.array([len(members) for members in cliques], dtype=np.int64)
-    together = np.array([v for members in cliques for v in members], dtype=np.int64)
-    return SquareRoot(variables.first.copy(), variables.width.copy(), together, sizes, sizes.copy(),
-                      np.concatenate(rows))  # fmt: skip
+        rows.append(np.linalg.qr(own, mode="r") / scales[columns])
+    return in_cliques(variables.first, variables.width, cliques, rows)
 
 
 def _known_together(layout: Layout) -> list[list[int]]:

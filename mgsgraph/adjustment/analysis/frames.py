@@ -23,6 +23,8 @@ from mgsgraph.units import DEG
 
 FLIGHT = ("along-track position", "across-track position", "radial position", "roll", "pitch", "yaw")
 """The six axes of an image."""
+FLIGHT_NAMES = ("along", "across", "radial", "roll", "pitch", "yaw")
+"""The same in a word each, for tables and figures."""
 BODY = ("position X", "position Y", "position Z", *FLIGHT[3:])
 """The same of an image so long that its flight has no one direction."""
 _LONG = 10.0 * DEG
@@ -209,7 +211,7 @@ class Frames:
             if image < self.layout.variables.images:
                 for first in range(columns.start, columns.stop, 6):
                     yield image, slice(first, first + 6), scales[first : first + 6]
-        for strip, first in zip(self.layout.network.strips, self.layout.network.first_of_strips.tolist(), strict=False):
+        for strip, first in self.layout.network.numbered_strips:
             for variable in range(first, first + len(strip.nodes)):
                 columns = self.layout.columns_of(variable)
                 yield int(strip.images[0]), columns, scales[columns]

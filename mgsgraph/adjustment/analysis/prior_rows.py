@@ -41,10 +41,5 @@ def prior_rows(at: Linearised) -> PriorRows:
         columns = np.concatenate([np.arange(*at.layout.columns_of(v).indices(prior.columns)) for v in variables])
         chief = rows[np.arange(about.size), np.argmax(columns == about[:, None], axis=1)]
         sigma.append(1.0 / np.abs(chief))
-    misfit = np.concatenate([-at.orientation[own] * prior.weights[own], *(-_whitened(at) for _ in prior.factors[:1])])
+    misfit = -(prior.every @ at.orientation)
     return PriorRows(prior.about, np.concatenate(sigma), misfit, np.concatenate(share))
-
-
-def _whitened(at: Linearised) -> Array:
-    """Residuals of the factors' rows."""
-    return np.asarray(at.layout.prior.root @ at.orientation)

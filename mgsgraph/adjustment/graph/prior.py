@@ -136,10 +136,8 @@ def make_prior(network: Network, variables: Variables) -> Prior:
     with np.errstate(divide="ignore"):
         weights = np.where(np.isinf(variables.sigmas), 0.0, 1.0 / variables.sigmas)
     factors = list[PriorFactor]()
-    for strip, first in zip(network.strips, network.first_of_strips.tolist(), strict=False):
-        last = first + strip.widths.size
-        begin, end = variables.columns_of(first).start, variables.columns_of(last - 1).stop
-        weights[begin:end] = 0.0
+    for strip, first in network.numbered_strips:
+        weights[variables.columns_from(first, strip.widths.size)] = 0.0
         for unknowns, blocks, about in strip.prior.factors(strip.nodes):
             columns = variables.first[first + about[:, 0]] + about[:, 1]
             factors.append(PriorFactor(tuple(first + k for k in unknowns), blocks, columns))

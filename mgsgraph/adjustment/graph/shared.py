@@ -86,12 +86,10 @@ def strip_values(
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
     """Of each strip its nodes (k, 6) and its trend (w,), in the vector (columns,) of all that points share."""
     nodes, trends = list[Array](), list[Array]()
-    for strip, first in zip(network.strips, network.first_of_strips.tolist(), strict=False):
-        last = first + len(strip.nodes)
-        begin, end = variables.columns_of(first).start, variables.columns_of(last - 1).stop
-        nodes.append(orientation[begin:end].reshape(-1, 6))
-        width = strip.prior.trend_sigmas.size
-        trends.append(orientation[end : end + width])
+    for strip, first in network.numbered_strips:
+        own = variables.columns_from(first, len(strip.nodes))
+        nodes.append(orientation[own].reshape(-1, 6))
+        trends.append(orientation[own.stop : own.stop + strip.prior.trend_sigmas.size])
     return tuple(nodes), tuple(trends)
 
 

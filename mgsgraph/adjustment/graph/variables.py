@@ -34,6 +34,10 @@ class Variables:
         first = int(self.first[variable])
         return slice(first, first + int(self.width[variable]))
 
+    def columns_from(self, variable: int, count: int) -> slice:
+        """Columns of `count` adjusted variables, one after the other, from one on."""
+        return slice(self.columns_of(variable).start, self.columns_of(variable + count - 1).stop)
+
     def adjusted(self) -> list[int]:
         """Variables that have columns."""
         return [int(v) for v in np.flatnonzero(self.first >= 0)]

@@ -94,7 +94,8 @@ def course(solution: Solution, strip: int, factor: float | None = None) -> Cours
     own = slice(0, 6 * count)
     noise = (joint - through @ joint)[own, own]
     response = np.eye(6 * count) - through[own, own]
-    times, to_values = _at_times(one)
+    times = one.nodes.inner
+    to_values, _ = one.nodes.dense(times, one.nodes.epoch)
     turns = strip_turns(solution.network, strip, times + one.nodes.epoch, solution.settings.angles)
     turn = _block_diagonal(turns) @ np.kron(to_values, np.eye(6))
     # of a spline the coefficients at the outer nodes have no values; the rest stands for the whole
@@ -135,14 +136,6 @@ def _prior_information(strip: Strip) -> Array:
             for w, right in zip(factor.unknowns, factor.blocks, strict=True):
                 found[ends[v] : ends[v + 1], ends[w] : ends[w + 1]] += left.T @ right
     return found
-
-
-def _at_times(strip: Strip) -> tuple[Array, Array]:
-    """Times (t,) at which a course is taken, and (t, k) what each coefficient counts there."""
-    nodes = strip.nodes
-    if nodes.basis == "lagrange":
-        return nodes.times, np.eye(len(nodes))
-    return nodes.times[1:-1], nodes.dense(nodes.times[1:-1], nodes.epoch)[0]
 
 
 def _block_diagonal(blocks: Array) -> Array:

@@ -220,7 +220,7 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Misf
     network, nodes = solution.network, solution.network.strips[strip].nodes
     mine = strip_rays(network, strip)
     mine = mine.only(solution.rays_used[mine.rays] & np.isfinite(solution.residuals[mine.rays]).all(axis=1))
-    images = [network.images[j] for j in network.strips[strip].images.tolist()]
+    images = network.pictures(strip)
     angle = np.array([image.pixel_angle for image in images])[mine.line]
     width = np.array([float(image.samples) for image in images])[mine.line]
     counts = np.bincount(network.rays.point, solution.rays_used, len(network.points))[network.rays.point[mine.rays]]

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from mgsgraph.adjustment.passes import Selection
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.spacing.choice import Choice, adjust_unmarked, choose_spacing
@@ -11,6 +10,7 @@ from mgsgraph.adjustment.spacing.course import Course, course
 from mgsgraph.adjustment.spacing.densify import Densified, densify
 from mgsgraph.adjustment.spacing.respaced import respaced
 from mgsgraph.adjustment.spacing.spectrum import Spectrum, spectra
+from mgsgraph.adjustment.two_steps import selection_of
 from mgsgraph.network import Network
 from mgsgraph.network.support import LEAST
 
@@ -98,8 +98,6 @@ def _densified(network: Network, closest: Solution, least: int) -> Densified:
     """Nodes where residuals ask for them, of the rays that the closest nodes left: jitter that wide ones can't follow
     is no blunder.
     """
-    assert closest.rays_rejected is not None
-    assert closest.ranges_rejected is not None
-    left_in = Selection(~closest.rays_rejected, ~closest.ranges_rejected, network.undetermined.copy())
-    found = densify(network, replace(closest.settings, reject=0.0), least=least, left_in=left_in)
+    plain = replace(closest.settings, reject=0.0)
+    found = densify(network, plain, least=least, left_in=selection_of(network, closest))
     return replace(found, solution=replace(found.solution, name=closest.name))

@@ -24,6 +24,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.moc_label import read_moc_label
 from mgsgraph.io.moc_pixels import Pixels, read_moc_pixels
+from mgsgraph.io.pictures import as_bytes, is_moc, read_picture
 from mgsgraph.products.figures.sheet import (
     BEFORE,
     INK,
@@ -69,6 +70,8 @@ def pixels_of(path: Path | None) -> Pixels | None:
     """An image's pixels; None where the case names no file of them, or the label of a cube which isn't at hand."""
     if path is None:
         return None
+    if not is_moc(path):
+        return as_bytes(read_picture(path))
     cube = read_moc_label(path).pixels is None
     if cube and not any(path.with_suffix(suffix).is_file() for suffix in (".cub", ".CUB")):
         return None

@@ -9,11 +9,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from mgsgraph.adjustment.analysis.answers import PoseEstimate
+from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.products.figures.sheet import Sheet, new_sheet, number, panels, short, words
 from mgsgraph.units import DEG, MRAD
 
-_POSITION = ("along", "across", "radial")
+_POSITION = FLIGHT_NAMES[:3]
 _POINTING = ("roll", "pitch", "yaw")
 _COLOURS = ("#0072B2", "#D55E00", "#009E73")
 _LINES = ("-", "--", ":")

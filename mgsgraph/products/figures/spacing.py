@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
+from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.spacing.choice import Choice
 from mgsgraph.adjustment.spacing.course import Course
 from mgsgraph.adjustment.spacing.spectrum import FALSE_ALARMS, Spectrum
@@ -33,7 +34,6 @@ from mgsgraph.products.figures.sheet import (
 from mgsgraph.units import ARCSEC, MGON
 
 _GREEN = "#009E73"
-_NAMES = ("along", "across", "radial", "roll", "pitch", "yaw")
 
 
 def write_node_figures(study: NodeStudy, folder: Path) -> list[str]:
@@ -110,7 +110,7 @@ def spectrum_sheet(found: StripSpectra, name: str) -> Sheet:
         scale, unit = (1.0, "m") if spectrum.unit == "m" else (MGON, "mgon")
         _draw(panel, spectrum, scale)
         panel.tick_params(labelbottom=row == 2)
-        words(panel, "frequency (Hz)" if row == 2 else "", f"{_NAMES[k]} ({unit})")
+        words(panel, "frequency (Hz)" if row == 2 else "", f"{FLIGHT_NAMES[k]} ({unit})")
     handles = [
         Line2D([], [], color=AFTER, label="amplitude"),
         Patch(color=SOFT, alpha=0.45, lw=0.0, label="noise floor (rms)"),
@@ -195,7 +195,7 @@ def course_sheet(course: Course, spacing: float, name: str) -> Sheet:
             panel.set_xlim(since[0], since[-1])
             panel.locator_params(axis="y", nbins=3 if panel is below else 5)
             panel.tick_params(labelbottom=row == 4 and panel is below)
-        words(above, "", f"{_NAMES[k]} ({unit})")
+        words(above, "", f"{FLIGHT_NAMES[k]} ({unit})")
         words(below, "time since the first one (s)" if row == 4 else "", "sigma")
     handles = [
         Line2D([], [], color=AFTER, marker="o", ms=3.0, label="adjusted minus nominal, at orientation images"),

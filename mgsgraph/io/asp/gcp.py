@@ -1,20 +1,26 @@
-"""Ground control points in the text form of the Ames Stereo Pipeline (``.gcp``) to TiePoints.
+"""Ground control points in the text form of the Ames Stereo Pipeline (``.gcp``): to TiePoints, to and from networks.
 
 One point a line, fields apart by blanks or commas: id, latitude, longitude (degrees, geodetic), height (m) above the
 ellipsoid, three sigmas (m) along body-fixed X, Y, Z, then for each image its name, column, row (first pixel's centre
 0, 0) and their sigmas (pixels). Source: StereoPipeline, docs/tools/bundle_adjust.rst, "Ground control points". A file
 made for its option ``--use-lon-lat-height-gcp-error`` holds sigmas along latitude, longitude and height instead; it
-doesn't say so and must not be given here.
+doesn't say so and must not be given here. Ids are whole numbers to the pipeline, which skips lines with others
+(VisionWorkbench, src/vw/BundleAdjustment/ControlNetworkLoader.cc, add_ground_control_points); here they may be names.
 """
 
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import Ellipsoid, from_geodetic
+from mgsgraph.geometry.body import Ellipsoid, from_geodetic, geodetic
+from mgsgraph.io.asp.measures import RENAME, UNSTATED_SIGMA, Measures, measures_of
+from mgsgraph.io.control.record import ControlNetwork, ControlPoint, MeasureType, PointType
+from mgsgraph.io.control.ties import control_network
 from mgsgraph.io.pvl import finite_number
 from mgsgraph.io.text import read_text
 from mgsgraph.ties import PointKind, TiePoints
@@ -24,6 +30,12 @@ _FIXED_SIGMA = 1e-10
 """m; all three sigmas at this value mean a point that is held fixed (StereoPipeline, asp::FIXED_GCP_SIGMA)."""
 _FIRST_CENTRE = 0.5
 """The first pixel's centre, (0, 0) in the file, is (0.5, 0.5) inside."""
+_KNOWN = frozenset({PointType.CONSTRAINED, PointType.FIXED})
+_DIAGONAL = (0, 3, 5)
+"""Of xx, xy, xz, yy, yz, zz."""
+_NUMBERED = re.compile(r"[0-9]{1,9}")
+_LARGEST = 1e100
+"""Of sigmas, whose squares must be numbers."""
 _COMMENT = re.compile(r"(?:^|(?<=[\s,]))#.*")
 _SEPARATOR = re.compile(r"[\s,]+")
 _POINT_FIELDS, _MEASURE_FIELDS = 7, 5
@@ -132,6 +144,79 @@ def _number(text: str, where: str) -> float:
 
 def _positive(text: str, where: str) -> float:
     value = _number(text, where)
-    if value <= 0.0:
-        raise InputError(where, f"{value:g}", "a positive number")
+    if not 0.0 < value < _LARGEST:
+        raise InputError(where, f"{value:g}", "a positive number below 1e100")
     return value
+
+
+def read_ground_control_network(path: Path, ellipsoid: Ellipsoid) -> ControlNetwork:
+    """Read ground control points as a network, with the same errors; see `read_ground_control`."""
+    points = read_ground_control(path, ellipsoid)
+    network = control_network(points, "", "", user_name="", measure_type=MeasureType.CANDIDATE)
+    unreferenced = tuple(
+        ControlPoint(one.id, one.type, one.measures, apriori=one.apriori, apriori_covariance=one.apriori_covariance)
+        for one in network.points
+    )
+    return ControlNetwork("", "", unreferenced, source=str(path))
+
+
+def keeps_ids(points: Sequence[ControlPoint]) -> bool:
+    """Whether the ids are numbers as the pipeline reads them; else they are counted anew, with the ids in comments."""
+    return all(_NUMBERED.fullmatch(point.id) for point in points)
+
+
+def ground_control_text(network: ControlNetwork, ellipsoid: Ellipsoid) -> str:
+    """Ground control points of a network as text.
+
+    Parameters
+    ----------
+    network : ControlNetwork
+        Its constrained and fixed points, with or without measures; ignored ones are left out.
+    ellipsoid : Ellipsoid
+        To which latitudes and heights shall refer: the datum that is named to the pipeline.
+
+    Raises
+    ------
+    InputError
+        If there is no such point, one has no a-priori place or (constrained) no covariance with positive variances, or
+        an image's name can't be told from the next field.
+    """
+    measures = measures_of(network, _KNOWN)
+    where = network.source or "network"
+    if not measures.points:
+        found = "no constrained or fixed point that is not ignored"
+        raise InputError(where, found, "at least one", "free points go into match files")
+    for name in measures.images:
+        if len(_SEPARATOR.split(_COMMENT.sub("", name))) != 1 or not _COMMENT.sub("", name):
+            raise InputError(f"image {name!r}", "a name with blanks, commas or a # before it", "a name without", RENAME)
+    sigmas = [_ground_sigmas(point, f"{where}, point {point.id}") for point in measures.points]
+    places = geodetic(np.array([point.apriori for point in measures.points], dtype=np.float64), ellipsoid)
+    numbers = np.column_stack([places[:, [1, 0]] / DEG, places[:, 2], np.array(sigmas)]).tolist()
+    seen, keep = _measure_texts(measures), keeps_ids(measures.points)
+    lines = ["# id latitude longitude height sigma_x sigma_y sigma_z, then image column row and their sigmas"]
+    for k, (point, values, images) in enumerate(zip(measures.points, numbers, seen, strict=True), start=1):
+        lines += [] if keep else [f"# {k}: {' '.join(point.id.split())}"]
+        lines.append(" ".join([point.id if keep else str(k), *map(repr, values), *images]))
+    return "\n".join([*lines, ""])
+
+
+def _ground_sigmas(point: ControlPoint, where: str) -> list[float]:
+    """Along body-fixed X, Y, Z, in m."""
+    if point.apriori is None:
+        raise InputError(where, f"{point.type.name.lower()} without an a-priori place", "X, Y, Z")
+    if point.type == PointType.FIXED:
+        return [_FIXED_SIGMA] * 3
+    variances = [point.apriori_covariance[k] for k in _DIAGONAL] if len(point.apriori_covariance) == 6 else [0.0]
+    if min(variances) <= 0.0:
+        raise InputError(where, "constrained without positive variances of its a-priori place", "a covariance in m^2")
+    return [math.sqrt(variance) for variance in variances]
+
+
+def _measure_texts(measures: Measures) -> list[list[str]]:
+    """Fields of the measures of each point."""
+    texts = list[list[str]]([] for _ in measures.points)
+    sigmas = np.where(np.isnan(measures.sigmas), UNSTATED_SIGMA, measures.sigmas)
+    rows = np.column_stack([measures.places[:, ::-1], sigmas[:, ::-1]]).tolist()
+    for point, image, values in zip(measures.point.tolist(), measures.image.tolist(), rows, strict=True):
+        texts[point] += [measures.images[image], *map(repr, values)]
+    return texts

@@ -1,0 +1,161 @@
+"""A case's images with their pixels over its ground, to be matched; ties need not be there yet."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.case import picture_of, read_mola, terrain_shots
+from mgsgraph.case.images import read_images
+from mgsgraph.case.schema import CaseInput, decode
+from mgsgraph.case.strips import members
+from mgsgraph.case.terrain import read_terrain_model
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.io.lidar import read_lidar
+from mgsgraph.io.pictures import read_picture
+from mgsgraph.matching.chart import GroundChart
+from mgsgraph.matching.scene import Ground, Picture, Scene
+
+_ABOUT_MODEL = 100.0
+"""m, by how much the ground may leave a terrain model, of MOLA's kind, between its posts."""
+_LEAST_SIGMA = 100.0
+"""m, the same of the mean height of laser shots."""
+
+
+def read_scene(
+    path: str | Path, height: float | None = None, height_sigma: float | None = None
+) -> tuple[str, Scene]:
+    """Read what `mgsgraph match` needs of a case: images, pixels, priors, and the ground.
+
+    Parameters
+    ----------
+    path : path
+        Case file; its ties are not looked at.
+    height : float, optional
+        m above the ellipsoid, of the ground where no terrain model says it; the mean of the case's laser shots when
+        absent.
+    height_sigma : float, optional
+        m, by how much the ground may be higher or lower.
+
+    Returns
+    -------
+    name : str
+        What the case is called.
+    scene : Scene
+
+    Raises
+    ------
+    InputError
+        As `read_case`; an image without pixels; no height of the ground.
+    """
+    path = Path(path)
+    _require_sound(height, height_sigma)
+    wanted = decode(path)
+    names = [image.name for image in wanted.images]
+    for name in [name for k, name in enumerate(names) if name in names[:k]][:1]:
+        raise InputError(f"{path}, images", f"{name!r} twice", "each image once")
+    if len(wanted.images) < 2:
+        raise InputError(str(path), "one image", "two that overlap, at least")
+    of_strips = members(wanted.strips, names, str(path))
+    images, _ = read_images(wanted, wanted.orientations, of_strips, path)
+    priors = _priors(wanted, of_strips, path)
+    pictures = tuple(
+        Picture(image, read_picture(_pixels(wanted, j, path)), prior)
+        for j, (image, prior) in enumerate(zip(images, priors, strict=True))
+    )
+    return wanted.name, Scene(pictures, _ground(wanted, images, path, height, height_sigma))
+
+
+def _require_sound(height: float | None, height_sigma: float | None) -> None:
+    if height is not None and not np.isfinite(height):
+        raise InputError("height of the ground", f"{height}", "metres above the ellipsoid")
+    if height_sigma is not None and not 0.0 < height_sigma < np.inf:
+        raise InputError("sigma of the ground's height", f"{height_sigma}", "a positive number of metres")
+
+
+def _pixels(wanted: CaseInput, image: int, path: Path) -> Path:
+    file = picture_of(wanted.images[image], path.parent)
+    if file is None:
+        where = f"{path}, image {wanted.images[image].name}"
+        raise InputError(where, "no pixels", 'pixels = "FILE" (ISIS cube, GeoTIFF, PDS image)', "add it to [[images]]")
+    return file
+
+
+def _priors(wanted: CaseInput, of_strips: Sequence[Sequence[int]], path: Path) -> list[OrientationPrior]:
+    """Of each image; one of a strip has its strip's."""
+    priors = list(wanted.priors(str(path)))
+    for k, members_of in enumerate(of_strips):
+        prior = wanted.strips[k].prior.prior(f"{path}, strips[{k}].prior")
+        for j in members_of:
+            priors[j] = OrientationPrior(np.stack([np.hypot(prior.sigmas, prior.bias), np.maximum(prior.drift, 1e-9)]))
+    return priors
+
+
+def _ground(
+    wanted: CaseInput, images: Sequence[PushbroomImage], path: Path, height: float | None, height_sigma: float | None
+) -> Ground:
+    body = images[0].body
+    terrain: TerrainGrid | None = None
+    if wanted.terrain is not None:
+        terrain, _ = read_terrain_model(wanted.terrain, path, images, terrain_shots(wanted.terrain, path))
+    chart = _chart(images, height or 0.0)
+    seen = _heights(wanted, images, path, terrain) if height is None else np.array([height])
+    if seen.size == 0:
+        raise InputError(
+            str(path), "neither a terrain model nor laser shots under the images", "the height of their ground",
+            "add [terrain], or give --height METRES",
+        )
+    if height_sigma is None:
+        height_sigma = _ABOUT_MODEL if terrain is not None else max(_LEAST_SIGMA, 2.0 * float(seen.std()))
+    ground = Ground(chart, body, float(seen.mean()), height_sigma, terrain)
+    return replace(ground, terrain=terrain.around(_places(images, ground.height))) if terrain is not None else ground
+
+
+def _chart(images: Sequence[PushbroomImage], height: float) -> GroundChart:
+    first = images[0]
+    flight = first.pose(np.array([0.5 * first.lines])).velocity[0]
+    return GroundChart.about(_places(images, height), flight)
+
+
+def _places(images: Sequence[PushbroomImage], height: float) -> Array:
+    """(n, 3) m, corners and middles of the images' sides and themselves, those that see the body."""
+    parts = []
+    for image in images:
+        lines, samples = np.meshgrid(np.linspace(0.0, image.lines, 9), np.linspace(0.0, image.samples, 3))
+        parts.append(image.image_to_ground(lines.ravel(), samples.ravel(), height)[0])
+    places = np.concatenate(parts)
+    places = places[np.all(np.isfinite(places), axis=1)]
+    if places.size == 0:
+        raise InputError("images to match", "none that sees the body", "images of the ground")
+    return places
+
+
+def _seen(images: Sequence[PushbroomImage], points: Array) -> Array:
+    """(n, 3) m, those of points (k, 3) that lie in an image, or beside it by its width."""
+    inside = np.zeros(len(points), dtype=bool)
+    for image in images:
+        lines, samples = image.ground_to_image(points)[0].T
+        inside |= (lines > 0.0) & (lines < image.lines) & (np.abs(samples / image.samples - 0.5) < 1.5)
+    return points[inside]
+
+
+def _heights(
+    wanted: CaseInput, images: Sequence[PushbroomImage], path: Path, terrain: TerrainGrid | None
+) -> Array:
+    """(n,) m above the ellipsoid, of the terrain model under the images or else of the case's laser shots."""
+    if terrain is not None:
+        places = _places(images, 0.0)
+        radii = terrain.at(places)
+        places *= (radii / np.linalg.norm(places, axis=1))[:, None]
+    else:
+        shots = [read_lidar(path.parent / group.file).footprints for group in wanted.laser_groups]
+        shots += [(one := read_mola(entry, path.parent)).footprints[one.ground] for entry in wanted.mola]
+        places = _seen(images, np.concatenate([np.zeros((0, 3)), *shots]))
+    places = places[np.all(np.isfinite(places), axis=1)]
+    return geodetic(places, images[0].body)[:, 2] if places.size else np.zeros(0)

@@ -1,0 +1,1 @@
+"""Files of the Ames Stereo Pipeline: matches, ground control points, NVM."""

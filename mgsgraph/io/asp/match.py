@@ -1,0 +1,218 @@
+"""Match files of the Ames Stereo Pipeline: places of the same ground in two images, one file for each pair of them.
+
+Binary (``.match``), little-endian: two counts (uint64), which are equal; then a record for every place in the first
+image, then those in the second: column, row (float32, first pixel's centre at 0, 0), the same as int32, orientation,
+scale, interest (float32), polarity (1 byte), octave, level (uint32), number of descriptors (uint64), descriptors
+(float32). The scale is what bundle_adjust takes for the sigma of column and row (pixels). Sources: StereoPipeline,
+src/asp/Tools/parse_match_file.py; VisionWorkbench, src/vw/InterestPoint/{MatcherIO.cc,InterestPoint.h},
+src/vw/BundleAdjustment/CameraRelation.cc (IPFeature::control_measure).
+
+Text (``--matches-as-txt``, since 2026): ``x1 y1 unc1 x2 y2 unc2`` in every line, the same columns, rows and sigmas.
+Source: StereoPipeline, docs, "Plain text match files".
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+from mgsgraph.io.asp.match_names import match_path, require_distinct
+from mgsgraph.io.asp.measures import UNSTATED_SIGMA, Measures, measures_of
+from mgsgraph.io.control.record import ControlNetwork, PointType
+from mgsgraph.io.pvl import finite_number
+from mgsgraph.io.text import read_bytes, read_text
+
+_COUNTS = np.dtype("<u8")
+
+
+def _layout(descriptors: int = 0) -> np.dtype:
+    """A record with so many descriptors."""
+    return np.dtype([
+        ("x", "<f4"), ("y", "<f4"), ("column", "<i4"), ("row", "<i4"), ("orientation", "<f4"), ("scale", "<f4"),
+        ("interest", "<f4"), ("polarity", "u1"), ("octave", "<u4"), ("level", "<u4"), ("descriptors", "<u8"),
+        ("descriptor", "<f4", (descriptors,)),
+    ])  # fmt: skip
+
+
+_RECORD = _layout()
+_HEAD = 2 * _COUNTS.itemsize
+_DESCRIPTOR = 4
+"""bytes."""
+_EXPECTED = "a whole match file of the Ames Stereo Pipeline"
+_LEAST_SIGMA = 1e-12
+"""pixels; the square of much less is nothing."""
+_LARGEST = 2.0**31 - 1.0
+"""Columns and rows must fit into int32."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """What a match file holds, but for how its places were found."""
+
+    source: str
+    """File, for messages."""
+    images: tuple[str, str]
+    """Their names."""
+    places: Array
+    """(2, n, 2) image, match; row, column, first pixel's centre at (0, 0)."""
+    sigmas: Array
+    """(2, n) pixels, of row and column alike; NaN where the file says 0 or less."""
+
+
+def read_match(path: Path, images: tuple[str, str]) -> Matches:
+    """Read a binary match file.
+
+    Raises
+    ------
+    InputError
+        If it is missing, cut short or longer than it says, its counts differ, or a place or scale is no finite number.
+    """
+    data = read_bytes(path)
+    if len(data) < _HEAD:
+        raise InputError(str(path), f"{len(data)} bytes", _EXPECTED)
+    first, second = np.frombuffer(data, _COUNTS, 2).tolist()
+    if first != second:
+        raise InputError(str(path), f"{first} places in one image, {second} in the other", "as many in both")
+    if first == 0:
+        raise InputError(str(path), "no match", "at least one")
+    if first + second > (len(data) - _HEAD) // _RECORD.itemsize:
+        raise InputError(str(path), f"{len(data)} bytes for {first} matches", _EXPECTED, "it is cut short, or no such")
+    records = _records(data, first + second, str(path)).reshape(2, first)
+    with np.errstate(invalid="ignore"):  # NaN of any kind is refused below
+        places = np.stack([records["y"], records["x"]], axis=-1).astype(np.float64)
+        scales = records["scale"].astype(np.float64)
+    return _checked(str(path), images, places, scales)
+
+
+def _records(data: bytes, count: int, where: str) -> np.ndarray:
+    """All records, without their descriptors."""
+    if (records := _even_records(data, count)) is not None:
+        return records
+    starts, position, size = np.empty(count, dtype=np.int64), _HEAD, _RECORD.itemsize
+    for k in range(count):
+        starts[k] = position
+        number = int.from_bytes(data[position + size - _COUNTS.itemsize : position + size], "little")
+        position += size + _DESCRIPTOR * number
+        if position > len(data):
+            raise InputError(where, f"place {k + 1} of {count} lies beyond its end", _EXPECTED, "it is cut short")
+    if position != len(data):
+        raise InputError(where, f"{len(data) - position} bytes after the last place", _EXPECTED)
+    rows = np.frombuffer(data, np.uint8)[starts[:, None] + np.arange(size)]
+    return np.asarray(rows.view(_RECORD)[:, 0])
+
+
+def _even_records(data: bytes, count: int) -> np.ndarray | None:
+    """The same where all have equally many descriptors, which is the rule; else None."""
+    each, left = divmod(len(data) - _HEAD, count)
+    number, odd = divmod(each - _RECORD.itemsize, _DESCRIPTOR)
+    if left or odd:
+        return None
+    records = np.frombuffer(data, _layout(number), count, _HEAD)
+    return records if np.all(records["descriptors"] == number) else None
+
+
+def read_match_text(path: Path, images: tuple[str, str]) -> Matches:
+    """Read a match file in text; the same errors, and for sigmas that are not positive, with the line."""
+    rows, lines = list[list[float]](), list[int]()
+    for number, line in enumerate(read_text(path).split("\n"), start=1):
+        if fields := line.split():
+            rows.append(_numbers(fields, f"{path}, line {number}"))
+            lines.append(number)
+    if not rows:
+        raise InputError(str(path), "no match", "at least one")
+    table = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).swapaxes(0, 1)
+    for k in np.flatnonzero(np.any(table[..., 2] <= 0.0, axis=0))[:1]:
+        raise InputError(f"{path}, line {lines[k]}", f"uncertainty {table[:, k, 2].min():g} px", "a positive one")
+    return _checked(str(path), images, table[..., 1::-1], table[..., 2])
+
+
+def _numbers(fields: list[str], where: str) -> list[float]:
+    if len(fields) != 6:
+        raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
+    try:
+        return [finite_number(text) for text in fields]
+    except ValueError as error:
+        raise InputError(where, f"{str(error)[:60]!r}", "a finite number") from None
+
+
+def _checked(source: str, images: tuple[str, str], places: Array, sigmas: Array) -> Matches:
+    fine = np.all(np.isfinite(places), axis=(0, 2)) & np.all(np.isfinite(sigmas), axis=0)
+    for k in np.flatnonzero(~fine)[:1]:
+        raise InputError(f"{source}, match {k + 1}", "a place or scale that is no finite number", "finite numbers")
+    return Matches(source, images, places, np.where(sigmas > 0.0, sigmas, np.nan))
+
+
+def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> dict[Path, bytes]:
+    """Contents of the match files of a network by their paths, one for each pair of images with common points.
+
+    Parameters
+    ----------
+    network : ControlNetwork
+        Its free points that two images or more see, ignored ones left out; constrained and fixed points go into a
+        ``.gcp``, as with the pipeline's own ``--output-cnet-type match-files``.
+    prefix : Path
+        What the files' names begin with.
+    text : bool
+        Plain text instead of binary; it keeps float64, which the pipeline reads as float32.
+
+    Raises
+    ------
+    InputError
+        If there is no such point, or images can't be told apart by their files' names.
+    """
+    measures = measures_of(network, {PointType.FREE}, least=2)
+    if not measures.points:
+        raise InputError(network.source or "network", "no free point that two images see", "at least one")
+    require_distinct(measures.images)
+    if not np.all(np.abs(measures.places) < _LARGEST):
+        raise InputError(network.source or "network", "a place beyond 2^31 pixels", "a place in an image")
+    if np.any((measures.sigmas < _LEAST_SIGMA) | (measures.sigmas > _LARGEST)):
+        expected = f"{_LEAST_SIGMA:g} .. {_LARGEST:.1g} px"
+        raise InputError(network.source or "network", "a sigma that a match file can't hold", expected)
+    made = {}
+    for (i, j), one, other in pairs_of(measures):
+        path = match_path(prefix, measures.images[i], measures.images[j], ".txt" if text else ".match")
+        made[path] = (_text if text else _binary)(measures, one, other)
+    return made
+
+
+def pairs_of(measures: Measures) -> Iterator[tuple[tuple[int, int], np.ndarray, np.ndarray]]:
+    """Every pair of images (i < j) with common points, and indices of their measures, point by point."""
+    order = np.lexsort((measures.image, measures.point))
+    point = measures.point[order]
+    ones, others = list[np.ndarray](), list[np.ndarray]()
+    for apart in range(1, int(np.bincount(point).max(initial=0))):
+        same = np.flatnonzero(point[:-apart] == point[apart:])
+        ones.append(order[same])
+        others.append(order[same + apart])
+    one, other = np.concatenate(ones), np.concatenate(others)
+    sorting = np.lexsort((measures.point[one], measures.image[other], measures.image[one]))
+    one, other = one[sorting], other[sorting]
+    images = np.stack([measures.image[one], measures.image[other]], axis=1)
+    starts = np.flatnonzero(np.any(np.diff(images, axis=0, prepend=-1), axis=1))
+    for start, stop in zip(starts, [*starts[1:], len(one)], strict=True):
+        yield (int(images[start, 0]), int(images[start, 1])), one[start:stop], other[start:stop]
+
+
+def one_sigma(sigmas: Array) -> Array:
+    """(k,) the one sigma that a format holds for rows and columns (k, 2): their quadratic mean; 1 px for unknown."""
+    return np.where(np.isnan(sigmas).any(axis=1), UNSTATED_SIGMA, np.sqrt(np.mean(sigmas**2, axis=1)))
+
+
+def _binary(measures: Measures, one: np.ndarray, other: np.ndarray) -> bytes:
+    chosen = np.concatenate([one, other])
+    records = np.zeros(len(chosen), dtype=_RECORD)
+    records["y"], records["x"] = measures.places[chosen].T
+    records["row"], records["column"] = np.trunc(measures.places[chosen]).T
+    records["scale"] = one_sigma(measures.sigmas[chosen])
+    return np.array([len(one), len(other)], dtype=_COUNTS).tobytes() + records.tobytes()
+
+
+def _text(measures: Measures, one: np.ndarray, other: np.ndarray) -> bytes:
+    columns = [
+        np.column_stack([measures.places[k][:, ::-1], one_sigma(measures.sigmas[k])]) for k in (one, other)
+    ]  # fmt: skip
+    return "".join(" ".join(map(repr, row)) + "\n" for row in np.hstack(columns).tolist()).encode()

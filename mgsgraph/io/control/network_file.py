@@ -1,0 +1,47 @@
+"""ISIS control networks read from either of their forms, told apart by what is in the file."""
+
+from pathlib import Path
+
+from mgsgraph.errors import InputError
+from mgsgraph.io.control.binary import is_binary, parse_binary_network
+from mgsgraph.io.control.pvl import parse_pvl_network, place_in
+from mgsgraph.io.control.record import ControlNetwork, Place
+from mgsgraph.io.pvl import Document
+from mgsgraph.io.text import read_bytes
+
+
+def read_network(path: Path) -> ControlNetwork:
+    """Read an ISIS control network with all that is in it.
+
+    Parameters
+    ----------
+    path : Path
+        PVL text of version 3, 4 or 5, or ISIS's binary form of version 2 or 5, whatever its name.
+
+    Returns
+    -------
+    ControlNetwork
+        Points in the file's order, ignored ones too.
+
+    Raises
+    ------
+    InputError
+        With the file, and line and point (text) or number and id of the point (binary): see `parse_pvl_network` and
+        `parse_binary_network`.
+    """
+    return read_network_with_places(path)[0]
+
+
+def read_network_with_places(path: Path) -> tuple[ControlNetwork, Place]:
+    """The network, and words for where its points and measures stand in the file."""
+    data = read_bytes(path)
+    if is_binary(data):
+        network = parse_binary_network(data, str(path))
+        return network, network.place
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        expected = "a control network, in PVL text or ISIS's binary form"
+        raise InputError(str(path), f"byte {error.start} is not UTF-8 text", expected) from None
+    document = Document(str(path), text.replace("\r\n", "\n").replace("\r", "\n"))
+    return parse_pvl_network(document), place_in(document)

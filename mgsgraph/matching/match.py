@@ -1,0 +1,362 @@
+"""Matching of a scene's images, from nominal orientations to tie points with covariances."""
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from importlib.metadata import version
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.matching.checks import cell_numbers, spread, verdict
+from mgsgraph.matching.coarse import Agreement, Together, brought_together, grid_step, pixel_on_ground, window
+from mgsgraph.matching.features import Window
+from mgsgraph.matching.least_squares import MatchStatus
+from mgsgraph.matching.matches import Losses, Matches, matches_of
+from mgsgraph.matching.measuring import Measured, SharpPictures, joined_measures, measured
+from mgsgraph.matching.opencv import opencv
+from mgsgraph.matching.pairs import Pair, box, footprints, pairs_of
+from mgsgraph.matching.patches import Tile
+from mgsgraph.matching.scene import Scene
+from mgsgraph.matching.settings import MatchSettings
+from mgsgraph.matching.store import Nowhere, Store, load_links
+from mgsgraph.matching.tiles import Links, features_on, links_on, saved, tiling, together
+from mgsgraph.matching.tracks import joined
+
+_MARGIN = 64
+"""pixels of the ground grid that tiles share with their neighbours."""
+_SLACK = 6.0
+"""pixels of the ground grid within which a counterpart lies once the orientations agree, height apart."""
+_LEAST_CELL = 4.0
+"""pixels of the ground grid, side of a cell."""
+_FINER = 2.0
+"""How much smaller a pixel's area has to be to count as finer."""
+_TRIED = 4
+"""How many times more matches are measured in each cell than are kept."""
+
+Progress = Callable[[str, int, int], None]
+"""Told what is being done, and how many of how many are."""
+
+
+def match_scene(
+    scene: Scene,
+    settings: MatchSettings | None = None,
+    store: Store | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda what, done, most: None,
+) -> Matches:
+    """Find tie points in all pairs of images that share ground.
+
+    Parameters
+    ----------
+    scene : Scene
+        Pictures with nominal orientations and priors over one ground.
+    settings : MatchSettings, optional
+        Choices.
+    store : Store, optional
+        Where tiles that are done are kept.
+    workers : int, optional
+        Tiles at a time; as many as there are processors when absent.
+    progress : callable, optional
+        Told what is being done.
+
+    Raises
+    ------
+    InputError
+        Where images are blank or saturated, don't overlap, don't agree on an orientation, or no match remains.
+    """
+    settings, store = settings or MatchSettings(), store or Nowhere()
+    levels = [picture.levels for picture in scene.pictures]
+    pairs = pairs_of(scene)
+    step = settings.step or grid_step(scene)
+    known = brought_together(
+        scene, pairs, settings, step, levels, store, lambda done, most: progress("coarse grid", done, most)
+    )
+    pairs = [pair for pair in pairs if known.group[pair.first] == known.group[pair.second]]
+    found = _links(known, pairs, settings, step, levels, store, workers, progress)
+    return _measured_matches(known, pairs, found, settings, step, progress)
+
+
+def digest(scene: Scene, settings: MatchSettings) -> str:
+    """A short name for all that the result depends on."""
+    whole = hashlib.sha256(f"{version('mgsgraph')} {settings!r}".encode())
+    for picture in scene.pictures:
+        lines, samples = np.linspace(0.0, picture.image.lines, 31), np.linspace(0.0, picture.image.samples, 31)
+        rays = picture.image.sightlines(lines, samples, picture.correction)
+        for array in (picture.pixels, picture.prior.sigmas, *rays):
+            whole.update(repr((picture.image.name, array.shape, array.dtype.str)).encode())
+            whole.update(np.ascontiguousarray(array).tobytes())
+    ground = scene.ground
+    whole.update(repr((ground.height, ground.height_sigma, ground.chart.axes.tolist(), ground.body)).encode())
+    if (model := ground.terrain) is not None:
+        steps = model.first_longitude, model.first_latitude, model.longitude_step, model.latitude_step
+        whole.update(repr((model.radii.shape, steps)).encode())
+        whole.update(np.ascontiguousarray(model.radii).tobytes())
+    return whole.hexdigest()[:16]
+
+
+def _links(
+    known: Together, pairs: Sequence[Pair], settings: MatchSettings, step: float,
+    levels: Sequence[tuple[float, float]], store: Store, workers: int | None, progress: Progress,
+) -> Links:
+    """Links on all tiles, those that were kept from an earlier run taken from there."""
+    scene = known.scene
+    boxes = [box(scene, one.outline) for one in footprints(scene)]
+    tiles = tiling(boxes, step, _MARGIN * step)
+    windows = _windows(scene, pairs, known.agreements, step)
+
+    def work(tile: Tile) -> Links:
+        name = f"tile_{tile.number:05d}"
+        kept = load_links(store, name)
+        if kept is not None:
+            return kept
+        links = _on_tile(scene, tile, levels, boxes, windows, settings)
+        store.keep(name, saved(links))
+        return links
+
+    parts = list[Links]()
+    progress("matching", 0, len(tiles))
+    with _one_thread_each(), ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        try:
+            for links in pool.map(work, tiles):
+                parts.append(links)
+                progress("matching", len(parts), len(tiles))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return together(parts)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """OpenCV leaves the other processors to the other tiles."""
+    cv2 = opencv()
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _windows(
+    scene: Scene, pairs: Sequence[Pair], agreements: Sequence[Agreement], step: float
+) -> dict[tuple[int, int], Window]:
+    """Of each pair, by how much the ground was seen to leave its model."""
+    sigmas = [one.height_sigma for one in agreements if np.isfinite(one.height_sigma)]
+    height = max(sigmas, default=scene.ground.height_sigma)
+    return {
+        (pair.first, pair.second): window(
+            scene.pictures[pair.first], scene.pictures[pair.second], scene, height, _SLACK * step
+        )
+        for pair in pairs
+    }
+
+
+def _on_tile(
+    scene: Scene, tile: Tile, levels: Sequence[tuple[float, float]], boxes: Sequence[Array],
+    windows: dict[tuple[int, int], Window], settings: MatchSettings,
+) -> Links:
+    low = np.array([tile.west, tile.south])
+    high = low + tile.step * np.array([tile.columns, tile.rows])
+    near = [j for j, (least, largest) in enumerate(boxes) if np.all(least <= high) and np.all(largest >= low)]
+    if settings.method == "grid":
+        from mgsgraph.matching.correlation import links_on_grid
+
+        return links_on_grid(scene, tile, levels, near, windows, settings)
+    found = features_on(scene, tile, levels, near, settings.features)
+    return links_on(found, tile, windows, settings.ratio)
+
+
+# --- measures
+
+
+class _Cells(NamedTuple):
+    """The ground that pairs share, in cells."""
+
+    side: float
+    """m."""
+    whole: set[int]
+    """Cells of whose middle two images, at least, have a picture."""
+
+
+def _cells(scene: Scene, pairs: Sequence[Pair], wanted: int, least: float = 0.0) -> _Cells:
+    """Square cells of at least `least` m, of which about `wanted` fall on the ground that the largest pair shares."""
+    side = max(float(np.sqrt(max(pair.area for pair in pairs) / wanted)), least)
+    seen = [np.zeros(0, dtype=np.int64)]
+    for picture, one in zip(scene.pictures, footprints(scene), strict=True):
+        (west, south), (east, north) = box(scene, one.outline)
+        columns, rows = np.arange(west // side, east // side + 1), np.arange(south // side, north // side + 1)
+        middle = (np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) + 0.5) * side
+        places = picture.places(scene.ground.points(middle))
+        inside = np.all((places > 0.0) & (places < [picture.image.lines, picture.image.samples]), axis=1)
+        seen.append(cell_numbers(middle[inside], side))
+    numbers, counts = np.unique(np.concatenate(seen), return_counts=True)
+    return _Cells(side, set(numbers[counts > 1].tolist()))
+
+
+def _numbered(names: Iterable[tuple[int, ...]]) -> Index:
+    """(n,) one number for each distinct name."""
+    number = dict[tuple[int, ...], int]()
+    return np.array([number.setdefault(name, len(number)) for name in names], dtype=np.int64)
+
+
+def _measured_matches(
+    known: Together, pairs: Sequence[Pair], found: Links, settings: MatchSettings, step: float, progress: Progress
+) -> Matches:
+    scene = known.scene
+    cells = _cells(scene, pairs, settings.cells, _LEAST_CELL * step)
+    tracks = _surest(found, joined(found.links, found.likeness, found.picture), cells, settings)
+    tracks = _finest_first(scene, found, tracks)
+    likeness = _likeness(found, tracks)
+    progress("measuring", 0, 2)
+    sharp = SharpPictures(scene.pictures)
+    first = measured(scene, found, tracks, sharp, settings, step)
+    progress("measuring", 1, 2)
+    whole = joined_measures([first, _second_look(scene, found, first, sharp, settings, step, len(tracks))])
+    progress("measuring", 2, 2)
+    kept, losses, misfit = _checked(scene, whole, likeness, settings, step, cells, len(found.links))
+    if kept.track.size == 0:
+        raise InputError(
+            "matching", f"no match is left of {losses.linked} ({losses.measured} measured, {losses.coplanar} coplanar)",
+            "images that look alike", "the pictures may be too different, or the ground bare",
+        )
+    return _matches(known, kept, misfit, losses, step, cells)
+
+
+def _surest(found: Links, tracks: list[list[int]], cells: _Cells, settings: MatchSettings) -> list[list[int]]:
+    """Some tracks of each cell, the surest first; longer ones before shorter."""
+    if not tracks:
+        return tracks
+    plane = found.plane[[track[0] for track in tracks]]
+    quality = -_likeness(found, tracks) - np.array([len(track) for track in tracks])
+    group = _numbered(tuple(found.picture[track].tolist()) for track in tracks)
+    kept = spread(cell_numbers(plane, cells.side), group, quality, _TRIED * settings.per_cell)
+    return [tracks[k] for k in np.flatnonzero(kept)]
+
+
+def _finest_first(scene: Scene, found: Links, tracks: list[list[int]]) -> list[list[int]]:
+    """Features of each track, that of the finest picture first: its window is what the others are compared with, and a
+    coarse one would be compared with what finer pixels alias. Pictures about as fine stay in their order.
+    """
+    sizes = [np.log(abs(np.linalg.det(pixel_on_ground(scene, picture)))) for picture in scene.pictures]
+    rank = np.rint((np.array(sizes) - min(sizes)) / np.log(_FINER)).astype(int)
+    return [sorted(track, key=lambda feature: int(rank[found.picture[feature]])) for track in tracks]
+
+
+def _likeness(found: Links, tracks: Sequence[list[int]]) -> Array:
+    """(t,) mean of how sure each track's features are of one another."""
+    best = np.zeros(len(found.plane))
+    np.maximum.at(best, found.links.ravel(), np.repeat(found.likeness, 2))
+    return np.array([best[track].mean() for track in tracks])
+
+
+def _second_look(
+    scene: Scene, found: Links, first: Measured, sharp: SharpPictures, settings: MatchSettings, step: float, offset: int
+) -> Measured:
+    """What did not fit a track's reference may belong together itself: such tracks are split and measured anew."""
+    lost = np.flatnonzero(~_alike(first, settings) | ~first.returns)
+    tracks = dict[int, list[int]]()
+    for k in lost.tolist():
+        tracks.setdefault(int(first.track[k]), []).append(int(first.feature[k]))
+    again = measured(scene, found, [track for track in tracks.values() if len(track) > 1], sharp, settings, step)
+    return again._replace(track=again.track + offset)
+
+
+def _alike(found: Measured, settings: MatchSettings) -> Mask:
+    good = found.status == MatchStatus.CONVERGED
+    sigmas = np.full(good.size, np.inf)
+    sigmas[good] = found.some(good).sigmas
+    return np.asarray(good & (found.correlation >= settings.least_correlation) & (sigmas <= settings.largest_sigma))
+
+
+def _checked(
+    scene: Scene, found: Measured, likeness: Array, settings: MatchSettings, step: float, cells: _Cells, linked: int
+) -> tuple[Measured, Losses, Array]:
+    """What stands all checks, best of each cell, and the coplanarity residuals."""
+    alike = _alike(found, settings)
+    sound = found.some(alike & found.returns)
+    checked = verdict(scene, sound, step, settings.seed)
+    good = checked.coplanar & checked.steady
+    good[good] = _one_per_window(scene, sound.some(good), likeness, settings, step)
+    standing = sound.some(good)
+    best = _best_of_cells(scene, standing, likeness, cells, settings)
+    losses = Losses(
+        linked=linked,
+        tried=found.track.size,
+        measured=int(np.count_nonzero(found.status == MatchStatus.CONVERGED)),
+        alike=int(np.count_nonzero(alike)),
+        returned=sound.track.size,
+        coplanar=int(np.count_nonzero(checked.coplanar)),
+        steady=int(np.count_nonzero(checked.coplanar & checked.steady)),
+        kept=int(np.count_nonzero(best)),
+    )
+    return standing.some(best), losses, checked.misfit[good][best]
+
+
+def _best_of_cells(
+    scene: Scene, found: Measured, likeness: Array, cells: _Cells, settings: MatchSettings
+) -> Mask:
+    """(k,) measures of the surest tracks of each cell, whole tracks; those split off from others come last.
+
+    Not those of the smallest sigmas: which of several sigmas is the smallest is chance, too, and what is chosen for it
+    is worse than it says.
+    """
+    tracks, begin, inverse = np.unique(found.track, return_index=True, return_inverse=True)
+    unsure = _unsure(tracks, likeness)
+    others = np.split(found.other, begin[1:]) if begin.size else []
+    group = _numbered((int(j), *other.tolist()) for j, other in zip(found.first[begin], others, strict=True))
+    cell = cell_numbers(_anchor_plane(scene, found.some(begin)), cells.side)
+    return np.asarray(spread(cell, group, unsure, settings.per_cell)[inverse])
+
+
+def _one_per_window(
+    scene: Scene, found: Measured, likeness: Array, settings: MatchSettings, step: float
+) -> Mask:
+    """(k,) measures of which no other of the same pair lies in the same half window, nearly: of longer tracks first,
+    then of surer ones.
+
+    Features near each other share the sharpest pixel beside them, and would give one measure twice.
+    """
+    rays = np.unique(found.track, return_inverse=True, return_counts=True)[1:]
+    places = cell_numbers(_anchor_plane(scene, found), settings.half_window * step)
+    return spread(places, _numbered(_pairs(found)), _unsure(found.track, likeness) - rays[1][rays[0]], 1)
+
+
+def _pairs(found: Measured) -> list[tuple[int, ...]]:
+    return list(zip(found.first.tolist(), found.other.tolist(), strict=True))
+
+
+def _unsure(tracks: Index, likeness: Array) -> Array:
+    """(n,) how sure tracks are, negative; zero of those split off from others."""
+    known = np.append(-likeness, 0.0)
+    return known[np.minimum(tracks, likeness.size)]
+
+
+def _anchor_plane(scene: Scene, found: Measured) -> Array:
+    """(k, 2) m, places of the chart under the anchors."""
+    plane = np.empty((found.track.size, 2))
+    for j, picture in enumerate(scene.pictures):
+        mine = found.first == j
+        plane[mine] = picture.on_chart(scene.ground, found.anchors[mine])
+    return plane
+
+
+def _matches(
+    known: Together, kept: Measured, misfit: Array, losses: Losses, step: float, cells: _Cells
+) -> Matches:
+    scene = known.scene
+    _, begin = np.unique(kept.track, return_index=True)
+    plane = _anchor_plane(scene, kept.some(begin))
+    order: Index = np.lexsort([plane[:, 0], plane[:, 1]])
+    names = tuple(picture.image.name for picture in scene.pictures)
+    ties, covariances, correlation, misfit = matches_of(kept, misfit, names, order)
+    filled = len(cells.whole & set(cell_numbers(plane, cells.side).tolist()))
+    return Matches(
+        ties, covariances, correlation, misfit, tuple(known.agreements), tuple(known.refused), losses, step, cells.side,
+        (filled, len(cells.whole)),
+    )  # fmt: skip

@@ -1,0 +1,117 @@
+"""Pictures resampled onto tiles of the ground grid: one scale, one direction, and hardly any displacement left."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.geometry.records import Array
+from mgsgraph.matching.opencv import opencv
+from mgsgraph.matching.scene import Ground, Picture
+
+_NODE = 16
+"""pixels of the ground grid between places that are projected; between them places change evenly."""
+_SKIPS = 2.0
+"""A picture's pixels in one of the ground grid from which on a cubic skips some."""
+_BLUR, _UNBLURRED = 0.5, 1e-3
+"""Sigma of the filter then, in pixels of the ground grid, and in pixels of one that does nothing."""
+_REMAP_LIMIT = 30_000
+"""pixels; OpenCV's remap takes pictures of less than 32,768 lines and samples."""
+
+
+class Tile(NamedTuple):
+    """A rectangle of the ground grid, with a margin in which neighbouring tiles' features are found too."""
+
+    number: int
+    west: float
+    """m, x of the first column's pixels."""
+    south: float
+    """m, y of the first row's; rows go along the flight."""
+    step: float
+    """m between pixels."""
+    rows: int
+    columns: int
+    margin: int
+    """pixels on every side that belong to the tile's neighbours."""
+
+    def plane(self, columns: Array, rows: Array) -> Array:
+        """(n, 2) m of the chart, of pixel centres counted from zero."""
+        return np.column_stack([self.west + columns * self.step, self.south + rows * self.step])
+
+    def owns(self, plane: Array) -> NDArray[np.bool_]:
+        """(n,) which places (n, 2) of the chart lie in the tile without its margin."""
+        column, row = (plane[:, 0] - self.west) / self.step, (plane[:, 1] - self.south) / self.step
+        inside = (column >= self.margin - 0.5) & (column < self.columns - self.margin - 0.5)
+        return np.asarray(inside & (row >= self.margin - 0.5) & (row < self.rows - self.margin - 0.5))
+
+
+class Patch(NamedTuple):
+    """A picture on a tile."""
+
+    grey: NDArray[np.uint8]
+    """(rows, columns), stretched between the picture's levels."""
+    valid: NDArray[np.uint8]
+    """(rows, columns), 255 where the picture has pixels."""
+
+
+def ortho_patch(picture: Picture, ground: Ground, tile: Tile, levels: tuple[float, float]) -> Patch | None:
+    """A picture on a tile; None where it shows nothing of it."""
+    cv2 = opencv()
+    nodes = _node_places(picture, ground, tile)
+    size = np.array([picture.image.lines, picture.image.samples], dtype=np.float64)
+    touched = np.all((nodes > -2.0 * _NODE) & (nodes < size + 2.0 * _NODE), axis=2)
+    if not touched.any():
+        return None
+    lines, samples = (_spread(nodes[:, :, k], tile) for k in (0, 1))
+    seen = (lines > 0.5) & (lines < size[0] - 0.5) & (samples > 0.5) & (samples < size[1] - 0.5)
+    if not seen.any():
+        return None
+    first = int(max(np.floor(lines[seen].min()) - 4, 0))
+    last = min(int(np.ceil(lines[seen].max())) + 4, first + _REMAP_LIMIT)
+    seen &= lines < last - 0.5
+    part = picture.pixels[first:last].astype(np.float32)
+    hollow = ~np.isfinite(part)
+    if hollow.any():
+        part[hollow] = levels[0]
+    blur = _blur(nodes)
+    if any(blur):
+        part = cv2.GaussianBlur(part, (0, 0), sigmaX=max(blur[1], _UNBLURRED), sigmaY=max(blur[0], _UNBLURRED))
+    down, across = (lines - 0.5 - first).astype(np.float32), (samples - 0.5).astype(np.float32)
+    grey = cv2.remap(part, across, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    if hollow.any():
+        reach = [3 + 2 * int(np.ceil(2.0 * sigma)) for sigma in blur]  # a cubic's one pixel, and the filter's
+        wide = cv2.dilate(hollow.astype(np.float32), np.ones(reach, np.uint8))
+        dead = cv2.remap(wide, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen &= dead == 0
+    stretched = np.clip((grey - levels[0]) * (255.0 / (levels[1] - levels[0])), 0.0, 255.0).astype(np.uint8)
+    return Patch(np.where(seen, stretched, 0).astype(np.uint8), np.where(seen, 255, 0).astype(np.uint8))
+
+
+def _node_places(picture: Picture, ground: Ground, tile: Tile) -> Array:
+    """(rows', columns', 2) line and sample of every sixteenth pixel, beyond the tile's last one; NaN where unseen."""
+    columns, rows = (np.arange(-(-count // _NODE) + 1) * float(_NODE) for count in (tile.columns, tile.rows))
+    across, along = np.meshgrid(columns, rows)
+    points = ground.points(tile.plane(across.ravel(), along.ravel()))
+    return picture.places(points).reshape(rows.size, columns.size, 2)
+
+
+def _blur(nodes: Array) -> tuple[float, float]:
+    """Sigmas in lines and samples of the filter of a picture much finer than the ground grid: unfiltered, the grid's
+    pixels would skip most of the picture's, and show their noise and aliases instead. Zero where none is needed.
+    """
+    apart = [np.abs(np.diff(nodes, axis=k)).reshape(-1, 2) / _NODE for k in (0, 1)]
+    seen = [one[np.isfinite(one).all(axis=1)] for one in apart]
+    if not (len(seen[0]) and len(seen[1])):
+        return 0.0, 0.0
+    lines, samples = np.hypot(*(np.median(one, axis=0) for one in seen)).tolist()
+    sigmas = [_BLUR * float(np.sqrt(size**2 - 1.0)) if size > _SKIPS else 0.0 for size in (lines, samples)]
+    return sigmas[0], sigmas[1]
+
+
+def _spread(nodes: Array, tile: Tile) -> Array:
+    """(rows, columns) bilinear between nodes."""
+    share = np.arange(_NODE) / _NODE
+    across = nodes[:, :-1, None] * (1.0 - share) + nodes[:, 1:, None] * share
+    wide = across.reshape(nodes.shape[0], -1)[:, : tile.columns]
+    down = wide[:-1, None, :] * (1.0 - share)[:, None] + wide[1:, None, :] * share[:, None]
+    return np.asarray(down.reshape(-1, tile.columns)[: tile.rows])

@@ -1,0 +1,148 @@
+"""Images with their pixels and orientation over one ground: where a place of the chart is on each image, and back."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.matching.chart import GroundChart
+
+Pixels = NDArray[Any]
+"""(lines, samples) grey values; NaN where a float picture has none."""
+
+_MEETINGS = 4
+"""Times that a ray's ground is looked up at the height of the terrain under its last place."""
+_DIFFERENCE = 20.0
+"""m, over which derivatives of image places by ground places are taken."""
+_LOOKED_AT = 200_000
+"""pixels from which a picture's grey values are judged."""
+_USELESS = 0.5
+"""Share of a picture's pixels at one and the same extreme value beyond which there is nothing to match."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """The ground as far as it is known beforehand, over a chart."""
+
+    chart: GroundChart
+    """The plane."""
+    body: Ellipsoid
+    """Reference of the height."""
+    height: float
+    """m above the ellipsoid, where the terrain model says nothing."""
+    height_sigma: float
+    """m, by how much the true ground may be higher or lower."""
+    terrain: TerrainGrid | None = None
+    """Radii of a terrain model."""
+
+    def points(self, plane: Array) -> Array:
+        """(n, 3) m, body-fixed, the ground at places (n, 2) of the chart."""
+        directions = self.chart.directions(plane)
+        return np.asarray(directions * self._radii(directions)[:, None])
+
+    def _radii(self, directions: Array) -> Array:
+        a, b = self.body.equatorial + self.height, self.body.polar + self.height
+        level = a * b / np.hypot(b * np.hypot(directions[:, 0], directions[:, 1]), a * directions[:, 2])
+        if self.terrain is None:
+            return np.asarray(level)
+        radii = self.terrain.at(directions * level[:, None])
+        return np.where(np.isfinite(radii), radii, level)
+
+    def meet(self, origins: Array, directions: Array) -> Array:
+        """(n, 3) m, body-fixed, where rays meet the ground, to some metres of height; NaN where they miss the body."""
+        heights = np.full(origins.shape[0], self.height)
+        points = intersect_ellipsoid(origins, directions, self.body, heights)[0]
+        if self.terrain is None:
+            return points
+        for _ in range(_MEETINGS):
+            radii = np.linalg.norm(points, axis=1)
+            heights -= np.nan_to_num(radii - self._radii(points / radii[:, None]))
+            points = intersect_ellipsoid(origins, directions, self.body, heights)[0]
+        return points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """An image with its pixels, and the orientation that is believed for now."""
+
+    image: PushbroomImage
+    """Geometry."""
+    pixels: Pixels
+    """(lines, samples)."""
+    prior: OrientationPrior
+    """What is known of the corrections of its nominal orientation beforehand."""
+    correction: OrientationCorrection | None = None
+    """Of the nominal orientation."""
+
+    def __post_init__(self) -> None:
+        shape = (self.image.lines, self.image.samples)
+        if self.pixels.shape != shape:
+            found = f"pixels of shape {self.pixels.shape}"
+            raise InputError(f"image {self.image.name}", found, f"{shape[0]} lines x {shape[1]} samples")
+
+    def places(self, points: Array) -> Array:
+        """(n, 2) line and sample of ground points (n, 3) in m; NaN where they are not seen."""
+        return self.image.ground_to_image(points, self.correction)[0]
+
+    def derivatives(self, ground: Ground, plane: Array) -> Array:
+        """(n, 2, 2) d(line, sample) / d(x, y) in pixels per m at places (n, 2) of the chart."""
+        columns = []
+        for axis in np.eye(2):
+            ahead, behind = (self.places(ground.points(plane + side * _DIFFERENCE * axis)) for side in (0.5, -0.5))
+            columns.append((ahead - behind) / _DIFFERENCE)
+        return np.stack(columns, axis=2)
+
+    def on_chart(self, ground: Ground, places: Array, correction: OrientationCorrection | None = None) -> Array:
+        """(n, 2) m, places of the chart where rays of image places (n, 2) meet the ground; by another correction than
+        the picture's own if one is given.
+        """
+        rays = self.image.sightlines(places[:, 0], places[:, 1], correction or self.correction)
+        return ground.chart.plane(ground.meet(*rays))
+
+    def lean(self, ground: Ground, places: Array) -> Array:
+        """(n, 2) m per m: by how much the rays of image places (n, 2) move over the chart from a height to a higher."""
+        origins, directions = self.image.sightlines(places[:, 0], places[:, 1], self.correction)
+        points = ground.meet(origins, directions)
+        up = points / np.linalg.norm(points, axis=1, keepdims=True)
+        higher = points + directions / np.einsum("ni,ni->n", directions, up)[:, None]
+        return ground.chart.plane(higher) - ground.chart.plane(points)
+
+    @property
+    def levels(self) -> tuple[float, float]:
+        """Grey values that are shown black and white: all but a two-hundredth of the pixels lie between.
+
+        Raises
+        ------
+        InputError
+            Where the picture is blank or saturated.
+        """
+        apart = max(1, int(np.sqrt(self.pixels.size / _LOOKED_AT)))
+        some = self.pixels[::apart, ::apart]
+        some = some[np.isfinite(some)].astype(np.float64)
+        where, remedy = f"picture of {self.image.name}", "leave the image out"
+        if some.size == 0:
+            raise InputError(where, "no valid pixels", "a picture", remedy)
+        low, high = np.quantile(some, [0.005, 0.995])
+        for value, name in ((some.min(), "darkest"), (some.max(), "brightest")):
+            share = float(np.mean(some == value))
+            if share > _USELESS:
+                found = f"{share:.0%} of its pixels at the {name} value, {value:g}"
+                raise InputError(where, found, "a picture that is neither blank nor saturated", remedy)
+        return float(low), float(max(high, np.nextafter(low, np.inf)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All pictures over one ground."""
+
+    pictures: tuple[Picture, ...]
+    """At least two."""
+    ground: Ground
+    """What they show."""

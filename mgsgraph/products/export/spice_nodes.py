@@ -1,0 +1,158 @@
+"""Nodes of an adjusted trajectory: so close together that SPICE's interpolation stays below a small part of a pixel.
+
+What SPK type 13 of degree 3 and CK type 3 do between two nodes is what `PositionTable` and `AttitudeTable` do, so the
+error is measured before anything is written.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
+
+TOLERANCE = 1e-3
+"""px, between nodes."""
+
+_FIRST_INTERVALS = 8
+"""Even intervals to begin with, apart from the trajectory's own nodes."""
+_HALVINGS = 16
+_PLACES = 9
+"""Lines at which the size of a pixel is looked at."""
+_WITHIN = np.array([0.25, 0.5, 0.75])
+"""Shares of each interval at which the error is measured."""
+_LAST = 1e-3
+"""lines before a pause at which there is a node."""
+_NEAR = 1e-5
+"""s: nodes nearer than this to one another are one (ephemeris time resolves 6e-8 s)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AdjustedNodes:
+    """Adjusted positions and attitudes of one image at nodes, against the body-fixed frame."""
+
+    epoch: float
+    """s TDB past J2000 from which times count."""
+    times: Array
+    """(n,) s past the epoch, increasing; times + epoch are exact in float64."""
+    positions: Array
+    """(n, 3) m, perspective centre, geometric."""
+    velocities: Array
+    """(n, 3) m/s, the change of these positions in the body-fixed frame."""
+    matrices: Array
+    """(n, 3, 3) body-fixed to camera frame, camera +Z out of the lens."""
+    turning: Array
+    """(n, 3) rad/s, angular velocity of the camera against the body-fixed frame, in body-fixed axes."""
+    error: float
+    """px, largest between nodes, where it was measured."""
+
+
+def adjusted_nodes(
+    image: PushbroomImage, correction: OrientationCorrection, covered: tuple[float, float]
+) -> AdjustedNodes:
+    """Nodes from one line to another, halved where interpolation between them is off by more than `TOLERANCE`.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        With adjusted camera constants.
+    correction : OrientationCorrection
+        Of its nominal orientation.
+    covered : (float, float)
+        First and last line; they may lie outside the image.
+
+    Raises
+    ------
+    InputError
+        When the orientation jumps, so that no spacing is small enough.
+    """
+    pixel, distance = _pixel(image, correction)
+    times = _first_times(image, correction, covered)
+    for _ in range(_HALVINGS):
+        nodes = _nodes(image, correction, times)
+        off = _errors(image, correction, nodes, distance) / pixel
+        wrong = off > TOLERANCE
+        if not wrong.any():
+            return AdjustedNodes(*nodes, error=float(off.max()))
+        known = nodes[1]
+        times = np.sort(np.concatenate([known, 0.5 * (known[1:] + known[:-1])[wrong]]))
+    raise InputError(
+        f"image {image.name}, orientation", f"{off.max():.3g} px between nodes {np.diff(known).min():.3g} s apart",
+        f"less than {TOLERANCE} px", "an orientation without jumps",
+    )  # fmt: skip
+
+
+_Nodes = tuple[float, Array, Array, Array, Array, Array]
+
+
+def _nodes(image: PushbroomImage, correction: OrientationCorrection, times: Array) -> _Nodes:
+    """Fields of `AdjustedNodes` but for the error, at times (n,), rounded to those that ephemeris time can hold."""
+    epoch = image.trajectory.epoch
+    lines = image.timing.lines((times + epoch) - epoch)
+    reached, periods = image.timing.at(lines)  # in a pause of the timing, the time at which it goes on
+    kept = np.unique(reached, return_index=True)[1]
+    kept = kept[np.diff(reached[kept], prepend=-np.inf) > _NEAR]
+    pose = image.pose(lines[kept], correction)
+    rate = 1.0 / periods[kept, None]
+    turning = np.einsum("nji,nj->ni", pose.matrix, pose.turning * rate)
+    return epoch, (reached[kept] + epoch) - epoch, pose.position, pose.velocity * rate, pose.matrix, turning
+
+
+def _first_times(
+    image: PushbroomImage, correction: OrientationCorrection, covered: tuple[float, float]
+) -> Array:
+    """Times, s past the trajectory's epoch: even ones, and kinks of tables, orientation images and line times."""
+    trajectory = image.trajectory
+    start, stop = image.timing.at(np.array(covered))[0]
+    kinks = _pauses(image.timing)
+    if isinstance(trajectory, Trajectory):
+        kinks += [trajectory.position.times, trajectory.camera.times, trajectory.body.times]
+    if correction.nodes is not None:
+        kinks.append(correction.nodes.times + (correction.nodes.epoch - trajectory.epoch))
+    inner = np.concatenate([np.linspace(start, stop, _FIRST_INTERVALS + 1), *kinks])
+    inner = np.unique(inner[(inner > start + _NEAR) & (inner < stop - _NEAR)])
+    apart = np.diff(inner, prepend=start) > _NEAR
+    return np.concatenate([[start], inner[apart], [stop]])
+
+
+def _pauses(timing: LineTiming) -> list[Array]:
+    """Times just before and right after those in which no line is read: nothing can be halved in them."""
+    lines, starts, periods = timing.first_lines, timing.start_times, timing.periods
+    ends = starts[:-1] + (lines[1:] - lines[:-1] - _LAST) * periods[:-1]
+    paused = starts[1:] - ends > _NEAR + _LAST * periods[:-1]
+    return [ends[paused], starts[1:][paused]]
+
+
+def _pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[float, float]:
+    """Smallest size of a line or sample across the line of sight, m, and the largest distance, m."""
+    lines = np.linspace(0.0, float(image.lines), _PLACES)
+    samples = np.full(_PLACES, 0.5 * image.samples)
+    ground, by_place = image.image_to_ground(lines, samples, 0.0, correction)
+    origins, directions = image.sightlines(lines, samples, correction)
+    seen = np.isfinite(ground).all(axis=1)
+    if not seen.any():  # an image of the sky
+        distance = float(np.linalg.norm(origins, axis=1).max())
+        return distance * image.pixel_angle, distance
+    along = (directions / np.linalg.norm(directions, axis=1, keepdims=True))[seen]
+    size = by_place[seen]
+    across = size - along[:, :, None] * np.einsum("ni,nik->nk", along, size)[:, None, :]
+    distance = np.linalg.norm(ground[seen] - origins[seen], axis=1)
+    return float(np.linalg.norm(across, axis=1).min()), float(distance.max())
+
+
+def _errors(image: PushbroomImage, correction: OrientationCorrection, nodes: _Nodes, distance: float) -> Array:
+    """(n - 1,) m across the line of sight at most, at which interpolation in each interval misses the ground."""
+    _, times, positions, velocities, matrices, _ = nodes
+    between = (times[:-1, None] + np.diff(times)[:, None] * _WITHIN).ravel()
+    _, between, true, _, turned, _ = _nodes(image, correction, between)
+    place, _ = PositionTable(times, positions, velocities).at(between)
+    matrix, _ = AttitudeTable(times, rotation.from_matrix(matrices), np.eye(3)).at(between)
+    angle = np.linalg.norm(rotation.logarithm(turned @ np.swapaxes(matrix, 1, 2)), axis=1)
+    off = np.linalg.norm(place - true, axis=1) + distance * angle
+    largest = np.zeros(times.size - 1)
+    np.maximum.at(largest, np.clip(np.searchsorted(times, between, side="right") - 1, 0, times.size - 2), off)
+    return largest

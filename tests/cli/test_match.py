@@ -1,0 +1,221 @@
+"""`mgsgraph match` as a person uses it: from pictures to a network that is adjusted; one line for errors; going on."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import matched
+import numpy as np
+import pytest
+from increments import strip
+
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
+from mgsgraph.io.control_net import read_control_network
+from mgsgraph.matching import match as matching
+from mgsgraph.simulation.strip_files import write_strip
+
+FEW = ("--cells", "40", "--no-figures")
+"""Options, to be quick."""
+
+
+def call(*arguments: str | Path) -> int:
+    """A command in this process; its exit status."""
+    return group([str(one) for one in arguments], standalone_mode=False) or 0
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300,
+        check=False, env=os.environ | {"COLUMNS": "110"},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The case of the small pair, whose own ties are gone."""
+    case = matched.write(tmp_path_factory.mktemp("site"))
+    text = case.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[ties]")
+    case.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
+    (case.parent / "network.pvl").unlink()
+    return case
+
+
+@pytest.fixture(scope="module")
+def out(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its matches, found in a process of its own."""
+    out = tmp_path_factory.mktemp("found") / "matches"
+    done = run("match", site, "--out", out, "--cells", 40)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    record = json.loads((out / "match.json").read_text(encoding="utf-8"))
+    said = done.stdout.splitlines()
+    assert [line[2:] for line in said[:-1]] == record["statements"]
+    assert said[-1] == f"The network is {out / 'network.pvl'}"
+    return out
+
+
+def test_matches_are_written_and_replaced(site: Path, out: Path) -> None:
+    assert {path.name for path in out.iterdir()} == {
+        "match.json", "matches.csv", "network.net", "network.pvl", "matches.png", "matches.svg",
+    }  # fmt: skip
+    before = read_control_network(out / "network.pvl")
+    assert len(before.ids) > 60
+    assert call("match", site, "--out", out, *FEW, "--workers", "1") == 0  # replaces it
+    assert not list(out.glob("*.png"))
+    after = read_control_network(out / "network.pvl")
+    assert after.ids == before.ids
+    np.testing.assert_allclose(after.measures, before.measures, atol=1e-9)
+    np.testing.assert_allclose(after.measure_sigmas, before.measure_sigmas, rtol=1e-9)
+    assert [path.name for path in out.parent.iterdir()] == ["matches"]
+
+
+def test_a_regular_grid(site: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    grid = tmp_path / "grid"
+    assert call("match", site, "--out", grid, *FEW, "--method", "grid", "--spacing", "90", "--per-cell", "1") == 0
+    record = json.loads((grid / "match.json").read_text(encoding="utf-8"))
+    assert (record["settings"]["method"], record["settings"]["spacing"]) == ("grid", 90.0)
+    assert 30 < record["points"] <= 60
+    assert "tie points with 2 to 2 measures" in capsys.readouterr().out
+
+
+def test_matches_are_adjusted(
+    site: Path, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a case that has no ties; the network's path is the caller's, not the case's."""
+    monkeypatch.chdir(out.parent)
+    ties = ("--ties", Path("matches") / "network.pvl")
+    points = len(read_control_network(out / "network.pvl").ids)
+    assert call("check", site, *ties) == 0
+    assert f"{points}" in capsys.readouterr().out
+    result = tmp_path / "result"
+    assert call("adjust", site, *ties, "--out", result, "--no-figures") == 0
+    assert "sigma0" in capsys.readouterr().out
+    record = json.loads((result / "solution.json").read_text(encoding="utf-8"))
+    assert record["status"] == "converged"
+    shutil.copy(out / "network.net", tmp_path / "binary.net")
+    assert call("check", site, "--ties", tmp_path / "binary.net") == 0
+    registration = tmp_path / "registration"
+    assert call("register", site, *ties, "--solution", result, "--out", registration, "--no-figures") == 0
+    assert (registration / "registration.json").exists()
+    capsys.readouterr()
+
+
+def test_ties_of_a_case_give_way_to_those_named(case_file: Path, tmp_path: Path) -> None:
+    own = case_file.with_name("network.pvl")
+    other = tmp_path / "other.pvl"
+    shutil.move(own, other)
+    with pytest.raises(InputError, match=r"network\.pvl"):
+        call("check", case_file)
+    assert call("check", case_file, "--ties", other) == 0
+    with pytest.raises(InputError, match=r"none\.pvl: no such file"):
+        call("check", case_file, "--ties", tmp_path / "none.pvl")
+
+
+def test_nodes_take_ties_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made = strip(6)
+    write_strip(made, tmp_path)
+    case = tmp_path / "case.toml"
+    tables = "".join(f'\n[[strips]]\nname = "{one.name}"\nimages = ["{one.name}"]\n' for one in made.images)
+    case.write_text(case.read_text(encoding="utf-8") + tables, encoding="utf-8")
+    (network,) = tmp_path.glob("*.pvl")
+    network.rename(tmp_path / "moved.pvl")
+    with pytest.raises(InputError, match=r"\.pvl: no such file"):
+        call("nodes", case, "--spacings", "3,1.85")
+    assert call("nodes", case, "--spacings", "3,1.85", "--ties", tmp_path / "moved.pvl") == 0
+    assert "chosen" in capsys.readouterr().out
+
+
+# ---- going on
+
+
+def test_an_interrupted_run_goes_on(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("mgsgraph.matching.tiles._SIZE", 200)
+    on_tile, done = matching._on_tile, list[int]()
+
+    def interrupted(*arguments: object) -> object:
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(arguments[1].number)  # type: ignore[attr-defined]
+        return on_tile(*arguments)  # type: ignore[arg-type]
+
+    out = tmp_path / "out"
+    arguments = ("match", site, "--out", out, *FEW, "--workers", "1", "--step", "7")
+    with monkeypatch.context() as patch:
+        patch.setattr(matching, "_on_tile", interrupted)
+        assert call(*arguments) == 130
+    said = capsys.readouterr()
+    assert said.err.splitlines()[-1] == (
+        "mgsgraph: interrupted; tiles that are done are kept, the same command goes on"
+    )
+    assert not said.out
+    assert [path.name for path in tmp_path.iterdir()] == [".out.matching"]
+    assert len(list((tmp_path / ".out.matching").glob("*_tile_*.npz"))) == 2
+
+    again = list[int]()
+
+    def counted(*arguments: object) -> object:
+        again.append(arguments[1].number)  # type: ignore[attr-defined]
+        return on_tile(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(matching, "_on_tile", counted)
+    assert call(*arguments) == 0
+    assert again
+    assert not set(again) & set(done)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+# ---- bad input
+
+
+def refused(said: str, folder: Path, *arguments: str | Path) -> None:
+    """Raised as one line, and the folder as it was."""
+    names = sorted(path.name for path in folder.iterdir())
+    with pytest.raises(InputError) as caught:
+        call("match", *arguments)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert sorted(path.name for path in folder.iterdir()) == names
+
+
+def test_bad_input_writes_nothing(site: Path, tmp_path: Path, case_file: Path) -> None:
+    out = tmp_path / "out"
+    refused("no such file", tmp_path, tmp_path / "none.toml", "--out", out)
+    refused("no pixels", tmp_path, case_file, "--out", out)
+    refused("matching, cells: 0; expected at least 1", tmp_path, site, "--out", out, "--cells", "0")
+    refused("matching, step: -4.0; expected a positive number", tmp_path, site, "--out", out, "--step", "-4")
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "mine.txt").write_text("")
+    refused("not a result of mgsgraph", tmp_path, site, "--out", foreign)
+    assert (foreign / "mine.txt").exists()
+    unknown = site.with_name("unknown.toml")
+    text = site.read_text(encoding="utf-8").replace("position_sigma_m = 100.0", "position_sigma_m = inf", 1)
+    unknown.write_text(text, encoding="utf-8")
+    refused("an infinite a-priori sigma of its orientation", tmp_path, unknown, "--out", out)
+
+
+def test_errors_are_one_line_on_standard_error(site: Path, tmp_path: Path) -> None:
+    for arguments, said in (
+        (("match", tmp_path / "none.toml", "--out", tmp_path / "out"), "no such file"),
+        (("match", site, "--out", tmp_path / "out", "--method", "orb"), "sift"),
+        (("match", site), "--out"),
+    ):
+        done = run(*arguments)
+        assert done.returncode == 2, done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+        assert said in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_says_how_to_go_on() -> None:
+    done = run("match", "--help")
+    assert done.returncode == 0
+    for said in ("--method", "--search", "--height-sigma", "--per-cell", "--ties OUT/network.pvl", "goes on"):
+        assert said in done.stdout

@@ -1,0 +1,233 @@
+"""Images that cannot be matched end in one clear line."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import matched
+import numpy as np
+import pytest
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.matching.coarse import _corrected, pixel_on_ground
+from mgsgraph.matching.match import match_scene
+from mgsgraph.matching.pairs import Pair, pairs_of
+from mgsgraph.matching.scene import Picture, Pixels, Scene
+from mgsgraph.matching.settings import MatchSettings, method_of
+from mgsgraph.matching.tiles import Links
+from mgsgraph.simulation.imagery import render
+from mgsgraph.simulation.terrain import make_terrain
+
+SETTINGS = replace(matched.SETTINGS, cells=20, features=800)
+
+
+def refused(scene: Scene, *said: str, settings: MatchSettings = SETTINGS) -> None:
+    with pytest.raises(InputError) as caught:
+        match_scene(scene, settings, workers=1)
+    assert "\n" not in str(caught.value)
+    for words in said:
+        assert words in str(caught.value)
+
+
+def with_second(pixels: Pixels | None = None, **changes: object) -> Scene:
+    """The pair with another second picture."""
+    scene = matched.scene()
+    first, second = scene.pictures
+    if pixels is not None:
+        changes["pixels"] = pixels
+    return replace(scene, pictures=(first, replace(second, **changes)))  # type: ignore[arg-type]
+
+
+def test_images_without_overlap() -> None:
+    aside = OrientationCorrection(np.array([[0.0, 0.0, 0.0, 0.0, 0.05, 0.0]]))
+    refused(with_second(correction=aside), "E02-00665, E02-01453: no two of them overlap", "check the images")
+
+
+def test_an_image_that_sees_nothing_of_the_body() -> None:
+    away = OrientationCorrection(np.array([[0.0, 0.0, 0.0, 2.0, 0.0, 0.0]]))
+    scene = matched.scene(3)
+    pictures = (*scene.pictures[:2], replace(scene.pictures[2], correction=away))
+    lost = replace(scene, pictures=pictures)
+    refused(lost, "E02-00665B", "nothing of the body", settings=replace(SETTINGS, step=4.0))
+
+
+def test_a_blank_picture() -> None:
+    blank = np.full((matched.LINES, 1024), 120, dtype=np.uint8)
+    refused(with_second(blank), "picture of E02-01453: 100% of its pixels")
+
+
+def test_a_picture_of_noise() -> None:
+    noise = np.random.default_rng(1).integers(90, 150, (matched.LINES, 1024), dtype=np.uint8)
+    refused(with_second(noise), "E02-00665 and E02-01453: of ", "agree on one orientation", "--search")
+
+
+def test_a_picture_that_is_saturated_in_half() -> None:
+    """Refused where more than half is; with less, matches keep off it."""
+    pixels = matched.scene().pictures[1].pixels.copy()
+    pixels[: int(0.55 * matched.LINES)] = 255
+    refused(with_second(pixels), "picture of E02-01453: 5", "at the brightest value, 255")
+    edge = int(0.45 * matched.LINES)
+    pixels = matched.scene().pictures[1].pixels.copy()
+    pixels[:edge] = 255
+    found = match_scene(with_second(pixels), SETTINGS, workers=1)
+    second = np.array([name == "E02-01453" for name in found.ties.measure_image])
+    assert found.ties.measures[second, 0].min() > edge
+    assert np.linalg.norm(matched.errors(found), axis=1).max() < 1.5
+
+
+def test_one_picture_that_fits_no_other_leaves_the_rest() -> None:
+    scene = matched.scene(3)
+    noise = np.random.default_rng(1).integers(90, 150, (matched.LINES, 1024), dtype=np.uint8)
+    first, second, third = scene.pictures
+    found = match_scene(replace(scene, pictures=(first, replace(second, pixels=noise), third)), SETTINGS, workers=1)
+    assert set(found.ties.measure_image) == {first.image.name, third.image.name}
+    assert np.linalg.norm(matched.errors(found), axis=1).max() < 1.5
+    assert len(found.refused) == 2
+    assert all(second.image.name in reason and "agree on one orientation" in reason for reason in found.refused)
+
+
+@pytest.mark.parametrize("method", ["sift", "grid"])
+def test_pictures_of_different_ground(method: str) -> None:
+    """Two terrains that have nothing to do with each other, under the same Sun: not a single match."""
+    image = matched.site().images[1]
+    other = render(image.true, make_terrain("gusev", 7), None, image.sun, np.random.default_rng(1))
+    settings = replace(SETTINGS, method=method)
+    refused(with_second(other), "of ", "agree on one orientation", "widen the search", settings=settings)
+
+
+@pytest.mark.parametrize(("height_sigma", "radius"), [(100.0, 160.0), (100.0, 900.0), (1000.0, 160.0), (1000.0, 900.0)])
+@pytest.mark.parametrize("count", [60, 1500])
+def test_what_agrees_by_chance_does_not_count(height_sigma: float, radius: float, count: int) -> None:
+    """Links from anywhere to anywhere within the search: the more there are, and the less is known, the more agree."""
+    scene = matched.scene()
+    scene = replace(scene, ground=replace(scene.ground, height_sigma=height_sigma))
+    plane = scene.ground.chart.plane(matched.inner(800))
+    first, second = np.random.default_rng(2).integers(0, len(plane), (2, 200_000))
+    near = np.flatnonzero(np.abs(plane[second] - plane[first]).max(axis=1) < radius)[:count]
+    assert near.size == count
+    numbers = np.arange(count)
+    links = Links(
+        np.concatenate([plane[first[near]], plane[second[near]]]), np.repeat([0, 1], count),
+        np.column_stack([numbers, count + numbers]), np.ones(count),
+    )  # fmt: skip
+    with pytest.raises(InputError, match=f"of {count} matches on a coarse grid"):
+        _corrected(scene, Pair(0, 1, 1.0), links, 16.0, radius, np.random.default_rng(0))
+    true = links._replace(plane=np.concatenate([plane[first[near]]] * 2))
+    assert _corrected(scene, Pair(0, 1, 1.0), true, 16.0, radius, np.random.default_rng(0))[1].agreed == count
+
+
+def test_unknown_orientation_needs_a_search() -> None:
+    unknown = OrientationPrior(np.full((1, 6), np.inf))
+    scene = with_second(prior=unknown)
+    refused(scene, "image E02-01453: an infinite a-priori sigma of its orientation", "--search METRES")
+    found = match_scene(scene, replace(SETTINGS, search=700.0), workers=1)
+    assert np.linalg.norm(matched.errors(found), axis=1).max() < 1.5
+
+
+def test_one_image() -> None:
+    scene = matched.scene()
+    refused(replace(scene, pictures=scene.pictures[:1]), "E02-00665", "overlap")
+
+
+def test_nothing_that_stands_the_checks() -> None:
+    refused(
+        matched.scene(), "matching: no match is left of ", "images that look alike",
+        settings=replace(SETTINGS, least_correlation=0.99999),
+    )  # fmt: skip
+
+
+def test_an_image_whose_middle_misses_the_body() -> None:
+    scene = matched.scene()
+    away = OrientationCorrection(np.array([[0.0, 0.0, 0.0, 2.0, 0.0, 0.0]]))
+    with pytest.raises(InputError, match="E02-00665: its middle misses the body"):
+        pixel_on_ground(scene, replace(scene.pictures[0], correction=away))
+
+
+def test_pairs_have_their_areas() -> None:
+    (pair,) = pairs_of(matched.scene())
+    image: PushbroomImage = matched.scene().pictures[1].image
+    assert pair[:2] == (0, 1)
+    assert 0.5 < pair.area / (matched.LINES * 1024 * 16.0) < 1.0
+    assert image.lines == matched.LINES
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("method", "orb", "'orb'; expected sift or grid"),
+        ("step", 0.0, "matching, step: 0.0; expected a positive number"),
+        ("step", float("nan"), "matching, step"),
+        ("search", -1.0, "matching, search"),
+        ("spacing", float("inf"), "matching, spacing"),
+        ("cells", 0, "matching, cells: 0; expected at least 1"),
+        ("per_cell", 0, "matching, per_cell"),
+        ("half_window", 3, "matching, half_window: 3; expected at least 4"),
+        ("features", 9, "matching, features"),
+        ("seed", -1, "matching, seed"),
+        ("ratio", 1.0, "matching, ratio: 1.0; expected a number between 0 and 1"),
+        ("least_correlation", float("nan"), "matching, least_correlation"),
+        ("largest_sigma", 0.0, "matching, largest_sigma"),
+    ],
+)
+def test_choices_are_checked(key: str, value: object, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        MatchSettings(**{key: value})  # type: ignore[arg-type]
+    assert said in str(caught.value)
+    assert method_of("grid") == "grid"
+
+
+@pytest.mark.parametrize(
+    ("raised", "said"),
+    [
+        ("ModuleNotFoundError(\"No module named 'cv2'\", name='cv2')", "OpenCV is not installed"),
+        ("ImportError('libGL.so.1: cannot open')", "OpenCV can't be imported (libGL.so.1: cannot open)"),
+    ],
+)
+def test_without_opencv_the_way_to_it_is_told(raised: str, said: str) -> None:
+    code = f"""
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name == "cv2":
+            raise {raised}
+sys.meta_path.insert(0, Absent())
+import mgsgraph.matching.match
+from mgsgraph.matching.features import detect
+from mgsgraph.matching.measuring import sharpened
+from mgsgraph.matching.patches import ortho_patch
+for use in (lambda: detect(None, None, 1), lambda: sharpened(None), lambda: ortho_patch(None, None, None, None)):
+    try:
+        use()
+    except ValueError as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert lines == [f'matching: {said}; pip install "mgsgraph[match]"'] * 3
+
+
+def test_pixels_of_the_wrong_shape() -> None:
+    image = matched.scene().pictures[0].image
+    with pytest.raises(InputError, match="640 lines x 1024 samples"):
+        Picture(image, np.zeros((1024, 640), dtype=np.uint8), matched.prior(100.0))
+
+
+def test_a_picture_of_other_ground_is_left_out_and_named() -> None:
+    scene = matched.scene(3)
+    strange = render(
+        matched.site().images[0].true, make_terrain("gusev", 77), None, matched.site().images[0].sun,
+        np.random.default_rng(3),
+    )  # fmt: skip
+    third = replace(scene.pictures[2], pixels=strange)
+    found = match_scene(replace(scene, pictures=(*scene.pictures[:2], third)), SETTINGS, workers=1)
+    assert set(found.ties.measure_image) == {picture.image.name for picture in scene.pictures[:2]}
+    assert len(found.refused) == 2
+    assert all(third.image.name in reason for reason in found.refused)
+
+
+def test_of_three_pictures_one_without_known_orientation_is_no_refusal() -> None:
+    scene = matched.scene(3)
+    third = replace(scene.pictures[2], prior=OrientationPrior(np.full((1, 6), np.inf)))
+    refused(replace(scene, pictures=(*scene.pictures[:2], third)), "an infinite a-priori sigma", "--search METRES")
