@@ -11,7 +11,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.matching.features import Window
 from mgsgraph.matching.pairs import Pair, box, first_picture, footprints, next_pair
 from mgsgraph.matching.relative import Displacements, consensus, corrected, displacements, robust_sigma, units_between
-from mgsgraph.matching.scene import Picture, Scene
+from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.store import Store, load_links
 from mgsgraph.matching.tiles import Links, features_on, links_on, saved, tiling, together
@@ -59,16 +59,16 @@ class Agreement(NamedTuple):
 
 def grid_step(scene: Scene) -> float:
     """Size in m of the coarsest picture's pixels on the ground: the root of their area."""
-    return max(float(np.sqrt(abs(np.linalg.det(pixel_on_ground(scene, picture))))) for picture in scene.pictures)
+    return max(float(np.sqrt(abs(np.linalg.det(pixel_on_ground(scene.ground, picture))))) for picture in scene.pictures)
 
 
-def pixel_on_ground(scene: Scene, picture: Picture) -> Array:
+def pixel_on_ground(ground: Ground, picture: Picture) -> Array:
     """(2, 2) m per pixel in the middle of a picture: d(x, y) / d(line, sample)."""
     middle = 0.5 * np.array([[picture.image.lines, picture.image.samples]])
-    plane = picture.on_chart(scene.ground, middle)
+    plane = picture.on_chart(ground, middle)
     if not np.all(np.isfinite(plane)):
         raise InputError(f"image {picture.image.name}", "its middle misses the body", "an image of the ground")
-    return np.asarray(np.linalg.inv(picture.derivatives(scene.ground, plane)[0]))
+    return np.asarray(np.linalg.inv(picture.derivatives(ground, plane)[0]))
 
 
 def search_radius(first: Picture, second: Picture, scene: Scene) -> float:

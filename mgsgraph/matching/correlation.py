@@ -48,7 +48,7 @@ def links_on_grid(
     if spacing < tile.step:
         stated = f"{spacing:g} m between nodes on a ground grid of {tile.step:.3g} m"
         raise InputError("matching, spacing", stated, "at least a pixel of the ground grid")
-    rows, columns = _nodes(tile, spacing)
+    rows, columns = (axis.ravel() for axis in np.meshgrid(*tile.nodes(spacing), indexing="ij"))
     nodes = {j: k for k, j in enumerate(patches)}
     plane = [np.tile(tile.plane(columns.astype(float), rows.astype(float)), (len(patches), 1))]
     picture = [np.repeat(list(patches), rows.size).astype(np.int64)]
@@ -69,16 +69,6 @@ def links_on_grid(
     return owned(
         Links(np.concatenate(plane), np.concatenate(picture), np.concatenate(links), np.concatenate(likeness)), tile
     )
-
-
-def _nodes(tile: Tile, spacing: float) -> tuple[Index, Index]:
-    """Rows and columns (n,) of the pixels next to the nodes of a grid that all tiles share."""
-    axes = []
-    for start, count in ((tile.south, tile.rows), (tile.west, tile.columns)):
-        nodes = np.arange(np.ceil(start / spacing), (start + (count - 1) * tile.step) / spacing) * spacing
-        axes.append(np.rint((nodes - start) / tile.step).astype(np.int64))
-    rows, columns = np.meshgrid(*axes, indexing="ij")
-    return rows.ravel(), columns.ravel()
 
 
 def _reach(window: Window, step: float) -> tuple[int, int]:

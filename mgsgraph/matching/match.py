@@ -243,7 +243,7 @@ def _finest_first(scene: Scene, found: Links, tracks: list[list[int]]) -> list[l
     """Features of each track, that of the finest picture first: its window is what the others are compared with, and a
     coarse one would be compared with what finer pixels alias. Pictures about as fine stay in their order.
     """
-    sizes = [np.log(abs(np.linalg.det(pixel_on_ground(scene, picture)))) for picture in scene.pictures]
+    sizes = [np.log(abs(np.linalg.det(pixel_on_ground(scene.ground, picture)))) for picture in scene.pictures]
     rank = np.rint((np.array(sizes) - min(sizes)) / np.log(_FINER)).astype(int)
     return [sorted(track, key=lambda feature: int(rank[found.picture[feature]])) for track in tracks]
 

@@ -11,7 +11,7 @@ from mgsgraph.matching.coarse import pixel_on_ground
 from mgsgraph.matching.least_squares import LeastSquaresMatches, match_least_squares
 from mgsgraph.matching.opencv import opencv
 from mgsgraph.matching.pairs import by_pair
-from mgsgraph.matching.scene import Picture, Scene
+from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.spline import SplinePicture
 from mgsgraph.matching.tiles import Links
@@ -21,7 +21,7 @@ _READY = 8
 """Pictures that stay prepared."""
 _BLUR, _CORNER = 1.0, 5
 """pixels: sigma of the filter before corners are measured, and the side of the square over which they are."""
-_FINEST = 0.01
+FINEST = 0.01
 """pixels, sigma that no match is better than: pictures are rounded, and one picture given twice has no noise."""
 _LEAST_PARALLAX = 1e-3
 """pixels per m of height below which two views see no relief."""
@@ -136,7 +136,7 @@ def _between(
     """The same from one picture into one other."""
     (track, first, other), (template, search) = chosen, (sharp[j] for j in pair)
     one, two = (scene.pictures[j] for j in pair)
-    halves = [_half(scene, j, settings, step) for j in pair]
+    halves = [half_window(scene.ground, scene.pictures[j], settings.half_window * step) for j in pair]
     planes = found.plane[first], found.plane[other]
     begin, end = one.places(scene.ground.points(planes[0])), two.places(scene.ground.points(planes[1]))
     by_plane = one.derivatives(scene.ground, planes[0]), two.derivatives(scene.ground, planes[1])
@@ -152,7 +152,7 @@ def _between(
     covariances = there.covariance if relief[1] is None else there.covariance_with_relief(relief[1])
     return Measured(
         track, np.full(track.size, pair[0]), np.full(track.size, pair[1]), other, anchors, there.places, there.affine,
-        covariances + _FINEST**2 * np.eye(2), there.correlation, np.asarray(there.status, dtype=np.int64), back,
+        covariances + FINEST**2 * np.eye(2), there.correlation, np.asarray(there.status, dtype=np.int64), back,
     )  # fmt: skip
 
 
@@ -201,10 +201,10 @@ def _returns(
     return np.asarray((again.converged) & (away <= _WAY_BACK * sigma + _WAY_BACK_PIXELS))
 
 
-def _half(scene: Scene, picture: int, settings: MatchSettings, step: float) -> tuple[int, int]:
-    """Lines and samples from the middle of a window to its edge, as long on the ground either way."""
-    by_pixel = np.linalg.norm(pixel_on_ground(scene, scene.pictures[picture]), axis=0)
-    lines, samples = np.maximum(np.rint(settings.half_window * step / by_pixel), 3).astype(int)
+def half_window(ground: Ground, picture: Picture, size: float) -> tuple[int, int]:
+    """Lines and samples from the middle of a window to its edge, `size` m on the ground either way."""
+    by_pixel = np.linalg.norm(pixel_on_ground(ground, picture), axis=0)
+    lines, samples = np.maximum(np.rint(size / by_pixel), 3).astype(int)
     return int(lines), int(samples)
 
 

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.matching.opencv import opencv
 from mgsgraph.matching.scene import Ground, Picture
 
-_NODE = 16
+NODE = 16
 """pixels of the ground grid between places that are projected; between them places change evenly."""
 _SKIPS = 2.0
 """A picture's pixels in one of the ground grid from which on a cubic skips some."""
@@ -38,6 +38,14 @@ class Tile(NamedTuple):
         """(n, 2) m of the chart, of pixel centres counted from zero."""
         return np.column_stack([self.west + columns * self.step, self.south + rows * self.step])
 
+    def nodes(self, spacing: float) -> tuple[Index, Index]:
+        """Rows and columns (m,) and (k,) of the pixels next to the lines of a grid that all tiles share."""
+        axes = []
+        for start, count in ((self.south, self.rows), (self.west, self.columns)):
+            lines = np.arange(np.ceil(start / spacing), (start + (count - 1) * self.step) / spacing) * spacing
+            axes.append(np.rint((lines - start) / self.step).astype(np.int64))
+        return axes[0], axes[1]
+
     def owns(self, plane: Array) -> NDArray[np.bool_]:
         """(n,) which places (n, 2) of the chart lie in the tile without its margin."""
         column, row = (plane[:, 0] - self.west) / self.step, (plane[:, 1] - self.south) / self.step
@@ -57,9 +65,9 @@ class Patch(NamedTuple):
 def ortho_patch(picture: Picture, ground: Ground, tile: Tile, levels: tuple[float, float]) -> Patch | None:
     """A picture on a tile; None where it shows nothing of it."""
     cv2 = opencv()
-    nodes = _node_places(picture, ground, tile)
+    nodes = node_places(picture, ground, tile)
     size = np.array([picture.image.lines, picture.image.samples], dtype=np.float64)
-    touched = np.all((nodes > -2.0 * _NODE) & (nodes < size + 2.0 * _NODE), axis=2)
+    touched = np.all((nodes > -2.0 * NODE) & (nodes < size + 2.0 * NODE), axis=2)
     if not touched.any():
         return None
     lines, samples = (_spread(nodes[:, :, k], tile) for k in (0, 1))
@@ -87,9 +95,9 @@ def ortho_patch(picture: Picture, ground: Ground, tile: Tile, levels: tuple[floa
     return Patch(np.where(seen, stretched, 0).astype(np.uint8), np.where(seen, 255, 0).astype(np.uint8))
 
 
-def _node_places(picture: Picture, ground: Ground, tile: Tile) -> Array:
+def node_places(picture: Picture, ground: Ground, tile: Tile) -> Array:
     """(rows', columns', 2) line and sample of every sixteenth pixel, beyond the tile's last one; NaN where unseen."""
-    columns, rows = (np.arange(-(-count // _NODE) + 1) * float(_NODE) for count in (tile.columns, tile.rows))
+    columns, rows = (np.arange(-(-count // NODE) + 1) * float(NODE) for count in (tile.columns, tile.rows))
     across, along = np.meshgrid(columns, rows)
     points = ground.points(tile.plane(across.ravel(), along.ravel()))
     return picture.places(points).reshape(rows.size, columns.size, 2)
@@ -99,7 +107,7 @@ def _blur(nodes: Array) -> tuple[float, float]:
     """Sigmas in lines and samples of the filter of a picture much finer than the ground grid: unfiltered, the grid's
     pixels would skip most of the picture's, and show their noise and aliases instead. Zero where none is needed.
     """
-    apart = [np.abs(np.diff(nodes, axis=k)).reshape(-1, 2) / _NODE for k in (0, 1)]
+    apart = [np.abs(np.diff(nodes, axis=k)).reshape(-1, 2) / NODE for k in (0, 1)]
     seen = [one[np.isfinite(one).all(axis=1)] for one in apart]
     if not (len(seen[0]) and len(seen[1])):
         return 0.0, 0.0
@@ -110,7 +118,7 @@ def _blur(nodes: Array) -> tuple[float, float]:
 
 def _spread(nodes: Array, tile: Tile) -> Array:
     """(rows, columns) bilinear between nodes."""
-    share = np.arange(_NODE) / _NODE
+    share = np.arange(NODE) / NODE
     across = nodes[:, :-1, None] * (1.0 - share) + nodes[:, 1:, None] * share
     wide = across.reshape(nodes.shape[0], -1)[:, : tile.columns]
     down = wide[:-1, None, :] * (1.0 - share)[:, None] + wide[1:, None, :] * share[:, None]

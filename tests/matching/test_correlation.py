@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from mgsgraph.matching.coarse import window
-from mgsgraph.matching.correlation import _matched, _nodes, _peaks, links_on_grid
+from mgsgraph.matching.correlation import _matched, _peaks, links_on_grid
 from mgsgraph.matching.patches import Patch, Tile
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import tiling
@@ -93,7 +93,7 @@ def test_nodes_are_the_same_on_all_tiles() -> None:
     """Those of neighbours coincide where they share ground."""
     spacing, found = 37.0, []
     for tile in (Tile(0, -100.0, -60.0, 4.0, 80, 90, 8), Tile(1, 196.0, -60.0, 4.0, 80, 90, 8)):
-        rows, columns = _nodes(tile, spacing)
+        rows, columns = (axis.ravel() for axis in np.meshgrid(*tile.nodes(spacing), indexing="ij"))
         plane = tile.plane(columns.astype(float), rows.astype(float))
         assert np.abs(plane - np.rint(plane / spacing) * spacing).max() <= 2.0 + 1e-9
         assert rows.min() >= 0

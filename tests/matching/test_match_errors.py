@@ -142,7 +142,7 @@ def test_an_image_whose_middle_misses_the_body() -> None:
     scene = matched.scene()
     away = OrientationCorrection(np.array([[0.0, 0.0, 0.0, 2.0, 0.0, 0.0]]))
     with pytest.raises(InputError, match="E02-00665: its middle misses the body"):
-        pixel_on_ground(scene, replace(scene.pictures[0], correction=away))
+        pixel_on_ground(scene.ground, replace(scene.pictures[0], correction=away))
 
 
 def test_pairs_have_their_areas() -> None:

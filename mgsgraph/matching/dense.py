@@ -1,0 +1,186 @@
+"""Dense matches of overlapping pictures whose orientations are adjusted: one near every post of a regular grid.
+
+Both pictures are resampled to the ground grid, turned so that height displaces along its rows; there semi-global
+matching says how high the ground is, to a pixel or so. From that every post is matched by least squares in the pictures
+themselves, which are not resampled, and each match has a covariance.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+from mgsgraph.matching.chart import GroundChart
+from mgsgraph.matching.coarse import grid_step, pixel_on_ground
+from mgsgraph.matching.disparity import MOST
+from mgsgraph.matching.measuring import SharpPictures
+from mgsgraph.matching.pairs import Pair, box, footprints, pairs_of
+from mgsgraph.matching.patches import Tile
+from mgsgraph.matching.posts import Least, PostMatches, View, matches_on, no_matches
+from mgsgraph.matching.scene import Scene
+from mgsgraph.matching.tiles import tiling
+
+_SPACING = 5.0
+"""pixels of the ground grid between posts."""
+_COARSER = 2.0
+"""How much coarser than the ground grid pictures are compared first."""
+_SIGMAS = 3.0
+"""Of the ground's height about its model, within which it is sought; at least"""
+_LEAST_REACH = 16
+"""pixels."""
+_MARGIN = 32
+"""pixels more that neighbouring tiles share: semi-global matching looks at what is around."""
+_LEAST_PARALLAX = 0.02
+"""m per m of height: rays that are closer to parallel tell no height."""
+_FINER = 2.0
+"""How much smaller a pixel's area has to be to count as finer."""
+
+Progress = Callable[[str, int, int], None]
+"""Told what is being done, and how many of how many are."""
+
+
+@dataclass(frozen=True, slots=True)
+class DenseSettings:
+    """How posts are matched."""
+
+    spacing: float | None = None
+    """m between posts; five pixels of the ground grid when None."""
+    half_window: int = 8
+    """pixels of the ground grid from the middle of a window of least-squares matching to its edge."""
+    least_correlation: float = 0.5
+    """Of the two windows."""
+    largest_sigma: float = 0.5
+    """pixels, in any direction."""
+
+    def __post_init__(self) -> None:
+        checks = {
+            "spacing": (self.spacing is None or 0.0 < self.spacing < np.inf, "a positive number of metres"),
+            "half_window": (self.half_window >= 4, "at least 4"),
+            "least_correlation": (0.0 < self.least_correlation < 1.0, "a number between 0 and 1"),
+            "largest_sigma": (0.0 < self.largest_sigma < np.inf, "a positive number"),
+        }
+        for name, (good, expected) in checks.items():
+            if not good:
+                raise InputError(f"dense matching, {name}", str(getattr(self, name)), expected)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DenseMatches:
+    """Matches of one pair of pictures."""
+
+    first: int
+    """Picture in the scene whose pixels are looked for in the other: the finer one."""
+    second: int
+    """The other."""
+    spacing: float
+    """m between posts."""
+    posts: int
+    """Posts on ground that both show, matched or not."""
+    anchors: Array
+    """(n, 2) line and sample in the first picture, middles of pixels (k + 0.5)."""
+    places: Array
+    """(n, 2) line and sample in the second."""
+    covariances: Array
+    """(n, 2, 2) pixels^2 of the place, the anchor given."""
+    correlation: Array
+    """(n,) of the two windows."""
+
+
+def dense_matches(
+    scene: Scene,
+    settings: DenseSettings | None = None,
+    workers: int | None = None,
+    progress: Progress = lambda what, done, most: None,
+) -> tuple[DenseMatches, ...]:
+    """Match all pairs of pictures that share ground and see it from different sides.
+
+    Parameters
+    ----------
+    scene : Scene
+        Pictures with adjusted orientations (`Picture.correction`), over one ground.
+    settings : DenseSettings, optional
+        Choices.
+    workers : int, optional
+        Threads; as many as there are processors when absent.
+    progress : callable, optional
+        Told what is being done.
+
+    Raises
+    ------
+    InputError
+        Where pictures are blank or saturated, none overlap, all look from the same side, or nothing matches.
+    """
+    settings = settings or DenseSettings()
+    step = grid_step(scene)
+    spacing = settings.spacing or _SPACING * step
+    least = Least(settings.half_window * step, settings.least_correlation, settings.largest_sigma)
+    sharp = SharpPictures(scene.pictures)
+    levels = [picture.levels for picture in scene.pictures]
+    views = [view for pair in pairs_of(scene) if (view := _view(scene, pair, sharp, levels)) is not None]
+    if not views:
+        found, remedy = "they look at the ground from the same side", "rays that are all but parallel tell no height"
+        raise InputError(f"images {_names(scene)}", found, "a stereo pair", remedy)
+    work = [(view, _tiles(view, step)) for view in views]
+    done, most = 0, sum(len(tiles) for _, tiles in work)
+    progress("dense matching", 0, most)
+    results = list[DenseMatches]()
+    for view, tiles in work:
+        posts, parts = 0, [no_matches()]
+        for tile in tiles:
+            tried = matches_on(view, tile, _reach(view, tile.step), spacing, least, workers)
+            posts, done = posts + tried.posts, done + 1
+            parts.append(tried.matches)
+            progress("dense matching", done, most)
+        matches = PostMatches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        results.append(DenseMatches(*view.numbers, spacing, posts, *matches))
+    if not any(one.places.size for one in results):
+        raise InputError(
+            f"images {_names(scene)}", f"none of {sum(one.posts for one in results)} posts matches",
+            "images that look alike, with adjusted orientations", "is the solution that of these images?",
+        )  # fmt: skip
+    return tuple(one for one in results if one.places.size)
+
+
+def _names(scene: Scene) -> str:
+    return ", ".join(picture.image.name for picture in scene.pictures[:4])
+
+
+def _view(
+    scene: Scene, pair: Pair, sharp: SharpPictures, levels: list[tuple[float, float]]
+) -> View | None:
+    """A pair, the finer picture first; None where the two look from the same side."""
+    sizes = [abs(np.linalg.det(pixel_on_ground(scene.ground, scene.pictures[j]))) for j in pair[:2]]
+    i, j = pair[:2] if sizes[0] <= _FINER * sizes[1] else pair[1::-1]
+    one, two = scene.pictures[i], scene.pictures[j]
+    points = scene.ground.points(_middle(scene, pair))
+    apart = (two.lean(scene.ground, two.places(points)) - one.lean(scene.ground, one.places(points)))[0]
+    rate = float(np.hypot(*apart))
+    if not rate > _LEAST_PARALLAX:
+        return None
+    chart = GroundChart.about(points, np.cross(points[0], (apart / rate) @ scene.ground.chart.axes[:2]))
+    ground = replace(scene.ground, chart=chart)
+    return View((i, j), (one, two), ground, rate, (levels[i], levels[j]), (sharp[i].spline, sharp[j].spline))
+
+
+def _middle(scene: Scene, pair: Pair) -> Array:
+    """(1, 2) m, of the ground that a pair shares, on the scene's chart."""
+    prints = footprints(scene)
+    boxes = np.array([box(scene, prints[j].outline) for j in pair[:2]])
+    return np.asarray(0.5 * (boxes[:, 0].max(axis=0) + boxes[:, 1].min(axis=0))[None])
+
+
+def _reach(view: View, step: float) -> int:
+    """By how many pixels of a grid the true ground may displace the second picture against the first."""
+    return max(int(np.ceil(_SIGMAS * view.ground.height_sigma * view.rate / step)), _LEAST_REACH)
+
+
+def _tiles(view: View, step: float) -> list[Tile]:
+    """Tiles on the ground that both show, of a grid that is coarser than the ground grid, the more the wider the search
+    is.
+    """
+    coarse = max(_COARSER, _reach(view, step) / MOST) * step
+    scene = Scene(view.pictures, view.ground)
+    boxes = [box(scene, one.outline) for one in footprints(scene)]
+    return tiling(boxes, coarse, (_reach(view, coarse) + _MARGIN) * coarse)

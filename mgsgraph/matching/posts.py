@@ -1,0 +1,235 @@
+"""One tile of dense matching: from two ortho patches to a match, in the pictures themselves, near each of its posts.
+
+The tile's rows run along the parallax (see `dense`): what lies in column c of the first picture's patch lies in column
+c - d of the second's, and d pixels of the tile are d * step / rate metres of height above the ground's model.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.matching.disparity import disparities
+from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
+from mgsgraph.matching.measuring import FINEST, half_window
+from mgsgraph.matching.opencv import opencv
+from mgsgraph.matching.patches import NODE, Tile, node_places, ortho_patch
+from mgsgraph.matching.relative import robust_sigma
+from mgsgraph.matching.scene import Ground, Picture
+from mgsgraph.matching.spline import SplinePicture
+
+_SMOOTH = 9
+"""pixels of the tile over which slopes are taken."""
+_STEEPEST = 0.6
+"""Change of the displacement per m: a window cannot follow ground that is foreshortened more."""
+_LEAST_SQUARES = LeastSquaresSettings(tolerance=5e-3, reach=2.5)
+_LIMIT = 4.0
+"""Robust standard deviations of displacements across the parallax, or along it from the neighbours', at least"""
+_ACROSS, _ALONG = 0.3, 1.0
+"""pixels of the tile."""
+_AROUND = 2
+"""Posts on each side that are neighbours, of whom there have to be"""
+_FEWEST = 6
+
+
+class View(NamedTuple):
+    """Two pictures over the ground, on a chart turned so that height displaces along x."""
+
+    numbers: tuple[int, int]
+    """Of the pictures in the scene."""
+    pictures: tuple[Picture, Picture]
+    """Their pixels and orientations."""
+    ground: Ground
+    """With the turned chart."""
+    rate: float
+    """m per m of height, displacement of the second picture's rays against the first's, towards larger x."""
+    levels: tuple[tuple[float, float], tuple[float, float]]
+    """Grey values that are shown black and white."""
+    splines: tuple[SplinePicture, SplinePicture]
+    """The pictures between their pixels."""
+
+
+class PostMatches(NamedTuple):
+    """Matches of n posts."""
+
+    anchors: Array
+    """(n, 2) line and sample in the first picture, middles of pixels."""
+    places: Array
+    """(n, 2) line and sample in the second."""
+    covariances: Array
+    """(n, 2, 2) pixels^2 of the place, the anchor given."""
+    correlation: Array
+    """(n,)"""
+
+
+class Tried(NamedTuple):
+    """What came of a tile."""
+
+    posts: int
+    """Its own posts on ground that both pictures show."""
+    matches: PostMatches
+    """Of those that were matched."""
+
+
+class Least(NamedTuple):
+    """What a match has to have."""
+
+    half: float
+    """m, of a window from its middle to its edge."""
+    correlation: float
+    """At least."""
+    sigma: float
+    """pixels at most, in any direction."""
+
+
+class _Start(NamedTuple):
+    """Where posts lie in both pictures, as far as semi-global matching knows; n of them."""
+
+    row: Index
+    """(n,) of the post, counted through the tile's posts."""
+    column: Index
+    """(n,) the same."""
+    disparity: Array
+    """(n,) pixels of the tile."""
+    first: Array
+    """(n, 2) line and sample."""
+    second: Array
+    """(n, 2) line and sample."""
+    affine: Array
+    """(n, 2, 2) d second / d first."""
+    by_plane: Array
+    """(n, 2, 2) d(line, sample) / d(x, y) of the second picture, pixels per m."""
+
+
+def matches_on(view: View, tile: Tile, reach: int, spacing: float, least: Least, threads: int | None) -> Tried:
+    """Match the posts that are the tile's own.
+
+    Parameters
+    ----------
+    view : View
+    tile : Tile
+        Of the turned chart, with a margin of `reach` pixels and some at least.
+    reach : int
+        pixels of the tile that the true ground may displace one picture against the other.
+    spacing : float
+        m between posts.
+    least : Least
+    threads : int, optional
+        All processors when None.
+    """
+    patches = [
+        ortho_patch(picture, view.ground, tile, levels)
+        for picture, levels in zip(view.pictures, view.levels, strict=True)
+    ]
+    one, two = patches
+    if one is None or two is None:
+        return Tried(0, no_matches())
+    shift = disparities(one, two, reach)
+    rows, columns = tile.nodes(spacing)
+    plane = tile.plane(*(axis.ravel().astype(np.float64) for axis in np.meshgrid(columns, rows)))
+    row, column = (axis.ravel() for axis in np.meshgrid(np.arange(rows.size), np.arange(columns.size), indexing="ij"))
+    both = (one.valid > 0) & (two.valid > 0)
+    mine = tile.owns(plane) & both[rows[row], columns[column]]
+    sought = mine & np.isfinite(shift[rows[row], columns[column]])
+    start = _start(view, tile, shift, (row[sought], column[sought]), (rows, columns))
+    return Tried(int(mine.sum()), _measured(view, tile, start, least, threads))
+
+
+def no_matches() -> PostMatches:
+    """None."""
+    return PostMatches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
+
+
+def _start(
+    view: View, tile: Tile, shift: Array, post: tuple[Index, Index], pixels: tuple[Index, Index]
+) -> _Start:
+    """Posts by row and column, of which the tile's rows and columns are `pixels`."""
+    down, across = pixels[0][post[0]], pixels[1][post[1]]
+    disparity = shift[down, across]
+    nodes = [node_places(picture, view.ground, tile) for picture in view.pictures]
+    here = np.column_stack([down, across]).astype(np.float64)
+    there = here - np.column_stack([np.zeros(disparity.size), disparity])
+    first, second = _between(nodes[0], here), _between(nodes[1], there)
+    by_plane = [_by_plane(lattice, at, tile.step) for lattice, at in zip(nodes, (here, there), strict=True)]
+    turn = np.zeros((disparity.size, 2, 2))
+    slopes = np.clip([slope[down, across] for slope in _slopes(shift)], -_STEEPEST, _STEEPEST)
+    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 1] = 1.0 - slopes[1], -slopes[0], 1.0
+    affine = by_plane[1] @ turn @ np.linalg.inv(by_plane[0])
+    good = np.isfinite(np.concatenate([first, second, affine.reshape(-1, 4)], axis=1)).all(axis=1)
+    whole = _Start(post[0], post[1], disparity, first, second, affine, by_plane[1])
+    return _Start(*(column[good] for column in whole))
+
+
+def _between(nodes: Array, at: Array) -> Array:
+    """(n, 2) places at rows and columns (n, 2) of a tile, bilinear between its nodes."""
+    cell = np.clip(np.floor(at / NODE).astype(np.int64), 0, np.array(nodes.shape[:2]) - 2)
+    down, across = (at / NODE - cell).T[:, :, None]
+    i, j = cell.T
+    upper = (1.0 - across) * nodes[i, j] + across * nodes[i, j + 1]
+    lower = (1.0 - across) * nodes[i + 1, j] + across * nodes[i + 1, j + 1]
+    return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def _by_plane(nodes: Array, at: Array, step: float) -> Array:
+    """(n, 2, 2) d(line, sample) / d(x, y) in pixels per m there."""
+    ways = 0.5 * NODE * np.eye(2)[::-1]
+    return np.stack([_between(nodes, at + way) - _between(nodes, at - way) for way in ways], axis=2) / (NODE * step)
+
+
+def _slopes(shift: Array) -> tuple[Array, Array]:
+    """Change of the disparity from row to row and from column to column, of its mean over a window."""
+    cv2 = opencv()
+    known = np.isfinite(shift)
+    size = (_SMOOTH, _SMOOTH)
+    weight = cv2.blur(known.astype(np.float64), size)
+    mean = cv2.blur(np.where(known, shift, 0.0), size) / np.maximum(weight, 1e-9)
+    down, across = np.gradient(mean)
+    return down, across
+
+
+def _measured(view: View, tile: Tile, start: _Start, least: Least, threads: int | None) -> PostMatches:
+    anchors = np.floor(start.first) + 0.5
+    begin = start.second + np.einsum("nij,nj->ni", start.affine, anchors - start.first)
+    half = half_window(view.ground, view.pictures[0], least.half)
+    found = match_least_squares(
+        *view.splines, anchors, begin, start.affine, half, settings=_LEAST_SQUARES, threads=threads
+    )
+    along = -start.by_plane[:, :, 0]
+    covariances = found.covariance_with_relief(along) + FINEST**2 * np.eye(2)
+    moved = np.full(begin.shape, np.nan)
+    good = np.flatnonzero(found.converged)
+    moved[good] = np.linalg.solve(start.by_plane[good], (found.places - begin)[good, :, None])[:, :, 0] / tile.step
+    sigma = np.sqrt(np.linalg.eigvalsh(covariances[good])[:, 1])
+    sound = np.zeros(found.status.size, dtype=bool)
+    sound[good] = (found.correlation[good] >= least.correlation) & (sigma <= least.sigma)
+    kept = sound & _coplanar(moved[:, 1], sound)
+    kept &= _like_neighbours(start, start.disparity - moved[:, 0], kept)
+    return PostMatches(anchors[kept], found.places[kept], covariances[kept], found.correlation[kept])
+
+
+def _coplanar(across: Array, sound: Mask) -> Mask:
+    """(n,) whether both rays meet: displacements across the parallax, pixels of the tile, are as the others'."""
+    if not sound.any():
+        return sound
+    middle = np.median(across[sound])
+    limit = max(_LIMIT * robust_sigma(across[sound]), _ACROSS)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(across - middle) <= limit)
+
+
+def _like_neighbours(start: _Start, disparity: Array, sound: Mask) -> Mask:
+    """(n,) whether the disparity is that of the posts around, nearly."""
+    if not sound.any():
+        return sound
+    shape = start.row.max() + 1 + 2 * _AROUND, start.column.max() + 1 + 2 * _AROUND
+    grid = np.full(shape, np.nan)
+    row, column = start.row + _AROUND, start.column + _AROUND
+    grid[row[sound], column[sound]] = disparity[sound]
+    ways = [way for way in np.ndindex(2 * _AROUND + 1, 2 * _AROUND + 1) if way != (_AROUND, _AROUND)]
+    beside = np.stack([grid[row + i - _AROUND, column + j - _AROUND] for i, j in ways], axis=1)
+    count = np.isfinite(beside).sum(axis=1)
+    several = sound & (count >= _FEWEST)
+    off = np.full(disparity.size, np.inf)
+    off[several] = np.abs(disparity[several] - np.nanmedian(beside[several], axis=1))
+    limit = max(_LIMIT * robust_sigma(off[several]), _ALONG)
+    return np.asarray(off <= limit)
