@@ -23,12 +23,16 @@ if TYPE_CHECKING:
     from mgsgraph.case.scene import read_scene as read_scene
     from mgsgraph.errors import InputError as InputError
     from mgsgraph.errors import MgsgraphError as MgsgraphError
+    from mgsgraph.fetch.archives import Archives as Archives
+    from mgsgraph.fetch.fetch import fetch_images as fetch_images
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
     from mgsgraph.matching.settings import MatchSettings as MatchSettings
     from mgsgraph.network import Network as Network
     from mgsgraph.network.parts import KnownImage as KnownImage
     from mgsgraph.products.archive import read_solution as read_solution
+    from mgsgraph.products.dem.dem import make_dem as make_dem
+    from mgsgraph.products.dem.model import DemSettings as DemSettings
     from mgsgraph.products.exchange import convert as convert
     from mgsgraph.products.exchange_setting import ExchangeSetting as ExchangeSetting
     from mgsgraph.products.export.export import export_solution as export_solution
@@ -41,15 +45,19 @@ _HOME = {
     "adjust": "mgsgraph.case",
     "adjust_network": "mgsgraph.adjustment.adjust",
     "Adjustment": "mgsgraph.adjustment.adjust",
+    "Archives": "mgsgraph.fetch.archives",
     "Case": "mgsgraph.case",
     "convert": "mgsgraph.products.exchange",
+    "DemSettings": "mgsgraph.products.dem.model",
     "export_solution": "mgsgraph.products.export.export",
     "ExchangeSetting": "mgsgraph.products.exchange_setting",
+    "fetch_images": "mgsgraph.fetch.fetch",
     "Impact": "mgsgraph.adjustment.incremental.impact",
     "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
     "InputError": "mgsgraph.errors",
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
+    "make_dem": "mgsgraph.products.dem.dem",
     "match_into": "mgsgraph.products.matching",
     "MatchSettings": "mgsgraph.matching.settings",
     "MgsgraphError": "mgsgraph.errors",

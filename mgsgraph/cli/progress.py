@@ -1,5 +1,6 @@
 """What a person sees while the adjustment runs: a bar over iterations, and a word when the kernel is being compiled."""
 
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -61,6 +62,24 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
     finally:
         if bar is not None:
             bar.close()
+
+
+@contextmanager
+def byte_bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Progress over bytes, with their rate; all bytes there are to come may grow as more becomes known."""
+    with tqdm(desc=what, unit="B", unit_scale=True, leave=False, disable=None, delay=_SHORTLY) as bar:
+
+        def show(done: int, most: int) -> None:
+            bar.total = most
+            bar.update(done - bar.n)
+
+        yield show
+
+
+def passing_word(sentence: str) -> None:
+    """A sentence while something is under way, above its bar; on standard error, where that is a terminal."""
+    if sys.stderr.isatty():
+        tqdm.write(sentence, file=sys.stderr)
 
 
 class IterationBar:

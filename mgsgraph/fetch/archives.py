@@ -1,0 +1,88 @@
+"""Where the archives are: the public ones, or mirrors of them with the same layout."""
+
+import os
+import tomllib
+from dataclasses import dataclass, fields
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from mgsgraph.errors import InputError
+from mgsgraph.io.text import read_text
+
+VARIABLE = "MGSGRAPH_MIRRORS"
+"""Environment variable with the path of a file of mirrors."""
+_SCHEMES = ("https", "http")
+
+
+@dataclass(frozen=True, slots=True)
+class Archives:
+    """Addresses (http or https) under which the archives' own layout begins; each ends in a slash."""
+
+    images: str = "https://planetarydata.jpl.nasa.gov/img/data/mgs-m-moc-na_wa-2-sdp-l0-v1.0/"
+    """MOC standard data products: volumes mgsc_NNNN/ (PDS Imaging node)."""
+    kernels: str = "https://naif.jpl.nasa.gov/pub/naif/pds/data/mgs-m-spice-6-v1.0/mgsp_1000/data/"
+    """SPICE kernels of MGS: spk/, ck/, sclk/, ik/, fk/, pck/ (NAIF)."""
+    leap_seconds: str = "https://naif.jpl.nasa.gov/pub/naif/generic_kernels/lsk/"
+    """NAIF's generic leap seconds kernels."""
+    pedr: str = "https://pds-geosciences.wustl.edu/mgs/mgs-m-mola-3-pedr-l1a-v1/mgsl_21xx/data/"
+    """MOLA's profiles: apNNxxx/apNNNNNl.b (PDS Geosciences node)."""
+    megdr: str = "https://pds-geosciences.wustl.edu/mgs/mgs-m-mola-5-megdr-l3-v1/mgsl_300x/"
+    """MOLA's grids: meg004/, meg016/, meg128/ (PDS Geosciences node)."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            address = getattr(self, field.name)
+            require_address(address, f"archives, {field.name}")
+            if not address.endswith("/"):
+                object.__setattr__(self, field.name, f"{address}/")
+
+    @classmethod
+    def under(cls, address: str) -> "Archives":
+        """All of them below one address, in folders called as the fields are: images/, kernels/ ..."""
+        require_address(address, "mirror")
+        return cls(*(f"{address.rstrip('/')}/{field.name}/" for field in fields(cls)))
+
+    @classmethod
+    def read(cls, path: Path) -> "Archives":
+        """From a TOML file, ``kernels = "https://..."`` and so on; the public ones where it is silent.
+
+        Raises
+        ------
+        InputError
+            A file that can't be read or is no TOML, a key that is no archive, or no address of http or https.
+        """
+        try:
+            table = tomllib.loads(read_text(path))
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(str(path), f"no TOML ({error})", "lines such as kernels = \"https://...\"") from None
+        known = [field.name for field in fields(cls)]
+        for key, value in table.items():
+            if key not in known:
+                raise InputError(f"{path}, {key}", "no archive of that name", ", ".join(known))
+            if not isinstance(value, str):
+                raise InputError(f"{path}, {key}", repr(value)[:60], "an address in quotation marks")
+            require_address(value, f"{path}, {key}")
+        return cls(**table)
+
+    @classmethod
+    def chosen(cls, mirror: str | None = None, mirrors: Path | None = None) -> "Archives":
+        """Those of `mirror` (one address) or of the file `mirrors`, or of the file that $MGSGRAPH_MIRRORS names, or the
+        public ones.
+        """
+        if mirror is not None and mirrors is not None:
+            raise InputError("mirrors", "both one address and a file of them", "one of the two")
+        if mirror is not None:
+            return cls.under(mirror)
+        named = mirrors or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
+        return cls() if named is None else cls.read(named)
+
+
+def require_address(address: str, where: str) -> None:
+    """Raise InputError unless it is an address of http or https with a host."""
+    try:
+        parts = urlsplit(address)
+        sound = parts.scheme in _SCHEMES and bool(parts.hostname) and (parts.port is None or parts.port > 0)
+    except ValueError:  # a port that is no number, brackets that don't close
+        sound = False
+    if not sound or parts.query or parts.fragment:
+        raise InputError(where, repr(address), "an address such as https://example.org/data/")

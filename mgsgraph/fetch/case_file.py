@@ -1,0 +1,117 @@
+"""The case and the meta-kernel of what has been fetched.
+
+A-priori sigmas are the papers': Yoon & Shan (2005) take 100 m for the spacecraft's place, 1 arcmin for its angles,
+10 m for ranges and footprints; Shan et al. (2005) find images up to one spacing of MOLA's shots, 325 m, off along the
+flight, which from 380 km is 0.86 mrad of pitch; MOLA's profiles lie within 100 m (Kirk et al. 2002).
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from mgsgraph.errors import InputError
+from mgsgraph.fetch.grids import Grid, topography
+from mgsgraph.fetch.needs import FIXED, LEAP_SECONDS, ImageNeeds, kernel_path, kernels_of
+from mgsgraph.io.pvl import finite_number
+from mgsgraph.wording import some
+
+META_KERNEL = "kernels/mgs.tm"
+CASE = "case.toml"
+_INSTRUMENT = kernel_path("ik/mgs_moc_v20.ti")
+_PIXEL_SIZE = re.compile(r"^\s*INS-94031_PIXEL_SIZE\s*=\s*\(?\s*([-+.\deE]+)", re.MULTILINE)
+"""m, in NAIF's instrument kernel."""
+_PIXEL_ANGLE = 3.7497308149e-6
+"""rad, that a pixel sees, by ISIS (mocAddendum004.ti: 13.1240578522949 micrometres on 3500 mm). NAIF's kernel has
+13 micrometres on a nominal 3.5 m, of which it says that the truth may be 2 percent off."""
+
+_ORIENTATION = """\
+[orientation]
+nominal = "polynomial"                  # fitted to the kernels' trajectory, order 2
+degree = 2                              # of the corrections
+position_sigma_m = 100.0
+angle_sigma_mrad = [0.29, 0.87, 0.87]   # roll 1 arcmin; pitch, by 325 m along the flight from 380 km; yaw
+trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2
+"""
+_PROFILE = """\
+range_sigma_m = 10.0
+ground_sigma_m = 10.0
+shift_sigma_m = 100.0                   # a common horizontal error of the profile, as an unknown
+check_every = 5                         # every fifth shot takes no part: check points of `mgsgraph dem`
+"""
+
+
+def meta_kernel(needs: Sequence[ImageNeeds]) -> str:
+    """Text of a meta-kernel that names files beside it, in the order of loading."""
+    names = [LEAP_SECONDS, *(Path(kernel_path(kernel)).name for kernel in (*FIXED, *kernels_of(needs)))]
+    listed = "\n".join(f"  '{name}'" for name in names)
+    return f"""KPL/MK
+
+Kernels fetched from NAIF. mgsgraph looks for them beside this file; SPICE itself in the current folder.
+
+\\begindata
+KERNELS_TO_LOAD = (
+{listed}
+)
+\\begintext
+"""
+
+
+def case_text(needs: Sequence[ImageNeeds], grid: Grid | None, folder: Path) -> str:
+    """A case file for all images, their profiles and a terrain; tie points are still to be found."""
+    names = [image.product.name for image in needs]
+    parts = [
+        "# Written by `mgsgraph fetch`, and yours to change: it is not overwritten then.\n"
+        f'format = 1\nname = "{some(names, len(names))}"\n',
+        _ORIENTATION,
+        f'[spice]\nkernels = ["{META_KERNEL}"]\n',
+    ]
+    focal_length = camera_focal_length(folder)
+    parts += [_image(image, focal_length) for image in needs]
+    parts += [
+        f'[[mola]]\npedr = "{image.pedr_path}"\nimage = "{image.product.name}"\n{_PROFILE}'
+        for image in needs
+        if image.pedr
+    ]
+    return "\n".join([*parts, *([] if grid is None else [_terrain(grid)])])
+
+
+def _image(image: ImageNeeds, focal_length: float) -> str:
+    return "".join([
+        "[[images]]\n",
+        _said(f'name = "{image.product.name}"', f"{image.start}, orbit {image.orbit}"),
+        f'label = "{image.image_path}"\n',
+        _said('constants = "ik"', "of NAIF's instrument kernel, but for"),
+        _said(f"focal_length_m = {focal_length}", "by which a pixel sees 3.7497 microradians, as in ISIS"),
+    ])
+
+
+def _said(line: str, comment: str) -> str:
+    return f"{line:39} # {comment}\n"
+
+
+def camera_focal_length(folder: Path) -> float:
+    """Focal length (m) with which the pixels of the folder's instrument kernel see the angle that they do.
+
+    Raises
+    ------
+    InputError
+        A kernel that has no pixel size.
+    """
+    path = folder / _INSTRUMENT
+    found = _PIXEL_SIZE.search(path.read_text(encoding="latin-1"))
+    if found is None:
+        raise InputError(str(path), "no INS-94031_PIXEL_SIZE", "NAIF's instrument kernel of MOC", "try another mirror")
+    return round(finite_number(found[1]) / _PIXEL_ANGLE, 6)
+
+
+def _terrain(grid: Grid) -> str:
+    def files(stems: Sequence[str]) -> str:
+        names = [f'"megdr/{Path(stem).name}.lbl"' for stem in stems]
+        return names[0] if len(names) == 1 else f"[{', '.join(names)}]"
+
+    lines = ["[terrain]\n", f"radius = {files(grid.stems)}\n"]
+    if len(grid.stems) == 1:  # of several tiles a case takes the radii only
+        lines.append(f"topography = {files([topography(grid.stems[0])])}\n")
+    lines.append(_said(f"vertical_sigma_m = {grid.sigma}", "between its posts (docs/fetch.md)"))
+    lines.append(_said("planimetric_sigma_m = 100.0", "MOLA's (Kirk et al. 2002)"))
+    return "".join(lines)

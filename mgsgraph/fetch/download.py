@@ -1,0 +1,367 @@
+"""Files out of an archive over HTTP: taken up where they broke off (RFC 9110: Range, If-Range), tried again, checked.
+
+What is done of a fault: a cut connection, a stalled one, too few bytes, 429 and 5xx are tried again with growing waits,
+from the byte where it broke off; any byte more begins the count of tries anew. Content that has changed meanwhile, or a
+server that ignores Range, means to begin anew. All else (404, an endless redirect, a certificate) is an error at once.
+"""
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from mgsgraph.errors import InputError
+from mgsgraph.fetch.archives import require_address
+from mgsgraph.fetch.part import Part, Source
+
+if TYPE_CHECKING:
+    import requests
+
+T = TypeVar("T")
+Check = Callable[[Path], None]
+"""Raises InputError when a file that has come is not what it should be."""
+Told = Callable[[int, int | None], None]
+"""Is told of bytes that are there and of all bytes, where they are known."""
+
+_ELSEWHERE = "try later, or another mirror"
+_PIECE = 1 << 16
+"""bytes read at a time, at the most."""
+_REDIRECTS = 10
+"""Followed at the most."""
+_LATER = (429, 500, 502, 503, 504)
+"""Statuses of a server that may do better later."""
+_NOT_THERE = (404, 410)
+_NOTHING_MORE = 416
+"""Status of a file that ends before the byte asked for."""
+_LONGEST_PAGE = 1 << 22
+"""bytes of a listing that are looked at."""
+
+
+class Refused(InputError):
+    """An answer that means no, however often one asks."""
+
+
+class NotInArchive(Refused):
+    """A file that the archive says it doesn't have."""
+
+
+class Stopped(Exception):
+    """Another download has failed, or the user has interrupted: this one shall end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long an archive is waited for; s."""
+
+    tries: int = 6
+    """In a row without a byte more."""
+    first_wait: float = 1.0
+    """Before the second try; each further wait is twice as long."""
+    longest_wait: float = 60.0
+    connecting: float = 15.0
+    """Until a connection stands."""
+    reading: float = 30.0
+    """Without a byte on one that does."""
+
+
+class _Trouble(Exception):
+    """Something that may go better next time; `after` s the server asks to be left alone."""
+
+    def __init__(self, found: str, after: float = 0.0) -> None:
+        super().__init__(found)
+        self.found, self.after = found, after
+
+
+class Remote:
+    """Archives over HTTP; may be used from several threads at once."""
+
+    def __init__(self, patience: Patience | None = None, say: Callable[[str], None] = lambda sentence: None) -> None:
+        """`say` is told, in a sentence, of every wait before something is tried again."""
+        _require_requests()
+        self._patience = patience or Patience()
+        self._mine = threading.local()
+        self._sessions: list[requests.Session] = []
+        self._stop = threading.Event()
+        self._open: set[requests.Response] = set()
+        self._say = say
+
+    def close(self) -> None:
+        """Close all connections."""
+        for session in self._sessions:
+            session.close()
+
+    def stop(self) -> None:
+        """Let all that is under way in other threads end with Stopped, at once even where no bytes come; what has come
+        is kept.
+        """
+        self._stop.set()
+        for answer in tuple(self._open):
+            with suppress(OSError, ValueError):  # has ended meanwhile
+                answer.raw.shutdown()
+
+    def size(self, url: str) -> int | None:
+        """Bytes of a file; None where the archive doesn't say."""
+
+        def ask() -> int | None:
+            with self._answer(url, {"Range": "bytes=0-0"}) as answer:  # HEAD is refused here and there
+                return _source(url, answer).total
+
+        return self._persist(url, ask)
+
+    def head(self, url: str, count: int) -> bytes:
+        """The first bytes of a file, as many as there are up to `count`; NotInArchive where there is none."""
+
+        def ask() -> bytes:
+            with self._answer(url, {"Range": f"bytes=0-{count - 1}"}) as answer:
+                return b"" if answer.status_code == _NOTHING_MORE else _up_to(answer, count)
+
+        return self._persist(url, ask)
+
+    def listing(self, url: str) -> str:
+        """The page at the address of a folder; empty where there is none, or none for us."""
+
+        def ask() -> str:
+            with self._answer(url, {}) as answer:
+                return _up_to(answer, _LONGEST_PAGE).decode("latin-1")
+
+        try:
+            return self._persist(url, ask)
+        except Refused:
+            return ""
+
+    def download(
+        self, url: str, path: Path, check: Check, told: Told = lambda done, total: None, known: Source | None = None
+    ) -> Source | None:
+        """Bring a file; it takes its place at `path` when it is whole and `check` has nothing against it.
+
+        Parameters
+        ----------
+        url : str
+        path : Path
+            Where to; its folder is made. What has come lies beside it as NAME.part until it is whole.
+        check : callable
+            Looks at the whole NAME.part; what it raises ends the download, and the part is forgotten.
+        told : callable
+            Told of progress.
+        known : Source, optional
+            What is at `path` already: nothing is done where the archive says it is that still.
+
+        Returns
+        -------
+        Source or None
+            What the archive said of the file; None where it is what was known.
+
+        Raises
+        ------
+        NotInArchive
+            No such file.
+        InputError
+            Everything else, one line.
+        """
+        part = Part(path, url)
+        source = self._persist(url, lambda: self._attempt(url, part, told, known), lambda: part.size)
+        if source is None:
+            return None
+        try:
+            check(part.file)
+        except InputError as error:
+            part.discard()
+            raise InputError(url, error.found, error.expected, error.remedy or _ELSEWHERE) from None
+        part.finish()
+        return source
+
+    # --- one try
+
+    def _attempt(self, url: str, part: Part, told: Told, known: Source | None) -> Source | None:
+        if part.source is not None and part.source.total is not None and part.size >= part.source.total:
+            if part.whole:
+                return part.source
+            part.discard()
+        with self._answer(url, part.wanted() or _unless(known)) as answer:
+            said = _source(url, answer)
+            if answer.status_code == 304:
+                return None
+            if answer.status_code == _NOTHING_MORE:
+                part.discard()
+                raise _Trouble("it is shorter than was announced before")
+            if answer.status_code != 206:
+                part.begin(said)
+            elif part.source is None or not part.source.same_content(said) or _first(answer) != part.size:
+                part.discard()
+                raise _Trouble("its content has changed while it was being fetched")
+            told(part.size, said.total)
+            for piece in _pieces(answer):
+                if self._stop.is_set():
+                    raise Stopped
+                part.add(piece)
+                told(part.size, said.total)
+        if not part.whole:
+            raise _Trouble(f"{part.size} bytes came of {said.total} that were announced")
+        return said
+
+    @contextmanager
+    def _answer(self, url: str, headers: Mapping[str, str]) -> Iterator["requests.Response"]:
+        """The archive's answer, of a status that means content; all that can go wrong in words."""
+        import requests
+
+        patience = self._patience
+        try:
+            with self._session().get(
+                url, headers=dict(headers), stream=True, timeout=(patience.connecting, patience.reading)
+            ) as answer:
+                _require_content(url, answer)
+                self._open.add(answer)
+                try:
+                    yield answer
+                finally:
+                    self._open.discard(answer)
+        except requests.TooManyRedirects:
+            raise InputError(url, f"more than {_REDIRECTS} redirects", "a file", _ELSEWHERE) from None
+        except (requests.exceptions.InvalidSchema, requests.exceptions.InvalidURL) as error:
+            raise InputError(url, f"a redirect that leads nowhere ({_words(error)})", remedy=_ELSEWHERE) from None
+        except requests.exceptions.SSLError as error:
+            raise InputError(url, f"its certificate can't be trusted ({_words(error)})", remedy=_ELSEWHERE) from None
+        except requests.Timeout:
+            raise _Trouble("no answer came") from None
+        except requests.ConnectionError as error:
+            raise _Trouble(f"it can't be reached ({_words(error)})") from None
+        except requests.RequestException as error:
+            raise InputError(url, _words(error), remedy=_ELSEWHERE) from None
+
+    def _session(self) -> "requests.Session":
+        """One for each thread: sessions are not to be shared."""
+        import requests
+
+        session: requests.Session | None = getattr(self._mine, "session", None)
+        if session is None:
+            session = requests.Session()
+            session.max_redirects = _REDIRECTS
+            session.headers["User-Agent"] = f"mgsgraph/{version('mgsgraph')}"
+            session.headers["Accept-Encoding"] = "identity"
+            self._mine.session = session
+            self._sessions.append(session)
+        return session
+
+    # --- many tries
+
+    def _persist(self, url: str, attempt: Callable[[], T], reached: Callable[[], int] = lambda: 0) -> T:
+        """Try until it is done, or until `tries` in a row have brought nothing."""
+        failures, best = 0, reached()
+        while True:
+            try:
+                return attempt()
+            except _Trouble as trouble:
+                now = reached()
+                failures, best = (0, now) if now > best else (failures + 1, best)
+                self._wait(url, trouble, failures)
+
+    def _wait(self, url: str, trouble: _Trouble, failures: int) -> None:
+        patience = self._patience
+        remedy = "the same command goes on where it was: try later, or another mirror"
+        if failures >= patience.tries:
+            raise InputError(url, f"{trouble.found}, {failures} times in a row", remedy=remedy)
+        if trouble.after > patience.longest_wait:
+            raise InputError(url, f"{trouble.found}, and it asks to come back in {trouble.after:.0f} s", remedy=remedy)
+        seconds = max(trouble.after, patience.first_wait * 2.0 ** max(0, failures - 1))
+        seconds = min(seconds, patience.longest_wait)
+        self._say(f"{url}: {trouble.found}; tried again in {seconds:.0f} s")
+        if self._stop.wait(seconds):
+            raise Stopped
+
+
+def _require_requests() -> None:
+    try:
+        import requests  # noqa: F401
+    except ImportError:
+        found, remedy = "the package requests is not installed", "pip install 'mgsgraph[fetch]'"
+        raise InputError("fetch", found, remedy=remedy) from None
+
+
+def _require_content(url: str, answer: "requests.Response") -> None:
+    """Raise _Trouble or InputError unless the answer is a file, a part of one, or that it has not changed."""
+    require_address(answer.url.partition("?")[0].partition("#")[0], f"{url}, redirected")
+    if url.startswith("https:") and not all(one.url.startswith("https:") for one in (*answer.history, answer)):
+        raise InputError(url, f"redirected to {answer.url}, which is not encrypted", "https", _ELSEWHERE)
+    status = f"{answer.status_code} {answer.reason}".strip()
+    if answer.status_code in _NOT_THERE:
+        raise NotInArchive(url, f"not there ({status})", remedy="check the mirror, or the archive's own pages")
+    if answer.status_code in _LATER:
+        raise _Trouble(f"the server says {status}", _later(answer.headers.get("Retry-After", "")))
+    if answer.status_code not in (200, 206, 304, _NOTHING_MORE):
+        raise Refused(url, f"the server says {status}", "the file", _ELSEWHERE)
+    if answer.headers.get("Content-Encoding", "identity").lower() not in ("identity", ""):
+        raise InputError(url, f"sent as {answer.headers['Content-Encoding']}", "the file as it is", _ELSEWHERE)
+
+
+def _source(url: str, answer: "requests.Response") -> Source:
+    """What the answer says of the whole file."""
+    headers = answer.headers
+    length = headers.get("Content-Length", "")
+    if answer.status_code == 206:  # bytes 10-99/100
+        length = headers.get("Content-Range", "").rpartition("/")[2]
+    total = int(length) if length.strip().isdecimal() else None
+    return Source(url, total, headers.get("ETag", ""), headers.get("Last-Modified", ""))
+
+
+def _pieces(answer: "requests.Response") -> Iterator[bytes]:
+    """Content as it comes: of what broke off nothing is lost that had arrived (as it would be in larger reads)."""
+    from urllib3.exceptions import HTTPError, ReadTimeoutError
+
+    try:
+        while piece := answer.raw.read1(_PIECE, decode_content=False):
+            yield piece
+    except ReadTimeoutError:
+        raise _Trouble("nothing more came") from None
+    except HTTPError:
+        raise _Trouble("the connection was cut") from None
+
+
+def _up_to(answer: "requests.Response", count: int) -> bytes:
+    """The first bytes of an answer's content."""
+    found = b""
+    for piece in _pieces(answer):
+        found += piece
+        if len(found) >= count:
+            break
+    return found[:count]
+
+
+def _first(answer: "requests.Response") -> int | None:
+    """First byte of a part of a file, by Content-Range."""
+    start = answer.headers.get("Content-Range", "").removeprefix("bytes").strip().partition("-")[0]
+    return int(start) if start.isdecimal() else None
+
+
+def _unless(known: Source | None) -> Mapping[str, str]:
+    """Headers that ask for the file unless it is still what is known."""
+    if known is None or not (known.etag or known.modified):
+        return {}
+    return {"If-None-Match": known.etag} if known.etag else {"If-Modified-Since": known.modified}
+
+
+def _later(text: str) -> float:
+    """Seconds from now, of a Retry-After in seconds or as a date; 0 for none."""
+    if text.strip().isdecimal():
+        return float(text)
+    try:
+        return max(0.0, (parsedate_to_datetime(text) - datetime.now(UTC)).total_seconds())
+    except (ValueError, TypeError):
+        return 0.0
+
+
+def _words(error: Exception) -> str:
+    """The innermost reason of an exception of requests, in a few words."""
+    reason: object = error
+    while isinstance(reason, Exception):
+        inner = [getattr(reason, "reason", None), *reason.args]
+        deeper = next((one for one in inner if isinstance(one, Exception)), None)
+        if deeper is None:
+            break
+        reason = deeper
+    text = getattr(reason, "strerror", None) or str(reason)
+    return " ".join(str(text).rpartition(": ")[2].split())[:120]

@@ -1,0 +1,252 @@
+"""From ids of images to a folder with images, kernels, profiles, a terrain and a case, with a lock over all of it."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from mgsgraph.errors import InputError
+from mgsgraph.fetch.archives import Archives
+from mgsgraph.fetch.case_file import CASE, META_KERNEL, camera_focal_length, case_text, meta_kernel
+from mgsgraph.fetch.download import Patience, Remote
+from mgsgraph.fetch.grids import Grid, grid_of, terrain_of, wanted_grids
+from mgsgraph.fetch.lock import LOCK, Lock
+from mgsgraph.fetch.needs import ImageNeeds, wanted_files
+from mgsgraph.fetch.product import ProductId, products_of
+from mgsgraph.fetch.search import Search
+from mgsgraph.fetch.store import Progress, Store
+from mgsgraph.fetch.volumes import volumes_of
+from mgsgraph.io.claim import claimed
+from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.text import read_bytes
+from mgsgraph.wording import many
+
+_REMEDY = "choose another --out"
+_PROJECT = "project"
+"""Where the commands that are said next put it, in the folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fetched:
+    """A folder that holds all that its images need."""
+
+    folder: Path
+    images: tuple[ImageNeeds, ...]
+    """All images of the folder, those of earlier runs too."""
+    brought: dict[str, int]
+    """bytes of files that came in this run, by their paths in the folder; indices and labels too."""
+    here: int
+    """Files that were there as locked."""
+    notes: tuple[str, ...]
+    """What could not be had, and what was not as expected."""
+
+    @property
+    def case(self) -> Path:
+        """The case file."""
+        return self.folder / CASE
+
+    def sentences(self) -> list[str]:
+        """What there is now, one line each."""
+        said = [
+            f"{image.product}: {image.start}, orbit {image.orbit}, "
+            f"{', '.join(Path(kernel).name for kernel in image.kernels)}, {Path(image.pedr).name or 'no laser profile'}"
+            for image in self.images
+        ]
+        size = sum(self.brought.values()) / 1e6
+        said.append(f"{many(len(self.brought), 'file')} fetched, {size:.1f} MB; {self.here} were here already")
+        return [*said, *self.notes]
+
+    def commands(self) -> list[str]:
+        """What to type next; none for a single image."""
+        if len(self.images) < 2:
+            return []
+
+        def at(name: str) -> str:
+            return quote(str(self.folder / name))
+
+        project = at(_PROJECT)
+        return [
+            f"mgsgraph init {project} --case {at(CASE)}",
+            f"mgsgraph match {project}",
+            f"mgsgraph solve {project}",
+            f"mgsgraph dem {project} --out {at('dem')}",
+        ]
+
+
+class Planned(NamedTuple):
+    """A file that would be fetched."""
+
+    path: str
+    """In the folder."""
+    url: str
+    size: int | None
+    """bytes; None where the archive doesn't say."""
+    here: bool
+    """Whether it is there as locked."""
+
+
+def fetch_images(
+    images: Sequence[str],
+    out: str | Path,
+    *,
+    terrain: str = "16",
+    archives: Archives | None = None,
+    volumes: Sequence[str] = (),
+    update: bool = False,
+    patience: Patience | None = None,
+    progress: Progress = lambda done, total: None,
+    say: Callable[[str], None] = lambda sentence: None,
+) -> Fetched:
+    """Fetch all that the adjustment of some images needs; the same call again brings only what is not there.
+
+    Parameters
+    ----------
+    images : sequence of str
+        Ids of MOC narrow-angle images, such as E02/00665.
+    out : path
+        Folder: absent, empty, or an earlier one of ours, to which the images are added.
+    terrain : str
+        "4", "16" or "128" pixels per degree, or "none".
+    archives : Archives, optional
+        Mirrors; the public archives when absent.
+    volumes : sequence of str
+        Where to look for the images, as mgsc_1068; everywhere when empty.
+    update : bool
+        Ask the archives for everything anew, and take what has changed.
+    patience : Patience, optional
+        How long to wait for archives.
+    progress : callable
+        Is told of bytes that have come and of all bytes known to come.
+    say : callable
+        Is told, in a sentence, of every wait before an archive is asked again.
+
+    Raises
+    ------
+    InputError
+        Anything that can go wrong, one line; what has come is kept, and the same call goes on.
+    """
+    products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
+    volumes, archives = volumes_of(volumes), archives or Archives()
+    with closing(Remote(patience, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
+        lock = Lock.read(folder)
+        lock.write()
+        store = Store(lock, remote, update, progress)
+        _find(products, lock, Search(archives, store, volumes), update)
+        needs = tuple(lock.images.values())
+        store.get_all(wanted_files(needs, archives))
+        _write(folder / META_KERNEL, meta_kernel(needs))
+        notes = [note for image in needs for note in image.notes]
+        places = list[tuple[float, float]]()
+        for image in needs:
+            try:
+                places += ground_places(image, folder)
+            except InputError as error:
+                if choice == "128":
+                    raise error.within(f"{image.product}, whose place its tiles hang on") from None
+                notes.append(f"{image.product}: its geometry can't be computed yet ({error})")
+        grid = None if choice == "none" else grid_of(choice, places)
+        if grid is not None:
+            store.get_all(wanted_grids(grid, archives))
+        store.mend()
+        notes += [*store.notes, *_write_case(lock, needs, grid)]
+    return Fetched(folder, needs, store.brought, len(lock.files) - len(store.brought), tuple(notes))
+
+
+def survey(
+    images: Sequence[str],
+    out: str | Path,
+    *,
+    terrain: str = "16",
+    archives: Archives | None = None,
+    volumes: Sequence[str] = (),
+    patience: Patience | None = None,
+    progress: Progress = lambda done, total: None,
+    say: Callable[[str], None] = lambda sentence: None,
+) -> tuple[Planned, ...]:
+    """What `fetch_images`, whose arguments these are, would fetch, with sizes; nothing is written. Tiles of 128 pixels
+    per degree are not among it: which ones they are shows when the kernels are there.
+    """
+    products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
+    volumes, archives = volumes_of(volumes), archives or Archives()
+    kept = Lock.read(folder)
+    with TemporaryDirectory() as aside, closing(Remote(patience, say)) as remote:
+        lock = Lock(Path(aside), images=dict(kept.images))
+        _find(products, lock, Search(archives, Store(lock, remote, progress=progress), volumes), update=False)
+        wanted = [*wanted_files(lock.images.values(), archives)]
+        if choice in ("4", "16"):
+            wanted += wanted_grids(grid_of(choice), archives)
+        return tuple(
+            Planned(path, url, kept.files[path].size if here else remote.size(url), here)
+            for url, path in wanted
+            for here in [kept.whole(path)]
+        )
+
+
+def _made(folder: Path) -> Path:
+    """The folder, made where there is none; InputError where it is neither empty nor an earlier one of ours."""
+    try:
+        if folder.exists() and not (folder / LOCK).exists():
+            if not folder.is_dir():
+                raise InputError(str(folder), "exists and is a file", "a folder to fetch into", _REMEDY)
+            if any(folder.iterdir()):
+                found, expected = f"exists, and has no {LOCK}", "an empty folder, or one fetched into"
+                raise InputError(str(folder), found, expected, _REMEDY)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder", _REMEDY) from None
+    return folder
+
+
+def _find(products: Sequence[ProductId], lock: Lock, search: Search, update: bool) -> None:
+    """Enter what each image needs in the lock; no network for those that are there."""
+    for product in products:
+        if update or str(product) not in lock.images:
+            lock.images[str(product)] = search.needs(product)
+            lock.write()
+
+
+def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
+    """Longitude east and planetocentric latitude (deg) of an image's corners and middle, by its kernels.
+
+    Raises
+    ------
+    InputError
+        When the kernels don't hold its time, or it looks past Mars.
+    """
+    import numpy as np
+
+    from mgsgraph.geometry.body import planetocentric
+    from mgsgraph.io.moc import read_moc
+    from mgsgraph.units import DEG
+
+    label, kernels = folder / image.image_path, [folder / META_KERNEL]
+    taken = read_moc(label, kernels, constants="ik", focal_length=camera_focal_length(folder))
+    lines, samples = np.array([0.0, 0.0, 0.5, 1.0, 1.0]), np.array([0.0, 1.0, 0.5, 0.0, 1.0])
+    points, _ = taken.image_to_ground(lines * taken.lines, samples * taken.samples)
+    seen = planetocentric(points[np.all(np.isfinite(points), axis=1)]) / DEG
+    if not len(seen):
+        raise InputError(image.image_path, "looks past Mars", "ground")
+    return [(float(longitude), float(latitude)) for longitude, latitude, _ in seen]
+
+
+def _write_case(lock: Lock, needs: Sequence[ImageNeeds], grid: Grid | None) -> list[str]:
+    """Write the case file unless the user has made it theirs; what there is to say of it."""
+    path, text = lock.folder / CASE, case_text(needs, grid, lock.folder)
+    mine = hashlib.sha256(text.encode()).hexdigest()
+    if path.exists():
+        there = hashlib.sha256(read_bytes(path)).hexdigest()
+        if there not in (lock.case, mine):
+            return [f"{path} is not as it was written here, and was left alone; move it away to have a new one"]
+    _write(path, text)
+    lock.case = mine
+    lock.write()
+    return []
+
+
+def _write(path: Path, text: str) -> None:
+    with fresh_file(path, remedy=_REMEDY) as aside:
+        aside.write_text(text, encoding="utf-8", newline="\n")

@@ -1,0 +1,79 @@
+"""Which SPK and CK hold an image's time: predicted by the mission's phases, confirmed by the kernels' own labels."""
+
+from collections.abc import Callable
+from datetime import UTC, date, datetime, time, timedelta
+
+from mgsgraph.errors import InputError
+from mgsgraph.fetch.interval import Interval
+
+KINDS = {"SPK": ("spk/mgs_", ".bsp"), "CK": ("ck/mgs_sc_", ".bc")}
+"""Beginnings and endings of the kernels' paths, the name of a phase between them."""
+MARGIN = 5.0
+"""s before and after an image that its tables hold, and by which attitude is looked up earlier."""
+_CYCLES = timedelta(days=84)
+"""Length of a phase: three cycles of 28 days."""
+_REACH = 2
+"""Phases before and after the predicted one that are asked, too."""
+
+# NAIF's labels: map2 from 1999-06-02, map4 1999-11-17, map5 2000-02-09, map8 2000-10-18 to 2001-01-31,
+# ext12 from 2003-07-23, ext26 2006-10-11; the others follow from the phases' length.
+_PHASES = (
+    *((f"map{k}", date(1999, 3, 10) + (k - 1) * _CYCLES) for k in range(1, 9)),
+    ("ext1", date(2001, 2, 1)),
+    *((f"ext{k}", date(2001, 4, 4) + (k - 2) * _CYCLES) for k in range(2, 27)),
+)
+_NAMES = tuple(name for name, _ in _PHASES)
+_STARTS = tuple(datetime.combine(start, time(), UTC) for _, start in _PHASES)
+
+Cover = Callable[[str], Interval | None]
+"""What a kernel's label says that it covers, by its path with the ending .lbl; None where there is no label."""
+
+
+def phase_of(when: datetime) -> int:
+    """Position of the phase at a time among all phases; the first or the last one for times outside."""
+    return max(0, sum(start <= when for start in _STARTS) - 1)
+
+
+def find_kernels(taken: Interval, cover: Cover, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Paths of the SPK and the CK of an image, and sentences about what could not be confirmed.
+
+    Parameters
+    ----------
+    taken : Interval
+        When the image was taken.
+    cover : callable
+        Reads kernels' labels.
+    where : str
+        The image, for errors.
+
+    Raises
+    ------
+    InputError
+        When by their labels no kernels hold its time.
+    """
+    paths, notes = [], []
+    for kind, (stem, suffix) in KINDS.items():
+        phases, confirmed = _phases(taken, stem, cover, f"{where}, {kind}")
+        paths += [f"{stem}{_NAMES[k]}{suffix}" for k in phases]
+        if not confirmed:
+            notes.append(f"{where}: {paths[-1]} has no label that would confirm its time; it is taken by its name")
+    return tuple(paths), tuple(notes)
+
+
+def _phases(taken: Interval, stem: str, cover: Cover, where: str) -> tuple[list[int], bool]:
+    """Phases that hold an interval, in order, and whether labels say so; the predicted one is asked first."""
+    predicted, wanted = phase_of(taken.middle), taken.wider(MARGIN)
+    reach = range(max(0, predicted - _REACH), min(len(_NAMES), predicted + _REACH + 1))
+    found: dict[int, Interval] = {}
+    for k in sorted(reach, key=lambda k: (abs(k - predicted), k)):
+        said = cover(f"{stem}{_NAMES[k]}.lbl")
+        if said is None and k == predicted:
+            return [k], False
+        if said is not None and said.meets(wanted):
+            found[k] = said
+        if all(any(one.holds(end) for one in found.values()) for end in wanted):
+            break
+    if not all(any(one.holds(end) for one in found.values()) for end in taken):
+        near = ", ".join(f"{_NAMES[k]} {one}" for k, one in sorted(found.items())) or "none of its time"
+        raise InputError(where, f"no kernel of {_NAMES[reach[0]]} .. {_NAMES[reach[-1]]} holds {taken}", near)
+    return sorted(found), True

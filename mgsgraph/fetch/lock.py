@@ -1,0 +1,150 @@
+"""fetch.lock: what a folder holds, from where, with its SHA-256; by it a second run needs no network."""
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mgsgraph.errors import InputError
+from mgsgraph.fetch.archives import require_address
+from mgsgraph.fetch.needs import ImageNeeds
+from mgsgraph.fetch.part import Source
+from mgsgraph.io.checksum import sha256_of
+from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.text import Fields, read_json
+from mgsgraph.wording import many, some
+
+LOCK = "fetch.lock"
+"""Its name in the folder."""
+_FORMAT = 1
+_NAME = re.compile(r"(images|index|kernels|megdr|pedr)/\w[\w.-]*")
+"""Paths of files in the folder: nothing of a lock leads out of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LockedFile:
+    """One file as it came."""
+
+    url: str
+    size: int
+    """bytes."""
+    sha256: str
+    fetched: str
+    """UTC."""
+    etag: str = ""
+    modified: str = ""
+    """Last-Modified."""
+
+    @property
+    def source(self) -> Source:
+        """What the archive said of it."""
+        return Source(self.url, self.size, self.etag, self.modified)
+
+    def differs(self, path: Path) -> str:
+        """How what is at `path` differs from it, in words; empty for not at all."""
+        try:
+            size = path.stat().st_size
+            if size != self.size:
+                return f"{size} bytes instead of {self.size}"
+            return "" if sha256_of(path) == self.sha256 else "another SHA-256"
+        except FileNotFoundError:
+            return "missing"
+        except OSError as error:
+            return f"can't be read ({error.strerror})"
+
+
+@dataclass(slots=True)
+class Lock:
+    """All files of a folder by their paths in it, what each image needs, and what we wrote ourselves."""
+
+    folder: Path
+    files: dict[str, LockedFile] = field(default_factory=dict)
+    images: dict[str, ImageNeeds] = field(default_factory=dict)
+    """By product id."""
+    case: str = ""
+    """SHA-256 of the case file as it was written here; empty when it was not."""
+
+    @classmethod
+    def read(cls, folder: Path) -> "Lock":
+        """That of a folder, or an empty one where there is none; InputError where it can't be understood."""
+        path = folder / LOCK
+        if not path.exists():
+            return cls(folder)
+        fields = Fields(read_json(path), str(path))
+        if fields.count("format") != _FORMAT:
+            raise InputError(f"{path}, format", f"{fields.count('format')}", f"{_FORMAT}", "use a newer mgsgraph")
+        try:
+            return cls(
+                folder,
+                {name: _locked(name, entry) for name, entry in fields.mapping("files").items()},
+                {name: ImageNeeds.of(entry) for name, entry in fields.mapping("images").items()},
+                str(fields.mapping("written").get("case.toml", "")),
+            )
+        except (TypeError, ValueError, KeyError, AttributeError):
+            found, remedy = "entries that are not ours", "move the folder away, and fetch anew"
+            raise InputError(str(path), found, remedy=remedy) from None
+
+    def write(self) -> None:
+        """Whole or not at all."""
+        content: dict[str, Any] = {
+            "program": "mgsgraph", "format": _FORMAT,
+            "images": {name: needs.entry() for name, needs in self.images.items()},
+            "files": {name: asdict(self.files[name]) for name in sorted(self.files)},
+            "written": {"case.toml": self.case} if self.case else {},
+        }  # fmt: skip
+        with fresh_file(self.folder / LOCK, remedy="choose another --out") as path:
+            path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
+
+    def whole(self, name: str) -> bool:
+        """Whether a file is there as it was locked."""
+        return name in self.files and not self.files[name].differs(self.folder / name)
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(file.size for file in self.files.values())
+
+
+def _locked(name: str, entry: Mapping[str, Any]) -> LockedFile:
+    """A file's entry; TypeError or ValueError for one that is not ours."""
+    file = LockedFile(**entry)
+    require_address(file.url, name)
+    if not _NAME.fullmatch(name) or not isinstance(file.size, int):
+        raise ValueError(name)
+    return file
+
+
+def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Lock:
+    """Hold a folder against its lock; `progress` is told of bytes.
+
+    Returns
+    -------
+    Lock
+        Of a folder that is whole.
+
+    Raises
+    ------
+    InputError
+        Where there is no lock, or a file is missing or differs: the first few are named.
+    """
+    if not (folder / LOCK).is_file():
+        raise InputError(str(folder), f"no {LOCK}", "a folder made by `mgsgraph fetch`")
+    lock = Lock.read(folder)
+    wrong = list(_wrong(lock, progress))
+    if wrong:
+        raise InputError(
+            str(folder), f"{many(len(wrong), 'file')} of {len(lock.files)} not as locked: {some(wrong, len(wrong))}",
+            remedy="fetch again into the same folder: only these are brought",
+        )
+    return lock
+
+
+def _wrong(lock: Lock, progress: Callable[[int, int], None]) -> Iterable[str]:
+    done = 0
+    for name, file in lock.files.items():
+        if how := file.differs(lock.folder / name):
+            yield f"{name} ({how})"
+        done += file.size
+        progress(done, lock.size)

@@ -1,0 +1,113 @@
+"""The folder that files are brought into, two at a time, each entered in its lock as soon as it is whole."""
+
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from datetime import UTC, datetime
+from pathlib import Path
+
+from mgsgraph.errors import InputError
+from mgsgraph.fetch.contents import require_content
+from mgsgraph.fetch.download import Remote
+from mgsgraph.fetch.lock import Lock, LockedFile
+from mgsgraph.fetch.needs import Wanted
+from mgsgraph.io.checksum import sha256_of
+
+Progress = Callable[[int, int], None]
+"""Is told of bytes that have come and of all bytes that are known to come."""
+_AT_ONCE = 2
+
+
+class Store:
+    """A folder of ours, its lock, and the way to the archives."""
+
+    def __init__(
+        self, lock: Lock, remote: Remote, update: bool = False, progress: Progress = lambda done, total: None
+    ) -> None:
+        self.lock, self.remote = lock, remote
+        self.notes: list[str] = []
+        """Sentences about files that were not as locked."""
+        self.brought: dict[str, int] = {}
+        """bytes of files that came, by their paths."""
+        self._update, self._progress = update, progress
+        self._asked: set[str] = set()
+        self._bytes: dict[str, tuple[int, int]] = {}
+        self._guard = threading.RLock()
+
+    def path(self, name: str) -> Path:
+        """Of a file in the folder."""
+        return self.lock.folder / name
+
+    def get(self, wanted: Wanted) -> Path:
+        """A file, brought unless it is there as locked (and, to update, still the archive's).
+
+        Raises
+        ------
+        NotInArchive
+            The archive has none.
+        InputError
+            It can't be brought whole, or is not the one that was locked.
+        """
+        name, path = wanted.path, self.path(wanted.path)
+        if name in self._asked:
+            return path
+        locked = self.lock.files.get(name)
+        how = locked.differs(path) if locked else ""
+        if locked is None or how or self._update:
+            if how:
+                self._say(f"{name} was not as fetch.lock has it ({how}), and was fetched again")
+            self._bring(wanted, path, locked, whole=not how)
+        self._asked.add(name)
+        return path
+
+    def get_all(self, wanted: Iterable[Wanted]) -> None:
+        """Several files, two at a time; the first error ends all, and what has come is kept."""
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            waiting = [pool.submit(self.get, one) for one in wanted]
+            try:
+                for done in as_completed(waiting):
+                    done.result()
+            except BaseException:
+                self.remote.stop()
+                for one in waiting:
+                    one.cancel()
+                raise
+
+    def mend(self) -> None:
+        """Bring again what is locked, not whole, and was not asked for: indices and grids of earlier runs."""
+        rest = [(name, file) for name, file in self.lock.files.items() if name not in self._asked]
+        self.get_all([Wanted(file.url, name) for name, file in rest if file.differs(self.path(name))])
+
+    def _bring(self, wanted: Wanted, path: Path, locked: LockedFile | None, whole: bool) -> None:
+        sums: list[str] = []
+
+        def check(came: Path) -> None:
+            require_content(came, wanted.path)
+            sums.append(sha256_of(came))
+            if locked is not None and not self._update and sums[0] != locked.sha256:
+                raise InputError(
+                    wanted.path, f"another content (SHA-256 {sums[0][:12]}...) than fetch.lock has",
+                    f"{locked.sha256[:12]}... of {locked.fetched}", "--update takes what the archive has now",
+                )
+
+        # another server's ETag and date say nothing of this one's file
+        known = locked.source if locked is not None and whole and locked.url == wanted.url else None
+        came = self.remote.download(wanted.url, path, check, lambda *now: self._tell(wanted.path, *now), known)
+        if came is None:  # the archive still has what is here
+            return
+        size, now = path.stat().st_size, datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        with self._guard:
+            self.brought[wanted.path] = size
+            self.lock.files[wanted.path] = LockedFile(wanted.url, size, sums[0], now, came.etag, came.modified)
+            self.lock.write()
+        if self._update and locked is not None and locked.sha256 != sums[0]:
+            self._say(f"{wanted.path} has changed at the archive since {locked.fetched}")
+
+    def _tell(self, name: str, done: int, total: int | None) -> None:
+        with self._guard:
+            self._bytes[name] = done, max(done, total or 0)
+            self._progress(*map(sum, zip(*self._bytes.values(), strict=True)))
+
+    def _say(self, sentence: str) -> None:
+        with self._guard:
+            self.notes.append(sentence)

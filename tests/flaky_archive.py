@@ -1,0 +1,285 @@
+"""An archive on localhost, made up in memory, that serves ranges and commits the faults it is told to."""
+
+import hashlib
+import re
+import socket
+import threading
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+
+Fault = Callable[["Handler", bytes], None]
+"""Answers a request for some content in its own way."""
+
+
+@dataclass
+class Flaky:
+    """Files by path, faults to come by path (each for one request, but for one that `stays`), and what was asked."""
+
+    files: dict[str, bytes] = field(default_factory=dict)
+    faults: defaultdict[str, deque[Fault]] = field(default_factory=lambda: defaultdict(deque))
+    stays: dict[str, Fault] = field(default_factory=dict)
+    asked: list[tuple[str, str | None]] = field(default_factory=list)
+    """Path and Range of every request, in order."""
+    conditions: list[str] = field(default_factory=list)
+    """If-Range of every request that had one."""
+    sent: defaultdict[str, int] = field(default_factory=lambda: defaultdict(int))
+    """bytes of content that were sent, by path."""
+    ranges: bool = True
+    """Whether it knows Range."""
+    validators: bool = True
+    """Whether it says ETag and Last-Modified."""
+    address: str = ""
+
+    def url(self, path: str) -> str:
+        return f"{self.address}/{path}"
+
+    def listing(self, path: str) -> str | None:
+        """Links to what lies in a folder, as servers make them."""
+        inside = {name[len(path) :].split("/")[0] + "/" * ("/" in name[len(path) :]) for name in self.files
+                  if name.startswith(path)}  # fmt: skip
+        return "".join(f'<a href="{name}">{name}</a>\n' for name in sorted(inside)) if inside else None
+
+    def requests(self, path: str) -> list[str | None]:
+        return [asked for name, asked in self.asked if name == path]
+
+
+class Handler(BaseHTTPRequestHandler):
+    protocol_version, disable_nagle_algorithm = "HTTP/1.1", True
+    archive: Flaky
+
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+    def do_GET(self) -> None:
+        path, asked = self.path.lstrip("/"), self.headers.get("Range")
+        archive = self.archive
+        archive.asked.append((path, asked))
+        archive.conditions += [self.headers["If-Range"]] if "If-Range" in self.headers else []
+        if archive.faults[path]:
+            archive.faults[path].popleft()(self, archive.files.get(path, b""))
+        elif path in archive.stays:
+            archive.stays[path](self, archive.files.get(path, b""))
+        elif path in archive.files:
+            self.serve(archive.files[path])
+        elif path.endswith("/") and (page := archive.listing(path)):
+            self.plain(200, page.encode())
+        else:
+            self.plain(404, b"<html>no such file</html>")
+
+    def plain(self, status: int, body: bytes, headers: dict[str, str] | None = None) -> None:
+        self.send_response(status)
+        for name, value in ({"Content-Length": str(len(body))} | (headers or {})).items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.body(body)
+
+    def serve(self, content: bytes, cut: int | None = None, longer: int = 0, shifted: int = 0) -> None:
+        """The content or the range that is asked for; cut after some bytes, announced as longer than it is, or a range
+        that begins elsewhere.
+        """
+        tag = f'"{hashlib.sha256(content).hexdigest()[:16]}"' if self.archive.validators else None
+        if tag and self.headers.get("If-None-Match") == tag:
+            self.plain(304, b"")
+            return
+        asked = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range", ""))
+        same = self.headers.get("If-Range") in (None, tag)
+        first, status, total = 0, 200, len(content) + longer
+        if asked and self.archive.ranges and same:
+            first, status = int(asked[1]) + shifted, 206
+            if first >= len(content):
+                self.plain(416, b"", {"Content-Range": f"bytes */{len(content)}"})
+                return
+            content = content[: int(asked[2]) + 1] if asked[2] else content
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(content) - first + longer))
+        if status == 206:
+            self.send_header("Content-Range", f"bytes {first}-{len(content) - 1}/{total}")
+        if tag:
+            self.send_header("ETag", tag)
+        self.end_headers()
+        self.archive.sent[self.path.lstrip("/")] += len(content[first:][:cut])  # before anybody can ask
+        self.body(content[first:][:cut])
+        if cut is not None or longer:
+            self.hang_up()
+
+    def body(self, content: bytes) -> None:
+        try:
+            self.wfile.write(content)
+            self.wfile.flush()
+        except OSError:  # the other side has had enough
+            self.close_connection = True
+
+    def hang_up(self) -> None:
+        self.close_connection = True
+        self.connection.shutdown(socket.SHUT_RDWR)
+
+
+# --- faults
+
+
+def cut(after: int) -> Fault:
+    """The connection ends after some bytes."""
+    return lambda handler, content: handler.serve(content, cut=after)
+
+
+def status(code: int, **headers: str) -> Fault:
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    return lambda handler, content: handler.plain(code, b"<html>sorry</html>", named)
+
+
+def longer(by: int) -> Fault:
+    """More bytes are announced than come."""
+    return lambda handler, content: handler.serve(content, longer=by)
+
+
+def elsewhere(by: int) -> Fault:
+    """The range that comes is not the one that was asked for."""
+    return lambda handler, content: handler.serve(content, shifted=by)
+
+
+def some_at_a_time(count: int) -> Fault:
+    """No range is longer than so many bytes, which RFC 9110 allows."""
+
+    def fault(handler: Handler, content: bytes) -> None:
+        if asked := re.fullmatch(r"bytes=(\d+)-", handler.headers.get("Range", "")):
+            first = int(asked[1])
+            piece = content[first : first + count]
+            where = f"bytes {first}-{first + len(piece) - 1}/{len(content)}"
+            handler.plain(206, piece, {"Content-Range": where})
+        else:
+            handler.serve(content, cut=count)
+
+    return fault
+
+
+def web_page(handler: Handler, content: bytes) -> None:
+    handler.plain(200, b"<!DOCTYPE html><html>Service notice</html>", {"Content-Type": "text/html"})
+
+
+def redirect(to: str) -> Fault:
+    return lambda handler, content: handler.plain(302, b"", {"Location": to})
+
+
+def stall(after: int, over: threading.Event) -> Fault:
+    """Nothing more comes after some bytes."""
+
+    def fault(handler: Handler, content: bytes) -> None:
+        handler.send_response(200)
+        handler.send_header("Content-Length", str(len(content)))
+        handler.send_header("ETag", f'"{hashlib.sha256(content).hexdigest()[:16]}"')
+        handler.end_headers()
+        handler.body(content[:after])
+        over.wait(10.0)
+        handler.close_connection = True
+
+    return fault
+
+
+class Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """The other side hangs up when it has seen enough."""
+
+
+@contextmanager
+def served() -> Iterator[Flaky]:
+    """The archive at some port of localhost."""
+    archive = Flaky()
+    server = Server(("127.0.0.1", 0), type("Bound", (Handler,), {"archive": archive}))
+    archive.address = f"http://127.0.0.1:{server.server_address[1]}"
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
+    thread.start()
+    try:
+        yield archive
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+# --- an archive with a few images
+
+SPICE_TEXT = b"KPL/FK\n\\begindata\nSOMETHING = 1\n\\begintext\n"
+INSTRUMENT_TEXT = b"KPL/IK\n\\begindata\nINS-94031_PIXEL_SIZE     = ( 0.000013    )\n\\begintext\n"
+
+
+def daf(kind: str, filling: bytes = b"") -> bytes:
+    """What begins as a binary kernel does."""
+    return (f"DAF/{kind:4}".encode() + filling).ljust(2048, b"\0")
+
+
+def label(**values: str) -> bytes:
+    lines = ["PDS_VERSION_ID = PDS3", *(f"{key} = {value}" for key, value in values.items()), "END"]
+    return "\r\n".join([*lines, ""]).encode()
+
+
+def image(product: str, start: str, stop: str, orbit: int | None = None, instrument: str = "MOC-NA") -> bytes:
+    """An .imq: a record of 2048 bytes for the label, and one of pixels."""
+    more = {} if orbit is None else {"ORBIT_NUMBER": str(orbit)}
+    head = label(
+        RECORD_TYPE="FIXED_LENGTH", RECORD_BYTES="2048", FILE_RECORDS="2", LABEL_RECORDS="1",
+        INSTRUMENT_ID=f'"{instrument}"', PRODUCT_ID=f'"{product}"', START_TIME=start, STOP_TIME=stop, **more,
+    )  # fmt: skip
+    return head.ljust(2048) + bytes(range(256)) * 8
+
+
+def index(rows: list[tuple[str, str]]) -> tuple[bytes, bytes]:
+    """Table and label of products and instruments; the columns stand elsewhere than in the archive's."""
+    columns = [("INSTRUMENT_NAME", 2, 6), ("PRODUCT_ID", 11, 12), ("FILE_SPECIFICATION_NAME", 26, 19)]
+    text = "PDS_VERSION_ID = PDS3\r\nOBJECT = INDEX_TABLE\r\n" + "".join(
+        f"OBJECT = COLUMN\r\nNAME = {name}\r\nSTART_BYTE = {start}\r\nBYTES = {size}\r\nEND_OBJECT = COLUMN\r\n"
+        for name, start, size in columns
+    )
+    table = ""
+    for product, instrument in rows:
+        stem = product.replace("/", "")
+        table += f'"{instrument:6}","{product:12}","{f"{stem[:6]}/{stem}.IMQ":19}"\r\n'
+    return table.encode(), f"{text}END_OBJECT = INDEX_TABLE\r\nEND\r\n".encode()
+
+
+def pedr(start: str, stop: str) -> bytes:
+    return label(RECORD_BYTES="776", START_TIME=start, STOP_TIME=stop).ljust(7760) + bytes(776)
+
+
+def archive_files() -> dict[str, bytes]:
+    """M04/02852 (its PEDR begins 5 orbits earlier), M04/02856 of the same day, and R10/00002 of 2003, in 3 volumes of
+    which one is missing; M04/02853 is of the wide angle.
+    """
+    files = {
+        "images/mgsc_1030/m04028/m0402852.imq": image("M04/02852", "1999-08-24T14:12:13.64", "1999-08-24T14:12:19.56"),
+        "images/mgsc_1030/m04028/m0402856.imq": image(
+            "M04/02856", "1999-08-24T20:12:13.64", "1999-08-24T20:12:19.56", 2066
+        ),
+        "images/mgsc_1280/r10000/r1000002.imq": image("R10/00002", "2003-10-02T00:00:00", "2003-10-02T00:00:09", 20383),
+        "kernels/sclk/mgs_sclkscet_00061.tsc": SPICE_TEXT, "kernels/fk/mgs_v10.tf": SPICE_TEXT,
+        "kernels/pck/pck00009.tpc": SPICE_TEXT, "kernels/ik/mgs_moc_v20.ti": INSTRUMENT_TEXT,
+        "kernels/spk/de405.bsp": daf("SPK", b"planets"), "leap_seconds/naif0012.tls": SPICE_TEXT,
+        "pedr/ap12xxx/ap12058l.b": pedr("1999-08-24T04:23:10", "1999-08-25T04:01:12"),
+        "pedr/ap12xxx/ap12046l.b": pedr("1999-08-23T04:23:10", "1999-08-24T04:23:08"),
+    }  # fmt: skip
+    volumes = {
+        "mgsc_1029": [(f"M04/{k:05d}", "MOC-NA") for k in range(2700, 2750)],
+        "mgsc_1030": [(f"M04/{k:05d}", "MOC-WA" if k == 2853 else "MOC-NA") for k in range(2750, 2860)],
+        "mgsc_1280": [("SP2/46804", "MOC-NA"), ("R10/00002", "MOC-NA"), ("R10/00003", "MOC-WA")],
+    }
+    for volume, rows in volumes.items():
+        table, described = index(rows)
+        files |= {f"images/{volume}/index/imgindx.tab": table, f"images/{volume}/index/imgindx.lbl": described}
+    for phase, start, stop in (
+        ("map1", "1999-03-10T00:00:02", "1999-06-01T23:59:53"), ("map2", "1999-06-02T00:00:02", "1999-08-24T23:59:53"),
+        ("map3", "1999-08-25T00:00:02", "1999-11-16T23:59:53"), ("ext12", "2003-07-23T00:00:02", "2003-10-15T23:59:53"),
+    ):  # fmt: skip
+        for stem, suffix, kind in (("spk/mgs_", "bsp", "SPK"), ("ck/mgs_sc_", "bc", "CK")):
+            files[f"kernels/{stem}{phase}.{suffix}"] = daf(kind, phase.encode())
+            files[f"kernels/{stem}{phase}.lbl"] = label(START_TIME=start, STOP_TIME=stop)
+    rng = np.random.default_rng(4)
+    for name in ("meg004/megr90n000cb", "meg004/megt90n000cb", "meg016/megr90n000eb", "meg016/megt90n000eb"):
+        files[f"megdr/{name}.img"] = rng.bytes(5000)
+        files[f"megdr/{name}.lbl"] = label(RECORD_BYTES="100")
+    return files
