@@ -69,7 +69,7 @@ class Parts:
 
     def add_mola(self, shots: AltimeterShots, wanted: MolaInput) -> AltimeterShots:
         """Shots of a MOLA profile that fall in an image: constrained points, with a range from the simultaneous image
-        and, if asked for, back-projected image coordinates. Returns the shots taken.
+        and, if asked for, back-projected image coordinates. Returns the shots taken: all but the check points.
         """
         seen = footprints_in_images(self.images, shots)
         usable = shots.ground & np.isfinite(shots.ranges)
@@ -100,6 +100,8 @@ class Parts:
                 "a profile that crosses the image",
                 "take the profile out, or check file and image",
             )
+        if wanted.check_every is not None:
+            usable[np.flatnonzero(usable)[wanted.check_every - 1 :: wanted.check_every]] = False
         taken = shots.chosen(usable)
         name = Path(shots.source).stem
         profile = taken.profile(wanted.range_sigma_m, wanted.ground_sigma_m, name=name)

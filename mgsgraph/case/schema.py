@@ -144,6 +144,8 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of these."""
     ranges: bool = True
     """Use the ranges."""
+    check_every: Annotated[int, msgspec.Meta(ge=2)] | None = None
+    """Keep every so many-th shot that could be used out of the adjustment, as a check point (`mgsgraph dem`)."""
     version: str | None = None
     """PEDR version letter, where the file's name doesn't say."""
     clock_bias_s: float = 0.0
@@ -314,6 +316,12 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def tie_groups(self) -> tuple[TiesInput, ...]:
         """Control networks."""
         return (self.ties,) if isinstance(self.ties, TiesInput) else self.ties
+
+    @property
+    def measured(self) -> bool:
+        """Whether it names points measured in images; else tie points are still to be found."""
+        back_projected = any(profile.image_rows != "none" for profile in self.mola)
+        return bool(self.tie_groups or self.ground_control or self.laser_groups or back_projected)
 
     @property
     def laser_groups(self) -> tuple[LaserInput, ...]:

@@ -27,10 +27,12 @@ NODES = "nodes.json"
 """File that makes a folder without any of them a study of orientation images by this program."""
 MATCH = "match.json"
 """File that makes a folder without any of them matches by this program."""
+DEM = "dem.json"
+"""File that makes a folder without any of them a terrain model by this program."""
 EXPORT = "export.json"
 """File that makes a folder without any of them an export by this program; it names all others."""
 
-_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, EXPORT)
+_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, EXPORT)
 """The first of these in a folder says of what kind its results are."""
 TABLES = (
     RECORD, "solution.npz", "summary.json", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
@@ -41,11 +43,13 @@ TABLES = (
     ANALYSIS, "components.csv", "components_iterated.csv", "reliability.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
+    DEM, "dem.tif", "ortho.tif", "shots.csv",
 )  # fmt: skip
 """Files of results but for figures."""
 FIGURES = (
     "residuals", "orientation", "strips", "registration", "map", "connectivity", "height_map",
     "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "spacings", "spectrum", "course", "matches",
+    "dem",
 )  # fmt: skip
 """Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
 _INPUTS = "inputs"

@@ -1,0 +1,160 @@
+"""Are terrain models as good as their sigmas say? Simulated sites against their true ground, and against laser shots.
+
+Each site is simulated with rendered pictures and written in the mission's formats; every third laser shot is kept out
+as a check point. Its images are matched (`mgsgraph match`), adjusted with these matches, and made into a terrain model
+(`mgsgraph dem`), as a user would by the commands.
+
+    python scripts/dem_truth.py [--sites gusev,eos,isidis] [--seeds 2] [--out FOLDER]
+
+Writes dem_truth.md to the folder, docs by default. Exit status: 0 done, 2 bad input.
+"""
+
+import argparse
+import resource
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from benchmark_command import OneLine, at_least, show, status
+from benchmark_run import require_writable, write_text
+from benchmark_table import machine, number, table
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.case import read_case
+from mgsgraph.case.scene import read_scene
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.matching.settings import MatchSettings
+from mgsgraph.products.dem.dem import make_dem
+from mgsgraph.products.dem.model import Dem
+from mgsgraph.products.dem.record import check_merit
+from mgsgraph.products.matching import match_into
+from mgsgraph.simulation.site import SimulatedSite, simulate_site
+from mgsgraph.simulation.site_files import write_site
+from mgsgraph.simulation.sites import SITE_NAMES
+
+OUT = Path(__file__).resolve().parents[1] / "docs"
+PAGE = "dem_truth.md"
+CHECK_EVERY = 3
+_ROUNDS = 5
+"""Of moving a model to where it fits the truth best."""
+WORDS = """# Terrain models against truth
+
+Made by `scripts/dem_truth.py` ({machine}): `simulate`, `match`, `adjust`, `dem`; images of up to 10,112 x 1,024 pixels
+with noise of 1.5 grey values, every third laser shot kept out as a check point. *error*: height of the model minus the
+true ground's at the same place, rms over all posts; *by sigma*: rms of errors over their stated sigmas (1: as stated);
+*fine*: the errors without what a horizontal shift of the model and a quadratic surface take of them, by the sigma of
+matching alone. What these take is the orientation's: one draw of it. *beyond 3*: posts beyond three sigmas. *shots*:
+laser shots that took no part, and their differences by what is stated of them. *seconds*: of the terrain model alone,
+all products; memory is the whole run's.
+"""
+HEAD = (
+    "site", "seed", "posts", "matched", "sigma, m", "of matching", "of orientation", "error, m", "mean", "by sigma",
+    "fine by sigma", "beyond 3", "shots", "rms, m", "by sigma", "seconds",
+)  # fmt: skip
+
+
+class Merit(NamedTuple):
+    """Errors of a terrain model's heights."""
+
+    rms: float
+    mean: float
+    by_sigma: float
+    fine: float
+    beyond: float
+
+
+def main() -> int:
+    """Entry point."""
+    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sites", default=",".join(SITE_NAMES), help=f"some of {','.join(SITE_NAMES)}")
+    parser.add_argument("--seeds", type=at_least(1), default=2)
+    parser.add_argument("--out", type=Path, default=OUT)
+    chosen = parser.parse_args()
+
+    def job() -> None:
+        require_writable(chosen.out / PAGE)
+        rows = list[tuple[str, ...]]()
+        for site in chosen.sites.split(","):
+            for seed in range(1, chosen.seeds + 1):
+                show(f"{site}, seed {seed} of {chosen.seeds}")
+                rows.append(one(site, seed))
+        show("")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+        text = "\n".join([WORDS.format(machine=machine()), *table(HEAD, rows), "", f"Peak memory: {peak:.2f} GiB.", ""])
+        print(text)
+        write_text(text, chosen.out / PAGE)
+
+    return status("terrain models", job)
+
+
+def one(name: str, seed: int) -> tuple[str, ...]:
+    """A line of the table: simulate, match, adjust, make a terrain model, compare."""
+    site = simulate_site(name, seed)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        case = write_site(site, folder / "site")
+        text = case.read_text(encoding="utf-8").replace("[[mola]]", f"[[mola]]\ncheck_every = {CHECK_EVERY}")
+        case.write_text(text, encoding="utf-8")
+        match_into(*read_scene(case), folder / "matches", MatchSettings(), figures=False)
+        read = read_case(case, ties=folder / "matches" / "network.pvl")
+        solution = adjust_network(read.network, read.settings, read.name)
+        begun = time.perf_counter()
+        dem = make_dem(solution, case, folder / "dem")
+        seconds = time.perf_counter() - begun
+    merit, shots = of_heights(dem, site), check_merit(dem.checks, np.ones(len(dem.checks), dtype=bool))
+    matched, posts = (sum(column) for column in zip(*dem.matches, strict=True))
+    sigmas = (np.nanmedian(band) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation))
+    return (
+        name, str(seed), str(int(np.isfinite(dem.heights).sum())), f"{100.0 * matched / posts:.1f} %",
+        *(number(float(sigma)) for sigma in sigmas), number(merit.rms), number(merit.mean), number(merit.by_sigma),
+        number(merit.fine), f"{100.0 * merit.beyond:.2f} %", str(len(dem.checks)), number(shots["rms_m"]),
+        number(shots["rms_by_sigma"]), number(seconds),
+    )  # fmt: skip
+
+
+def of_heights(dem: Dem, site: SimulatedSite) -> Merit:
+    """Against the true ground under the posts."""
+    there = np.isfinite(dem.model.heights)
+    posts, heights = dem.model.map.posts()[there.ravel()], dem.model.heights[there]
+    off = heights - truth(dem, site, posts)
+    sigmas, matching = dem.model.sigmas[there], dem.model.matching[there]
+    fine = without_orientation(dem, site, posts, heights)
+    return Merit(
+        rms(off), float(off.mean()), rms(off / sigmas), rms(fine / matching), float(np.mean(np.abs(off / sigmas) > 3.0))
+    )
+
+
+def truth(dem: Dem, site: SimulatedSite, plane: Array) -> Array:
+    """(n,) m above the map's sphere, of the true ground at places (n, 2) of the map."""
+    grid = dem.model.map
+    places = planetocentric(grid.points(plane, np.zeros(len(plane))))
+    return np.asarray(site.terrain.ground_radius(places[:, 0], places[:, 1]) - grid.radius)
+
+
+def without_orientation(dem: Dem, site: SimulatedSite, posts: Array, heights: Array) -> Array:
+    """(n,) m, errors that a horizontal shift of the model, quadratic along it, and a quadratic surface leave."""
+    slopes = np.nan_to_num(dem.model.slopes[np.isfinite(dem.model.heights)])
+    x, y = ((posts - posts.mean(axis=0)) / np.ptp(posts, axis=0)).T
+    powers = np.column_stack([np.ones_like(y), y, y * y])
+    surface = np.column_stack([powers, x, x * y, x * x])
+    shift, left = np.zeros((3, 2)), np.zeros_like(heights)
+    for _ in range(_ROUNDS):
+        off = heights - truth(dem, site, posts - powers @ shift)
+        design = np.column_stack([surface, *(powers * slope[:, None] for slope in slopes.T)])
+        found = np.linalg.lstsq(design, off)[0]
+        shift -= found[6:].reshape(2, 3).T
+        left = off - surface @ found[:6]
+    return left
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
