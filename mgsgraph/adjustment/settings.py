@@ -58,5 +58,5 @@ class SolverSettings:
 
     @property
     def width(self) -> float:
-        """Loss width in sigmas."""
-        return LOSS_WIDTHS[self.loss] if self.loss_width is None else self.loss_width
+        """Loss width in sigmas; never a whole number's type, for which the kernel would be compiled anew."""
+        return LOSS_WIDTHS[self.loss] if self.loss_width is None else float(self.loss_width)

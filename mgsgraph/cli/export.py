@@ -17,13 +17,14 @@ _PATH = click.Path(path_type=Path)
 @click.option("--case", type=_PATH, help="The case, for what its image support data say besides geometry (csm, asp).")
 @click.option("--raster", is_flag=True, help="Sigmas of new points over the overlap as well, a GeoTIFF (gis).")
 def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | None, raster: bool) -> None:
-    """Write SOLUTION (a folder of results) for another program, read the files back and say how far they are off.
+    """Write SOLUTION (results, or a project) for another program, read the files back and say how far they are off.
 
     spice: SPK, CK, their frames, clock and camera, and a meta-kernel. csm: image support data and model states of
     usgscsm. isis: control network with adjusted points, lidar data, jigsaw's tables. asp: matches, control points,
     cameras. gis: a GeoPackage, and with --raster a GeoTIFF.
     """
     from mgsgraph.products.export.export import ExportSettings, export_solution
+    from mgsgraph.project.results import results_of
 
     support = None
     if case is not None:
@@ -33,6 +34,6 @@ def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | No
         support = {image.name: case.parent / image.isd for image in decode(case).images if image.isd is not None}
         if not support:
             raise InputError(str(case), "no image with support data (isd)", "some to take over", "leave --case out")
-    done = export_solution(solution, target, out, ExportSettings(scaled, support, raster))
+    done = export_solution(results_of(solution).folder, target, out, ExportSettings(scaled, support, raster))
     click.echo(f"- {done.statement}")
     click.echo(f"The files are in {out}")

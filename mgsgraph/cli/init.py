@@ -16,6 +16,8 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
     """Make PROJECT, a folder to which images are added one after the other.
 
     Its settings hold for all that comes: a-priori sigmas of the orientation, SPICE kernels, the solver's choices.
+
+    A case without tie points, as `mgsgraph fetch` writes it, gives its images; `mgsgraph match PROJECT` finds the ties.
     """
     from mgsgraph.cli.stages import stage_bar
     from mgsgraph.errors import InputError
@@ -24,9 +26,11 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
     if case is not None and settings is not None:
         raise InputError("--settings", "a case is given, too, which has settings", "one of the two")
     with stage_bar(2) as stages:
-        counts = begin(project, name, case, settings, stages.stage)
-    click.echo(f"{project}: a new project, {counts}")
-    if case is not None:
+        begun = begin(project, name, case, settings, stages.stage)
+    click.echo(f"{project}: a new project, {begun.words}")
+    if begun.waits:
+        click.echo(f"Its images wait for tie points; next: mgsgraph match {project}")
+    elif case is not None:
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
     else:
         click.echo(f"Next: mgsgraph add {project} IMAGE...")

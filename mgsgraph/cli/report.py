@@ -5,20 +5,19 @@ from pathlib import Path
 import click
 
 _PATH = click.Path(path_type=Path)
-_OWN_CASE = Path("inputs", "case.toml")
-"""Where a demo's results hold their case."""
 
 
 @click.command(short_help="Write a page about an adjustment, one HTML file.")
 @click.argument("solution", type=_PATH)
 @click.option("--compare", type=_PATH, metavar="OTHER", help="Results of an earlier adjustment, to compare with.")
 @click.option(
-    "--case", type=_PATH, help="Case that was adjusted: show laser footprints on its images. A demo's is found."
+    "--case", type=_PATH,
+    help="Case that was adjusted: show laser footprints on its images. A demo's and a project's are found.",
 )
 @click.option("--ties", type=_PATH, metavar="NETWORK", help="Tie points in place of those that the case names.")
 @click.option("--out", type=_PATH, default=Path("report.html"), show_default=True, help="HTML file; replaced.")
 def report(solution: Path, compare: Path | None, case: Path | None, ties: Path | None, out: Path) -> None:
-    """Write one HTML file about SOLUTION (results of `mgsgraph adjust`): summary, maps, figures and tables.
+    """Write one HTML file about SOLUTION (results of `mgsgraph adjust`, or a project): summary, maps, figures, tables.
 
     The page holds everything that it shows and asks nothing of the network. It says from which files it was made, with
     their checksums.
@@ -26,11 +25,14 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     from mgsgraph.case import read_case
     from mgsgraph.products.archive import read_solution
     from mgsgraph.products.report import require_page, write_report
+    from mgsgraph.project.results import results_of
 
     require_page(out)
+    solution, own_case, own_ties = results_of(solution)
+    compare = None if compare is None else results_of(compare).folder
     adjusted, earlier = read_solution(solution), None if compare is None else read_solution(compare)
-    if case is None and (solution / _OWN_CASE).is_file():
-        case = solution / _OWN_CASE
+    if case is None and own_case is not None:
+        case, ties = own_case, ties or own_ties
     if ties is not None and case is None:
         raise click.UsageError("--ties is for a case: give --case, too")
     read = None if case is None else read_case(case, ties=ties)

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ImagesByName
-from mgsgraph.case import read_case, read_shots
-from mgsgraph.case.schema import decode
+from mgsgraph.case import picture_of, read_case, read_shots
+from mgsgraph.case.images import read_images
+from mgsgraph.case.schema import ImageInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import Ellipsoid
@@ -152,15 +153,39 @@ def _names(new: Sequence[NewImage]) -> list[str]:
 # --- images
 
 
-def images_of_case(path: Path) -> tuple[list[NewImage], Network, str]:
-    """Images and network of a case file, and what it is called."""
-    case, wanted = read_case(path), decode(path)
+def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Network, str]:
+    """Images and network of a case file, and what it is called; `ties` are taken in place of its own."""
+    case, wanted = read_case(path, ties=ties), decode(path)
     new = []
     for j, (entry, known) in enumerate(zip(wanted.images, known_images(case.network), strict=True)):
-        file = entry.isd or entry.label
-        files = (path, path.parent / file) if file else (path,)
-        new.append(NewImage(known, files, case.pictures[j] if case.pictures else None))
+        new.append(NewImage(known, _files(entry, path), case.pictures[j] if case.pictures else None))
     return new, case.network, case.name
+
+
+def images_alone(path: Path) -> tuple[list[NewImage], str]:
+    """Images of a case file whose tie points are still to be found, and what it is called.
+
+    Raises
+    ------
+    InputError
+        As `read_case` about images; strips or shared unknowns, which no project has.
+    """
+    wanted = decode(path)
+    for key in ("strips", "shared"):
+        if getattr(wanted, key):
+            raise InputError(f"{path}, {key}", "a table that no project has", "none", "use mgsgraph match and adjust")
+    images, _ = read_images(wanted, wanted.orientations, [], path)
+    known = map(KnownImage, images, wanted.priors(str(path)), (entry.held for entry in wanted.images))
+    return [
+        NewImage(one, _files(entry, path), picture_of(entry, path.parent))
+        for one, entry in zip(known, wanted.images, strict=True)
+    ], wanted.name
+
+
+def _files(entry: ImageInput, path: Path) -> tuple[Path, ...]:
+    """Files that an image of a case comes from."""
+    file = entry.isd or entry.label
+    return (path, path.parent / file) if file else (path,)
 
 
 def _of_case(path: Path) -> tuple[list[NewImage], Network]:

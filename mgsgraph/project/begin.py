@@ -1,10 +1,14 @@
-"""A project's beginning: empty, or with all that a case file names."""
+"""A project's beginning: empty, or with all that a case file names; its tie points may be found later."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import NamedTuple
 
-from mgsgraph.project.addition import Addition, images_of_case
+from mgsgraph.case.schema import decode
+from mgsgraph.errors import InputError
+from mgsgraph.network import Network
+from mgsgraph.project.addition import Addition, NewImage, images_alone, images_of_case
 from mgsgraph.project.change import put_in
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
@@ -12,21 +16,69 @@ from mgsgraph.project.settings import ProjectSettings, read_settings, settings_o
 Stages = Callable[[str], AbstractContextManager[None]]
 
 
-def begin(folder: Path, name: str, case: Path | None, settings: Path | None, stages: Stages) -> str:
-    """Make a project; what is in it, in words."""
+class Begun(NamedTuple):
+    """A project that has been made."""
+
+    words: str
+    """What is in it."""
+    waits: bool
+    """Whether its images wait for tie points."""
+
+
+def begin(folder: Path, name: str, case: Path | None, settings: Path | None, stages: Stages) -> Begun:
+    """Make a project; of a case without any measure in an image the images alone, which then wait for tie points."""
     if case is None:
         called, chosen = read_settings(settings) if settings is not None else ("", ProjectSettings())
         with Project.create(folder, name or called, chosen) as project:
             project.record("init", "empty", {})
-        return "empty"
+        return Begun("empty", False)
     with stages("reading the case"):
-        images, network, called = images_of_case(case)
+        network: Network | None = None
+        if decode(case).measured:
+            images, network, called = images_of_case(case)
+        else:
+            images, called = images_alone(case)
         chosen = settings_of_case(case)
-    with stages("writing the project"), Project.create(folder, name or called, chosen) as project:
-        put_in(project.store, Addition(tuple(images), network))
-        for one in images:
-            project.add_sources(one.known.image.name, one.files, one.picture)
-        rays, ranges = network.rays.point.size, network.ranges.point.size
-        summary = {"images": [one.known.image.name for one in images], "points": len(network.points)}
-        project.record("init", str(case), summary | {"rays": rays, "ranges": ranges})
-    return f"{len(images)} images, {len(network.points)} points, {rays} image measures, {ranges} laser ranges"
+    with stages("writing the project"), Project.create(folder, name or called, chosen, case) as project:
+        words = _put(project, "init", str(case), images, network)
+    return Begun(words, network is None)
+
+
+def waiting_case(project: Project) -> Path:
+    """The case of a project whose images wait for tie points; InputError for any other project."""
+    if project.store.members():
+        raise InputError(
+            str(project.folder), "it has measures already", "a project whose images wait for tie points",
+            f"find others with mgsgraph match CASE --out MATCHES, then mgsgraph add {project.folder} --ties NETWORK",
+        )
+    if project.case is None:
+        raise InputError(
+            str(project.folder), "a project that was made without a case", "one made with mgsgraph init --case",
+            "give the case file itself: mgsgraph match CASE --out MATCHES",
+        )
+    return project.case
+
+
+def take_ties(project: Project, network: Path) -> str:
+    """Put tie points into a project that waits for them, with everything else that its case names; in words."""
+    case = waiting_case(project)
+    images, measured, _ = images_of_case(case, network)
+    there = project.store.image_names()
+    for name in [image.known.image.name for image in images if image.known.image.name not in there][:1]:
+        raise InputError(str(case), f"the image {name!r}, which {project.folder} doesn't have", "the case as it was")
+    return _put(project, "match", str(network), images, measured)
+
+
+def _put(project: Project, verb: str, what: str, images: list[NewImage], network: Network | None) -> str:
+    """Put images and measures in, and note it; what they are."""
+    put_in(project.store, Addition(tuple(images), network))
+    for one in images:
+        project.add_sources(one.known.image.name, one.files, one.picture)
+    points, rays, ranges = (
+        (0, 0, 0) if network is None else (len(network.points), network.rays.point.size, network.ranges.point.size)
+    )
+    names = [one.known.image.name for one in images]
+    project.record(verb, what, {"images": names, "points": points, "rays": rays, "ranges": ranges})
+    if network is None:
+        return f"{len(images)} images, no tie points yet"
+    return f"{len(images)} images, {points} points, {rays} image measures, {ranges} laser ranges"

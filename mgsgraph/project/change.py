@@ -105,6 +105,8 @@ def solve(project: Project, figures: bool = True, progress: Progress = lambda _:
     closing: Closing | None = None
     if not store.members():
         found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"
+        if project.case is not None:
+            remedy = f"find tie points in them: mgsgraph match {project.folder}"
         raise InputError(str(project.folder), found, "tie points or laser shots", remedy)
     if is_solved(project):
         closing, solution = _incremental(project).close(name, progress)

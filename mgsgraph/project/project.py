@@ -23,6 +23,8 @@ from mgsgraph.project.store import ProjectStore
 
 SOLUTIONS = "solutions"
 """Folder of the results, one folder each, in a project's folder."""
+MATCHES = "matches"
+"""Folder of the tie points found in its images, in a project's folder."""
 _RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
 """Names of these, whole or left over by a process that was killed."""
 
@@ -36,7 +38,7 @@ class Change:
     at: str
     """UTC, ISO 8601."""
     verb: str
-    """init, add, remove, solve or check."""
+    """init, match, add, remove, solve or check."""
     what: str
     """In a few words."""
     summary: Mapping[str, Any]
@@ -90,8 +92,12 @@ class Project:
 
     @staticmethod
     @contextmanager
-    def create(folder: str | Path, name: str, settings: ProjectSettings) -> "Iterator[Project]":
+    def create(
+        folder: str | Path, name: str, settings: ProjectSettings, case: Path | None = None
+    ) -> "Iterator[Project]":
         """Make a project: written beside its place and renamed into it at the end, so that it is whole or not there.
+
+        It remembers the case file that it begins with, if any.
 
         Raises
         ------
@@ -106,7 +112,7 @@ class Project:
         try:
             with closing(made(aside)) as connection:
                 project = Project(aside, connection)
-                project._introduce(name or target.name, settings)
+                project._introduce(name or target.name, settings, case)
                 yield project
                 connection.execute("COMMIT")
             with _writing(shown):
@@ -117,9 +123,11 @@ class Project:
         finally:
             shutil.rmtree(aside, ignore_errors=True)
 
-    def _introduce(self, name: str, settings: ProjectSettings) -> None:
+    def _introduce(self, name: str, settings: ProjectSettings, case: Path | None) -> None:
         version = importlib.metadata.version("mgsgraph")
         facts = {"name": name, "created": _now(), "version": version, "settings": settings_to_json(settings)}
+        if case is not None:
+            facts["case"] = str(case.resolve())
         self._connection.executemany("INSERT INTO meta VALUES (?, ?)", facts.items())
 
     # --- facts
@@ -144,6 +152,17 @@ class Project:
     def settings(self) -> ProjectSettings:
         """What holds for every image and measure that is added."""
         return settings_from_json(self._fact("settings"), str(self.folder))
+
+    @property
+    def case(self) -> Path | None:
+        """The case file that it began with, where it was then; None where there was none."""
+        found = self._connection.execute("SELECT value FROM meta WHERE key = 'case'").fetchone()
+        return None if found is None else Path(str(found[0]))
+
+    @property
+    def matches(self) -> Path:
+        """Folder of the tie points that `mgsgraph match` has found for it, if it has."""
+        return self.folder / MATCHES
 
     # --- where images come from
 

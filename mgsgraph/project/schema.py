@@ -15,7 +15,7 @@ APPLICATION = 0x4D475347
 
 TABLES = (
     """CREATE TABLE meta ( -- what this file is
-    key TEXT PRIMARY KEY, -- format, name, created (UTC), version (of mgsgraph), settings (JSON)
+    key TEXT PRIMARY KEY, -- format, name, created (UTC), version (of mgsgraph), settings (JSON), case (path)
     value TEXT NOT NULL
 ) WITHOUT ROWID""",
     """CREATE TABLE image (
@@ -111,7 +111,7 @@ TABLES = (
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
-    verb TEXT NOT NULL, -- init, add, remove, solve, check
+    verb TEXT NOT NULL, -- init, match, add, remove, solve, check
     what TEXT NOT NULL,
     summary TEXT NOT NULL -- JSON
 )""",

@@ -71,7 +71,8 @@ def _connections(project: Project, names: list[str]) -> list[str]:
 def _solutions(project: Project, images: bool) -> list[str]:
     last, batch = project.last_solution(), project.last_solution("batch")
     if last is None:
-        return ["Solution", f"  none yet{f'; next: mgsgraph solve {project.folder}' if images else ''}"]
+        verb = "solve" if project.store.members() or project.case is None else "match"
+        return ["Solution", f"  none yet{f'; next: mgsgraph {verb} {project.folder}' if images else ''}"]
     lines = ["Solution", *_solution(last)]
     if last.kind != "batch" and batch is not None:
         lines += _solution(batch)

@@ -99,7 +99,7 @@ def _text(path: Path, label: MocImageLabel, pixels: NDArray[np.uint8], records: 
         "TARGET_NAME = MARS",
         'INSTRUMENT_ID = "MOC-NA"',
         "PRODUCER_ID = MGSGRAPH_SIMULATION",
-        'DATA_SET_ID = "MGS-M-MOC-NA/WA-2-DSDP-L0-V1.0"',
+        f'DATA_SET_ID = "MGS-M-MOC-NA/WA-2-{"SDP" if path.suffix == ".imq" else "DSDP"}-L0-V1.0"',
         f"PRODUCT_CREATION_TIME = {_WRITTEN}",
         'SOFTWARE_NAME = "mgsgraph simulate"',
         'UPLOAD_ID = "UNK"',

@@ -14,11 +14,13 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.io.megdr import REFERENCE_RADIUS
 from mgsgraph.simulation.files import network_text
+from mgsgraph.simulation.megdr_file import MegdrLayout, write_megdr
 from mgsgraph.simulation.moc_file import MocImageLabel, write_moc_image
 from mgsgraph.simulation.pedr_file import PedrFrames, write_pedr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import KernelSegment, write_kernels
-from mgsgraph.units import ARCMIN, DEG, MRAD
+from mgsgraph.simulation.terrain import areoid_under
+from mgsgraph.units import ARCMIN, MRAD
 
 PLACES = 31
 """Places of the pose in the truth, evenly over the image, as the papers sample it."""
@@ -68,12 +70,12 @@ def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "r
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8", newline="\n")
         _write_grids(simulated, folder)
-        write_kernels([_segment(image) for image in simulated.images], folder)
+        write_kernels([kernel_segment(image) for image in simulated.images], folder)
     except OSError as error:
         raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder that may be written") from None
     for image in simulated.images:
-        write_moc_image(folder / _image_file(image), _label(image, simulated.settings.title), image.pixels)
-        write_pedr(folder / _pedr_file(image), _frames(image))
+        write_moc_image(folder / _image_file(image), image_label(image, simulated.settings.title), image.pixels)
+        write_pedr(folder / pedr_file(image), pedr_frames(image))
     return folder / CASE_FILES[weighting]
 
 
@@ -88,11 +90,13 @@ def _image_file(image: SimulatedImage) -> str:
     return image.settings.name.replace("-", "") + ".img"
 
 
-def _pedr_file(image: SimulatedImage) -> str:
+def pedr_file(image: SimulatedImage) -> str:
+    """Name of the PEDR file along with an image."""
     return image.settings.profile + ".b"
 
 
-def _segment(image: SimulatedImage) -> KernelSegment:
+def kernel_segment(image: SimulatedImage) -> KernelSegment:
+    """What the kernels are to say of an image."""
     return KernelSegment(image.settings.name, image.settings.phase, _tables(image.nominal))
 
 
@@ -102,14 +106,15 @@ def _tables(image: PushbroomImage) -> Trajectory:
     return image.trajectory
 
 
-def _label(image: SimulatedImage, title: str) -> MocImageLabel:
+def image_label(image: SimulatedImage, title: str) -> MocImageLabel:
+    """What the label of an image says; `title` is the site's."""
     settings = image.settings
     start = datetime.fromisoformat(settings.start)
     stop = start + timedelta(seconds=settings.duration)
     return MocImageLabel(
         product_id=settings.name.replace("-", "/"),
-        start_time=_utc(start),
-        stop_time=_utc(stop),
+        start_time=label_time(start),
+        stop_time=label_time(stop),
         clock_start=image.clock_start,
         exposure=settings.exposure,
         crosstrack_summing=settings.crosstrack_summing,
@@ -120,12 +125,13 @@ def _label(image: SimulatedImage, title: str) -> MocImageLabel:
     )
 
 
-def _utc(time: datetime) -> str:
+def label_time(time: datetime) -> str:
     """ISO to hundredths of a second, as labels have it."""
     return time.strftime("%Y-%m-%dT%H:%M:%S") + f".{time.microsecond // 10_000:02d}"
 
 
-def _frames(image: SimulatedImage) -> PedrFrames:
+def pedr_frames(image: SimulatedImage) -> PedrFrames:
+    """The profile along with an image, as its PEDR file has it."""
     profile = image.profile
     places, craft = planetocentric(profile.footprints), planetocentric(profile.spacecraft)
     return PedrFrames(
@@ -148,71 +154,17 @@ def _frames(image: SimulatedImage) -> PedrFrames:
 
 
 def _write_grids(simulated: SimulatedSite, folder: Path) -> None:
-    """Planetary radius and topography as a pair of MEGDR products with labels, 16 bits."""
+    """Planetary radius and topography as a pair of MEGDR products with labels."""
     grid = simulated.grid
-    rows, columns = grid.radii.shape
-    longitudes = grid.first_longitude + grid.longitude_step * np.arange(columns)
-    latitudes = grid.first_latitude - grid.latitude_step * np.arange(rows)
-    lon, lat = (axis.ravel() for axis in np.meshgrid(longitudes, latitudes))
-    areoid = simulated.terrain.areoid_radius(lon, lat).reshape(grid.radii.shape)
-    for name, offset, posts in (
-        (_grid_file(simulated, "r"), REFERENCE_RADIUS, grid.radii),
-        (_grid_file(simulated, "t"), 0.0, grid.radii - areoid),
-    ):
-        counts = np.rint(posts - offset).astype(">i2")
-        (folder / f"{name}.img").write_bytes(counts.tobytes())
-        text = _grid_label(name, offset, counts.shape, grid.first_longitude, grid.first_latitude, grid.longitude_step)
-        (folder / f"{name}.lbl").write_text(text, encoding="ascii", newline="\r\n")
+    radii = np.asarray(grid.radii, dtype=np.float64)
+    heights = radii - areoid_under(simulated.terrain, grid)
+    for letter, offset, posts in (("r", REFERENCE_RADIUS, radii), ("t", 0.0, heights)):
+        layout = MegdrLayout(posts.shape, grid.first_longitude, grid.first_latitude, grid.longitude_step, offset)
+        write_megdr(folder, _grid_file(simulated, letter), layout, [posts])
 
 
 def _grid_file(simulated: SimulatedSite, letter: str) -> str:
     return f"meg{letter}_{simulated.settings.name}"
-
-
-def _grid_label(
-    name: str, offset: float, shape: tuple[int, ...], first_longitude: float, first_latitude: float, step: float
-) -> str:
-    """PDS3 label of a MEGDR grid; LINE = LPO - RES (LAT - CLAT), SAMPLE = SPO + RES (LON - CLON) (dsmap.cat)."""
-    rows, columns = shape
-    resolution = round(DEG / step)
-    line_offset = 1.0 + first_latitude / step
-    sample_offset = 1.0 - (first_longitude / DEG - 180.0) * resolution
-    return f"""PDS_VERSION_ID            = "PDS3"
-RECORD_TYPE               = FIXED_LENGTH
-RECORD_BYTES              = {2 * columns}
-FILE_RECORDS              = {rows}
-^IMAGE                    = "{name.upper()}.IMG"
-DATA_SET_ID               = "MGS-M-MOLA-5-MEGDR-L3-V1.0"
-PRODUCT_ID                = "{name.upper()}.IMG"
-SPACECRAFT_NAME           = "MARS GLOBAL SURVEYOR"
-INSTRUMENT_ID             = MOLA
-TARGET_NAME               = MARS
-PRODUCT_VERSION_ID        = "SIMULATED"
-OBJECT                    = IMAGE
-  LINES                   = {rows}
-  LINE_SAMPLES            = {columns}
-  SAMPLE_TYPE             = MSB_INTEGER
-  SAMPLE_BITS             = 16
-  UNIT                    = METER
-  SCALING_FACTOR          = 1
-  OFFSET                  = {offset:.0f}
-END_OBJECT                = IMAGE
-OBJECT                    = IMAGE_MAP_PROJECTION
-  MAP_PROJECTION_TYPE     = "SIMPLE CYLINDRICAL"
-  A_AXIS_RADIUS           = 3396.0 <KM>
-  B_AXIS_RADIUS           = 3396.0 <KM>
-  C_AXIS_RADIUS           = 3396.0 <KM>
-  POSITIVE_LONGITUDE_DIRECTION = "EAST"
-  CENTER_LATITUDE         = 0.0 <DEGREE>
-  CENTER_LONGITUDE        = 180.0 <DEGREE>
-  MAP_RESOLUTION          = {resolution} <PIXEL/DEGREE>
-  LINE_PROJECTION_OFFSET  = {line_offset:.6f}
-  SAMPLE_PROJECTION_OFFSET = {sample_offset:.6f}
-  COORDINATE_SYSTEM_TYPE  = "BODY-FIXED ROTATING"
-  COORDINATE_SYSTEM_NAME  = "PLANETOCENTRIC"
-END_OBJECT                = IMAGE_MAP_PROJECTION
-END
-"""
 
 
 # --- truth
@@ -257,7 +209,7 @@ def _image_truth(image: SimulatedImage) -> dict[str, Any]:
             "attitude_noise_rad": errors.noise,
         },
         "profile": {
-            "pedr": _pedr_file(image),
+            "pedr": pedr_file(image),
             "shift_east_north_m": profile.shift.tolist(),
             "ground_shots_inside": image.settings.shots,
         },
@@ -347,7 +299,7 @@ def profile_tables(simulated: SimulatedSite, *more: str, folder: str = "") -> li
         text += [
             "",
             "[[mola]]",
-            f'pedr = "{folder}{_pedr_file(image)}"',
+            f'pedr = "{folder}{pedr_file(image)}"',
             f'image = "{image.settings.name}"',
             f"range_sigma_m = {_RANGE_SIGMA!r}",
             f"ground_sigma_m = {_GROUND_SIGMA!r}",

@@ -31,6 +31,8 @@ from mgsgraph.units import KM
 SPACECRAFT, STRUCTURE, CAMERA, MARS_ID, MARS_SYSTEM, SUN, ORIGIN = -94, -94000, -94031, 499, 4, 10, 0
 """NAIF ids: MGS, its structure (CK), MOC-NA, Mars, its barycentre, the Sun, the solar system's barycentre."""
 
+_NOMINAL_FOCAL_LENGTH, _NOMINAL_PITCH = 3.5, 0.000013
+"""m, of the instrument kernel."""
 _DEGREE = 7
 """Of the Hermite interpolation (SPK type 13)."""
 _POSITION_STEP = 5
@@ -92,7 +94,7 @@ def write_kernels(segments: Sequence[KernelSegment], folder: Path) -> tuple[str,
         File names in the order in which they are to be loaded. `mgs.tm` lists them too, for use in that folder.
     """
     texts = {"mgs.tls": _LEAP_SECOND_TEXT, "mgs.tsc": _clock_text(), "mars.tpc": _constants_text()}
-    texts |= {"mgs.tf": _FRAME_TEXT, "moc.ti": _instrument_text()}
+    texts |= {"mgs.tf": _FRAME_TEXT, "moc.ti": addendum_text()}
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="ascii", newline="\n")
     names = [*texts, "mars.bsp"]
@@ -203,7 +205,8 @@ BODY499_RADII    = ( {equatorial} {equatorial} {polar} )
 """
 
 
-def _instrument_text() -> str:
+def addendum_text() -> str:
+    """The camera in the words of ISIS's addendum (mocAddendum004.ti): millimetres."""
     pitch = repr(PITCH_MM)
     return f"""KPL/IK
 
@@ -222,17 +225,28 @@ INS{CAMERA}_TRANSY            = ( 0.0 {pitch} 0.0 )
 INS{CAMERA}_ITRANSS           = ( 0.0 0.0 {1.0 / PITCH_MM!r} )
 INS{CAMERA}_ITRANSL           = ( 0.0 {1.0 / PITCH_MM!r} 0.0 )
 
-FRAME_MGS_MOC_NA         = {CAMERA}
-FRAME_{CAMERA}_NAME        = 'MGS_MOC_NA'
-FRAME_{CAMERA}_CLASS       = 4
-FRAME_{CAMERA}_CLASS_ID    = {CAMERA}
-FRAME_{CAMERA}_CENTER      = {SPACECRAFT}
-TKFRAME_{CAMERA}_SPEC      = 'ANGLES'
-TKFRAME_{CAMERA}_RELATIVE  = 'MGS_SPACECRAFT'
-TKFRAME_{CAMERA}_ANGLES    = ( {" ".join(repr(angle) for angle in MOUNT_ANGLES)} )
-TKFRAME_{CAMERA}_AXES      = ( 1 2 3 )
-TKFRAME_{CAMERA}_UNITS     = 'RADIANS'
-\\begintext
+{_CAMERA_FRAME}\\begintext
+"""
+
+
+def instrument_text() -> str:
+    """The camera in the words of NAIF's instrument kernel (moc20.ti): metres, first pixel 0.
+
+    Its numbers are the nominal ones, as in the archive: 1 percent off the true scale, FOCAL_LENGTH_MM / PITCH_MM pixels
+    per radian, to which a focal length of 3.4669 m belongs.
+    """
+    return f"""KPL/IK
+
+MOC narrow angle camera. Focal length and pixel size in m, angles in radians; keywords as in NAIF's kernel.
+
+\\begindata
+INS{CAMERA}_FOCAL_LENGTH  = ( {_NOMINAL_FOCAL_LENGTH} )
+INS{CAMERA}_PIXEL_SAMPLES = ( 2048 )
+INS{CAMERA}_PIXEL_LINES   = ( 1 )
+INS{CAMERA}_CENTER        = ( {BORESIGHT_SAMPLE - 1.0!r} 0.5 )
+INS{CAMERA}_PIXEL_SIZE    = ( {_NOMINAL_PITCH} )
+
+{_CAMERA_FRAME}\\begintext
 """
 
 
@@ -249,6 +263,18 @@ KERNELS_TO_LOAD = (
 \\begintext
 """
 
+
+_CAMERA_FRAME = f"""FRAME_MGS_MOC_NA         = {CAMERA}
+FRAME_{CAMERA}_NAME        = 'MGS_MOC_NA'
+FRAME_{CAMERA}_CLASS       = 4
+FRAME_{CAMERA}_CLASS_ID    = {CAMERA}
+FRAME_{CAMERA}_CENTER      = {SPACECRAFT}
+TKFRAME_{CAMERA}_SPEC      = 'ANGLES'
+TKFRAME_{CAMERA}_RELATIVE  = 'MGS_SPACECRAFT'
+TKFRAME_{CAMERA}_ANGLES    = ( {" ".join(repr(angle) for angle in MOUNT_ANGLES)} )
+TKFRAME_{CAMERA}_AXES      = ( 1 2 3 )
+TKFRAME_{CAMERA}_UNITS     = 'RADIANS'
+"""
 
 _FRAME_TEXT = f"""KPL/FK
 

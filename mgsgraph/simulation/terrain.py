@@ -311,6 +311,15 @@ def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (2
     )
 
 
+def areoid_under(terrain: SiteTerrain, grid: TerrainGrid) -> Array:
+    """Radius (rows, columns) in m of the areoid at a grid's posts."""
+    rows, columns = grid.radii.shape
+    longitudes = grid.first_longitude + grid.longitude_step * np.arange(columns)
+    latitudes = grid.first_latitude - grid.latitude_step * np.arange(rows)
+    lon, lat = (axis.ravel() for axis in np.meshgrid(longitudes, latitudes))
+    return terrain.areoid_radius(lon, lat).reshape(rows, columns)
+
+
 def cell_means(
     terrain: SiteTerrain, lon: Array, lat: Array, step: float, shift: Array, parts: int = _PARTS
 ) -> Array:

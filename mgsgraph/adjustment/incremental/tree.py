@@ -4,15 +4,21 @@ Kaess, Johannsson, Roberts, Ila, Leonard & Dellaert, "iSAM2" (2012). Every facto
 incremental elimination and nothing else; what is not linear is mended by taking a bundle's system out and putting in
 one that was made at the present values (`incremental`). Unknowns are held in units of their a-priori sigmas: numbers of
 order one, for which the wildfire threshold and the pivots of Cholesky's method mean the same everywhere.
+
+GTSAM's Cholesky calls a system indeterminate where a pivot falls below some 2^-24 of what it began with: hundreds of
+ties good to a tenth of a pixel do that to priors of some hundred metres, though every direction is determined. The sum
+is then solved as one dense matrix: the same result, at a cost that grows with the cube of the unknowns.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
+from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.parts import Members, Unknown
@@ -22,11 +28,24 @@ _WILDFIRE = 1e-7
 is a thousand times sharper than the prior)."""
 
 
+class _Whole(NamedTuple):
+    """All unknowns at once, in units of their a-priori sigmas."""
+
+    place: dict[Unknown, slice]
+    """Where each stands."""
+    values: Array
+    """(columns,) the estimate."""
+    covariance: Array
+    """(columns, columns)."""
+
+
 class Tree:
     """Unknowns with their priors, and reduced systems on them."""
 
     def __init__(self) -> None:
-        self._isam = _isam()
+        self._isam: gtsam.ISAM2 | None = _isam()
+        self._systems = dict[Members, ReducedSystem]()
+        self._solved: _Whole | None = None
         self._keys = dict[Unknown, int]()
         self._scale = dict[Unknown, Array]()
         self._slots = dict[Members, int]()
@@ -35,7 +54,7 @@ class Tree:
         self._taken = dict[Unknown, Array]()
 
     def __contains__(self, members: Members) -> bool:
-        return members in self._slots
+        return members in self._systems
 
     def change(
         self,
@@ -49,14 +68,40 @@ class Tree:
 
         Raises SolverError when the sum can't be eliminated; the tree is of no use after that.
         """
-        systems, dropped = dict(systems or {}), list(dropped)
+        new, systems, gone, dropped = dict(new or {}), dict(systems or {}), list(gone), list(dropped)
+        for members in gone:
+            self._systems.pop(members, None)
+        self._systems |= systems
+        self._scale |= new
+        for unknown in dropped:
+            del self._scale[unknown]
+            self._taken.pop(unknown, None)
+        self._solved = None
+        if self._isam is not None:
+            try:
+                self._update(self._isam, new, systems, gone, dropped)
+            except RuntimeError as error:
+                self._leave(error)
+        if self._isam is None:
+            self._whole()
+
+    def _leave(self, error: RuntimeError) -> None:
+        """Go on without iSAM2, where it can't, though the sum may be sound."""
+        if not is_indeterminate(error):
+            raise _failure(error) from None
+        self._isam = None
+
+    def _update(
+        self, isam: gtsam.ISAM2, new: Mapping[Unknown, Array], systems: Mapping[Members, ReducedSystem],
+        gone: Sequence[Members], dropped: Sequence[Unknown],
+    ) -> None:  # fmt: skip
+        """The change in iSAM2."""
         removed = [self._slots.pop(members) for members in {*gone, *systems} if members in self._slots]
         removed += [self._priors.pop(unknown) for unknown in dropped]
         factors, values, of_slot = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[Members | Unknown]()
-        for unknown, sigmas in (new or {}).items():
+        for unknown, sigmas in new.items():
             key = self._keys[unknown] = self._next
             self._next += 1
-            self._scale[unknown] = sigmas
             values.insert(key, np.zeros(sigmas.size))
             factors.add(
                 gtsam.PriorFactorVector(key, np.zeros(sigmas.size), gtsam.noiseModel.Unit.Create(sigmas.size))
@@ -65,20 +110,32 @@ class Tree:
         for members, system in systems.items():
             factors.add(self._factor(system))
             of_slot.append(members)
-        try:
-            result = self._isam.update(factors, values, removed)
-        except RuntimeError as error:
-            said = " ".join(str(error).split())[:100] or "not positive definite"
-            remedy = "look for sigmas that differ by many orders of magnitude, or adjust by batch"
-            raise SolverError(f"iSAM2 can't eliminate the change ({said}); {remedy}") from None
+        result = isam.update(factors, values, removed)
         for owner, slot in zip(of_slot, result.getNewFactorsIndices(), strict=True):
             if isinstance(owner, Unknown):
                 self._priors[owner] = int(slot)
             else:
                 self._slots[owner] = int(slot)
         for unknown in dropped:
-            del self._keys[unknown], self._scale[unknown]
-            self._taken.pop(unknown, None)
+            del self._keys[unknown]
+
+    def _whole(self) -> _Whole:
+        """All unknowns at once."""
+        if self._solved is None:
+            place = stretches(list(self._scale), self._scale)
+            columns = sum(sigmas.size for sigmas in self._scale.values())
+            normal, right = np.eye(columns), np.zeros(columns)
+            for system in self._systems.values():
+                mine = np.concatenate([np.arange(place[u].start, place[u].stop) for u in system.unknowns])
+                scale = np.concatenate([self._scale[u] for u in system.unknowns])
+                normal[np.ix_(mine, mine)] += system.normal * scale[:, None] * scale
+                right[mine] += (system.normal @ system.at - system.gradient) * scale
+            try:
+                root = np.linalg.inv(np.linalg.cholesky(normal))
+            except np.linalg.LinAlgError as error:
+                raise _failure(error) from None
+            self._solved = _Whole(place, root.T @ (root @ right), root.T @ root)
+        return self._solved
 
     def _factor(self, system: ReducedSystem) -> gtsam.LinearContainerFactor:
         """A reduced system as GTSAM factor, in whitened units."""
@@ -97,12 +154,18 @@ class Tree:
 
     def moved(self) -> dict[Unknown, Array]:
         """Present values, m and rad, of the unknowns that have moved since the last call, and of new ones."""
-        estimate, found = self._isam.calculateEstimate(), dict[Unknown, Array]()
+        found = dict[Unknown, Array]()
+        if self._isam is None:
+            whole, limit = self._whole(), _WILDFIRE
+            estimate = {unknown: whole.values[at] for unknown, at in whole.place.items()}
+        else:
+            values, limit = self._isam.calculateEstimate(), 0.0
+            estimate = {unknown: values.atVector(self._keys[unknown]) for unknown in self._scale}
         for size, names in self._by_size().items():
             # many unknowns, of which few have moved: compared all at once
-            now = np.array([estimate.atVector(self._keys[name]) for name in names]).reshape(len(names), size)
+            now = np.array([estimate[name] for name in names]).reshape(len(names), size)
             before = np.array([self._taken.get(name, _nothing(size)) for name in names]).reshape(now.shape)
-            for k in np.flatnonzero(np.any(now != before, axis=1)).tolist():
+            for k in np.flatnonzero(np.any(~(np.abs(now - before) <= limit), axis=1)).tolist():
                 self._taken[names[k]] = now[k]
                 found[names[k]] = now[k] * self._scale[names[k]]
         return found
@@ -115,17 +178,36 @@ class Tree:
 
     def covariance(self, unknowns: Sequence[Unknown]) -> Array:
         """Joint covariance (d, d) of some unknowns, in their order, m and rad, for sigma0 = 1."""
-        keys, scale = [self._keys[u] for u in unknowns], np.concatenate([self._scale[u] for u in unknowns])
-        if len(keys) == 1:
-            return np.asarray(self._isam.marginalCovariance(keys[0]) * scale[:, None] * scale)
-        joint = self._isam.jointMarginalCovariance(keys)
-        blocks = np.block([[joint.at(one, other) for other in keys] for one in keys])
+        scale = np.concatenate([self._scale[u] for u in unknowns])
+        blocks: Array | None = None
+        if self._isam is not None:
+            try:
+                blocks = _marginal(self._isam, [self._keys[u] for u in unknowns])
+            except RuntimeError as error:
+                self._leave(error)
+        if blocks is None:
+            whole = self._whole()
+            mine = np.concatenate([np.arange(whole.place[u].start, whole.place[u].stop) for u in unknowns])
+            blocks = whole.covariance[np.ix_(mine, mine)]
         return np.asarray(blocks * scale[:, None] * scale)
 
 
 @cache
 def _nothing(size: int) -> Array:
     return np.full(size, np.nan)
+
+
+def _marginal(isam: gtsam.ISAM2, keys: Sequence[int]) -> Array:
+    if len(keys) == 1:
+        return np.asarray(isam.marginalCovariance(keys[0]))
+    joint = isam.jointMarginalCovariance(keys)
+    return np.block([[joint.at(one, other) for other in keys] for one in keys])
+
+
+def _failure(error: Exception) -> SolverError:
+    said = " ".join(str(error).split())[:100] or "not positive definite"
+    remedy = "look for sigmas that differ by many orders of magnitude, or adjust by batch"
+    return SolverError(f"iSAM2 can't eliminate the change ({said}); {remedy}")
 
 
 def _isam() -> gtsam.ISAM2:

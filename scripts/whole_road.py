@@ -1,0 +1,241 @@
+"""The whole road on a simulated archive, from the ids of two images to a terrain model, command by command.
+
+The site's archives are written to a folder and served from localhost; then the commands of docs/whole_road.md run one
+after the other, each in a process of its own as a person types it. Seconds and peak memory of each are told, and at the
+end the terrain model is held against the truth, which is known here. `--page` writes what was found to that page.
+"""
+
+import argparse
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.simulation.archive import write_archive
+from mgsgraph.simulation.archive_server import serving
+from mgsgraph.simulation.site import SimulatedSite, simulate_site
+from mgsgraph.simulation.sites import SITE_NAMES
+from mgsgraph.units import DEG
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "whole_road.md"
+ROAD = (
+    "fetch {images} --out DATA",
+    "init PROJECT --case DATA/case.toml",
+    "match PROJECT",
+    "solve PROJECT",
+    "report PROJECT --out report.html",
+    "export PROJECT --to spice --out SPICE",
+    "dem PROJECT --out DEM",
+)
+"""The commands; `fetch` has the mirror's address besides."""
+_BANDS = (1, 2, 3)
+"""Of dem.tif: height, its sigma, the share of matching in it, m."""
+_SAMPLE, _NEAR, _STEPS = 20_000, 20.0, 4
+"""Posts by which a terrain model is laid on the truth, m between which slopes are taken, and steps of it."""
+
+
+class Step(NamedTuple):
+    """A command that has run."""
+
+    command: str
+    seconds: float
+    busy: float
+    """s of processor time, both cores together."""
+    megabytes: float
+    """Peak memory of its process."""
+    said: str
+
+
+class Judged(NamedTuple):
+    """A terrain model against the truth: heights in m."""
+
+    posts: int
+    error: float
+    """rms."""
+    mean: float
+    sigma: float
+    """rms of what is stated."""
+    share: float
+    """rms of the error over its stated sigma."""
+    moved: np.ndarray
+    """(3,) m east, north and up, by which it lies off as a whole."""
+    left: float
+    """rms, without that."""
+    matching: float
+    """rms of the stated sigma of matching."""
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--site", choices=SITE_NAMES, default="gusev")
+    options.add_argument("--seed", type=int, default=1)
+    options.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
+    options.add_argument("--page", action="store_true", help=f"write {PAGE.name}")
+    given = options.parse_args()
+    with tempfile.TemporaryDirectory() as aside:
+        work = given.work or Path(aside)
+        site = simulate_site(given.site, given.seed)
+        steps = road(site, work)
+        judged = judge(work / "DEM" / "dem.tif", site)
+    print("\n".join([*table(steps), "", *words(judged)]))
+    if given.page:
+        PAGE.write_text(page(site, steps, judged), encoding="utf-8", newline="\n")
+
+
+def commands(site: SimulatedSite) -> list[str]:
+    """As a person types them."""
+    images = " ".join(image.settings.name.replace("-", "/") for image in site.images)
+    return [f"mgsgraph {command.format(images=images)}" for command in ROAD]
+
+
+def road(site: SimulatedSite, work: Path) -> list[Step]:
+    """All commands, in the folder `work`, out of the site's archives there."""
+    archive = write_archive(site, work / "archive")
+    with serving(archive) as address:
+        steps = []
+        for command in commands(site):
+            more = ["--mirror", address] if " fetch " in command else []
+            steps.append(step(command, more, work))
+            print(f"$ {command}\n{steps[-1].said}", flush=True)
+    return steps
+
+
+def step(command: str, more: list[str], folder: Path) -> Step:
+    """Run one; the script ends with its status where it fails."""
+    arguments = [sys.executable, "-m", *shlex.split(command), *more]
+    begun = time.perf_counter()
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(arguments, cwd=folder, stdout=said, stderr=subprocess.STDOUT)
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        said.seek(0)
+        text = said.read().decode()
+    if process.returncode:
+        sys.exit(f"{text}\n{command}: exit status {process.returncode}")
+    busy = used.ru_utime + used.ru_stime
+    return Step(command, time.perf_counter() - begun, busy, used.ru_maxrss / 1024.0, text.rstrip())
+
+
+def judge(path: Path, site: SimulatedSite) -> Judged:
+    """Heights of a terrain model above its sphere against the true ground at the same places."""
+    import rasterio
+    from rasterio.warp import transform
+
+    with rasterio.open(path) as file:
+        height, sigma, matching = (file.read(band).astype(np.float64) for band in _BANDS)
+        crs, place = file.crs, file.transform
+    radius = float(crs.to_dict()["R"])
+    known = np.nonzero(np.isfinite(height))
+    x, y = place * (known[1] + 0.5, known[0] + 0.5)
+
+    def truth(east: np.ndarray, north: np.ndarray) -> np.ndarray:
+        places = transform(crs, f"+proj=longlat +R={radius} +no_defs", east.tolist(), north.tolist())
+        return site.terrain.ground_radius(*(np.array(one) * DEG for one in places)) - radius
+
+    error = height[known] - truth(x, y)
+    some = np.random.default_rng(0).choice(x.size, min(x.size, _SAMPLE), replace=False)
+    moved, left = laid_on(truth, x[some], y[some], height[known][some])
+    return Judged(
+        x.size, rms(error), float(error.mean()), rms(sigma[known]), rms(error / sigma[known]), moved, left,
+        rms(matching[known][some]),
+    )  # fmt: skip
+
+
+def laid_on(
+    truth: Callable[[np.ndarray, np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray, heights: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """By how much (3,) heights at places lie off the truth as a whole, and the rms of what is left then, m.
+
+    What is left is without tilts and a bend along the flight, too: so far orientation polynomials of order 2 go.
+    """
+    along, across = y / np.abs(y).max(), x / np.abs(x).max()
+    shape = np.column_stack([np.ones_like(x), along, across, along**2, along * across])
+    moved, left = np.zeros(2 + shape.shape[1]), heights
+    for _ in range(_STEPS):
+        east, north = x - moved[0], y - moved[1]
+        left = heights - shape @ moved[2:] - truth(east, north)
+        slopes = [
+            (truth(east + a, north + b) - truth(east - a, north - b)) / (2.0 * _NEAR)
+            for a, b in ((_NEAR, 0.0), (0.0, _NEAR))
+        ]
+        moved = moved + np.linalg.lstsq(np.column_stack([-slopes[0], -slopes[1], shape]), left, rcond=None)[0]
+    return moved[:3], rms(left)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def table(steps: list[Step]) -> list[str]:
+    rows = [f"| `{one.command}` | {one.seconds:.0f} | {one.busy:.0f} | {one.megabytes:.0f} |" for one in steps]
+    seconds, busy = sum(one.seconds for one in steps), sum(one.busy for one in steps)
+    rows.append(f"| all of it | {seconds:.0f} | {busy:.0f} | {max(one.megabytes for one in steps):.0f} |")
+    return ["| command | seconds | of a processor | peak memory, MB |", "|---|---|---|---|", *rows]
+
+
+def words(judged: Judged) -> list[str]:
+    east, north, up = judged.moved
+    return [
+        f"* Height error at {judged.posts} posts: {judged.error:.2f} m rms (mean {judged.mean:+.2f} m); stated sigma: "
+        f"{judged.sigma:.2f} m rms; error over sigma: {judged.share:.2f} rms.",
+        "* Most of that is common to neighbouring posts, as the orientation's share of the sigma says: the model lies "
+        f"{east:+.0f} m east, {north:+.0f} m north and {up:+.1f} m up of the truth. Without that, tilts and a bend "
+        f"along the flight {judged.left:.2f} m rms are left; the stated sigma of matching is {judged.matching:.2f} m.",
+    ]
+
+
+def page(site: SimulatedSite, steps: list[Step], judged: Judged) -> str:
+    """docs/whole_road.md."""
+    said = {one.command.split()[1]: one.said.splitlines() for one in steps}
+    heard = [f"* *{verb}*: {line[2:]}" for verb in ("match", "dem") for line in said[verb] if line.startswith("- ")]
+    return _PAGE.format(
+        commands="\n".join(commands(site)), title=site.settings.title, table="\n".join(table(steps)),
+        judged="\n".join(words(judged)), said="\n".join(heard),
+    )  # fmt: skip
+
+
+_PAGE = """# The whole road: from image ids to a terrain model
+
+What a newcomer types, from the ids of two overlapping images to a terrain model with sigmas:
+
+```sh
+{commands}
+```
+
+* `fetch` brings images, kernels, laser profiles and a coarse terrain model, and writes a case: [fetch.md](fetch.md).
+* `init` makes a project of that case. Its tie points are still to be found, so its images wait.
+* `match` finds them in the images, and puts them into the project with the laser shots: [matching.md](matching.md).
+* `solve` adjusts everything by batch; results are in `PROJECT/solutions/0001`: [incremental.md](incremental.md).
+* `report`, `export` ([export.md](export.md)) and `dem` ([dem.md](dem.md)) take the project's last solution; the case
+  and the tie points are those that the project knows.
+
+Without a project, the same: `mgsgraph match DATA/case.toml --out MATCHES`, then `mgsgraph adjust DATA/case.toml --ties
+MATCHES/network.pvl --out RESULT`, and `--case DATA/case.toml` for `report` and `dem`.
+
+## On a simulated archive ({title})
+
+`python scripts/whole_road.py --page` has made this: the simulated site laid out as the public archives are
+(`mgsgraph.simulation.archive`) and served from localhost, where `fetch` finds it by `--mirror`. Two cores, which may
+have had other work; the terrain model among the files is MOLA's coarse one, 16 posts per degree.
+
+{table}
+
+The truth of the site is known:
+
+{judged}
+
+What `match` and `dem` said:
+
+{said}
+"""
+
+
+if __name__ == "__main__":
+    main()
