@@ -1,29 +1,360 @@
-"""Examples in the docs run as they stand."""
+"""The pages keep their word: every block in README and docs runs or is checked, every link leads somewhere.
+
+No block is left out: one in a language, or a page, that nothing here knows, fails.
+"""
 
 import re
+import shlex
+import textwrap
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import click
+import msgspec
 import pytest
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+import mgsgraph
+from mgsgraph.cli import group
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = [*ROOT.glob("*.md"), *sorted(DOCS.rglob("*.md"))]
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
 
 
-@pytest.mark.parametrize(
-    ("page", "said"),
-    [
-        ("incremental.md", "Closing check"),
-        ("analysis.md", "PoseEstimate("),
-        ("strips.md", "HRSC/01: "),
-        ("two_steps.md", "reduced by a factor"),
-        ("review.md", "5 of 20 tie points"),
-        ("jigsaw.md", "network_without_laser.net"),
-        ("exchange.md", "PointId of 1 point (they are counted anew)"),
-    ],
-)
-def test_python_examples_run(page: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    blocks = re.findall(r"```python\n(.+?)\n```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
+class Block(NamedTuple):
+    """A fenced block."""
+
+    page: str
+    line: int
+    language: str
+    text: str
+
+    @property
+    def where(self) -> str:
+        return f"{self.page}:{self.line}"
+
+
+def blocks_of(path: Path) -> Iterator[Block]:
+    text = path.read_text(encoding="utf-8")
+    for found in re.finditer(r"^( *)(`{3,}|~{3,})([^\n]*)\n(.*?)^\1\2 *$", text, re.DOTALL | re.MULTILINE):
+        line = text[: found.start()].count("\n") + 1
+        yield Block(path.relative_to(ROOT).as_posix(), line, found[3].strip(), found[4])
+
+
+BLOCKS = [block for path in PAGES for block in blocks_of(path)]
+
+
+def in_language(*languages: str) -> list[Any]:
+    return [pytest.param(block, id=block.where) for block in BLOCKS if block.language in languages]
+
+
+# --- which block is whose
+
+
+CHECKED = {"sh", "sh setup", "toml", "python", "text"}
+"""Languages of blocks that a test below takes; directives ({...}) are the build's."""
+
+
+def test_no_block_is_left_out() -> None:
+    left = [block.where for block in BLOCKS if block.language not in CHECKED and not block.language.startswith("{")]
+    assert not left
+    assert not [block.where for block in BLOCKS if block.language == "python" and block.page not in PYTHON]
+    for path in PAGES:  # blocks by indentation are for formulas and what is printed
+        outside = re.sub(r"^( *)```.*?^\1``` *$", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+        code = r"^ {4,}(mgsgraph |pip |python3? |import |format = |\[+\w+\]+ *$)"
+        assert not re.search(code, outside, re.MULTILINE), path
+    fences = sum(len(re.findall(r"^ *(?:```|~~~)", path.read_text(encoding="utf-8"), re.MULTILINE)) for path in PAGES)
+    assert fences == 2 * len(BLOCKS)  # none that the pattern above does not see
+
+
+# --- Python
+
+
+def nothing(folder: Path) -> dict[str, object]:
+    return {}
+
+
+def a_case(folder: Path) -> dict[str, object]:
+    from mgsgraph.simulation.files import write_pair
+    from mgsgraph.simulation.pair import PairSettings, simulate_pair
+
+    write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), folder).rename(folder / "CASE.toml")
+    return {}
+
+
+def a_network(folder: Path) -> dict[str, object]:
+    a_case(folder)
+    case = mgsgraph.read_case(folder / "CASE.toml")
+    return {"network": case.network, "settings": case.settings}
+
+
+def pixels(folder: Path) -> dict[str, object]:
+    import matched
+
+    matched.write(folder).rename(folder / "CASE.toml")
+    return {}
+
+
+def a_result(folder: Path) -> dict[str, object]:
+    import matched
+
+    from mgsgraph.io.control.pvl_writing import write_pvl_network
+    from mgsgraph.io.control.ties import control_network
+
+    pixels(folder)
+    write_pvl_network(control_network(matched.matches().ties, "mgsgraph", "MARS", "pair"), folder / "network.pvl")
+    case, result = str(folder / "CASE.toml"), str(folder / "RESULT")
+    assert not group.main(["adjust", case, "--out", result, "--no-figures"], standalone_mode=False)
+    return {}
+
+
+PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
+    "README.md": (a_case, "Solution("),
+    "docs/analysis.md": (nothing, "PoseEstimate("),
+    "docs/cluster.md": (a_network, ""),
+    "docs/dem.md": (a_result, "Dem("),
+    "docs/exchange.md": (nothing, "PointId of 1 point (they are counted anew)"),
+    "docs/incremental.md": (nothing, "Closing check"),
+    "docs/jigsaw.md": (nothing, "network_without_laser.net"),
+    "docs/matching.md": (pixels, "Matches("),
+    "docs/review.md": (nothing, "5 of 20 tie points"),
+    "docs/strips.md": (nothing, "HRSC/01: "),
+    "docs/two_steps.md": (nothing, "reduced by a factor"),
+}
+"""What a page's blocks, run one after the other, find in the folder and among their names, and a part of what they
+print."""
+
+
+@pytest.mark.parametrize("page", PYTHON)
+def test_python_blocks_run(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given, said = PYTHON[page]
+    blocks = [block for block in BLOCKS if block.page == page and block.language == "python"]
     assert blocks
-    names: dict[str, object] = {}
+    names = given(tmp_path)
+    monkeypatch.chdir(tmp_path)
     for block in blocks:
-        exec(compile(block, page, "exec"), names)  # our own page
+        exec(compile(block.text, block.where, "exec"), names)  # our own page
     assert said in capsys.readouterr().out
+
+
+# --- shell
+
+
+def commands_in(block: Block) -> list[tuple[list[str], str]]:
+    """Words and comment of each command; `A && B` are two."""
+    found = []
+    for line in block.text.replace("\\\n", " ").splitlines():
+        words, comment = shlex.split(line, comments=True), line.partition(" #")[2]
+        while "&&" in words:
+            found.append((words[: words.index("&&")], ""))
+            words = words[words.index("&&") + 1 :]
+        if words:
+            found.append((words, comment))
+    return found
+
+
+@pytest.mark.parametrize("block", in_language("sh", "sh setup"))
+def test_shell_lines_are_commands_that_there_are(block: Block) -> None:
+    for words, comment in commands_in(block):
+        while re.fullmatch(r"[A-Z_]+=\S*", words[0]):
+            words = words[1:]
+        program = words[0].removeprefix(".venv/bin/")
+        assert program in PROGRAMS, f"{block.where}: {program}"
+        PROGRAMS[program](words[1:], comment)
+
+
+def of_mgsgraph(words: Sequence[str], comment: str) -> None:
+    """Arguments and options that the verb takes; options that its comment names in [brackets] or after PROG too."""
+    if words[:1] in ([], ["--help"], ["--version"]):
+        return
+    with click.Context(group, info_name="mgsgraph") as whole:
+        command = group.get_command(whole, words[0])
+        assert command is not None, words[0]
+        shown = [word for word in words[1:] if not word.startswith("[")]  # [--snoop]: may be said
+        comment += " ".join(word for word in words[1:] if word.startswith("["))
+        if shown[-1:] == ["..."]:  # more of the option before it
+            shown = shown[:-2]
+        command.make_context(words[0], shown, parent=whole)
+        known = {name for option in command.params for name in (*option.opts, *option.secondary_opts)}
+        named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", comment))
+    assert named <= known | {"--help"}, f"{words[0]} has no {named - known}"
+
+
+def of_pip(words: Sequence[str], comment: str) -> None:
+    for extras in re.findall(r"\[(.+?)\]", " ".join(words)):
+        assert set(extras.split(",")) <= set(EXTRAS)
+
+
+def of_python(words: Sequence[str], comment: str) -> None:
+    if words[0] == "-m":
+        return
+    script = (ROOT / words[0]).read_text(encoding="utf-8")
+    for option in (word for word in words if word.startswith("--")):
+        assert f'"{option}"' in script, f"{words[0]} has no {option}"
+
+
+def of_dask(words: Sequence[str], comment: str) -> None:
+    (verb,) = entry_points(group="dask_cli", name=words[0])
+    verb.load().make_context(words[0], list(words[1:]))
+
+
+def of_sphinx(words: Sequence[str], comment: str) -> None:
+    assert (ROOT / words[-2] / "conf.py").exists()
+
+
+PROGRAMS: dict[str, Callable[[Sequence[str], str], None]] = {
+    "mgsgraph": of_mgsgraph,
+    "pip": of_pip,
+    "python": of_python,
+    "python3": of_python,
+    "dask": of_dask,
+    "sphinx-build": of_sphinx,
+    "jq": lambda words, comment: None,  # not ours, and not everywhere
+}
+"""How the commands of a program are checked."""
+TOO_LONG = {"report"}
+"""Verbs of the tutorial that are left to tests of their own."""
+
+
+def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """As it stands, but for the figures."""
+    monkeypatch.chdir(tmp_path)
+    done = []
+    for block in BLOCKS:
+        if block.page == "docs/tutorial.md" and block.language == "sh":
+            for words, _ in commands_in(block):
+                if words[1] not in TOO_LONG:
+                    no_figures = ["--no-figures"] if words[1] in {"demo", "adjust"} else []
+                    status = group.main([*words[1:], *no_figures], standalone_mode=False)
+                    assert not status, words
+                    done.append(words[1])
+    said = capsys.readouterr().out
+    assert {"demo", "analyze", "check", "adjust", "export"} <= set(done)
+    assert "the images now agree to 0.2" in said
+    told = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    for file in set(re.findall(r"`(\w+\.(?:csv|json|npz))`", told)):
+        places = [tmp_path / "mgsgraph-demo", tmp_path / "mgsgraph-demo" / "inputs"]
+        assert any((place / file).exists() for place in places), file
+
+
+# --- TOML, tables
+
+
+def as_candidates(table: dict[str, Any]) -> None:
+    from mgsgraph.case.candidates import CandidatesInput
+
+    msgspec.convert(table, CandidatesInput)
+
+
+def as_settings(table: dict[str, Any]) -> None:
+    from mgsgraph.project.settings import ProjectSettings
+
+    assert table.pop("format") == 1
+    msgspec.convert(table, ProjectSettings)
+
+
+def as_case(table: dict[str, Any]) -> None:
+    """An excerpt leaves out what every case has."""
+    from mgsgraph.case.schema import CaseInput
+
+    msgspec.convert({"format": 1, "name": "part of a case", "images": [{"name": "ANY"}], **table}, CaseInput)
+
+
+TOML: dict[str, Callable[[dict[str, Any]], None]] = {
+    "docs/incremental.md": as_settings,
+    "docs/plan.md": as_candidates,
+}
+"""What the files of a page are; cases on all others."""
+
+
+@pytest.mark.parametrize("block", in_language("toml"))
+def test_toml_blocks_are_what_the_schema_takes(block: Block) -> None:
+    for text in (block.text, uncommented(block.text)):
+        TOML.get(block.page, as_case)(tomllib.loads(textwrap.dedent(text)))
+
+
+def uncommented(text: str) -> str:
+    """With the keys that stand behind a # taken in, in a table of their own place; those in the way of others left."""
+    lines = []
+    for line in text.splitlines():
+        key = re.match(r"# (\w+) = ", line)
+        taken = key and re.search(rf"^{key[1]} = ", text, re.MULTILINE)
+        lines.append(line[2:] if key and not taken else line)
+    return "\n".join(lines)
+
+
+def a_table(text: str, folder: Path) -> None:
+    from mgsgraph.io.control.table import read_table
+
+    (folder / "points.csv").write_text(text, encoding="utf-8")
+    assert read_table(folder / "points.csv").points
+
+
+def verdicts(text: str, folder: Path) -> None:
+    from mgsgraph.products.verdicts import read_verdicts
+
+    (folder / "verdicts.csv").write_text(text, encoding="utf-8")
+    assert read_verdicts(folder / "verdicts.csv").of
+
+
+TEXTS: dict[str, Callable[[str, Path], None]] = {"docs/exchange.md": a_table, "docs/review.md": verdicts}
+"""Readers of a page's files."""
+
+
+@pytest.mark.parametrize("block", in_language("text"))
+def test_texts_are_files_that_can_be_read(block: Block, tmp_path: Path) -> None:
+    TEXTS[block.page](block.text, tmp_path)
+
+
+# --- links, names
+
+
+def anchors(path: Path) -> set[str]:
+    """Of the headings, as GitHub and MyST make them."""
+    text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    heads = re.findall(r"^#+ +(.+?) *$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(path: Path) -> None:
+    text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if re.match(r"https?://", target) or target.startswith("auto_gallery/"):
+            continue
+        file, _, anchor = target.partition("#")
+        there = (path.parent / file).resolve() if file else path
+        assert there.exists(), f"{target}: no such file"
+        assert not anchor or anchor in anchors(there), f"{target}: no such heading"
+
+
+def test_pages_that_are_named_are_there() -> None:
+    for path in [*PAGES, *(ROOT / "mgsgraph").rglob("*.py")]:
+        for page in re.findall(r"\bdocs/(\w+\.md)\b", path.read_text(encoding="utf-8")):
+            assert (DOCS / page).exists(), f"{path}: docs/{page}"
+
+
+def test_the_api_page_has_every_public_name() -> None:
+    named = re.findall(r"\.\. auto\w+:: mgsgraph\.(\w+)$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(named) == mgsgraph.__all__
+
+
+def test_modules_that_the_theory_names_are_there() -> None:
+    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:factors|geometry|network|adjustment|matching|io)/[\w/]+)`", text)
+    assert len(named) > 30
+    for name in named:
+        base = ROOT if name.startswith("factors/") else ROOT / "mgsgraph"
+        assert (base / f"{name}.py").exists() or (base / name).is_dir(), name
+
+
+def test_the_gallery_is_shown_whole() -> None:
+    assert len(list((DOCS / "gallery").glob("*.py"))) >= 5
+    linked = re.findall(r"auto_gallery/(\w+)\.rst", " ".join(p.read_text(encoding="utf-8") for p in DOCS.glob("*.md")))
+    assert all((DOCS / "gallery" / f"{name}.py").exists() for name in linked)

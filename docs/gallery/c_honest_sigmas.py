@@ -1,0 +1,28 @@
+"""
+Are the sigmas honest?
+======================
+
+The tie points of this pair scatter by one pixel, but we state two. Do the residuals tell?
+"""
+
+from dataclasses import replace
+
+from mgsgraph import Adjustment, KnownImage
+from mgsgraph.adjustment.analysis.components import components_of
+from mgsgraph.network.observations import observed
+from mgsgraph.simulation.pair import simulate_pair
+
+pair = simulate_pair(seed=3)
+images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
+stated = replace(pair.ties, measure_sigmas=2.0 * pair.ties.measure_sigmas)
+network = observed(images, [stated, pair.laser], shot_sigma=pair.settings.noise.shot_image)
+solution = Adjustment.batch(network)
+print(components_of(solution).words())
+
+# %%
+# The same in one picture for each group: normalised residuals against the law that they should follow. Where sigmas are
+# too large they lie flatter than the line.
+from mgsgraph.adjustment.analysis.honesty import residual_statistics
+from mgsgraph.products.figures.quantiles import quantile_sheet
+
+quantiles = quantile_sheet(residual_statistics(solution), solution.name)
