@@ -77,13 +77,16 @@ def _store(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
     return context.get_dummy_value()
 
 
-lane = njit(error_model="numpy", fastmath={"contract", "nsz"})
+_INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""What is called from compiled code alone needs no entry for Python or C, whose compilation takes a fifth of it all."""
+
+lane = njit(fastmath={"contract", "nsz"}, **_INSIDE)
 """Compile a function over lanes: division by zero gives inf, as in NumPy; products and sums may be fused.
 
 Not cached: the sweep is, with everything in it.
 """
 
-summing = njit(error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
+summing = njit(fastmath={"contract", "nsz", "reassoc"}, **_INSIDE)
 """The same for sums over lanes, whose order is free."""
 
 # ---- registers of the tile

@@ -1,5 +1,6 @@
 """Test the installed package: drop the checkout from sys.path (python -m pytest puts it there)."""
 
+import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -16,7 +17,33 @@ FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
 ]  # fmt: skip
+SOON = (
+    "adjustment/test_adjust", "matching/", "test_docs", "cli/", "products/", "scripts/", "simulation/", "project/",
+    "campaign/", "fetch/",
+)  # fmt: skip
+"""What begins soon when processes share the suite: one compiles the adjustment's kernel while another one compiles
+that of matching; and files that take long, so that short ones fill up what is left.
+"""
 sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """The whole suite is shared by a process per processor, file by file; not so a part of it, or with `-n 0`."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not hasattr(config, "workerinput")
+    if whole and config.pluginmanager.hasplugin("xdist") and config.option.numprocesses is None:
+        config.option.numprocesses, config.option.dist = "logical", "loadfile"
+        config.option.loadscopereorder = False
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else its threads wait for one another's processor
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """In the order of `SOON`, the rest as it is."""
+
+    def rank(item: pytest.Item) -> int:
+        return next((k for k, start in enumerate(SOON) if item.nodeid.startswith(f"tests/{start}")), len(SOON))
+
+    items.sort(key=rank)
 
 
 @pytest.fixture(scope="session")

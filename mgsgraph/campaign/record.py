@@ -6,7 +6,6 @@ taken off. One campaign at a time may write.
 
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Self
 
@@ -14,6 +13,7 @@ import msgspec
 
 from mgsgraph.campaign.entry import Entry
 from mgsgraph.errors import InputError
+from mgsgraph.io.claim import claim
 
 RECORD = "campaign.jsonl"
 """Name of the file in the folder of the results."""
@@ -68,7 +68,7 @@ def open_record(folder: Path) -> Record:
         raise _refusal(path, error) from None
     record = Record(path, descriptor)
     try:
-        _claim(descriptor, path)
+        claim(descriptor, path, "another campaign is writing here")
         text = path.read_bytes()
         whole = text.rfind(b"\n") + 1
         os.ftruncate(descriptor, whole)
@@ -95,19 +95,6 @@ def _require_ours(folder: Path, path: Path) -> None:
     if folder.is_dir() and not path.exists() and any(folder.iterdir()):
         found, expected = f"exists, and has no {RECORD}", "an absent or empty folder, or an earlier campaign"
         raise InputError(str(folder), found, expected, "choose another --out")
-
-
-def _claim(descriptor: int, path: Path) -> None:
-    """Lock the record as long as it is open."""
-    if sys.platform == "win32":
-        return
-    import fcntl
-
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        remedy = "wait for it, or choose another --out"
-        raise InputError(str(path), "another campaign is writing here", remedy=remedy) from None
 
 
 def _append(descriptor: int, line: bytes, path: Path) -> None:

@@ -110,12 +110,14 @@ def test_after_a_rejected_step_the_cost_alone_is_asked_for() -> None:
 
 
 def test_the_kernel_is_compiled_for_one_signature() -> None:
-    """Terrain or none, both forms, held images, blunder passes, read-only arrays: another signature, another minute."""
+    """Terrain or none, both forms, held images, blunder passes, a whole width, read-only arrays: another signature,
+    another minute.
+    """
     before = len(sweep.signatures)
     assert before <= 1
     for net in (network(pair()), with_shift_and_surface(network(pair())), network(pair(), (True, False))):
         for form in ("bundle", "explicit"):
-            adjust_network(net, SolverSettings(form=form, reject=6.0))
+            adjust_network(net, SolverSettings(form=form, reject=6.0, loss="cauchy", loss_width=2))
         layout = lay_out(net, SolverSettings())
         still = np.zeros(layout.columns)
         still.flags.writeable = False

@@ -10,19 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-
-MGSGRAPH = [sys.executable, "-m", "mgsgraph.cli", "campaign"]
-
-
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*MGSGRAPH, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        env=os.environ | {"COLUMNS": "110"},
-    )
+from commands import COMMAND, run
 
 
 def folders(record: Path) -> list[str]:
@@ -40,12 +28,12 @@ def sites(case_file: Path, tmp_path: Path) -> Path:
 
 def test_all_done_is_exit_status_zero(sites: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = run(sites, "--out", out, "--no-figures", "-v")
+    done = run("campaign", sites, "--out", out, "--no-figures", "-v")
     assert done.returncode == 0, done.stderr
     assert "4 cases: 4 done" in done.stdout
     assert "north: done, " in done.stdout
     assert sorted(path.name for path in out.iterdir()) == ["campaign.jsonl", "east", "north", "south", "west"]
-    again = run(sites, "--out", out, "--no-figures")
+    again = run("campaign", sites, "--out", out, "--no-figures")
     assert again.returncode == 0
     assert "4 of them earlier" in again.stdout
     assert "north" not in again.stdout
@@ -53,12 +41,13 @@ def test_all_done_is_exit_status_zero(sites: Path, tmp_path: Path) -> None:
 
 def test_a_failed_case_is_exit_status_one_and_in_the_table(sites: Path, tmp_path: Path) -> None:
     (sites / "south" / "case.toml").write_text("format = 7\n", encoding="utf-8")
-    done = run(sites, "--out", tmp_path / "out", "--no-figures")
+    done = run("campaign", sites, "--out", tmp_path / "out", "--no-figures")
     assert done.returncode == 1
     assert "4 cases: 3 done, 1 failed" in done.stdout
     assert "format 7" in done.stdout
     assert "Traceback" not in done.stderr
-    assert run(sites / "north", "--out", tmp_path / "out", "--no-figures").returncode == 0  # that one is well
+    well = run("campaign", sites / "north", "--out", tmp_path / "out", "--no-figures")
+    assert well.returncode == 0
 
 
 @pytest.mark.parametrize(
@@ -76,7 +65,7 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], said: str, sites: Pat
         arguments, said = (*arguments, "--cluster", "tcp://127.0.0.1:9"), "no scheduler answers there within 10 s"
         pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
     places = {"SITES": sites, "out": tmp_path / "out", "none.toml": tmp_path / "none.toml"}
-    done = run(*(places.get(word, word) for word in arguments))
+    done = run("campaign", *(places.get(word, word) for word in arguments))
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1, done.stderr
     assert said in done.stderr
@@ -84,8 +73,8 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], said: str, sites: Pat
 
 
 def test_typing_errors_show_the_way() -> None:
-    assert "CASE|FOLDER" in run("--out", "x").stderr
-    assert "--out" in run("x.toml").stderr
+    assert "CASE|FOLDER" in run("campaign", "--out", "x").stderr
+    assert "--out" in run("campaign", "x.toml").stderr
 
 
 @pytest.mark.parametrize("place", [(), ("--cluster", "local:2")])
@@ -95,7 +84,7 @@ def test_an_interrupt_leaves_the_record_true(place: tuple[str, ...], sites: Path
     for k in range(12):
         shutil.copytree(sites / "north", sites / f"more{k}")
     out = tmp_path / "out"
-    command = [*MGSGRAPH, str(sites), "--out", str(out), "--no-figures", *place]
+    command = [*COMMAND, "campaign", str(sites), "--out", str(out), "--no-figures", *place]
     process = subprocess.Popen(  # a session of its own: Ctrl-C reaches all of a terminal's processes
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -111,7 +100,7 @@ def test_an_interrupt_leaves_the_record_true(place: tuple[str, ...], sites: Path
     assert 0 < len(over) < 16
     assert all((out / name / "solution.json").exists() for name in over)
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
-    done = run(sites, "--out", out, "--no-figures")
+    done = run("campaign", sites, "--out", out, "--no-figures")
     assert done.returncode == 0, done.stderr
     assert f"({len(over)} of them earlier" in done.stdout
     assert sorted(folders(out / "campaign.jsonl")) == sorted(path.name for path in sites.iterdir())

@@ -1,46 +1,22 @@
 """The command line as a person uses it, in processes of its own: exit status, one line on stderr, nothing left over."""
 
 import json
-import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
+from commands import COMMAND, refused, run, run_afresh
 
 import mgsgraph
-
-MGSGRAPH = [sys.executable, "-m", "mgsgraph.cli"]
-
-
-def run(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*MGSGRAPH, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=300,
-        check=False,
-        env=os.environ | {"COLUMNS": "110"},
-    )
-
-
-def assert_refused(done: subprocess.CompletedProcess[str], said: str) -> None:
-    """Exit status 2 and one line that says it."""
-    lines = [line for line in done.stderr.splitlines() if line]
-    assert done.returncode == 2, done.stderr
-    assert "Traceback" not in done.stderr
-    assert len(lines) == 1, done.stderr
-    assert said in lines[0]
 
 
 @pytest.mark.parametrize(
     "arguments", [("--help",), ("adjust", "--help"), ("check", "-h"), ("demo", "-h"), ("--version",)]
 )
 def test_help(arguments: tuple[str, ...]) -> None:
-    done = run(*arguments)
+    done = run_afresh(*arguments)
     assert done.returncode == 0
     assert done.stdout.strip()
     assert not done.stderr
@@ -65,7 +41,7 @@ def test_typing_errors_show_the_way(arguments: tuple[str, ...], said: str) -> No
 
 def test_adjust_writes_everything(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
-    done = run("adjust", case_file, "--out", out, "-v")
+    done = run_afresh("adjust", case_file, "--out", out, "-v")
     assert done.returncode == 0, done.stderr
     names = {path.name for path in out.iterdir()}
     assert {"solution.json", "points.csv", "orientation.csv", "residuals.csv", "solution.npz"} <= names
@@ -123,9 +99,9 @@ def test_bad_input_leaves_no_folder(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
     text = case_file.read_text(encoding="utf-8")
     case_file.write_text(text.replace("sigma_px = 1.0", "sigma_px = -1.0"), encoding="utf-8")
-    assert_refused(run("adjust", case_file, "--out", out), "sigma_px")
-    assert_refused(run("adjust", tmp_path / "none.toml", "--out", out), "no such file")
-    assert_refused(run("check", tmp_path), "a folder")
+    refused(run("adjust", case_file, "--out", out), "sigma_px")
+    refused(run("adjust", tmp_path / "none.toml", "--out", out), "no such file")
+    refused(run("check", tmp_path), "a folder")
     assert not out.exists()
     assert [path.name for path in tmp_path.iterdir()] == ["case"]
 
@@ -134,7 +110,7 @@ def test_a_foreign_folder_is_not_replaced(case_file: Path, tmp_path: Path) -> No
     precious = tmp_path / "precious"
     precious.mkdir()
     (precious / "thesis.txt").write_text("years of work", encoding="utf-8")
-    assert_refused(run("adjust", case_file, "--out", precious), "not a result of mgsgraph")
+    refused(run("adjust", case_file, "--out", precious), "not a result of mgsgraph")
     assert (precious / "thesis.txt").read_text(encoding="utf-8") == "years of work"
 
 
@@ -145,14 +121,14 @@ def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) ->
     )
     case_file.write_text(text, encoding="utf-8")
     done = run("adjust", case_file, "--out", tmp_path / "result", "--no-laser")
-    assert_refused(done, "too weak")
+    refused(done, "too weak")
     assert "SIM/" in done.stderr
     assert not (tmp_path / "result").exists()
 
 
 def test_a_full_disk(case_file: Path, tmp_path: Path) -> None:
     """/dev/full answers every write with ENOSPC; a file size limit does the same to any file."""
-    limited = f"ulimit -f 8; exec {' '.join(MGSGRAPH)} adjust {case_file} --out {tmp_path / 'result'} --no-figures"
+    limited = f"ulimit -f 8; exec {' '.join(COMMAND)} adjust {case_file} --out {tmp_path / 'result'} --no-figures"
     done = subprocess.run(["bash", "-c", limited], capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
@@ -172,7 +148,7 @@ def test_files_of_the_users_own_are_not_lost(case_file: Path, tmp_path: Path) ->
     out = tmp_path / "result"
     assert run("adjust", case_file, "--out", out, "--no-figures").returncode == 0
     (out / "notes.txt").write_text("mine", encoding="utf-8")
-    assert_refused(run("adjust", case_file, "--out", out, "--no-figures"), "notes.txt")
+    refused(run("adjust", case_file, "--out", out, "--no-figures"), "notes.txt")
     assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
 
 
@@ -191,14 +167,14 @@ def test_check_tells_the_rest_of_a_weak_network(case_file: Path) -> None:
 def test_a_full_standard_output(case_file: Path) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [*MGSGRAPH, "check", case_file], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            [*COMMAND, "check", case_file], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
-    assert_refused(done, "standard output")
+    refused(done, "standard output")
 
 
 @pytest.mark.parametrize("wait", [0.3, 1.0, 2.0])
 def test_an_interrupt_leaves_nothing(case_file: Path, tmp_path: Path, wait: float) -> None:
-    command = [*MGSGRAPH, "adjust", str(case_file), "--out", str(tmp_path / "result")]
+    command = [*COMMAND, "adjust", str(case_file), "--out", str(tmp_path / "result")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(wait)
     process.send_signal(signal.SIGINT)

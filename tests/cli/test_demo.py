@@ -1,34 +1,27 @@
 """`mgsgraph demo` and `mgsgraph simulate` as a person uses them, in processes of their own."""
 
 import json
+import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import refused, run, run_afresh
 
 from mgsgraph.products.demo import STAGES
 
-MGSGRAPH = [sys.executable, "-W", "error", "-m", "mgsgraph.cli"]
 
-
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*MGSGRAPH, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False
-    )
-
-
-def refused(done: subprocess.CompletedProcess[str], said: str) -> None:
-    lines = [line for line in done.stderr.splitlines() if line]
-    assert done.returncode == 2, done.stderr
-    assert len(lines) == 1, done.stderr
-    assert said in lines[0]
-
-
-def test_a_site_with_figures(tmp_path: Path) -> None:
-    out = tmp_path / "demo"
-    done = run("demo", "isidis", "--out", out)
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """A site with its figures, in an interpreter of its own, and what it said."""
+    out = tmp_path_factory.mktemp("site") / "demo"
+    done = run_afresh("demo", "isidis", "--out", out)
     assert done.returncode == 0, done.stderr
+    return out, done
+
+
+def test_a_site_with_figures(demo: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, done = demo
     said = [line for line in done.stderr.splitlines() if line]
     assert not said or said == [line for line in said if "compiling" in line]
     for word in ("Put in", "Before", "After", "Truth", "In short", "MOLA spacings", "sigma0"):
@@ -40,13 +33,15 @@ def test_a_site_with_figures(tmp_path: Path) -> None:
     record = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert tuple(record["seconds"]) == STAGES
     assert record["converged"]
-    assert [path.name for path in tmp_path.iterdir()] == ["demo"]
+    assert [path.name for path in out.parent.iterdir()] == ["demo"]
 
 
-def test_results_can_be_registered_and_replaced(tmp_path: Path) -> None:
+def test_results_can_be_registered_and_replaced(
+    demo: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
     """The inputs beside the results serve the other verbs; a second run takes the place of the first."""
     out = tmp_path / "demo"
-    assert run("demo", "isidis", "--out", out, "--no-figures").returncode == 0
+    shutil.copytree(demo[0], out)
     done = run(
         "register", out / "inputs" / "case.toml", "--solution", out, "--out", tmp_path / "again", "--no-figures"
     )

@@ -1,15 +1,13 @@
 """`mgsgraph match` as a person uses it: from pictures to a network that is adjusted; one line for errors; going on."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import matched
 import numpy as np
 import pytest
+from commands import run, run_afresh
 from increments import strip
 
 from mgsgraph.cli import group
@@ -27,13 +25,6 @@ def call(*arguments: str | Path) -> int:
     return group([str(one) for one in arguments], standalone_mode=False) or 0
 
 
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300,
-        check=False, env=os.environ | {"COLUMNS": "110"},
-    )  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The case of the small pair, whose own ties are gone."""
@@ -49,7 +40,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def out(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its matches, found in a process of its own."""
     out = tmp_path_factory.mktemp("found") / "matches"
-    done = run("match", site, "--out", out, "--cells", 40)
+    done = run_afresh("match", site, "--out", out, "--cells", 40)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
     record = json.loads((out / "match.json").read_text(encoding="utf-8"))

@@ -1,33 +1,16 @@
 """`mgsgraph register` as a person uses it: files, sentences, exit status, and nothing left over after bad input."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import profiles
 import pytest
-
-
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300,
-        check=False, env=os.environ | {"COLUMNS": "110"},
-    )
+from commands import refused, run
 
 
 @pytest.fixture
 def mola_case(case_file: Path) -> Path:
     return profiles.with_profile(case_file)
-
-
-def refused(done: subprocess.CompletedProcess[str], said: str, folder: Path, names: list[str]) -> None:
-    """Exit status 2, one line that says it, and the folder as it was."""
-    assert done.returncode == 2, done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert said in done.stderr
-    assert sorted(path.name for path in folder.iterdir()) == names
 
 
 def test_before_and_after_an_adjustment(mola_case: Path, tmp_path: Path) -> None:

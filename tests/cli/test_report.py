@@ -1,21 +1,12 @@
 """`mgsgraph report` as a person uses it: a page with checksums, a comparison, and bad input."""
 
 import hashlib
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import profiles
 import pytest
-
-
-def run(*arguments: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300,
-        check=False, cwd=folder, env=os.environ | {"COLUMNS": "110"},
-    )  # fmt: skip
+from commands import refused, run
 
 
 @pytest.fixture
@@ -23,18 +14,10 @@ def mola_case(case_file: Path) -> Path:
     return profiles.with_profile(case_file)
 
 
-def refused(done: subprocess.CompletedProcess[str], said: str, folder: Path, names: list[str]) -> None:
-    """Exit status 2, one line that says it, and the folder as it was."""
-    assert done.returncode == 2, done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert said in done.stderr
-    assert sorted(path.name for path in folder.iterdir()) == names
-
-
 def test_a_page_of_a_result(mola_case: Path, tmp_path: Path) -> None:
     result = tmp_path / "result"
     assert run("adjust", mola_case, "--out", result, "--no-figures").returncode == 0
-    done = run("report", result, folder=tmp_path)
+    done = run("report", result, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
     assert done.stdout == "The page is report.html\n"

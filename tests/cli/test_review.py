@@ -1,24 +1,16 @@
 """`mgsgraph review` as a person uses it: a page, its verdicts, a network without the rejected points; and bad input."""
 
 import re
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import refused, run
 
 from mgsgraph.io.control.network_file import read_network
 from mgsgraph.io.control.table import table_text
 from mgsgraph.io.control_net import read_control_network
-
-
-def run(*arguments: str | Path, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mgsgraph.cli", "review", *map(str, arguments)], capture_output=True, text=True,
-        timeout=300, check=False, cwd=folder,
-    )  # fmt: skip
 
 
 @pytest.fixture
@@ -40,17 +32,9 @@ def case(case_file: Path) -> Path:
     return case_file
 
 
-def refused(done: subprocess.CompletedProcess[str], said: str, folder: Path, names: list[str]) -> None:
-    """Exit status 2, one line that says it, and the folder as it was."""
-    assert done.returncode == 2, done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert said in done.stderr
-    assert sorted(path.name for path in folder.iterdir()) == names
-
-
 def test_from_a_page_to_a_network(case: Path, tmp_path: Path) -> None:
     page, kept = tmp_path / "review.html", tmp_path / "kept.net"
-    done = run(case, "--out", page, "--worst", 5)
+    done = run("review", case, "--out", page, "--worst", 5)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
     assert "- 5 of 20 tie points: in turn the next by lowest correlation, " in done.stdout
@@ -60,13 +44,13 @@ def test_from_a_page_to_a_network(case: Path, tmp_path: Path) -> None:
     assert len(ids) == 5
     verdicts = tmp_path / "verdicts.csv"
     verdicts.write_text(f"# network {digest}\nid,verdict,note\n{ids[0]},reject,blurred\n{ids[1]},accept,\n")
-    done = run(case, "--verdicts", verdicts, "--out", kept)
+    done = run("review", case, "--verdicts", verdicts, "--out", kept)
     assert done.returncode == 0, done.stderr
     assert "- 1 of 20 points of" in done.stdout
     before = read_control_network(case.with_name("network.pvl"))
     assert read_control_network(kept).ids == tuple(name for name in before.ids if name != ids[0])
 
-    done = run(case, "--out", page, "--verdicts", verdicts, "--points", f"{ids[0]}, {ids[1]}")
+    done = run("review", case, "--out", page, "--verdicts", verdicts, "--points", f"{ids[0]}, {ids[1]}")
     assert done.returncode == 0, done.stderr
     text = page.read_text(encoding="utf-8")
     assert "2 of 20 tie points, as asked for" in text
@@ -74,10 +58,10 @@ def test_from_a_page_to_a_network(case: Path, tmp_path: Path) -> None:
     assert 'value="blurred"' in text
 
     names = sorted(path.name for path in tmp_path.iterdir())  # and the new network is another one
-    refused(run(case, "--ties", kept, "--verdicts", verdicts, "--out", tmp_path / "k.pvl"), "expected points of",
-            tmp_path, names)  # fmt: skip
+    refused(run("review", case, "--ties", kept, "--verdicts", verdicts, "--out", tmp_path / "k.pvl"),
+            "expected points of", tmp_path, names)  # fmt: skip
     verdicts.write_text(f"# network {digest}\nid,verdict\n{ids[1]},reject\n")
-    refused(run(case, "--ties", kept, "--verdicts", verdicts, "--out", tmp_path / "k.pvl"),
+    refused(run("review", case, "--ties", kept, "--verdicts", verdicts, "--out", tmp_path / "k.pvl"),
             f"about network {digest}", tmp_path, sorted(path.name for path in tmp_path.iterdir()))  # fmt: skip
 
 
@@ -88,7 +72,7 @@ def test_a_table_that_a_case_has_becomes_a_network(case: Path, tmp_path: Path) -
     case.write_text(case.read_text(encoding="utf-8").replace("network.pvl", "points.csv"), encoding="utf-8")
     verdicts = tmp_path / "v.csv"
     verdicts.write_text("id,verdict\n")
-    done = run(case, "--verdicts", verdicts, "--out", tmp_path / "kept.net")
+    done = run("review", case, "--verdicts", verdicts, "--out", tmp_path / "kept.net")
     assert done.returncode == 0, done.stderr
     assert read_network(tmp_path / "kept.net").target_name == "MARS"
 
@@ -98,28 +82,32 @@ def test_bad_input_writes_nothing(case: Path, tmp_path: Path) -> None:
     verdicts = tmp_path / "v.csv"
     verdicts.write_text("id,verdict\nTIE00001,reject\n")
     names = ["case", "v.csv"]
-    refused(run(tmp_path / "none.toml", "--out", page), "no such file", tmp_path, names)
-    refused(run(case, "--out", tmp_path / "page.txt"), "'.txt'; expected a page (.html) or a network", tmp_path, names)
-    refused(run(case, "--out", network), "it is written by --verdicts", tmp_path, names)
-    refused(run(case, "--out", network, "--verdicts", verdicts, "--worst", 3), "--worst is for a page", tmp_path, names)
-    refused(run(case, "--out", page, "--worst", 3, "--points", "TIE00001"), "can't both be given", tmp_path, names)
-    refused(run(case, "--out", page, "--points", "NONE"), "no point NONE", tmp_path, names)
-    refused(run(case, "--out", page, "--verdicts", tmp_path / "none.csv"), "no such file", tmp_path, names)
-    refused(run(case, "--out", page, "--solution", tmp_path), "solution.npz", tmp_path, names)
+    refused(run("review", tmp_path / "none.toml", "--out", page), "no such file", tmp_path, names)
+    refused(run("review", case, "--out", tmp_path / "page.txt"), "'.txt'; expected a page (.html) or a network",
+            tmp_path, names)  # fmt: skip
+    refused(run("review", case, "--out", network), "it is written by --verdicts", tmp_path, names)
+    refused(run("review", case, "--out", network, "--verdicts", verdicts, "--worst", 3), "--worst is for a page",
+            tmp_path, names)  # fmt: skip
+    refused(run("review", case, "--out", page, "--worst", 3, "--points", "TIE00001"), "can't both be given",
+            tmp_path, names)  # fmt: skip
+    refused(run("review", case, "--out", page, "--points", "NONE"), "no point NONE", tmp_path, names)
+    refused(run("review", case, "--out", page, "--verdicts", tmp_path / "none.csv"), "no such file", tmp_path, names)
+    refused(run("review", case, "--out", page, "--solution", tmp_path), "solution.npz", tmp_path, names)
     own = case.with_name("network.pvl")
-    refused(run(case, "--out", own, "--verdicts", verdicts), "that was reviewed", tmp_path, names)
+    refused(run("review", case, "--out", own, "--verdicts", verdicts), "that was reviewed", tmp_path, names)
     verdicts.write_text("id,verdict\nTIE00001,perhaps\n")
-    refused(run(case, "--out", network, "--verdicts", verdicts), "v.csv, line 2: the verdict", tmp_path, names)
+    refused(run("review", case, "--out", network, "--verdicts", verdicts), "v.csv, line 2: the verdict",
+            tmp_path, names)  # fmt: skip
     case.write_text(case.read_text(encoding="utf-8").replace('pixels = "B.tif"\n', ""), encoding="utf-8")
-    refused(run(case, "--out", page), "image SIM/B: no file of its pixels", tmp_path, names)
+    refused(run("review", case, "--out", page), "image SIM/B: no file of its pixels", tmp_path, names)
     text = case.read_text(encoding="utf-8")
     head, _, rest = text.partition("[ties]")
     case.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
-    refused(run(case, "--out", page), "no network of tie points; expected one", tmp_path, names)
+    refused(run("review", case, "--out", page), "no network of tie points; expected one", tmp_path, names)
 
 
 def test_help_says_what_it_writes() -> None:
-    done = run("--help")
+    done = run("review", "--help")
     assert done.returncode == 0
     for said in ("--verdicts", "--worst", "--points", "--solution", "Ignore = True"):
         assert said in done.stdout

@@ -1,22 +1,10 @@
 """`mgsgraph simulate` of campaigns, as a person uses it, in processes of their own."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-
-
-def run(*args: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "mgsgraph", *map(str, args)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300)
-
-
-def refused(done: subprocess.CompletedProcess[str], says: str) -> None:
-    assert done.returncode == 2
-    assert says in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+from commands import refused, run
 
 
 def test_a_strip_with_its_steps_adjusts(tmp_path: Path) -> None:

@@ -1,16 +1,14 @@
 """`mgsgraph adjust --two-steps` as a person uses it."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import networks
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from commands import run
 
 from mgsgraph.cli import group
 from mgsgraph.products import step_merit
@@ -18,13 +16,6 @@ from mgsgraph.units import DEG
 
 REFERENCE = 3_396_190.0
 """m."""
-
-
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300,
-        check=False, env=os.environ | {"COLUMNS": "110"},
-    )
 
 
 def add_terrain(case_file: Path, east: float = 0.0, missing: float = 0.0) -> None:

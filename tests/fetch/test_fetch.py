@@ -95,7 +95,7 @@ def test_another_image_shares_what_it_can(archive: Flaky, tmp_path: Path) -> Non
     assert [(profile.pedr, profile.image) for profile in case.mola] == [
         ("pedr/ap12058l.b", "M04-02852"), ("pedr/ap12058l.b", "M04-02856"),
     ]  # fmt: skip
-    assert len(both.commands()) == 3
+    assert len(both.commands()) == 4
     together = fetch(archive, tmp_path / "e", ONE, OTHER)
     assert files(tmp_path / "d") == files(tmp_path / "e")
     assert (tmp_path / "d" / "case.toml").read_bytes() == (tmp_path / "e" / "case.toml").read_bytes()

@@ -71,7 +71,7 @@ def test_the_real_table_of_the_moc_pair(shared_data: Path, tmp_path: Path) -> No
 
 def test_the_table_of_the_documentation(tmp_path: Path) -> None:
     page = Path(__file__).resolve().parents[2] / "docs" / "exchange.md"
-    (table,) = re.findall(r"```csv\n(.+?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    (table,) = re.findall(r"```text\n(.+?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     ties = read_tie_points(_put(tmp_path / "points.csv", table))
     assert ties.ids == ("rim", "hill")
     assert np.linalg.norm(ties.places[1]) == pytest.approx(3391200)
