@@ -88,10 +88,11 @@ def _verify(folder: Path) -> None:
 
 def _tell_plan(plan: "tuple[Planned, ...]", terrain: str) -> None:
     for one in plan:
-        size = "?" if one.size is None else f"{one.size / 1e6:.1f}"
-        click.echo(f"{size:>9} MB  {one.path}  {'here' if one.here else one.url}")
+        each = "?" if one.size is None else f"{one.size / 1e6:.1f}"
+        click.echo(f"{each:>9} MB  {one.path}  {'here' if one.here else one.url}")
     coming = [one for one in plan if not one.here]
     unknown = "" if all(one.size is not None for one in coming) else ", and what has no size"
-    click.echo(f"{len(coming)} files to fetch, {sum(one.size or 0 for one in coming) / 1e6:.1f} MB{unknown}")
+    size = f"{sum(one.size or 0 for one in coming) / 1e6:.1f} MB{unknown}"
+    click.echo(f"{len(coming)} files to fetch and their labels, {size}")
     if terrain == "128":
         click.echo("and tiles of 128 pixels per degree, 260 MB each: which ones shows when the kernels are there")

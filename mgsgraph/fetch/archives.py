@@ -86,3 +86,5 @@ def require_address(address: str, where: str) -> None:
         sound = False
     if not sound or parts.query or parts.fragment:
         raise InputError(where, repr(address), "an address such as https://example.org/data/")
+    if parts.username is not None or parts.password is not None:  # they would stand in the lock file
+        raise InputError(where, "an address with a name or password", "one without", "put them into ~/.netrc")

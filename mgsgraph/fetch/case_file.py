@@ -29,7 +29,7 @@ _ORIENTATION = """\
 nominal = "polynomial"                  # fitted to the kernels' trajectory, order 2
 degree = 2                              # of the corrections
 position_sigma_m = 100.0
-angle_sigma_mrad = [0.29, 0.87, 0.87]   # roll 1 arcmin; pitch, by 325 m along the flight from 380 km; yaw
+angle_sigma_mrad = [0.29, 0.87, 0.87]   # roll 1 arcmin; pitch 3, for 325 m along the flight; yaw 3
 trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2
 """
 _PROFILE = """\

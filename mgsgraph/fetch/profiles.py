@@ -23,12 +23,12 @@ _KNOWN_ORBIT, _KNOWN_TIME = 717, datetime(1999, 5, 6, 15, 33, 58, tzinfo=UTC)
 """M01/00115, by its label."""
 _PERIOD = timedelta(seconds=7057.27)
 """Of MGS's mapping orbit: M04/02852 is of orbit 2063."""
-_ABOVE, _BELOW = 1, 30
-"""Orbits after and before an image's with which its file may begin; a day has 12."""
+_ABOVE, _BELOW = 15, 30
+"""Orbits after and before an image's with which its file may begin: a day has 12, and its orbit may be reckoned."""
 
 
 def orbit_at(when: datetime) -> int:
-    """MGS's mapping orbit at a time, within one."""
+    """MGS's mapping orbit at a time, within some: its period changed."""
     return _KNOWN_ORBIT + round((when - _KNOWN_TIME) / _PERIOD)
 
 

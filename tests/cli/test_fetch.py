@@ -74,7 +74,7 @@ def test_a_dry_run(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture
     assert call("fetch", "M04/02852", "--mirror", archive.address, "--dry-run", "--terrain", "4") == 0
     said = capsys.readouterr().out.splitlines()
     assert f"      0.0 MB  kernels/de405.bsp  {archive.url('kernels/spk/de405.bsp')}" in said
-    assert said[-1] == "14 files to fetch, 0.0 MB"
+    assert said[-1] == "14 files to fetch and their labels, 0.0 MB"
     assert not list(tmp_path.iterdir())
 
 

@@ -73,6 +73,7 @@ def test_mirrors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("pictures = \"https://x.org\"", "pictures: no archive of that name; expected images, kernels"),
         ("images = 3", "an address in quotation marks"),
         ("images = \"ftp://x.org/\"", "an address such as"),
+        ("images = \"https://me:secret@x.org/\"", "without"),
         ("images = \"file:///etc\"", "an address such as"),
         ("images = \"https://x.org/a?b\"", "an address such as"),
         ("images = \"https://x.org:x/\"", "an address such as"),
