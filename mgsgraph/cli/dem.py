@@ -43,7 +43,7 @@ def dem(
     from mgsgraph.project.standing import read_posterior
 
     images = () if pair is None else tuple(name.strip() for name in pair.split(","))
-    if pair is not None and len(set(images)) != 2:
+    if pair is not None and (len(images) != 2 or len({*images, ""}) != 3):
         raise click.UsageError(f"--pair {pair}: two different names, with a comma between them")
     settings = DemSettings(post, spacing, cast(Heights, heights), ortho_pixel, images, mola)
     _, posterior, warning = read_posterior(solution)

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import dem_site
 import matched
 import numpy as np
@@ -140,8 +141,8 @@ def test_bad_input_writes_nothing(site: Path, tmp_path: Path, case_file: Path) -
     refused("no such file", result, "--case", tmp_path / "none.toml", *out)
     refused("post: -5.0 m; expected a positive number", result, "--case", site, *out, "--post", "-5")
     refused("no such file", result, "--case", site, *out, "--mola", tmp_path / "none.b")
-    refused("no pixels", result, "--case", case_file, *out)  # another case, which has none
-    refused("image E1: not in the case", result, "--case", site, *out, "--pair", "E02-00665,E1")
+    refused("give the case that was adjusted", result, "--case", case_file, *out)  # another one
+    refused("no image E1", result, "--case", site, *out, "--pair", "E02-00665,E1")
     text = site.read_text(encoding="utf-8")
     renamed = site.with_name("renamed.toml")
     renamed.write_text(text.replace("E02-01453", "E02-99999"), encoding="utf-8")
@@ -191,6 +192,12 @@ def test_errors_are_one_line_on_standard_error(site: Path, tmp_path: Path) -> No
         assert len(done.stderr.strip().splitlines()) == 1, done.stderr
         assert said in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("pair", ["A", "A,", ",A", "A,A", "A,B,A", ""])
+def test_a_pair_is_two_names(pair: str, tmp_path: Path) -> None:
+    with pytest.raises(click.UsageError, match="two different names"):
+        call("dem", tmp_path / "none", "--out", tmp_path / "dem", "--pair", pair)
 
 
 def test_help_says_what_there_is() -> None:

@@ -119,7 +119,7 @@ def test_no_matches_and_pictures_that_were_not_adjusted() -> None:
         intersected(dem_site.posterior(), scene, [same])
     with pytest.raises(InputError, match="solution doesn't have: E02-00665; expected"):
         adjusted_scene(scene, dem_site.without("E99-00001"))
-    with pytest.raises(InputError, match="image E1: not in the case"):
+    with pytest.raises(InputError, match="the case: no image E1"):
         adjusted_scene(scene, dem_site.posterior(), ("E1", "E02-00665"))
     with pytest.raises(InputError, match="two different ones"):
         adjusted_scene(scene, dem_site.posterior(), ("E02-00665",))
@@ -275,16 +275,16 @@ def test_several_pairs_count_by_their_weight() -> None:
 
 
 def test_posts_of_their_own_spacing() -> None:
-    """Finer and coarser than the matches."""
+    """Finer and coarser than the matches: heights are those at the posts, not of the ground in between."""
     matches = dem_site.matched(np.random.default_rng(2))
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
-    for post, limit in ((12.0, 1.2), (90.0, 1.8)):  # of wide cells relief makes more than scatter about a plane tells
+    for post in (12.0, 90.0, 200.0):
         grid = MapGrid.around(points.places, MARS, post)
         model = gridded(points, grid, 20.0, 1e-3)
         assert np.isfinite(model.heights).sum() * post**2 > 4e6
         flat = np.abs(np.nan_to_num(model.slopes, nan=9.0)).max(axis=2) < 0.2
         ratio = (model.heights - dem_site.true_heights(grid))[flat] / model.matching[flat]
-        assert 0.7 < rms(ratio) < limit, post
+        assert 0.7 < rms(ratio) < 1.2, post
 
 
 @pytest.mark.parametrize("first", [0, 1])

@@ -16,7 +16,7 @@ from mgsgraph.products.atomic import DEM, fresh_folder, require_replaceable
 from mgsgraph.products.dem.checking import check_profiles
 from mgsgraph.products.dem.model import Dem, DemSettings, Progress, dem_of, require_reference, silent
 from mgsgraph.products.dem.record import write_dem
-from mgsgraph.products.dem.scene import adjusted_scene
+from mgsgraph.products.dem.scene import adjusted_names, adjusted_scene
 
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches
@@ -64,6 +64,7 @@ def make_dem(
     posterior = adjusted if isinstance(adjusted, Posterior) else Posterior.of(adjusted)
     require_reference(posterior, settings)
     wanted = decode(path)
+    adjusted_names([image.name for image in wanted.images], posterior, settings.images, str(path))
     profiles = check_profiles(posterior, wanted, path, settings.mola)
     name, scene = read_scene(path, *_ground(posterior, wanted))
     scene = adjusted_scene(scene, posterior, settings.images)

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.products.dem.map import MapGrid
 from mgsgraph.products.dem.points import DensePoints
 
-_REACH, _CELL = 1.5, 0.75
-"""Distances between points up to which they count for a post; or posts, if that is more: its own cell then."""
+_REACH = 1.5
+"""Distances between points up to which they count for a post."""
 _POOL = 2
 """posts to each side over which relief is pooled: seven points know it to a third, those of 25 posts to a tenth."""
 _MANY = 25
@@ -56,7 +56,9 @@ def gridded(
     points: DensePoints, grid: MapGrid, spacing: float, window: float, workers: int | None = None,
     progress: Callable[[int, int], None] = lambda done, most: None,
 ) -> HeightGrid:
-    """Heights at the posts of a map.
+    """Heights at the posts of a map. Posts far apart are chosen from a finer grid, which has those of the points around
+    each: a wider plane would be that of the ground in between, and what scatters about it says little of its height at
+    the post.
 
     Parameters
     ----------
@@ -78,28 +80,48 @@ def gridded(
     """
     if not (np.isfinite(spacing) and spacing > 0.0 and np.isfinite(window) and window > 0.0):
         raise InputError("terrain model", f"points every {spacing} m, windows of {window} m", "positive numbers")
-    found = np.full((grid.rows, grid.columns, 7), np.nan)
+    parts = _parts(grid.post / spacing)
+    finer = replace(grid, post=grid.post / parts, rows=parts * grid.rows, columns=parts * grid.columns)
+    found = _fitted(points, finer, spacing, window, workers, progress)
+    height, variance, orientation, count, excess, freedom, squares = np.moveaxis(found, 2, 0)
+    relief = np.where(count < _MANY, _pooled(excess) / _pooled(freedom), excess / freedom)
+    matching = np.sqrt(variance + np.maximum(relief, 0.0) * (1.0 + squares))
+    bands = [height, matching, orientation, np.nan_to_num(count).astype(np.int32)]
+    own = slice(parts // 2, None, parts)  # the middle ones
+    height, matching, orientation, count = (np.ascontiguousarray(band[own, own]) for band in bands)
+    if not np.any(count):
+        told = f"{len(points)} points, nowhere several around a post"
+        where = f"terrain model with posts every {grid.post:g} m"
+        raise InputError(where, told, "points on all sides", "give a smaller --post, or images that match better")
+    return HeightGrid(grid, height, matching, orientation, count)
+
+
+def _parts(ratio: float) -> int:
+    """Into how many posts, an odd number, one that is `ratio` as wide as points are apart is divided."""
+    return 1 + 2 * max(round((ratio - 1.0) / 2.0), 0)
+
+
+def _fitted(
+    points: DensePoints, grid: MapGrid, spacing: float, window: float, workers: int | None,
+    progress: Callable[[int, int], None],
+) -> Array:
+    """(rows, columns, COLUMNS) of the kernel, which works with the post as its unit of length."""
+    from mgsgraph.products.dem.surface import COLUMNS, surface  # numba takes its time to load
+
+    found = np.full((grid.rows, grid.columns, COLUMNS), np.nan)
     kernel_input = _by_cell(points, grid)
-    reach = max(_REACH * spacing / grid.post, _CELL)
 
     def fit(first: int) -> None:
-        from mgsgraph.products.dem.surface import surface  # numba takes its time to load
-
         last = min(first + _ROWS_AT_ONCE, grid.rows)
-        surface(first, last, grid.columns, *kernel_input, reach, window / grid.post, found)
+        surface(
+            first, last, grid.columns, *kernel_input, _REACH * spacing / grid.post, window / grid.post, found
+        )
 
     blocks = range(0, grid.rows, _ROWS_AT_ONCE)
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         for done, _ in enumerate(pool.map(fit, blocks), start=1):
             progress(min(done * _ROWS_AT_ONCE, grid.rows), grid.rows)
-    if not np.any(np.isfinite(found[:, :, 0])):
-        told = f"{len(points)} points, nowhere several around a post"
-        where = f"terrain model with posts every {grid.post:g} m"
-        raise InputError(where, told, "points on all sides", "give a larger --post")
-    height, variance, orientation, count, excess, freedom, squares = np.moveaxis(found, 2, 0)
-    relief = np.where(count < _MANY, _pooled(excess) / _pooled(freedom), excess / freedom)
-    matching = np.sqrt(variance + np.maximum(relief, 0.0) * (1.0 + squares))
-    return HeightGrid(grid, height, matching, orientation, np.nan_to_num(count).astype(np.int32))
+    return found
 
 
 def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]:

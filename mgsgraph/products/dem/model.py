@@ -1,7 +1,8 @@
 """A terrain model of dense matches, with what it was made from and how it was checked."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_heights
 from mgsgraph.matching.coarse import pixel_on_ground
 from mgsgraph.matching.scene import Scene
@@ -113,7 +114,8 @@ def dem_of(
     points = intersected(posterior, scene, matches)
     spacing = max(one.spacing for one in matches)
     grid = MapGrid.around(points.places, scene.ground.body, settings.post or spacing)
-    model = gridded(points, grid, spacing, window, workers, lambda done, most: progress("gridding", done, most))
+    related = replace(points, pair=_kin([(one.first, one.second) for one in matches])[points.pair])
+    model = gridded(related, grid, spacing, window, workers, lambda done, most: progress("gridding", done, most))
     heights, reference = model.heights, f"a sphere of {grid.radius / KM:.3f} km"
     areoid = posterior.network.areoid
     if settings.heights == "areoid" and areoid is not None:
@@ -130,6 +132,15 @@ def dem_of(
         tuple((one.first, one.second) for one in matches), tuple(counts), tuple(misses), spacing, window,
         checked(model, profiles), tuple(profiles),
     )  # fmt: skip
+
+
+def _kin(pairs: Sequence[tuple[int, int]]) -> Index:
+    """(n,) the same number for pairs that share an image, whose noise is in both, or are linked by pairs that do."""
+    kin = np.arange(len(pairs))
+    for i, j in combinations(range(len(pairs)), 2):
+        if set(pairs[i]) & set(pairs[j]):
+            kin[kin == kin[j]] = kin[i]
+    return kin
 
 
 def _rms(values: Array) -> float:

@@ -71,10 +71,11 @@ def dem_statements(dem: Dem) -> list[str]:
 
 
 def _explained(miss: float, sigma: float) -> str:
-    """By how much rays miss each other beyond what matching explains."""
+    """What makes rays miss each other."""
     if miss <= _UNEXPLAINED * sigma:
         return f"as matching explains ({sigma:.2g} m)"
-    return f"of which matching explains {sigma:.2g} m: the orientation moves in ways that the adjustment doesn't follow"
+    rest = "the rest is the orientation's, by its sigmas or by motion that the adjustment doesn't follow"
+    return f"of which matching explains {sigma:.2g} m; {rest}"
 
 
 def _check_statements(dem: Dem) -> list[str]:

@@ -2,8 +2,8 @@
 
 Points count by their distance (Gaussian), by their matching sigma, and by how far they lie off the plane of least
 absolute residuals (Tukey's weights, so that a single blunder counts for nothing). The height at the post is a sum of
-theirs, a'h, so its variance is a' S a with S_ij = s_i s_j r_ij: matching errors of one pair of images are correlated by
-what their windows share, r = (1 - |dx| / w) (1 - |dy| / w), and n neighbours are not n measurements.
+theirs, a'h, so its variance is a' S a with S_ij = s_i s_j r_ij: matching errors of pairs that have images in common are
+correlated by what their windows share, r = (1 - |dx| / w) (1 - |dy| / w), and n neighbours are not n measurements.
 
 What scatters about the plane beyond that is relief (or noise that nobody stated). With weights W and the projection
 Q = W X (X'WX)^-1 X' W the squares' expectation is E r'Wr = tr(WS) - tr(QS) + relief^2 (tr W - tr Q); `surface` returns
@@ -11,15 +11,12 @@ both sides, to be pooled over neighbouring posts.
 """
 
 import math
-from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mgsgraph.geometry.records import Array, Index
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
+from mgsgraph.matching.window import compiled
 
 LEAST = 4
 """Points that a plane with scatter takes."""
@@ -34,11 +31,50 @@ _SAME_PLACE = 0.25
 """posts, within which a point counts as one at the post itself: around it no others are needed."""
 _SINGULAR = 1e-6
 """Determinant of the normal matrix over the product of its diagonal, below which points lie on a line."""
+_LEAST_SIGMA = 1e-9
+"""m, of a point by matching, at least, so that its weight is a number."""
 
 
-def compiled(function: _Function) -> _Function:
-    """Compile for use without the interpreter's lock, and keep."""
-    return cast(_Function, njit(cache=True, nogil=True, error_model="numpy")(function))
+class _Given(NamedTuple):
+    """What `surface` is given of the points."""
+
+    columns: int
+    first: Index
+    points: Array
+    spread: Array
+    orientation: Array
+    pair: Index
+    reach: float
+    window: float
+
+
+class _Near(NamedTuple):
+    """Points near a post, and what is made of them; room for as many as any post has."""
+
+    x: Array
+    """posts eastward from the post."""
+    y: Array
+    """posts northward."""
+    h: Array
+    """m above any level."""
+    sigma: Array
+    """m, of the height by matching; of that at a fixed place with its sign, when the plane's slopes are known."""
+    base: Array
+    """Weight by distance and sigma."""
+    w: Array
+    """The same, where the point agrees with the others; 0 where it doesn't count."""
+    left: Array
+    """m, absolute residual."""
+    share: Array
+    """In the height at the post: a."""
+    spare: Array
+    """For whatever has to be sorted."""
+    which: Index
+    """Number among all points."""
+    inverse: Array
+    """(3, 3) of the plane's normal matrix."""
+    plane: Array
+    """(3,) height at the post (m), slopes (m per post)."""
 
 
 @compiled
@@ -53,20 +89,72 @@ def _sort(values: Array, n: int) -> None:
 
 
 @compiled
-def _plane(x: Array, y: Array, h: Array, w: Array, n: int, inverse: Array, plane: Array) -> bool:
-    """Weighted least squares: the inverse (3, 3) of the normal matrix, and height and slopes at the origin."""
+def _cells(given: _Given, row: int, column: int) -> tuple[int, int, int, int]:
+    """First row and the one past the last, first and last column, of the cells that may hold points for a post."""
+    wide = math.ceil(given.reach + 0.5)
+    rows = (given.first.size - 1) // given.columns
+    return (
+        max(row - wide, 0), min(row + wide + 1, rows), max(column - wide, 0), min(column + wide, given.columns - 1)
+    )  # fmt: skip
+
+
+@compiled
+def _most(given: _Given, first_row: int, last_row: int) -> int:
+    """Points at most in the cells about a post of these rows."""
+    most = 1
+    for row in range(first_row, last_row):
+        for column in range(given.columns):
+            begin, end, west, east = _cells(given, row, column)
+            count = 0
+            for i in range(begin, end):
+                count += given.first[i * given.columns + east + 1] - given.first[i * given.columns + west]
+            most = max(most, count)
+    return most
+
+
+@compiled
+def _room(n: int) -> _Near:
+    real = np.empty((9, n))
+    return _Near(
+        real[0], real[1], real[2], real[3], real[4], real[5], real[6], real[7], real[8],
+        np.empty(n, dtype=np.int64), np.empty((3, 3)), np.empty(3),
+    )  # fmt: skip
+
+
+@compiled
+def _gather(given: _Given, row: int, column: int, near: _Near) -> int:
+    """Fill in the points within reach of a post; how many."""
+    n = 0
+    begin, end, west, east = _cells(given, row, column)
+    for i in range(begin, end):
+        for k in range(given.first[i * given.columns + west], given.first[i * given.columns + east + 1]):
+            x, y = given.points[k, 1] - column, row - given.points[k, 0]
+            square = (x * x + y * y) / (given.reach * given.reach)
+            if square <= 1.0:
+                near.x[n], near.y[n], near.h[n], near.which[n] = x, y, given.points[k, 2], k
+                near.sigma[n] = max(abs(given.spread[k, 2]), _LEAST_SIGMA)
+                near.base[n] = math.exp(-2.0 * square) / (near.sigma[n] * near.sigma[n])
+                n += 1
+    return n
+
+
+@compiled
+def _plane(near: _Near, n: int) -> bool:
+    """Weighted least squares: fill in `inverse` and `plane`; whether there is one."""
     a, b, c, d, e, f = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     p, q, r = 0.0, 0.0, 0.0
     for i in range(n):
-        a += w[i]
-        b += w[i] * x[i]
-        c += w[i] * y[i]
-        d += w[i] * x[i] * x[i]
-        e += w[i] * x[i] * y[i]
-        f += w[i] * y[i] * y[i]
-        p += w[i] * h[i]
-        q += w[i] * x[i] * h[i]
-        r += w[i] * y[i] * h[i]
+        x, y, h, w = near.x[i], near.y[i], near.h[i], near.w[i]
+        a += w
+        b += w * x
+        c += w * y
+        d += w * x * x
+        e += w * x * y
+        f += w * y * y
+        p += w * h
+        q += w * x * h
+        r += w * y * h
+    inverse = near.inverse
     inverse[0, 0], inverse[0, 1], inverse[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
     inverse[1, 1], inverse[1, 2], inverse[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
     inverse[1, 0], inverse[2, 0], inverse[2, 1] = inverse[0, 1], inverse[0, 2], inverse[1, 2]
@@ -76,60 +164,56 @@ def _plane(x: Array, y: Array, h: Array, w: Array, n: int, inverse: Array, plane
     for i in range(3):
         for j in range(3):
             inverse[i, j] /= determinant
-        plane[i] = inverse[i, 0] * p + inverse[i, 1] * q + inverse[i, 2] * r
+        near.plane[i] = inverse[i, 0] * p + inverse[i, 1] * q + inverse[i, 2] * r
     return True
 
 
 @compiled
-def _robust(
-    x: Array, y: Array, h: Array, sigma: Array, base: Array, n: int, w: Array, left: Array, spare: Array,
-    inverse: Array, plane: Array,
-) -> bool:
-    """The plane by weights `base` where all points agree with it, else by these times Tukey's; fills w, 0 for points
-    that don't count.
-    """
-    w[:n] = base[:n]
-    if not _plane(x, y, h, w, n, inverse, plane):
-        return False
-    if _residuals(x, y, h, sigma, n, plane, left) <= _FINE:
-        return True
-    for _ in range(_ABSOLUTE):  # near and far points alike: a blunder at the post itself has no neighbour's weight
-        for i in range(n):
-            w[i] = 1.0 / (sigma[i] * max(left[i], sigma[i]))
-        if not _plane(x, y, h, w, n, inverse, plane):
-            return False
-        _residuals(x, y, h, sigma, n, plane, left)
-    for _ in range(_TUKEYS):
-        spare[:n] = left[:n]
-        _sort(spare, n)
-        scale = 1.4826 * spare[n // 2]
-        for i in range(n):
-            w[i] = base[i] * max(1.0 - (left[i] / (_TUKEY * max(scale, sigma[i]))) ** 2, 0.0) ** 2
-        if not _plane(x, y, h, w, n, inverse, plane):
-            return False
-        _residuals(x, y, h, sigma, n, plane, left)
-    return True
-
-
-@compiled
-def _residuals(x: Array, y: Array, h: Array, sigma: Array, n: int, plane: Array, left: Array) -> float:
-    """Fill `left` with absolute residuals (m); the largest of them in its sigmas."""
+def _residuals(near: _Near, n: int) -> float:
+    """Fill in absolute residuals; the largest of them in its sigmas."""
     largest = 0.0
     for i in range(n):
-        left[i] = abs(h[i] - plane[0] - plane[1] * x[i] - plane[2] * y[i])
-        largest = max(largest, left[i] / sigma[i])
+        near.left[i] = abs(near.h[i] - near.plane[0] - near.plane[1] * near.x[i] - near.plane[2] * near.y[i])
+        largest = max(largest, near.left[i] / near.sigma[i])
     return largest
 
 
 @compiled
-def _surrounded(x: Array, y: Array, kept: Array, n: int, angles: Array) -> bool:
-    """Whether the origin is among the points kept: no half-plane about it is without one."""
-    count = 0
+def _robust(near: _Near, n: int) -> bool:
+    """The plane by weights `base` where all points agree with it, else by these times Tukey's; whether there is one."""
+    near.w[:n] = near.base[:n]
+    if not _plane(near, n):
+        return False
+    if _residuals(near, n) <= _FINE:
+        return True
+    for _ in range(_ABSOLUTE):  # near and far points alike: a blunder at the post itself has no neighbour's weight
+        for i in range(n):
+            near.w[i] = 1.0 / (near.sigma[i] * max(near.left[i], near.sigma[i]))
+        if not _plane(near, n):
+            return False
+        _residuals(near, n)
+    for _ in range(_TUKEYS):
+        near.spare[:n] = near.left[:n]
+        _sort(near.spare, n)
+        scale = 1.4826 * near.spare[n // 2]
+        for i in range(n):
+            scaled = near.left[i] / (_TUKEY * max(scale, near.sigma[i]))
+            near.w[i] = near.base[i] * max(1.0 - scaled**2, 0.0) ** 2
+        if not _plane(near, n):
+            return False
+        _residuals(near, n)
+    return True
+
+
+@compiled
+def _surrounded(near: _Near, n: int) -> bool:
+    """Whether the post is among the points that count: no half-plane about it is without one."""
+    count, angles = 0, near.spare
     for i in range(n):
-        if kept[i] > 0.0:
-            if x[i] * x[i] + y[i] * y[i] < _SAME_PLACE * _SAME_PLACE:
+        if near.w[i] > 0.0:
+            if near.x[i] ** 2 + near.y[i] ** 2 < _SAME_PLACE * _SAME_PLACE:
                 return True
-            angles[count] = math.atan2(y[i], x[i])
+            angles[count] = math.atan2(near.y[i], near.x[i])
             count += 1
     if count < 3:
         return False
@@ -138,6 +222,87 @@ def _surrounded(x: Array, y: Array, kept: Array, n: int, angles: Array) -> bool:
     for i in range(1, count):
         gap = max(gap, angles[i] - angles[i - 1])
     return bool(gap < math.pi)
+
+
+@compiled
+def _keep(near: _Near, n: int) -> int:
+    """Close up the points that count; how many."""
+    kept = 0
+    for i in range(n):
+        if near.w[i] > 0.0:
+            near.x[kept], near.y[kept], near.h[kept] = near.x[i], near.y[i], near.h[i]
+            near.w[kept], near.which[kept] = near.w[i], near.which[i]
+            kept += 1
+    return kept
+
+
+@compiled
+def _solved(near: _Near, i: int) -> tuple[float, float, float]:
+    """(X'WX)^-1 (1, x, y)' of a point."""
+    inverse, x, y = near.inverse, near.x[i], near.y[i]
+    return (
+        inverse[0, 0] + inverse[0, 1] * x + inverse[0, 2] * y,
+        inverse[1, 0] + inverse[1, 1] * x + inverse[1, 2] * y,
+        inverse[2, 0] + inverse[2, 1] * x + inverse[2, 2] * y,
+    )
+
+
+@compiled
+def _by_orientation(given: _Given, near: _Near, i: int) -> float:
+    """m, sigma of a point's height at a fixed place by the orientation."""
+    covariance, east, north = given.orientation[near.which[i]], near.plane[1], near.plane[2]
+    variance = covariance[2, 2] - 2.0 * (east * covariance[0, 2] + north * covariance[1, 2])
+    variance += east * east * covariance[0, 0] + north * north * covariance[1, 1]
+    variance += 2.0 * east * north * covariance[0, 1]
+    return math.sqrt(max(variance, 0.0))
+
+
+@compiled
+def _shared(given: _Given, near: _Near, i: int, j: int) -> float:
+    """Correlation of two points' matching errors: what their windows share."""
+    if given.pair[near.which[i]] != given.pair[near.which[j]]:
+        return 0.0
+    along, across = abs(near.x[i] - near.x[j]) / given.window, abs(near.y[i] - near.y[j]) / given.window
+    return float(max(1.0 - along, 0.0) * max(1.0 - across, 0.0))
+
+
+@compiled
+def _sigmas(given: _Given, near: _Near, n: int, out: Array) -> None:
+    """Fill in columns 1 to 6 of a post with n points that count."""
+    orientation, squares, weight, own, sizes = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        spread = given.spread[near.which[i]]
+        near.share[i] = near.w[i] * _solved(near, i)[0]
+        near.sigma[i] = spread[2] - near.plane[1] * spread[0] - near.plane[2] * spread[1]
+        orientation += near.share[i] * _by_orientation(given, near, i)
+        off = near.h[i] - near.plane[0] - near.plane[1] * near.x[i] - near.plane[2] * near.y[i]
+        squares += near.w[i] * off * off
+        weight += near.w[i]
+        own += near.w[i] * near.sigma[i] * near.sigma[i]
+        sizes += near.share[i] * near.share[i]
+    variance, explained, diagonal = _correlated(given, near, n)
+    out[1], out[2], out[3] = max(variance, 0.0), orientation, n
+    out[4], out[5], out[6] = squares - (own - explained), weight - diagonal, sizes
+
+
+@compiled
+def _correlated(given: _Given, near: _Near, n: int) -> tuple[float, float, float]:
+    """a'Sa, tr(QS) and tr Q."""
+    variance, explained, diagonal = 0.0, 0.0, 0.0
+    for i in range(n):
+        u, v, t = _solved(near, i)
+        projected = near.w[i] * near.w[i] * (u + v * near.x[i] + t * near.y[i])
+        square = near.sigma[i] * near.sigma[i]
+        diagonal += projected
+        variance += square * near.share[i] * near.share[i]
+        explained += square * projected
+        for j in range(i + 1, n):
+            common = _shared(given, near, i, j)
+            if common > 0.0:
+                both = 2.0 * common * near.sigma[i] * near.sigma[j]
+                variance += both * near.share[i] * near.share[j]
+                explained += both * near.w[i] * near.w[j] * (u + v * near.x[j] + t * near.y[j])
+    return variance, explained, diagonal
 
 
 @compiled
@@ -162,96 +327,28 @@ def surface(
     orientation : (n, 3, 3)
         Covariance by orientation in the same units.
     pair : (n,)
-        Of images.
+        Of images; the same number for pairs whose errors are not independent.
     reach : float
         posts, up to which points count.
     window : float
         posts, width of a matching window.
     found : (rows, columns, COLUMNS)
-        Filled; NaN where there is no height.
+        Filled; left as it is where there is no height.
     """
-    rows = (first.size - 1) // columns
-    wide = math.ceil(reach + 0.5)
-    most = 1
+    given = _Given(columns, first, points, spread, orientation, pair, reach, window)
+    near = _room(_most(given, first_row, last_row))
     for row in range(first_row, last_row):
         for column in range(columns):
-            count = 0
-            for i in range(max(row - wide, 0), min(row + wide + 1, rows)):
-                count += first[i * columns + min(column + wide, columns - 1) + 1]
-                count -= first[i * columns + max(column - wide, 0)]
-            most = max(most, count)
-    x, y, h, w = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    base, left, sigma, share, spare = np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most)
-    which = np.empty(most, dtype=np.int64)
-    inverse, plane = np.empty((3, 3)), np.empty(3)
-    for row in range(first_row, last_row):
-        for column in range(columns):
-            n = 0
-            for i in range(max(row - wide, 0), min(row + wide + 1, rows)):
-                begin = first[i * columns + max(column - wide, 0)]
-                end = first[i * columns + min(column + wide, columns - 1) + 1]
-                for k in range(begin, end):
-                    east, north = points[k, 1] - column, row - points[k, 0]
-                    square = (east * east + north * north) / (reach * reach)
-                    if square <= 1.0:
-                        x[n], y[n], h[n], which[n] = east, north, points[k, 2], k
-                        sigma[n] = max(abs(spread[k, 2]), 1e-9)
-                        base[n] = math.exp(-2.0 * square) / (sigma[n] * sigma[n])
-                        n += 1
+            n = _gather(given, row, column, near)
             if n < LEAST:
                 continue
-            level = h[0]
+            level = near.h[0]
             for i in range(n):
-                h[i] -= level
-            if not _robust(x, y, h, sigma, base, n, w, left, spare, inverse, plane):
+                near.h[i] -= level
+            if not _robust(near, n) or not _surrounded(near, n):
                 continue
-            if not _surrounded(x, y, w, n, spare):
+            n = _keep(near, n)
+            if n < LEAST:
                 continue
-            kept = 0
-            for i in range(n):
-                if w[i] == 0.0:
-                    continue
-                k = which[i]
-                x[kept], y[kept], h[kept], w[kept], which[kept] = x[i], y[i], h[i], w[i], k
-                kept += 1
-            if kept < LEAST:
-                continue
-            east, north = plane[1], plane[2]  # m per post
-            squares, weight, diagonal, sizes, own, turned = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(kept):
-                k = which[i]
-                share[i] = w[i] * (inverse[0, 0] + inverse[0, 1] * x[i] + inverse[0, 2] * y[i])
-                sigma[i] = spread[k, 2] - east * spread[k, 0] - north * spread[k, 1]
-                common = orientation[k, 2, 2] - 2.0 * (east * orientation[k, 0, 2] + north * orientation[k, 1, 2])
-                common += east * east * orientation[k, 0, 0] + north * north * orientation[k, 1, 1]
-                common += 2.0 * east * north * orientation[k, 0, 1]
-                turned += share[i] * math.sqrt(max(common, 0.0))
-                off = h[i] - plane[0] - plane[1] * x[i] - plane[2] * y[i]
-                squares += w[i] * off * off
-                weight += w[i]
-                own += w[i] * sigma[i] * sigma[i]
-                sizes += share[i] * share[i]
-            variance, explained = 0.0, 0.0
-            for i in range(kept):
-                u = inverse[0, 0] + inverse[0, 1] * x[i] + inverse[0, 2] * y[i]
-                v = inverse[1, 0] + inverse[1, 1] * x[i] + inverse[1, 2] * y[i]
-                t = inverse[2, 0] + inverse[2, 1] * x[i] + inverse[2, 2] * y[i]
-                diagonal += w[i] * w[i] * (u + v * x[i] + t * y[i])
-                for j in range(i, kept):
-                    if pair[which[i]] != pair[which[j]]:
-                        continue
-                    apart = max(1.0 - abs(x[i] - x[j]) / window, 0.0) * max(1.0 - abs(y[i] - y[j]) / window, 0.0)
-                    if i == j:
-                        apart = 1.0
-                    elif apart == 0.0:
-                        continue
-                    both = (1.0 if i == j else 2.0) * apart * sigma[i] * sigma[j]
-                    variance += both * share[i] * share[j]
-                    explained += both * w[i] * w[j] * (u + v * x[j] + t * y[j])
-            found[row, column, 0] = plane[0] + level
-            found[row, column, 1] = max(variance, 0.0)
-            found[row, column, 2] = turned
-            found[row, column, 3] = kept
-            found[row, column, 4] = squares - (own - explained)
-            found[row, column, 5] = weight - diagonal
-            found[row, column, 6] = sizes
+            found[row, column, 0] = near.plane[0] + level
+            _sigmas(given, near, n, found[row, column])

@@ -8,7 +8,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from mgsgraph.geometry.records import Array
@@ -153,7 +153,7 @@ def _differences(panel: Axes, dem: Dem) -> None:
     panel.set_ylim(south, north)
     if not len(checks):
         panel.text(0.5, 0.5, "no laser shot\nto check by", ha="center", va="center", transform=panel.transAxes)
-    panel.xaxis.set_major_locator(MaxNLocator(4))
+    panel.xaxis.set_major_locator(MaxNLocator(4) if len(checks) else NullLocator())
     words(panel, "model minus shot (m)", "", "")
 
 
