@@ -1,9 +1,8 @@
 """Bundle factors: all points seen by the same orientation variables as ONE factor on those variables alone.
 
 The kernel solves each point with the orientation held and eliminates it exactly (Schur complement); GTSAM gets a
-rank-revealing square root of the reduced normal matrix and one more row for the cost that remains, so that
-``factor.error`` is the full cost. Optimum and posterior are those of the explicit graph (variable projection;
-Golub & Pereyra 1973).
+square root of the reduced normal matrix and one more row for the cost that remains, so that ``factor.error`` is the
+full cost. Optimum and posterior are those of the explicit graph (variable projection; Golub & Pereyra 1973).
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,8 +20,12 @@ from mgsgraph.factors.sweep import COSTS, COVARIANCES, DESIGN, RELIABILITY, RESI
 
 Array = NDArray[np.float64]
 
-_ROUNDING = 1e-16
-"""Eigenvalues below this share of the largest, times the dimension, are rounding."""
+_ROUNDING = tuple(10.0**k for k in range(-15, -7))
+"""Shares of a system's largest curvature that rounding may have put wrong, and taken below zero: the least one that
+makes Cholesky's method go through is added. How much that is depends on how much of the rows the points have taken:
+1e-15 to 1e-10."""
+_CORNER = 1e200
+"""In place of the cost where only the gradient's row of the factor is wanted: no pivot runs out there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,28 +136,37 @@ def square_root(block: Array, right: Array, cost: float, sigmas: Array) -> tuple
     cost : float
         Full cost of the rows behind them.
     sigmas : (d,)
-        A-priori sigmas: the decomposition is done in these units, where small eigenvalues mean something.
+        A-priori sigmas: the decomposition is done in these units, where small pivots mean something.
 
     Returns
     -------
     jacobian : (d + 1, d)
-        Its last row, and rows without information, are zero.
+        Its last row is zero.
     error : (d + 1,)
+
+    Raises
+    ------
+    RuntimeError
+        "Indeterminate linear system", as GTSAM words it, for a block that is not positive semidefinite.
     """
-    d = right.size
-    values, vectors = np.linalg.eigh(block * sigmas[:, None] * sigmas)
-    gradient = vectors.T @ (right * sigmas)
-    largest = float(values.max(initial=0.0))
-    floor = _ROUNDING * d * largest
-    # a direction whose curvature drowns in rounding may still have a gradient, which the prior has to balance: it is
-    # kept, at the curvature of the rounding, which no prior feels
-    kept = (values > floor) | (np.abs(gradient) > _ROUNDING * d * np.sqrt(largest * 2.0 * cost))
-    root = np.sqrt(np.where(values > floor, values, floor if floor > 0.0 else 1.0))
+    d, bordered = right.size, np.empty((right.size + 1, right.size + 1))
+    bordered[:d, :d], bordered[d, d] = block * sigmas[:, None] * sigmas, _CORNER
+    bordered[d, :d] = bordered[:d, d] = right * sigmas
+    plain = np.diagonal(bordered)[:d].copy()
+    largest = float(plain.max(initial=0.0)) or 1.0
     jacobian, error = np.zeros((d + 1, d)), np.zeros(d + 1)
-    jacobian[:d] = np.where(kept, root, 0.0)[:, None] * vectors.T / sigmas
-    error[:d] = np.where(kept, gradient / root, 0.0)
-    error[d] = np.sqrt(max(2.0 * cost - float(error[:d] @ error[:d]), 0.0))
-    return jacobian, error
+    # Eigenvalues would tell the rank, but their routine is threaded, and waits for a busy second core (as `product` of
+    # adjustment.square_root says). The gradient is kept in directions without curvature, too: the prior balances it.
+    for share in _ROUNDING:
+        np.fill_diagonal(bordered[:d, :d], plain + share * largest)
+        try:
+            lower = np.linalg.cholesky(bordered)
+        except np.linalg.LinAlgError:
+            continue
+        jacobian[:d], error[:d] = lower[:d, :d].T / sigmas, lower[d, :d]
+        error[d] = np.sqrt(max(2.0 * cost - float(error[:d] @ error[:d]), 0.0))
+        return jacobian, error
+    raise RuntimeError("Indeterminate linear system: a reduced system that is not positive semidefinite")
 
 
 def dense(reduction: Reduction, groups: Groups, target: Target, group: int) -> tuple[Array, Array]:

@@ -197,8 +197,9 @@ def _dense_step(
 ) -> gtsam.VectorValues | None:
     """The same by one dense Cholesky factor in units of the scales; None when too large or not positive definite.
 
-    GTSAM calls a clique indeterminate when its last two pivots differ by more than 2^12: ten thousands of ties on two
-    images bring that about, or nodes that hardly depart from a strip's trend, though every direction is determined.
+    GTSAM calls a clique indeterminate when a pivot falls below 2^-24 of the diagonal it began with: ten thousands of
+    ties on two images bring that about, or nodes that hardly depart from a strip's trend, though every direction is
+    determined.
     """
     keys = [ordering.at(k) for k in range(ordering.size())]
     unit = np.concatenate([scales[key] for key in keys])

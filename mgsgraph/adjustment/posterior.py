@@ -135,8 +135,8 @@ def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCov
 def _in_one_clique(layout: Layout, normal: Array) -> JointCovariance:
     """The same by a dense Cholesky factor of the normal matrix (columns, columns) in units of `Layout.scales`.
 
-    GTSAM calls a clique indeterminate when its last two pivots differ by more than 2^12, which ten thousands of ties on
-    two images bring about though every direction is determined.
+    GTSAM calls a clique indeterminate when a pivot falls below 2^-24 of the diagonal it began with, which ten thousands
+    of ties on two images bring about though every direction is determined.
     """
     rows = np.linalg.cholesky(normal).T / layout.scales
     variables = layout.variables

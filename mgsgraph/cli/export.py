@@ -34,6 +34,8 @@ def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | No
         support = {image.name: case.parent / image.isd for image in decode(case).images if image.isd is not None}
         if not support:
             raise InputError(str(case), "no image with support data (isd)", "some to take over", "leave --case out")
-    done = export_solution(results_of(solution).folder, target, out, ExportSettings(scaled, support, raster))
-    click.echo(f"- {done.statement}")
+    results = results_of(solution)
+    done = export_solution(results.folder, target, out, ExportSettings(scaled, support, raster))
+    for sentence in filter(None, (results.warning, done.statement)):
+        click.echo(f"- {sentence}")
     click.echo(f"The files are in {out}")

@@ -42,6 +42,7 @@ def match(
     every match measured by least squares in the images themselves, with its covariance. Use the result with
     `mgsgraph adjust CASE --ties OUT/network.pvl`. An interrupted run goes on where it was.
     """
+    from mgsgraph.errors import InputError
     from mgsgraph.matching.settings import MatchSettings, method_of
     from mgsgraph.project.begin import take_ties, waiting_case
     from mgsgraph.project.connection import FILE
@@ -57,6 +58,8 @@ def match(
         with open_project(project := case) as opened:
             case, out = waiting_case(opened), opened.matches
     if out is None:
+        if not case.is_file():
+            raise InputError(str(case), "neither a case file nor a project", "one of the two", "check the path")
         raise click.UsageError("Missing option '--out'")
     _match(case, out, settings, height, height_sigma, workers, not no_figures)
     if project is not None:

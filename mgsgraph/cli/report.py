@@ -28,7 +28,7 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     from mgsgraph.project.results import results_of
 
     require_page(out)
-    solution, own_case, own_ties = results_of(solution)
+    solution, own_case, own_ties, warning = results_of(solution)
     compare = None if compare is None else results_of(compare).folder
     adjusted, earlier = read_solution(solution), None if compare is None else read_solution(compare)
     if case is None and own_case is not None:
@@ -37,6 +37,8 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
         raise click.UsageError("--ties is for a case: give --case, too")
     read = None if case is None else read_case(case, ties=ties)
     write_report(adjusted, out, read, earlier, _inputs([solution, compare], case, ties))
+    if warning:
+        click.echo(f"- {warning}")
     click.echo(f"The page is {out}")
 
 

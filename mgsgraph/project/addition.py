@@ -111,7 +111,7 @@ def read_addition(
         if wanted.path.suffix.lower() in _CASES:
             found, network = _of_case(wanted.path)
             new += found
-            networks.append(store.own(network))
+            networks += [] if network is None else [store.own(network)]
     tie_points = [read_tie_points(path, _body(store, new)) for path in ties]
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
     new += [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
@@ -188,7 +188,11 @@ def _files(entry: ImageInput, path: Path) -> tuple[Path, ...]:
     return (path, path.parent / file) if file else (path,)
 
 
-def _of_case(path: Path) -> tuple[list[NewImage], Network]:
+def _of_case(path: Path) -> tuple[list[NewImage], Network | None]:
+    """All that a case names; of one without ties and laser, the images alone."""
+    wanted = decode(path)
+    if not wanted.measured and not wanted.mola:
+        return images_alone(path)[0], None
     new, network, _ = images_of_case(path)
     return new, network
 

@@ -45,7 +45,13 @@ def begin(folder: Path, name: str, case: Path | None, settings: Path | None, sta
 
 
 def waiting_case(project: Project) -> Path:
-    """The case of a project whose images wait for tie points; InputError for any other project."""
+    """The case of a project whose images wait for tie points.
+
+    Raises
+    ------
+    InputError
+        Any other project; a case that has other images by now.
+    """
     if project.store.members():
         raise InputError(
             str(project.folder), "it has measures already", "a project whose images wait for tie points",
@@ -56,16 +62,20 @@ def waiting_case(project: Project) -> Path:
             str(project.folder), "a project that was made without a case", "one made with mgsgraph init --case",
             "give the case file itself: mgsgraph match CASE --out MATCHES",
         )
+    names, there = [image.name for image in decode(project.case).images], project.store.image_names()
+    if set(names) != set(there):
+        raise InputError(
+            str(project.case), f"the images {', '.join(names)}", f"those of {project.folder}, {', '.join(there)}",
+            f"begin another project with it: mgsgraph init PROJECT --case {project.case}",
+        )
     return project.case
 
 
 def take_ties(project: Project, network: Path) -> str:
-    """Put tie points into a project that waits for them, with everything else that its case names; in words."""
+    """Put tie points into a project that waits for them, with everything else that its case says by now; in words."""
     case = waiting_case(project)
     images, measured, _ = images_of_case(case, network)
-    there = project.store.image_names()
-    for name in [image.known.image.name for image in images if image.known.image.name not in there][:1]:
-        raise InputError(str(case), f"the image {name!r}, which {project.folder} doesn't have", "the case as it was")
+    project.take_settings(settings_of_case(case))
     return _put(project, "match", str(network), images, measured)
 
 

@@ -164,6 +164,10 @@ class Project:
         """Folder of the tie points that `mgsgraph match` has found for it, if it has."""
         return self.folder / MATCHES
 
+    def take_settings(self, settings: ProjectSettings) -> None:
+        """Settings in place of those that it had, before anything has been adjusted by them."""
+        self._connection.execute("UPDATE meta SET value = ? WHERE key = 'settings'", (settings_to_json(settings),))
+
     # --- where images come from
 
     def add_sources(self, image: str, files: Iterable[Path], picture: Path | None = None) -> None:
@@ -199,10 +203,18 @@ class Project:
 
     def last_solution(self, kind: str | None = None) -> SolutionRow | None:
         """The latest one, of a kind or of any; None before the first."""
+        return self._last("kind = coalesce(?, kind)", kind)
+
+    def last_results(self) -> SolutionRow | None:
+        """The latest one that has a folder of products, which a closing check has not; None before the first."""
+        return self._last("folder IS NOT NULL")
+
+    def _last(self, condition: str, *values: object) -> SolutionRow | None:
+        """The latest solution for which a condition of ours holds."""
         row = self._connection.execute(
             "SELECT number, change, at, kind, converged, message, cost, sigma0, degrees_of_freedom, images, points, "
-            "folder FROM solution WHERE kind = coalesce(?, kind) ORDER BY number DESC LIMIT 1",
-            (kind,),
+            f"folder FROM solution WHERE {condition} ORDER BY number DESC LIMIT 1",
+            values,
         ).fetchone()
         if row is None:
             return None

@@ -22,6 +22,8 @@ class Results(NamedTuple):
     """The case, where it is known and still there."""
     ties: Path | None = None
     """Tie points that take the place of the case's own."""
+    warning: str = ""
+    """What of the project is not in them; empty where all is."""
 
 
 def results_of(path: Path) -> Results:
@@ -36,12 +38,23 @@ def results_of(path: Path) -> Results:
         own = path / _OWN_CASE
         return Results(path, own if own.is_file() else None)
     with open_project(path) as project:
-        last = project.last_solution("batch")
+        last = project.last_results()
         if last is None or last.folder is None:
             found, remedy = "a project without a batch solution", f"make one: mgsgraph solve {path}"
             raise InputError(str(path), found, "results of an adjustment", remedy)
         network = project.matches / _NETWORK
-        return Results(path / last.folder, _case_of_all(project), network if network.is_file() else None)
+        ties = network if network.is_file() else None
+        return Results(path / last.folder, _case_of_all(project), ties, _since(project, last.change))
+
+
+def _since(project: Project, number: int) -> str:
+    """What images and measures the project has taken in or out after a change of its."""
+    later = [change for change in project.changes() if change.number > number and change.verb in ("add", "remove")]
+    if not later:
+        return ""
+    said = ", ".join(f"{change.verb} {change.what}" for change in later)
+    remedy = f"for one of everything: mgsgraph solve {project.folder}"
+    return f"The project has changed since this solution ({said}); {remedy}"
 
 
 def _case_of_all(project: Project) -> Path | None:

@@ -50,7 +50,7 @@ def test_pairwise_hessians_are_the_bundle_factors_system() -> None:
 
 
 def test_the_joint_covariance_in_one_clique_is_the_same() -> None:
-    """What is done where GTSAM calls a clique indeterminate because its last pivots differ by more than 2^12."""
+    """What is done where GTSAM calls a clique indeterminate because a pivot falls below 2^-24 of its diagonal."""
     layout = lay_out(with_shift_and_surface(network(pair(), (True, False))), SolverSettings())
     graph = BundleGraph(layout)
     reduction = graph.reduction(np.zeros(layout.columns))

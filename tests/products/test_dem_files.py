@@ -115,6 +115,19 @@ def test_the_ortho_image_shows_the_ground_where_it_is(folder: Path) -> None:
     assert np.mean(grey > 0) == pytest.approx(there, abs=0.02)
 
 
+def test_pairs_that_share_an_image_are_no_independent_evidence() -> None:
+    """The same matches over again, as of the pair with a third image, which is another name for the second."""
+    scene, matches = dem_site.scene(), dem_site.matched(np.random.default_rng(4))
+    again = replace(scene, pictures=(*scene.pictures, scene.pictures[1]))
+    twice = [matches, replace(matches, second=2)]
+    one, two = (
+        dem_of("test", dem_site.posterior(), some, given, 1e-3, SETTINGS).model
+        for some, given in ((scene, twice[:1]), (again, twice))
+    )
+    np.testing.assert_allclose(two.heights, one.heights, atol=0.5)
+    assert 0.9 < np.nanmedian(two.matching / one.matching) < 1.1
+
+
 def test_heights_above_the_areoid() -> None:
     sphere, areoid = made(), made("areoid")
     grid = areoid.model.map

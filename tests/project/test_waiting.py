@@ -1,5 +1,7 @@
 """A project of a case without tie points: its images wait, are matched, and go the rest of the road by its name."""
 
+import contextlib
+import io
 import shutil
 from pathlib import Path
 
@@ -9,6 +11,8 @@ import pytest
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.products.archive import read_solution
+from mgsgraph.project.begin import take_ties
+from mgsgraph.project.change import check
 from mgsgraph.project.project import open_project
 from mgsgraph.project.results import results_of
 
@@ -36,6 +40,16 @@ def project(case: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return project
 
 
+@pytest.fixture(scope="module")
+def ready(project: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With the tie points that `match` has found."""
+    waiting, said = copied(project, tmp_path_factory.mktemp("matched")), io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert call("match", waiting, "--cells", 40, "--no-figures") == 0
+    assert f"Next: mgsgraph solve {waiting}" in said.getvalue()
+    return waiting
+
+
 def copied(project: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(project, tmp_path / "project"))
 
@@ -55,15 +69,13 @@ def test_images_wait(project: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_the_whole_road_by_its_name(
-    project: Path, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ready: Path, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    waiting = copied(project, tmp_path)
-    assert call("match", waiting, "--cells", 40, "--no-figures") == 0
-    assert f"Next: mgsgraph solve {waiting}" in capsys.readouterr().out
+    waiting = copied(ready, tmp_path)
     assert call("solve", waiting, "--no-figures") == 0
     results = results_of(waiting)
     network = waiting / "matches" / "network.pvl"
-    assert results == (waiting / "solutions" / "0001", case, network)
+    assert results == (waiting / "solutions" / "0001", case, network, "")
     assert call("report", waiting, "--out", tmp_path / "report.html") == 0
     assert 'class="scene"' in (tmp_path / "report.html").read_text(encoding="utf-8")
     assert call("export", waiting, "--to", "isis", "--out", tmp_path / "isis") == 0
@@ -77,6 +89,58 @@ def test_the_whole_road_by_its_name(
 
     with pytest.raises(InputError, match="it has measures already"):
         call("match", waiting)
+    changed_later(waiting, tmp_path, capsys)
+
+
+def changed_later(solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Results of before are told from results of everything, and a closing check, which has none, hides no others."""
+    with open_project(solved, write=True) as opened:
+        name = opened.store.image_names()[1]
+        check(opened)
+    call("remove", solved, name)
+    capsys.readouterr()
+    assert results_of(solved).folder == solved / "solutions" / "0001"
+    for verb, more, out in (("report", (), "later.html"), ("export", ("--to", "isis"), "later")):
+        assert call(verb, solved, *more, "--out", tmp_path / out) == 0
+        assert f"has changed since this solution (remove {name}); for" in capsys.readouterr().out
+
+
+def test_a_case_that_says_something_else_by_now(ready: Path, case: Path, tmp_path: Path) -> None:
+    """Its settings count until ties are there; other images are refused before they are matched."""
+    other = tmp_path / "site"
+    shutil.copytree(case.parent, other)
+    changed, mine = other / case.name, tmp_path / "mine"
+    call("init", mine, "--case", changed)
+    text = changed.read_text(encoding="utf-8")
+    changed.write_text(f"{text}\n[solver]\nreject = 4.5\n", encoding="utf-8")
+    with open_project(mine, write=True) as opened:
+        take_ties(opened, ready / "matches" / "network.pvl")
+    with open_project(mine) as opened:
+        assert opened.settings.solver.reject == 4.5
+
+    third, entry = tmp_path / "third", text[text.index("[[images]]") :].split("\n[", 2)[1]
+    call("init", third, "--case", changed)
+    name = next(line.split('"')[1] for line in entry.splitlines() if line.startswith("name"))
+    more = "\n[" + entry.replace(f'"{name}"', '"third"') + "\n"
+    changed.write_text(text + more, encoding="utf-8")
+    with pytest.raises(InputError, match=f"the images .*third; expected those of {third}, .*; begin another project"):
+        call("match", third)
+    assert not (third / "matches").exists()
+
+
+def test_a_case_of_an_image_alone_is_added(ready: Path, case: Path, tmp_path: Path) -> None:
+    """As `fetch` writes it, of an image without a laser profile; its ties come by --ties, if at all."""
+    text = case.read_text(encoding="utf-8")
+    entries = text[text.index("[[images]]") :].split("[[")
+    name = entries[1].split('"')[1]
+    tables = [table for table in entries[2:] if not table.startswith(("images", "mola"))]
+    alone = case.with_name("alone.toml")
+    renamed = entries[1].replace(f'"{name}"', '"third"')
+    alone.write_text("".join([text[: text.index("[[images]]")], "[[", renamed, *tables]), encoding="utf-8")
+    project = copied(ready, tmp_path)
+    assert call("add", project, alone) == 0
+    with open_project(project) as opened:
+        assert "third" in opened.store.image_names()
 
 
 def test_what_is_refused(project: Path, case: Path, case_file: Path, tmp_path: Path) -> None:
@@ -85,6 +149,9 @@ def test_what_is_refused(project: Path, case: Path, case_file: Path, tmp_path: P
         call("match", project, "--out", tmp_path / "out")
     with pytest.raises(Exception, match="Missing option '--out'"):
         call("match", case)
+    for mistyped in (tmp_path / "none", tmp_path):
+        with pytest.raises(InputError, match=r"neither a case file nor a project; .*check the path"):
+            call("match", mistyped)
     call("init", tmp_path / "empty")
     with pytest.raises(InputError, match="made without a case"):
         call("match", tmp_path / "empty")

@@ -102,8 +102,9 @@ def prior_covariance(layout: Layout) -> JointCovariance | None:
 def _strip_by_strip(layout: Layout) -> SquareRoot:
     """Square root of the priors' information by a dense QR decomposition of each strip's rows.
 
-    GTSAM calls a clique indeterminate when its last two pivots differ by more than 2^12, which nodes do that may hardly
-    leave a trend of which little is known. The rows themselves lose half as many digits as their squares.
+    GTSAM calls a clique indeterminate when a pivot falls below 2^-24 of the diagonal it began with, which nodes
+    bring about that may hardly leave a trend of which little is known. The rows themselves lose half as many digits as
+    their squares.
     """
     variables, every, scales = layout.variables, layout.prior.every.tocsc(), layout.scales
     cliques, rows = _known_together(layout), list[Array]()
