@@ -8,6 +8,7 @@ from mgsgraph.adjustment.analysis.overlap_sigmas import BANDS, SigmaGrid
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.io.fresh_file import fresh_file
 from mgsgraph.products.atomic import PROGRAM
+from mgsgraph.products.geotiff import geotiff
 from mgsgraph.units import DEG
 
 _CRS = {3396190.0: "IAU_2015:49900", 1737400.0: "IAU_2015:30100"}
@@ -22,20 +23,14 @@ def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
     InputError
         If it can't be written.
     """
-    import rasterio  # takes its time; only who writes one waits for it
-    from rasterio import Affine
-
-    _, rows, columns = grid.values.shape
     across, down = (step / DEG for step in grid.steps)
-    transform = Affine(across, 0.0, grid.west / DEG, 0.0, -down, grid.north / DEG)
     tags = {"images": ", ".join(grid.images), "measure_sigma_px": f"{grid.sigma:g}", "program": PROGRAM}
+    corner = grid.west / DEG, grid.north / DEG
     with (
         fresh_file(path) as aside,
-        rasterio.open(
-            aside, "w", driver="GTiff", width=columns, height=rows, count=len(BANDS), dtype="float32", nodata=np.nan,
-            crs=body_crs(body), transform=transform, compress="deflate",
-        ) as file,
-    ):  # fmt: skip
+        geotiff(aside, grid.values.shape, body_crs(body), corner, (across, down), dtype="float32", nodata=np.nan)
+        as file,
+    ):
         file.write(grid.values.astype(np.float32))
         file.update_tags(**tags)
         for k, name in enumerate(BANDS, start=1):

@@ -3,8 +3,6 @@
 import csv
 import errno
 import json
-import resource
-import signal
 import subprocess
 from dataclasses import replace
 from functools import cache
@@ -14,6 +12,7 @@ import dem_site
 import numpy as np
 import pytest
 import rasterio
+from full_disk import files_of_at_most
 from rasterio.warp import transform
 
 from mgsgraph.case import read_case
@@ -262,15 +261,8 @@ def test_an_earlier_model_is_replaced_by_a_whole_one_only(tmp_path: Path, monkey
 
 
 def test_a_file_that_does_not_fit_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What GDAL makes of a disk that is full: a limit of the file size, which the system enforces."""
-    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
-        with pytest.raises(InputError, match="can't be written"):
-            road(tmp_path / "out", monkeypatch)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
+    with files_of_at_most(20_000), pytest.raises(InputError, match="can't be written"):
+        road(tmp_path / "out", monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 

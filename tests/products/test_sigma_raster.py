@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from full_disk import files_of_at_most
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -51,6 +52,12 @@ def test_a_place_that_can_not_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="can't be written"):
         write_sigma_raster(GRID, MARS, tmp_path / "file" / "sigmas.tif")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_file_that_does_not_fit_is_an_error(tmp_path: Path) -> None:
+    with files_of_at_most(500), pytest.raises(InputError, match="can't be written"):
+        write_sigma_raster(GRID, MARS, tmp_path / "sigmas.tif")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_question_has_its_answer_in_words_and_figures() -> None:
