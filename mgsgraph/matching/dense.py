@@ -5,7 +5,7 @@ matching says how high the ground is, to a pixel or so. From that every post is 
 themselves, which are not resampled, and each match has a covariance.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,7 +118,8 @@ def dense_matches(
     least = Least(settings.half_window * step, settings.least_correlation, settings.largest_sigma)
     sharp = SharpPictures(scene.pictures)
     levels = [picture.levels for picture in scene.pictures]
-    views = [view for pair in pairs_of(scene) if (view := _view(scene, pair, sharp, levels)) is not None]
+    boxes = [box(scene, one.outline) for one in footprints(scene)]
+    views = [view for pair in pairs_of(scene) if (view := _view(scene, pair, boxes, levels)) is not None]
     if not views:
         found, remedy = "they look at the ground from the same side", "rays that are all but parallel tell no height"
         raise InputError(f"images {_names(scene)}", found, "a stereo pair", remedy)
@@ -128,8 +129,9 @@ def dense_matches(
     results = list[DenseMatches]()
     for view, tiles in work:
         posts, parts = 0, [no_matches()]
+        first, second = (sharp[j].spline for j in view.numbers)
         for tile in tiles:
-            tried = matches_on(view, tile, _reach(view, tile.step), spacing, least, workers)
+            tried = matches_on(view, (first, second), tile, _reach(view, tile.step), spacing, least, workers)
             posts, done = posts + tried.posts, done + 1
             parts.append(tried.matches)
             progress("dense matching", done, most)
@@ -148,27 +150,23 @@ def _names(scene: Scene) -> str:
 
 
 def _view(
-    scene: Scene, pair: Pair, sharp: SharpPictures, levels: list[tuple[float, float]]
+    scene: Scene, pair: Pair, boxes: Sequence[Array], levels: Sequence[tuple[float, float]]
 ) -> View | None:
-    """A pair, the finer picture first; None where the two look from the same side."""
+    """A pair, the finer picture first; None where the two look from the same side. `boxes` (2, 2), m, are what each
+    picture of the scene shows, least and largest x and y on the scene's chart.
+    """
     sizes = [abs(np.linalg.det(pixel_on_ground(scene.ground, scene.pictures[j]))) for j in pair[:2]]
     i, j = pair[:2] if sizes[0] <= _FINER * sizes[1] else pair[1::-1]
     one, two = scene.pictures[i], scene.pictures[j]
-    points = scene.ground.points(_middle(scene, pair))
+    low, high = np.maximum(boxes[i][0], boxes[j][0]), np.minimum(boxes[i][1], boxes[j][1])
+    points = scene.ground.points(0.5 * (low + high)[None])
     apart = (two.lean(scene.ground, two.places(points)) - one.lean(scene.ground, one.places(points)))[0]
     rate = float(np.hypot(*apart))
     if not rate > _LEAST_PARALLAX:
         return None
     chart = GroundChart.about(points, np.cross(points[0], (apart / rate) @ scene.ground.chart.axes[:2]))
     ground = replace(scene.ground, chart=chart)
-    return View((i, j), (one, two), ground, rate, (levels[i], levels[j]), (sharp[i].spline, sharp[j].spline))
-
-
-def _middle(scene: Scene, pair: Pair) -> Array:
-    """(1, 2) m, of the ground that a pair shares, on the scene's chart."""
-    prints = footprints(scene)
-    boxes = np.array([box(scene, prints[j].outline) for j in pair[:2]])
-    return np.asarray(0.5 * (boxes[:, 0].max(axis=0) + boxes[:, 1].min(axis=0))[None])
+    return View((i, j), (one, two), ground, rate, (levels[i], levels[j]))
 
 
 def _reach(view: View, step: float) -> int:

@@ -45,8 +45,6 @@ class View(NamedTuple):
     """m per m of height, displacement of the second picture's rays against the first's, towards larger x."""
     levels: tuple[tuple[float, float], tuple[float, float]]
     """Grey values that are shown black and white."""
-    splines: tuple[SplinePicture, SplinePicture]
-    """The pictures between their pixels."""
 
 
 class PostMatches(NamedTuple):
@@ -101,12 +99,17 @@ class _Start(NamedTuple):
     """(n, 2, 2) d(line, sample) / d(x, y) of the second picture, pixels per m."""
 
 
-def matches_on(view: View, tile: Tile, reach: int, spacing: float, least: Least, threads: int | None) -> Tried:
+def matches_on(
+    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, reach: int, spacing: float, least: Least,
+    threads: int | None,
+) -> Tried:
     """Match the posts that are the tile's own.
 
     Parameters
     ----------
     view : View
+    splines : (2,)
+        Its pictures between their pixels.
     tile : Tile
         Of the turned chart, with a margin of `reach` pixels and some at least.
     reach : int
@@ -132,7 +135,7 @@ def matches_on(view: View, tile: Tile, reach: int, spacing: float, least: Least,
     mine = tile.owns(plane) & both[rows[row], columns[column]]
     sought = mine & np.isfinite(shift[rows[row], columns[column]])
     start = _start(view, tile, shift, (row[sought], column[sought]), (rows, columns))
-    return Tried(int(mine.sum()), _measured(view, tile, start, least, threads))
+    return Tried(int(mine.sum()), _measured(view, splines, tile, start, least, threads))
 
 
 def no_matches() -> PostMatches:
@@ -187,12 +190,15 @@ def _slopes(shift: Array) -> tuple[Array, Array]:
     return down, across
 
 
-def _measured(view: View, tile: Tile, start: _Start, least: Least, threads: int | None) -> PostMatches:
+def _measured(
+    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, start: _Start, least: Least,
+    threads: int | None,
+) -> PostMatches:
     anchors = np.floor(start.first) + 0.5
     begin = start.second + np.einsum("nij,nj->ni", start.affine, anchors - start.first)
     half = half_window(view.ground, view.pictures[0], least.half)
     found = match_least_squares(
-        *view.splines, anchors, begin, start.affine, half, settings=_LEAST_SQUARES, threads=threads
+        *splines, anchors, begin, start.affine, half, settings=_LEAST_SQUARES, threads=threads
     )
     along = -start.by_plane[:, :, 0]
     covariances = found.covariance_with_relief(along) + FINEST**2 * np.eye(2)
