@@ -1,10 +1,5 @@
-"""The measurement equations as GTSAM factors: one numeric kernel, explicit factors, bundle factors.
+"""The measurement equations: one measurement, one file; pure functions, and the GTSAM factor made of them.
 
-Installed as `mgsgraph.factors`; nothing named `factors` is ever installed at the top level.
+Installed as `mgsgraph.factors`; nothing named `factors` is ever installed at the top level. What runs them over all points
+of a network is `mgsgraph.kernel`.
 """
-
-from pathlib import Path
-
-from mgsgraph.compiled import find_a_place_for_compiled_kernels as _find_a_place_for_compiled_kernels
-
-_find_a_place_for_compiled_kernels(Path(__file__).parent)

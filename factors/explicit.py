@@ -1,105 +1,95 @@
-"""The same rows one by one: a GTSAM factor of a single sight on its unknowns and its point. The reference."""
+"""One measurement as a GTSAM factor on the unknowns that it feels and on its ground point: the explicit form.
 
-from collections.abc import Sequence
+What a measurement feels of the shared unknowns x is its *state*: correction of the pose (m, rad) and of the focal length
+(m), range bias, or shift (m), linear in x: state = sum_t (B_t + carry B_t') c_t + sum_e direction_e x_e.
+"""
 
-import gtsam
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import PointBehindCamera
-from mgsgraph.factors.lanes import BASIS, BY_POINT, BY_STATE, CARRY, FRONT, LANES, RESIDUAL, STATE_WIDTH
-from mgsgraph.factors.pose import pose_components
-from mgsgraph.factors.rows import IMAGE, NO_LOSS, Groups, Model, Rows, Target
-from mgsgraph.factors.sweep import RESIDUALS, still, sweep
-from mgsgraph.factors.tile import row_count, workspace
+
+if TYPE_CHECKING:
+    import gtsam
 
 Array = NDArray[np.float64]
-
-_NOTHING = np.zeros(0)
-_NO_GROUPS = Groups(*(np.zeros(0, dtype=np.int64) for _ in Groups._fields))
-_NO_TARGET = Target(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), 0, 0)
+Vector = tuple[float, ...]
 
 
-class Sight:
-    """One sight of one point: its residuals and Jacobians, by the kernel.
+class Correction(NamedTuple):
+    """How the unknowns x (columns,) act on the state of one measurement."""
 
-    Parameters
-    ----------
-    rows : Rows
-        See `rows.one_sight`.
-    model : Model
-        Forms of the measurement model; its loss is left to the factor's noise.
-    """
+    width: int
+    """Components of the state."""
+    components: int
+    """Of these, what each basis term moves: 6 (place and rotation), or 3 (place alone)."""
+    first: tuple[int, ...]
+    """First column of each term's coefficients in x."""
+    basis: Vector
+    """Basis values B_t."""
+    rates: Vector
+    """Their derivatives per line."""
+    columns: tuple[int, ...]
+    """Single columns of x."""
+    directions: tuple[Vector, ...]
+    """How each of them moves the state."""
 
-    def __init__(self, rows: Rows, model: Model) -> None:
-        self._rows, self._model = still(rows), model._replace(loss=NO_LOSS)
-        self._kind, self._width = int(rows.sight_kind[0]), int(rows.sight_width[0])
-        self.count = int(row_count.py_func(self._kind))
-        size, self._base, self._depth = workspace(rows)
-        self._work = np.zeros(size)
-
-    def at(self, x: Array, place: Array) -> bool:
-        """Work the rows out for unknowns (columns,) and a point (3,) in m; whether it is before the camera."""
-        scratch = (self._work, self._base, self._depth, _NOTHING)
-        results = (place[None].astype(np.float64), np.zeros(1, dtype=np.int8), _NOTHING, _NOTHING, _NOTHING)
-        task = (RESIDUALS, 0, 1, *scratch, *results, np.zeros((1, 2, 1)))
-        sweep(self._rows, _NO_GROUPS, _NO_TARGET, self._model, x, *task)
-        return self._kind != IMAGE or bool(self._registers(FRONT, 1)[0] == 1.0)
-
-    def _registers(self, first: int, count: int) -> Array:
-        """The only lane of registers of the sight."""
-        begin = self._base + first
-        return self._work[begin : begin + count * LANES : LANES]
-
-    @property
-    def residual(self) -> Array:
-        """(rows,) in pixels, m, or (a ground prior) whitened."""
-        return self._registers(RESIDUAL, self.count).copy()
-
-    @property
-    def by_point(self) -> Array:
-        """(rows, 3) per m."""
-        return self._registers(BY_POINT, 3 * self.count).reshape(self.count, 3).copy()
-
-    def by_unknowns(self, columns: int) -> Array:
-        """(rows, columns) per m and rad: through the sight's state."""
-        rows = self._rows
-        terms, shared = int(rows.sight_terms[0]), int(rows.sight_shared[0])
-        state = self._registers(BY_STATE, STATE_WIDTH * self.count).reshape(self.count, STATE_WIDTH)[:, : self._width]
-        basis = self._registers(BASIS, 2 * terms).reshape(2, terms)
-        values = basis[0] + self._registers(CARRY, 1) * basis[1]
-        jacobian = np.zeros((self.count, columns))
-        components = int(pose_components.py_func(self._width))
-        for t in range(terms):
-            first = int(rows.entry_column[t])
-            jacobian[:, first : first + components] += values[t] * state[:, :components]
-        for e in range(shared):
-            direction = self._registers(BASIS + (2 * terms + STATE_WIDTH * e) * LANES, self._width)
-            jacobian[:, int(rows.entry_column[terms + e])] += state @ direction
-        return jacobian
+    def matrix(self, columns: int, carry: float) -> Array:
+        """(width, columns) derivative of the state by x, `carry` lines from where the basis was evaluated."""
+        result, step = np.zeros((self.width, columns)), np.arange(self.components)
+        for first, value, rate in zip(self.first, self.basis, self.rates, strict=True):
+            result[step, first + step] += value + carry * rate
+        for column, direction in zip(self.columns, self.directions, strict=True):
+            result[:, column] += direction
+        return result
 
 
-def sight_factor(
+class Linear(NamedTuple):
+    """Rows of one measurement, not whitened, and their derivatives; r rows."""
+
+    residual: Array
+    """(r,)"""
+    by_point: Array
+    """(r, 3) per m."""
+    by_state: Array
+    """(r, width)."""
+    carry: float = 0.0
+    """Lines from where the basis was evaluated to the line whose pose was taken."""
+
+
+StateAt = Callable[[float], tuple[Vector, Vector]]
+"""State at a carry (lines), and its rate per line."""
+Measurement = Callable[[StateAt, Vector], Linear | None]
+"""Rows at a state and a place (m, body-fixed); None for a point behind the camera."""
+
+
+def measurement_factor(
     keys: Sequence[int],
     widths: Sequence[int],
     point_key: int | Array,
-    rows: Rows,
-    model: Model,
+    measurement: Measurement,
+    correction: Correction,
     noise: gtsam.noiseModel.Base,
     label: str,
 ) -> gtsam.CustomFactor:
-    """Factor of one sight.
+    """Factor of one measurement.
 
     Parameters
     ----------
     keys, widths : sequence of int
-        GTSAM keys of the variables that the sight feels, in the order of its columns, and their numbers of columns.
+        GTSAM keys of the variables that it feels, in the order of the columns of x, and their numbers of columns.
     point_key : int or (3,)
         Variable of the ground point (Point3, m), or the place of a known one.
-    rows, model
-        The sight, see `rows.one_sight`.
+    measurement : callable
+        Its rows: `collinearity.ImageRay`, `laser_range.Range`, `ground.GroundPrior` or `surface.SurfaceHeight`.
+    correction : Correction
     noise : gtsam.noiseModel.Base
-        Two rows in pixels, one in m, or three whitened ones; robust if wanted.
+        Rows in pixels (image), in m (range, surface), or whitened (ground prior); robust if wanted.
     label : str
         Point and image, for the error message.
 
@@ -108,22 +98,31 @@ def sight_factor(
     PointBehindCamera
         On linearisation at a point behind the camera; its plain error is infinite there.
     """
-    sight, ends = Sight(rows, model), np.cumsum([0, *widths])
+    import gtsam  # the equations of `factors` serve those who need no graph, too
+
+    ends = np.cumsum([0, *widths])
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        x = np.concatenate([_NOTHING, *(values.atVector(key) for key in keys)])
+        x = np.concatenate([np.zeros(0), *(values.atVector(key) for key in keys)])
         place = values.atPoint3(point_key) if isinstance(point_key, int) else point_key
-        if not sight.at(x, place):
+        rows = measurement(lambda carry: _state(correction, x, carry), tuple(place.tolist()))
+        if rows is None:
             if jacobians is not None:
                 raise PointBehindCamera(label, "the point is behind the camera")
-            return np.full(sight.count, np.inf)
+            return np.full(noise.dim(), np.inf)
         if jacobians is not None:
-            whole = sight.by_unknowns(int(ends[-1]))
+            whole = rows.by_state @ correction.matrix(int(ends[-1]), rows.carry)
             for k in range(len(keys)):
                 jacobians[k] = np.asfortranarray(whole[:, ends[k] : ends[k + 1]])
             if isinstance(point_key, int):
-                jacobians[len(keys)] = np.asfortranarray(sight.by_point)
-        return sight.residual
+                jacobians[len(keys)] = np.asfortranarray(rows.by_point)
+        return rows.residual
 
     everything = [*keys, point_key] if isinstance(point_key, int) else list(keys)
     return gtsam.CustomFactor(noise, everything, error)
+
+
+def _state(correction: Correction, x: Array, carry: float) -> tuple[Vector, Vector]:
+    state = correction.matrix(x.size, carry) @ x
+    rate = correction.matrix(x.size, carry + 1.0) @ x - state
+    return tuple(state.tolist()), tuple(rate.tolist())

@@ -1,4 +1,4 @@
-"""A-priori knowledge: of the unknowns, and of ground points moved by their profile (Yoon & Shan 2005, Eq. 4)."""
+"""A-priori knowledge of the unknowns that points share, as pseudo-observations (Yoon & Shan 2005, Eq. 4)."""
 
 from collections.abc import Sequence
 
@@ -6,34 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.factors.lanes import ACTIVE, BY_POINT, BY_STATE, CENTRE, DELTA, LANES, PLACE, RESIDUAL, ROOT, lane
-from mgsgraph.factors.pose import correct
-
 Array = NDArray[np.float64]
-
-
-@lane
-def ground_rows(rows, sight, x, n, w, s):
-    """RESIDUAL, BY_POINT and BY_STATE (3: shift of the a-priori place, m) of ground priors: U (P - P0 - shift)."""
-    correct(rows, sight, x, n, w, s, 3, False)
-    place = 0
-    for row in range(3):
-        for l in range(n):
-            w[s + RESIDUAL + row * LANES + l] = 0.0
-        for j in range(3):
-            point, state = s + BY_POINT + (3 * row + j) * LANES, s + BY_STATE + (7 * row + j) * LANES
-            if j < row:
-                for l in range(n):
-                    w[point + l] = 0.0
-                    w[state + l] = 0.0
-                continue
-            for l in range(n):
-                root = w[s + ROOT + place * LANES + l] * w[ACTIVE + l]
-                offset = w[PLACE + j * LANES + l] - w[s + CENTRE + j * LANES + l] - w[DELTA + j * LANES + l]
-                w[s + RESIDUAL + row * LANES + l] += root * offset
-                w[point + l] = root
-                w[state + l] = -root
-            place += 1
 
 
 def zero_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:

@@ -1,69 +1,81 @@
-"""Terrain as control: the height of a point above the terrain model, along the local normal (Ebner et al. 2004)."""
+"""Terrain as control: the height of a point above the terrain model, along the local normal (Ebner et al. 2004).
 
-import math
+    F(P) = |P| - R(longitude, latitude),    r = F / |grad F|        m
+
+R is bilinear between the four posts around the point. r is the distance from the patch exact to first order in itself;
+its derivative takes the patch's twist, its only second derivative, into account.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.factors.lanes import ACTIVE, BY_POINT, BY_STATE, DELTA, LANES, PLACE, RESIDUAL, WEIGHT, lane
-from mgsgraph.factors.pose import correct
+from mgsgraph.compiled import equation
+from mgsgraph.factors.algebra import subtract
+from mgsgraph.factors.explicit import Linear, StateAt, Vector
 
 
-@lane
-def surface_rows(rows, sight, x, first, n, w, s):
-    """RESIDUAL, BY_POINT and BY_STATE (3: the terrain model's own place) of n points' heights above it.
-
-    Nothing where a point has no patch: off the terrain model, or beside missing posts.
-    """
-    correct(rows, sight, x, n, w, s, 3, False)
-    by_place = np.empty(3)
-    for l in range(n):
-        weight = w[s + WEIGHT + l] * w[ACTIVE + l]
-        height, there = height_above(
-            rows,
-            first + l,
-            w[PLACE + l] - w[DELTA + l],
-            w[PLACE + LANES + l] - w[DELTA + LANES + l],
-            w[PLACE + 2 * LANES + l] - w[DELTA + 2 * LANES + l],
-            by_place,
-        )
-        w[s + RESIDUAL + l] = weight * height if there else 0.0
-        for j in range(3):
-            slope = weight * by_place[j] if there else 0.0
-            w[s + BY_POINT + j * LANES + l] = slope
-            w[s + BY_STATE + j * LANES + l] = -slope
+@equation
+def bilinear(east, south, posts):
+    """Value of the patch, and its slopes eastward and southward per cell, and twist; `posts` are (nw, ne, sw, se)."""
+    north_west, north_east, south_west, south_east = posts
+    to_east, to_south = north_east - north_west, south_west - north_west
+    twist = south_east - south_west - to_east
+    value = north_west + east * to_east + south * to_south + east * south * twist
+    return value, to_east + south * twist, to_south + east * twist, twist
 
 
-@lane
-def height_above(rows, i, x, y, z, by_place):
-    """Height (m) of a place over the bilinear patch of point i's four posts, along its normal, and its derivative.
+@equation
+def cell_place(point, first, step, column, row):
+    """Where in its cell a point lies: fractions eastward and southward; `first` and `step` of (longitude, latitude)."""
+    x, y, z = point
+    turn = np.arctan2(y, x) - first[0] - column * step[0]
+    east = (turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)) / step[0]
+    return east, (first[1] - np.arctan2(z, np.sqrt(x * x + y * y))) / step[1] - row
 
-    F / |grad F| with F = r - R(lon, lat): `geometry.terrain.TerrainGrid.height_above` says the same for arrays. False
-    where the point has no patch (Ebner et al. 2004).
-    """
-    row, column, right = rows.terrain_cell[i, 0], rows.terrain_cell[i, 1], rows.terrain_cell[i, 2]
-    if row < 0:
-        return 0.0, False
-    planar = math.sqrt(x * x + y * y)
-    radius = math.sqrt(planar * planar + z * z)
-    posts, frame = rows.terrain, rows.terrain_frame
-    turn = math.atan2(y, x) - frame[0] - column * frame[2]
-    e = (turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)) / frame[2]
-    s = (frame[1] - math.atan2(z, planar)) / frame[3] - row
-    corner = posts[row, column]
-    to_east, to_south = posts[row, right] - corner, posts[row + 1, column] - corner
-    twist = posts[row + 1, right] - posts[row + 1, column] - to_east
-    value = corner + e * to_east + s * to_south + e * s * twist
-    by_longitude, by_latitude = (to_east + s * twist) / frame[2], -(to_south + e * twist) / frame[3]
-    twist = -twist / (frame[2] * frame[3])
-    a, b = by_longitude / planar, by_latitude / radius
-    norm = math.sqrt(1.0 + a * a + b * b)
-    share = (radius - value) / norm**3
+
+@equation
+def height_above(point, patch, step):
+    """Height r (m) above a patch, as `bilinear` gives it at the point, and its derivative (3) by the point."""
+    x, y, z = point
+    value, by_longitude, by_latitude, twist = patch[0], patch[1] / step[0], -patch[2] / step[1], -patch[3]
+    twist = twist / (step[0] * step[1])
+    planar = np.sqrt(x * x + y * y)
+    radius = np.sqrt(planar * planar + z * z)
+    above = radius - value
+    a, b = by_longitude / planar, by_latitude / radius  # slopes eastward and northward, m per m
+    norm = np.sqrt(1.0 + a * a + b * b)
+    share = above / (norm * norm * norm)
+    # derivatives of (a^2 + b^2) / 2 by longitude and latitude, and by the radius -(a^2 + b^2) / radius
     turn_longitude, turn_latitude = b * twist / radius, a * (twist / planar + a * z / planar)
     along_east = (-by_longitude / norm - share * turn_longitude) / planar
     along_north = (-by_latitude / norm - share * turn_latitude) / radius
     up = (1.0 / norm + share * (a * a + b * b) / radius) / radius
     sine, cosine = z / radius, planar / radius
-    by_place[0] = -along_east * y / planar - along_north * sine * x / planar + up * x
-    by_place[1] = along_east * x / planar - along_north * sine * y / planar + up * y
-    by_place[2] = along_north * cosine + up * z
-    return (radius - value) / norm, True
+    return above / norm, (
+        -along_east * y / planar - along_north * sine * x / planar + up * x,
+        along_east * x / planar - along_north * sine * y / planar + up * y,
+        along_north * cosine + up * z,
+    )
+
+
+class SurfaceHeight(NamedTuple):
+    """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
+
+    posts: Vector | None
+    """(4,) m, radii of the posts around the point: north-west, north-east, south-west, south-east; None for no patch."""
+    cell: tuple[int, int]
+    """Column and row of the first."""
+    first: Vector
+    """(2,) rad, longitude and latitude of the model's first post."""
+    step: Vector
+    """(2,) rad, between columns and rows."""
+
+    def __call__(self, state_at: StateAt, place: Vector) -> Linear:
+        """Row (m) at a state: where the model itself is (m). Nothing where the point has no patch."""
+        if self.posts is None:
+            return Linear(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
+        moved = subtract(place, state_at(0.0)[0])
+        patch = bilinear(*cell_place(moved, self.first, self.step, *self.cell), self.posts)
+        height, by_point = height_above(moved, patch, self.step)
+        return Linear(np.array([height]), np.array([by_point]), -np.array([by_point]))

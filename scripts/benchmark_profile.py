@@ -32,7 +32,7 @@ from mgsgraph.errors import InputError
 
 if TYPE_CHECKING:  # numba counts threads when it is imported: not before --threads is read
     from mgsgraph.adjustment.graph import Layout
-    from mgsgraph.factors.bundle import Reduction
+    from mgsgraph.kernel.bundle import Reduction
 
 CALLS = 300
 """Tiles in a row that make one timing of a stage."""
@@ -144,7 +144,7 @@ def held(rows: Any) -> dict[str, float]:
 
 def per_point(ms: Mapping[Key, tuple[float, float]], name: str) -> dict[str, float]:
     """ns per point of each stage; of `spread`, per pattern."""
-    from mgsgraph.factors.lanes import LANES
+    from mgsgraph.kernel.lanes import LANES
 
     found = {key[2]: 1e6 * value[1] / CALLS for key, value in ms.items() if key[:2] == ("stage", name)}
     found["factorise"] -= found["normal equations"]
@@ -236,7 +236,7 @@ def mean_steps(layout: "Layout", x: Any, begin: Any) -> dict[str, float]:
     import numpy as np
     from benchmark_timing import inner_steps
 
-    from mgsgraph.factors import tile
+    from mgsgraph.kernel import tile
 
     size, base, depth = tile.workspace(layout.rows)
     places = (layout.rows.start if begin is None else begin.points).copy()

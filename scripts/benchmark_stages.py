@@ -24,7 +24,7 @@ from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.settings import Line
 from mgsgraph.factors import pose, surface, tile
 from mgsgraph.factors import range as ranges
-from mgsgraph.factors.elimination import (
+from mgsgraph.kernel.elimination import (
     couple_all,
     eliminate_tile,
     most_sums,
@@ -37,9 +37,9 @@ from mgsgraph.factors.elimination import (
     sum_terms,
     term_sums,
 )
-from mgsgraph.factors.lanes import LANES, SQUARE, lane
-from mgsgraph.factors.rows import GROUND, IMAGE, RANGE, Groups, Model, Rows, Target
-from mgsgraph.factors.sweep import store_places
+from mgsgraph.kernel.lanes import LANES, SQUARE, lane
+from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, Groups, Model, Rows, Target
+from mgsgraph.kernel.sweep import store_places
 
 PATTERNS = {"two rays": (IMAGE, IMAGE), "three rays": (IMAGE,) * 3, "laser": (IMAGE, IMAGE, RANGE, GROUND)}
 """Kinds of the sights of points that are measured: ties, and a laser shot seen by two images."""

@@ -7,8 +7,8 @@ from typing import Any
 from benchmark_stages import STAGES, Tile, eliminate
 from numba import njit
 
-from mgsgraph.factors import tile
-from mgsgraph.factors.lanes import LANES, SQUARE, lane, registers
+from mgsgraph.kernel import tile
+from mgsgraph.kernel.lanes import LANES, SQUARE, lane, registers
 
 _NORMAL, _FACTORISE = STAGES["normal equations"], STAGES["factorise"]
 

@@ -15,9 +15,9 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.graph.explicit import sight_noise
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables, make_groups, pair_blocks
-from mgsgraph.factors.bundle import Reduction, point_covariances, reduce
-from mgsgraph.factors.explicit import sight_factor
-from mgsgraph.factors.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, components, one_sight
+from mgsgraph.kernel.bundle import Reduction, point_covariances, reduce
+from mgsgraph.adjustment.graph.sights import sight_factor
+from mgsgraph.kernel.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, one_sight
 
 Column = tuple[int, int]
 """Variable, and column within it."""
@@ -119,15 +119,13 @@ def of_layout(layout: Layout, rows: Rows | None = None) -> System:
 
 def take_apart(layout: Layout, rows: Rows | None = None) -> list[HandPoint]:
     """The points of a layout, in its order."""
-    rows, model, points = layout.rows if rows is None else rows, layout.model, list[HandPoint]()
+    rows, points = layout.rows if rows is None else rows, list[HandPoint]()
     for pattern, first, count, begin, among in rows.piece.tolist():
         sights = range(rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1])
         for i in range(count):
             at, mine = begin + i, list[HandSight]()
             for k, s in enumerate(sights):
-                tables = (rows.sight_kind, rows.sight_width, rows.sight_terms, rows.sight_shared)
-                kind, width, terms, shared = (int(table[s]) for table in tables)
-                size = components(model, kind, width, terms, shared)
+                size = int(rows.sight_numbers[s])
                 values = rows.data[at + count * np.arange(size)]
                 at += size * count
                 mine.append(_sight(layout, rows, pattern, s, values, among + k * count + i))
@@ -140,6 +138,11 @@ def _sight(layout: Layout, rows: Rows, pattern: int, s: int, values: np.ndarray,
     kind, width = int(rows.sight_kind[s]), int(rows.sight_width[s])
     terms, shared = int(rows.sight_terms[s]), int(rows.sight_shared[s])
     rates = terms if kind == 0 and layout.model.line == PREDICTED else 0
+    if rows.sight_rate[s] and terms:  # of a polynomial u alone is there
+        at = values.size - width * shared - 1
+        u, t = values[at], np.arange(terms)
+        slopes = t * u ** np.maximum(t - 1, 0) * rows.sight_rate[s]
+        values = np.concatenate([values[:at], u**t, slopes[:rates], values[at + 1 :]])
     own, basis, rate, directions = np.split(
         values, np.cumsum([values.size - terms - rates - width * shared, terms, rates])
     )
@@ -196,12 +199,18 @@ def pack(points: list[HandPoint], units: list[np.ndarray], like: Layout, most: i
         pattern_sight=np.cumsum([0, *(len(pattern) - 2 for pattern in patterns)]),
         pattern_group=np.array([pattern[0] for pattern in patterns]),
         pattern_fixed=np.array([int(pattern[1]) for pattern in patterns]),
+        pattern_shape=np.arange(len(patterns)),
         terrain_cell=np.stack([points[i].cell for i in order])
         if like.rows.terrain.size
         else np.zeros((0, 3), dtype=np.int64),
-        **_tables([(signature, members[pattern[0]]) for pattern in patterns for signature in pattern[2:]], variables),
+        **_tables(
+            [(signature, members[pattern[0]]) for pattern in patterns for signature in pattern[2:]],
+            [sight.numbers.size for pattern in patterns for sight in points[keys.index(pattern)].sights],
+            variables,
+        ),
     )
-    groups = make_groups(variables, members)
+    sizes, flat = [len(mine) for mine in members], [v for mine in members for v in mine]
+    groups = make_groups(variables, np.cumsum([0, *sizes]), np.array(flat, dtype=np.int64))
     return System(rows, groups, pair_blocks(variables, groups), like.model, variables, variables.sigmas)
 
 
@@ -212,7 +221,7 @@ def _variables(units: list[np.ndarray]) -> Variables:
     return Variables(0, first, width, sigmas, np.zeros(sigmas.size, dtype=bool))
 
 
-def _tables(sights: list[tuple[Any, tuple[int, ...]]], variables: Variables) -> dict[str, np.ndarray]:
+def _tables(sights: list[tuple[Any, tuple[int, ...]]], numbers: list[int], variables: Variables) -> dict[str, np.ndarray]:
     """The tables of the patterns' sights, and their entries."""
     signatures = [signature for signature, _ in sights]
     entries = [
@@ -229,6 +238,8 @@ def _tables(sights: list[tuple[Any, tuple[int, ...]]], variables: Variables) -> 
         "sight_shared": np.array([len(s[4]) for s in signatures]),
         "sight_entry": np.cumsum(sizes) - sizes,
         "sight_focal": np.array([s[2] for s in signatures]),
+        "sight_rate": np.zeros(len(signatures)),
+        "sight_numbers": np.array(numbers),
         "entry_column": column,
         "entry_member": member,
         "entry_inside": inside,
@@ -273,7 +284,7 @@ def explicit_factors(system: System) -> Iterator[Factor]:
                         [variable_key(v) for v in felt],
                         [int(system.variables.width[v]) for v in felt],
                         rows.start[i] if fixed else point_key(i),
-                        one_sight(rows, groups, system.model, i, int(s - begin)),
+                        one_sight(rows, groups, i, int(s - begin)),
                         system.model,
                         sight_noise(int(rows.sight_kind[s]), weights, system.model),
                         f"point {i}, sight {s - begin}",

@@ -35,8 +35,8 @@ from mgsgraph.adjustment.posterior import (
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.rows import FIXED, PRIOR
+from mgsgraph.kernel.bundle import Reduction
+from mgsgraph.kernel.rows import FIXED, PRIOR
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.support import require_felt_nodes

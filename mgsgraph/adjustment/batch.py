@@ -1,25 +1,21 @@
-"""Levenberg-Marquardt over a factor graph of either form; GTSAM holds the factors and does the elimination.
+"""Levenberg-Marquardt over a factor graph of either form.
 
 The damping is Levenberg's in whitened units: a weak extra prior on the step, in the variables' own scales (a-priori
 sigmas), so that metres and radians are treated alike. A trial step costs one sweep of the kernel, which brings the
-next linear system with it; after a rejected step the cost alone. The loop is Python, the work is in the kernel and in
-GTSAM.
+next linear system with it; after a rejected step the cost alone. The loop is Python, the work is in the kernel, in LAPACK
+and in GTSAM.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
-
-import gtsam
-import numpy as np
+from typing import Any, Generic, Protocol, TypeVar
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.errors import SolverError
-from mgsgraph.geometry.records import Array
 
 State = TypeVar("State")
+Step = TypeVar("Step")
 
 _FIRST_DAMPING = 1e-8
 _LEAST_DAMPING = 1e-12
@@ -29,8 +25,6 @@ _ROUNDING = 1e-11
 """Share of the cost by which it may seem to rise: body-fixed metres leave that much rounding in the residuals."""
 _NEAR = 1e-8
 """Share up to which a rise may come from where the inner solves began, and is looked at again."""
-_DENSE = 4000
-"""Columns up to which a step is solved for by one dense factor where GTSAM gives up."""
 _REMEDY = "look for blunders (reject), or try another loss"
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
 
@@ -73,11 +67,27 @@ class Outcome(Generic[State]):
     """Every step tried."""
 
 
+class LinearSystem(Protocol[Step]):
+    """Normal equations at a state."""
+
+    def step(self, damping: float) -> Step | None:
+        """Solution of the damped equations; None when they are not positive definite."""
+        ...
+
+    def slope(self, step: Step) -> float:
+        """Minus gradient times step."""
+        ...
+
+    def gain(self, step: Step) -> float:
+        """Decrease of the cost that the linear model promises of a step."""
+        ...
+
+
 class Problem(Protocol[State]):
     """What is minimised: a cost, and a linear system at a state."""
 
-    scales: Mapping[int, Array]
-    """Scale of each variable's components, by GTSAM key."""
+    adjusts: bool
+    """Whether there is anything to adjust."""
 
     def cost(self, state: State, system: bool) -> float:
         """Full cost; `system` says that the linear system will probably be wanted next."""
@@ -87,11 +97,11 @@ class Problem(Protocol[State]):
         """The same without any help from earlier calls."""
         ...
 
-    def linear(self, state: State) -> gtsam.GaussianFactorGraph:
+    def linear(self, state: State) -> LinearSystem[Any]:
         """Linear system at the state whose cost was asked for last."""
         ...
 
-    def moved(self, state: State, step: gtsam.VectorValues) -> State:
+    def moved(self, state: State, step: Any) -> State:
         """The state after a step."""
         ...
 
@@ -120,13 +130,12 @@ def levenberg_marquardt(
     initial, history = cost, list[Iteration]()
     if not math.isfinite(cost):
         raise SolverError("the starting values have no finite cost; check that all points lie before their cameras")
-    if not problem.scales:
+    if not problem.adjusts:
         return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
     damping, rejected = _FIRST_DAMPING, 0
     linear = problem.linear(state)
-    ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
     while len(history) < settings.max_iterations:
-        step = _damped_step(linear, ordering, damping, problem.scales)
+        step = linear.step(damping)
         if step is None:
             damping *= _TIGHTEN**2
             if damping > _MOST_DAMPING:
@@ -134,8 +143,8 @@ def levenberg_marquardt(
             continue
         trial = problem.moved(state, step)
         new = problem.cost(trial, rejected == 0)
-        predicted = linear.error(gtsam.VectorValues.Zero(step)) - linear.error(step)
-        length = math.sqrt(max(-linear.gradientAtZero().dot(step), 0.0))
+        predicted = linear.gain(step)
+        length = math.sqrt(max(linear.slope(step), 0.0))
         accepted = _lower(problem, state, trial, cost, new)
         now = Iteration(len(history) + 1, new, cost - new, predicted, length, damping, accepted)
         history.append(now)
@@ -173,46 +182,3 @@ def _converged(last: Iteration, settings: SolverSettings) -> str:
     if last.step < settings.step_tolerance:
         return f"Converged: the last step was {last.step:.1e} posterior sigmas long."
     return f"Converged: the last step promised to lower the cost by no more than {settings.cost_tolerance:.0e} of it."
-
-
-def _damped_step(
-    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, damping: float, scales: Mapping[int, Array]
-) -> gtsam.VectorValues | None:
-    """Solution of the damped normal equations; None when they are not positive definite."""
-    damped = gtsam.GaussianFactorGraph()
-    damped.push_back(linear)  # the factors themselves, not copies
-    for key, scale in scales.items():
-        root = np.diag(math.sqrt(damping) / scale)
-        damped.add(gtsam.JacobianFactor(key, root, np.zeros(scale.size), gtsam.noiseModel.Unit.Create(scale.size)))
-    try:
-        return damped.optimize(ordering)
-    except RuntimeError as error:
-        if is_indeterminate(error):
-            return _dense_step(damped, ordering, scales)
-        raise
-
-
-def _dense_step(
-    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, scales: Mapping[int, Array]
-) -> gtsam.VectorValues | None:
-    """The same by one dense Cholesky factor in units of the scales; None when too large or not positive definite.
-
-    GTSAM calls a clique indeterminate when a pivot falls below 2^-24 of the diagonal it began with: ten thousands of
-    ties on two images bring that about, or nodes that hardly depart from a strip's trend, though every direction is
-    determined.
-    """
-    keys = [ordering.at(k) for k in range(ordering.size())]
-    unit = np.concatenate([scales[key] for key in keys])
-    if unit.size > _DENSE:
-        return None
-    hessian, right = linear.hessian(ordering)
-    try:
-        scaled = hessian * unit * unit[:, None]
-        np.linalg.cholesky(scaled)  # definite, or it says so
-    except np.linalg.LinAlgError:
-        return None
-    solved = np.linalg.solve(scaled, right * unit) * unit
-    step, ends = gtsam.VectorValues(), np.cumsum([0, *(scales[key].size for key in keys)])
-    for k, key in enumerate(keys):
-        step.insert(key, solved[ends[k] : ends[k + 1]])
-    return step

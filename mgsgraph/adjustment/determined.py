@@ -5,8 +5,8 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.passes import Selection
 from mgsgraph.errors import PointBehindCamera
-from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.rows import BEHIND, WEAK
+from mgsgraph.kernel.bundle import Reduction
+from mgsgraph.kernel.rows import BEHIND, WEAK
 from mgsgraph.geometry.records import Array
 
 

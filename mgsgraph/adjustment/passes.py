@@ -13,8 +13,8 @@ from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.rows import OUT, Rows
+from mgsgraph.kernel.bundle import Reduction
+from mgsgraph.kernel.rows import OUT, Rows
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind

@@ -13,9 +13,9 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, point_key, variable_key
 from mgsgraph.adjustment.graph.shared import footprint_shifts, shared_values
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
-from mgsgraph.adjustment.square_root import in_cliques, is_indeterminate
-from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
+from mgsgraph.adjustment.sparse_cholesky import NotDefinite
+from mgsgraph.kernel.bundle import Reduction
+from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
 
@@ -115,32 +115,20 @@ def _weighted(squares: Array, model: Model) -> float:
 
 
 def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCovariance:
-    """Joint covariance of all orientation coefficients, m and rad, by GTSAM's elimination of a reduced system."""
-    try:
-        return shared_marginals(graph.layout, graph.linear(reduction))
-    except RuntimeError as error:
-        if not is_indeterminate(error):
-            raise
-        normal = scaled_normal(graph.layout, reduction)
-        if np.any(np.isinf(graph.layout.sigmas)):
-            weak = defects(graph.layout, normal, POORLY)
-            if weak.number:
-                raise weak.error() from None
-        try:
-            return _in_one_clique(graph.layout, normal)
-        except np.linalg.LinAlgError:
-            raise defects(graph.layout, normal, POORLY).error() from None
+    """Joint covariance of all orientation coefficients, m and rad, from a reduced system.
 
-
-def _in_one_clique(layout: Layout, normal: Array) -> JointCovariance:
-    """The same by a dense Cholesky factor of the normal matrix (columns, columns) in units of `Layout.scales`.
-
-    GTSAM calls a clique indeterminate when a pivot falls below 2^-24 of the diagonal it began with, which ten thousands
-    of ties on two images bring about though every direction is determined.
+    Raises WeakNetwork, naming the directions, where nothing determines some of them.
     """
-    rows = np.linalg.cholesky(normal).T / layout.scales
-    variables = layout.variables
-    return joint_covariance(in_cliques(variables.first, variables.width, [variables.adjusted()], [rows]))
+    layout = graph.layout
+    try:
+        factor = graph.factor(reduction)
+    except NotDefinite:
+        raise defects(layout, scaled_normal(layout, reduction), POORLY).error() from None
+    if not factor.determined and np.any(np.isinf(layout.sigmas)):
+        weak = defects(layout, scaled_normal(layout, reduction), POORLY)
+        if weak.number:
+            raise weak.error()
+    return joint_covariance(factor.square_root())
 
 
 def shared_marginals(layout: Layout, linear: gtsam.GaussianFactorGraph) -> JointCovariance:

@@ -1,5 +1,6 @@
 """The two forms of the adjustment as problems for an optimiser, ours or GTSAM's own."""
 
+import math
 from collections.abc import Callable, Mapping
 
 import gtsam
@@ -10,7 +11,9 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout, explicit_graph
 from mgsgraph.adjustment.graph.bundle import shared_vector, variable_key
 from mgsgraph.adjustment.graph.explicit import all_points
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors.bundle import Reduction
+from mgsgraph.adjustment.sparse_cholesky import NotDefinite
+from mgsgraph.adjustment.square_root import is_indeterminate
+from mgsgraph.kernel.bundle import Reduction
 from mgsgraph.geometry.records import Array
 
 _POINT_SCALE = np.full(3, 100.0)
@@ -22,12 +25,65 @@ def variable_scales(layout: Layout) -> dict[int, Array]:
     return {variable_key(layout, v): layout.scales[layout.columns_of(v)] for v in layout.variables.adjusted()}
 
 
+class ReducedEquations:
+    """Normal equations of the shared unknowns (`batch.LinearSystem`), damped in units of their scales."""
+
+    def __init__(self, graph: BundleGraph, reduction: Reduction) -> None:
+        self._graph, self._reduction, self._gradient = graph, reduction, graph.gradient(reduction)
+        self._damping, self._inverse_squares = 0.0, graph.layout.scales**-2.0
+
+    def step(self, damping: float) -> Array | None:
+        """Solution of the damped equations; None when they are not positive definite."""
+        self._damping = damping
+        try:
+            return self._graph.factor(self._reduction, damping).solve(-self._gradient)
+        except NotDefinite:
+            return None
+
+    def slope(self, step: Array) -> float:
+        """Minus gradient times step."""
+        return -float(self._gradient @ step)
+
+    def gain(self, step: Array) -> float:
+        """Of a step that solves the equations with the damping asked for last: (N + damping) step = -gradient."""
+        return 0.5 * (self.slope(step) + self._damping * float(step @ (self._inverse_squares * step)))
+
+
+class FactorEquations:
+    """Normal equations of GTSAM's factors, eliminated by GTSAM (`batch.LinearSystem`); scales by key."""
+
+    def __init__(self, linear: gtsam.GaussianFactorGraph, scales: Mapping[int, Array]) -> None:
+        self._linear, self._scales = linear, scales
+        self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+
+    def step(self, damping: float) -> gtsam.VectorValues | None:
+        """Solution of the damped equations; None when they are not positive definite."""
+        damped = gtsam.GaussianFactorGraph()
+        damped.push_back(self._linear)  # the factors themselves, not copies
+        for key, scale in self._scales.items():
+            root = np.diag(math.sqrt(damping) / scale)
+            damped.add(gtsam.JacobianFactor(key, root, np.zeros(scale.size), gtsam.noiseModel.Unit.Create(scale.size)))
+        try:
+            return damped.optimize(self._ordering)
+        except RuntimeError as error:
+            if is_indeterminate(error):
+                return None
+            raise
+
+    def slope(self, step: gtsam.VectorValues) -> float:
+        """Minus gradient times step."""
+        return -float(self._linear.gradientAtZero().dot(step))
+
+    def gain(self, step: gtsam.VectorValues) -> float:
+        """Decrease of the cost that the linear model promises of a step."""
+        return float(self._linear.error(gtsam.VectorValues.Zero(step)) - self._linear.error(step))
+
+
 class BundleProblem:
     """The bundle form; its state is the orientation vector (columns,). Each sweep begins where the last one ended."""
 
     def __init__(self, graph: BundleGraph, known: Reduction | None = None) -> None:
-        self.graph = graph
-        self.scales: Mapping[int, Array] = variable_scales(graph.layout)
+        self.graph, self.adjusts = graph, graph.layout.columns > 0
         self._last = known
 
     def at(self, state: Array, system: bool) -> Reduction:
@@ -46,23 +102,20 @@ class BundleProblem:
         """Full cost, all points solved from their first places."""
         return self.graph.cost(self.graph.reduction(state, system=False))
 
-    def linear(self, state: Array) -> gtsam.GaussianFactorGraph:
+    def linear(self, state: Array) -> ReducedEquations:
         """Linear system."""
-        return self.graph.linear(self.at(state, True))
+        return ReducedEquations(self.graph, self.at(state, True))
 
-    def moved(self, state: Array, step: gtsam.VectorValues) -> Array:
+    def moved(self, state: Array, step: Array) -> Array:
         """State after a step."""
-        layout, result = self.graph.layout, state.copy()
-        for v in layout.variables.adjusted():
-            result[layout.columns_of(v)] += step.at(variable_key(layout, v))
-        return result
+        return state + step
 
 
 class GraphProblem:
     """Any GTSAM graph; its state is GTSAM values."""
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, scales: Mapping[int, Array]) -> None:
-        self.graph, self.scales = graph, scales
+        self.graph, self._scales, self.adjusts = graph, scales, len(scales) > 0
 
     def cost(self, state: gtsam.Values, system: bool) -> float:
         """Full cost."""
@@ -72,9 +125,9 @@ class GraphProblem:
         """Full cost."""
         return float(self.graph.error(state))
 
-    def linear(self, state: gtsam.Values) -> gtsam.GaussianFactorGraph:
+    def linear(self, state: gtsam.Values) -> FactorEquations:
         """Linear system."""
-        return self.graph.linearize(state)
+        return FactorEquations(self.graph.linearize(state), self._scales)
 
     def moved(self, state: gtsam.Values, step: gtsam.VectorValues) -> gtsam.Values:
         """State after a step."""

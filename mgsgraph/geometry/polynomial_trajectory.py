@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial import polynomial
 
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
@@ -68,20 +67,12 @@ class PolynomialTrajectory:
         """Pose at times (n,) in s past the epoch, rates per second; outside the coverage the polynomials go on."""
         rate = 2.0 / (self.stop - self.start)
         s = rate * (times - self.start) - 1.0
-        position, velocity = _value_and_slope(self.position, s)
-        angles, turning = _value_and_slope(self.angles, s)
-        # d(M d) = [M d]x T da, and dM = -[turning]x M
-        axes = rotation.angle_axes(angles, camera_to_body=True)
-        return Pose(
-            position, velocity * rate, rotation.from_omega_phi_kappa(angles),
-            np.einsum("nij,nj->ni", axes, turning) * rate,
-        )  # fmt: skip
+        from mgsgraph.geometry.compiled_pose import polynomial_poses  # compiled: not before it is needed
 
-
-def _value_and_slope(coefficients: Array, s: Array) -> tuple[Array, Array]:
-    """Values (n, 3) of polynomials at s (n,), and their derivatives by s."""
-    slope = polynomial.polyder(coefficients)
-    return np.asarray(polynomial.polyval(s, coefficients).T), np.asarray(polynomial.polyval(s, slope).T)
+        pose = Pose(np.empty((s.size, 3)), np.empty((s.size, 3)), np.empty((s.size, 3, 3)), np.empty((s.size, 3)))
+        where = pose.position, pose.velocity, pose.matrix, pose.turning
+        polynomial_poses(s, rate, self.position, self.angles, *where)
+        return pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ which is 2e-4 lines of LROC-NAC.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -23,11 +24,6 @@ def _check_times(times: Array, where: str) -> None:
     if np.any(step <= 0.0):
         k = int(np.argmax(step <= 0.0))
         raise InputError(where, f"times {times[k]:.6f} s and {times[k + 1]:.6f} s in this order", "increasing times")
-
-
-def _interval(times: Array, at: Array) -> Index:
-    """Index k of the interval times[k] .. times[k + 1] that serves each asked time; the outer ones extrapolate."""
-    return np.clip(np.searchsorted(times, at, side="right") - 1, 0, times.size - 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,19 +49,14 @@ class PositionTable:
 
     def at(self, times: Array) -> tuple[Array, Array]:
         """Position (n, 3) in m and velocity (n, 3) in m/s at times (n,), by cubic Hermite interpolation."""
-        k = _interval(self.times, times)
-        step = self.times[k + 1] - self.times[k]
-        s = ((times - self.times[k]) / step)[:, None]
-        step = step[:, None]
-        p0, p1 = self.positions[k], self.positions[k + 1]
-        v0, v1 = self.velocities[k] * step, self.velocities[k + 1] * step
-        c2, c3 = 3.0 * (p1 - p0) - 2.0 * v0 - v1, 2.0 * (p0 - p1) + v0 + v1
-        position = p0 + s * (v0 + s * (c2 + s * c3))
-        velocity = (v0 + s * (2.0 * c2 + 3.0 * s * c3)) / step
+        from mgsgraph.geometry.compiled_pose import places  # compiled: not before it is needed
+
+        position, velocity = np.empty((times.size, 3)), np.empty((times.size, 3))
+        places(times, (self.times, self.positions, self.velocities), position, velocity)
         return position, velocity
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class AttitudeTable:
     """Sampled orientation of a frame against the inertial frame."""
 
@@ -91,16 +82,22 @@ class AttitudeTable:
         unit.flags.writeable = False
         assign(self, times=times, quaternions=unit, constant=constant)
 
+    @cached_property
+    def turns(self) -> Array:
+        """(n - 1, 3) rad, how the sampled frame turns from each sample to the next, in its own axes."""
+        matrices = rotation.to_matrix(self.quaternions)
+        # C(t) = Exp(-turn s) C0: the frame turns by +turn, components turn back
+        turns = -rotation.logarithm(matrices[1:] @ np.swapaxes(matrices[:-1], 1, 2))
+        turns.flags.writeable = False
+        return turns
+
     def at(self, times: Array) -> tuple[Array, Array]:
         """Matrix (n, 3, 3) inertial to wanted frame, and its angular velocity (n, 3) in rad/s in the wanted frame."""
-        k = _interval(self.times, times)
-        step = self.times[k + 1] - self.times[k]
-        first, last = rotation.to_matrix(self.quaternions[k]), rotation.to_matrix(self.quaternions[k + 1])
-        # C(t) = Exp(-turn s) C0: the frame turns by +turn, components turn back
-        turn = -rotation.logarithm(last @ np.swapaxes(first, 1, 2))
-        s = (times - self.times[k]) / step
-        matrix = self.constant @ rotation.exponential(-turn * s[:, None]) @ first
-        return matrix, turn / step[:, None] @ self.constant.T
+        from mgsgraph.geometry.compiled_pose import attitudes  # compiled: not before it is needed
+
+        matrix, turning = np.empty((times.size, 3, 3)), np.empty((times.size, 3))
+        attitudes(times, (self.times, self.quaternions, self.turns, self.constant), matrix, turning)
+        return matrix, turning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,11 +163,15 @@ class Trajectory:
 
     def pose(self, times: Array) -> Pose:
         """Pose at times (n,) in s past the epoch, rates per second; outside the tables their outer intervals go on."""
-        place, motion = self.position.at(times)
-        to_camera, camera_turning = self.camera.at(times)
-        to_body, body_turning = self.body.at(times)
-        position = np.einsum("nij,nj->ni", to_body, place)
-        velocity = np.einsum("nij,nj->ni", to_body, motion) - np.cross(body_turning, position)
-        matrix = to_camera @ np.swapaxes(to_body, 1, 2)
-        turning = camera_turning - np.einsum("nij,nj->ni", matrix, body_turning)
-        return Pose(position, velocity, matrix, turning)
+        from mgsgraph.geometry.compiled_pose import sampled_poses  # compiled: not before it is needed
+
+        n, camera, body = times.size, self.camera, self.body
+        pose = Pose(np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)))
+        sampled_poses(
+            np.ascontiguousarray(times, dtype=np.float64),
+            (self.position.times, self.position.positions, self.position.velocities),
+            (camera.times, camera.quaternions, camera.turns, camera.constant),
+            (body.times, body.quaternions, body.turns, body.constant),
+            pose.position, pose.velocity, pose.matrix, pose.turning,
+        )  # fmt: skip
+        return pose

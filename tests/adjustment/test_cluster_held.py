@@ -15,9 +15,9 @@ from mgsgraph.adjustment.cluster.partitions import _own_blocks
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_blocks
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors.bundle import all_residuals, point_covariances, reduce
-from mgsgraph.factors.rows import partition
-from mgsgraph.factors.sweep import COSTS, SYSTEM
+from mgsgraph.kernel.bundle import all_residuals, point_covariances, reduce
+from mgsgraph.kernel.rows import partition
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
 
 TIES = 2100
 """Two pieces of ties; the laser's is a third."""
@@ -68,7 +68,8 @@ def test_blocks_of_some_groups_keep_their_places(data: st.DataObject) -> None:
     sets = tuple(sorted(data.draw(st.sets(member, min_size=1, max_size=8))))
     first, columns = np.cumsum(widths) - widths, int(widths.sum())
     variables = Variables(count, first, widths, np.ones(columns), np.zeros(columns, dtype=bool))
-    groups = make_groups(variables, sets)
+    first_member = np.cumsum([0, *(len(mine) for mine in sets)])
+    groups = make_groups(variables, first_member, np.array([v for mine in sets for v in mine], dtype=np.int64))
     whole = pair_blocks(variables, groups).target
     used = np.array(sorted(data.draw(st.sets(st.integers(0, len(sets) - 1), min_size=1))))
     place, mine = _own_blocks(groups, whole, used)

@@ -28,8 +28,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError, SolverError
-from mgsgraph.factors import bundle
-from mgsgraph.factors.sweep import COSTS, SYSTEM
+from mgsgraph.kernel import bundle
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
 from mgsgraph.network import Network
 
 TIES = 2100

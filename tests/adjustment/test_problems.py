@@ -8,13 +8,13 @@ import pytest
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.datum import scaled_normal
 from mgsgraph.adjustment.batch import Iteration, levenberg_marquardt
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
-from mgsgraph.adjustment.posterior import _in_one_clique, orientation_covariance
+from mgsgraph.adjustment.posterior import orientation_covariance, shared_marginals
+from mgsgraph.adjustment.problems import FactorEquations
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.factors.sweep import sweep
+from mgsgraph.kernel.sweep import sweep
 
 
 @pytest.mark.parametrize("form", ["bundle", "explicit"])
@@ -49,13 +49,13 @@ def test_pairwise_hessians_are_the_bundle_factors_system() -> None:
     np.testing.assert_allclose(right / scale, other / scale, rtol=0.0, atol=1e-6 * np.abs(other / scale).max())
 
 
-def test_the_joint_covariance_in_one_clique_is_the_same() -> None:
-    """What is done where GTSAM calls a clique indeterminate because a pivot falls below 2^-24 of its diagonal."""
+def test_the_joint_covariance_is_gtsams() -> None:
+    """The sparse factor's, and that of GTSAM's elimination of the same system as Hessian factors."""
     layout = lay_out(with_shift_and_surface(network(pair(), (True, False))), SolverSettings())
     graph = BundleGraph(layout)
     reduction = graph.reduction(np.zeros(layout.columns))
-    theirs = orientation_covariance(graph, reduction)
-    ours = _in_one_clique(layout, scaled_normal(layout, reduction))
+    ours = orientation_covariance(graph, reduction)
+    theirs = shared_marginals(layout, graph.linear(reduction))
     scale = np.outer(theirs.sigmas, theirs.sigmas)
     assert np.abs((ours.dense() - theirs.dense()) / scale).max() < 1e-8
     np.testing.assert_allclose(ours.sigmas, theirs.sigmas, rtol=1e-9)
@@ -65,7 +65,7 @@ class Parabola:
     """Half (x - 3)^2 with a cost that lies, as asked, by a share of it."""
 
     def __init__(self, lies: Iterator[float]) -> None:
-        self.scales = {0: np.ones(1)}
+        self.adjusts = True
         self.lies, self.asked, self.exactly = lies, list[bool](), 0
 
     def cost(self, state: np.ndarray, system: bool) -> float:
@@ -76,10 +76,10 @@ class Parabola:
         self.exactly += 1
         return 1.0 + 0.5 * float((state[0] - 3.0) ** 2)
 
-    def linear(self, state: np.ndarray) -> gtsam.GaussianFactorGraph:
+    def linear(self, state: np.ndarray) -> FactorEquations:
         graph = gtsam.GaussianFactorGraph()
         graph.push_back(gtsam.HessianFactor(0, np.eye(1), np.array([3.0 - state[0]]), 0.0))
-        return graph
+        return FactorEquations(graph, {0: np.ones(1)})
 
     def moved(self, state: np.ndarray, step: gtsam.VectorValues) -> np.ndarray:
         return np.asarray(state + step.at(0))

@@ -19,8 +19,8 @@ from mgsgraph.adjustment.graph.bundle import point_key, shift_key
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.factors.explicit import sight_factor
-from mgsgraph.factors.rows import SURFACE, one_sight
+from mgsgraph.adjustment.graph.sights import sight_factor
+from mgsgraph.kernel.rows import SURFACE, one_sight
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
@@ -155,7 +155,7 @@ def test_rows_have_the_derivatives_of_all_five() -> None:
     agreed = 0
     for i, j in sights:
         point, moves = made.rows.start[i], rng.standard_normal(5) * [50.0, 50.0, 30.0, 1e-4, 1e-4]
-        own, noise = one_sight(made.rows, made.groups, made.model, i, j), gtsam.noiseModel.Unit.Create(1)
+        own, noise = one_sight(made.rows, made.groups, i, j), gtsam.noiseModel.Unit.Create(1)
         factor = sight_factor([shift_key(0)], [5], point_key(0), own, made.model, noise, "a height")
         values = gtsam.Values()
         values.insert(shift_key(0), moves)

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from mgsgraph.factors import _find_a_place_for_compiled_kernels
+from mgsgraph.compiled import find_a_place_for_compiled_kernels
 
 
 def place_of(package: Path, monkeypatch: pytest.MonkeyPatch, caches: Path) -> str | None:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
-    _find_a_place_for_compiled_kernels(package)
+    find_a_place_for_compiled_kernels(package)
     found = os.environ.get("NUMBA_CACHE_DIR")
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")  # so that monkeypatch puts back what was there before
     return found
@@ -31,5 +31,5 @@ def test_place_of_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_the_users_own_choice_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    _find_a_place_for_compiled_kernels(tmp_path / "site-packages" / "mgsgraph" / "factors")
+    find_a_place_for_compiled_kernels(tmp_path / "site-packages" / "mgsgraph" / "factors")
     assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path)

@@ -31,7 +31,7 @@ from normals import (
 
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors.rows import IMAGE, PIECE, RANGE
+from mgsgraph.kernel.rows import IMAGE, PIECE, RANGE
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior

@@ -15,9 +15,9 @@ from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
-from mgsgraph.factors.explicit import Sight, sight_factor
+from mgsgraph.adjustment.graph.sights import measurement, sight_factor
 from mgsgraph.factors.priors import zero_prior
-from mgsgraph.factors.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_sight
+from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_sight
 from mgsgraph.geometry.body import east_north, from_planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
 
@@ -58,7 +58,7 @@ def row_of(made: Layout, point: int, sight: int) -> tuple[int, int]:
 
 
 def single(made: Layout, point: int, sight: int) -> Rows:
-    return one_sight(made.rows, made.groups, made.model, point, sight)
+    return one_sight(made.rows, made.groups, point, sight)
 
 
 def state(seed: int, rotation: float) -> tuple[np.ndarray, np.ndarray]:
@@ -266,6 +266,6 @@ def test_model_forms_agree_at_the_measured_line(line: str, angles: str) -> None:
         ray, image = row_of(made, point, sight)
         at_line, sample = made.network.rays.places[[ray]].T
         place, _ = made.network.images[image].image_to_ground(at_line, sample + 3.0, 50.0)
-        only = Sight(single(made, point, sight), made.model)
-        assert only.at(np.zeros(18), place[0])
-        np.testing.assert_allclose(only.residual, [0.0, -3.0], rtol=0.0, atol=2e-7)
+        rows, _ = measurement(single(made, point, sight), made.model)
+        found = rows(lambda carry: ((0.0,) * 6, (0.0,) * 6), tuple(place[0].tolist()))
+        np.testing.assert_allclose(found.residual, [0.0, -3.0], rtol=0.0, atol=2e-7)

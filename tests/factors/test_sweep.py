@@ -16,8 +16,8 @@ from odd_networks import NETWORKS, case, made
 
 from mgsgraph.adjustment.graph import lay_out, patterns
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors import sweep
-from mgsgraph.factors.rows import Rows
+from mgsgraph.kernel import sweep
+from mgsgraph.kernel.rows import Rows
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -73,7 +73,7 @@ def test_parts_are_all_pieces_once(count: int) -> None:
 @pytest.mark.parametrize("threads", [1, 2])
 def test_numba_num_threads_is_respected(threads: int) -> None:
     code = (
-        "import numpy as np; from mgsgraph.factors import sweep\n"
+        "import numpy as np; from mgsgraph.kernel import sweep\n"
         "from networks import network, pair\n"
         "from mgsgraph.adjustment.graph import BundleGraph, lay_out\n"
         "from mgsgraph.adjustment.settings import SolverSettings\n"

@@ -14,7 +14,7 @@ from mgsgraph.adjustment.analysis.simple import simple_basis
 from mgsgraph.adjustment.analysis.words import in_words, parts_of
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import WeakNetwork
-from mgsgraph.factors.bundle import Reduction
+from mgsgraph.kernel.bundle import Reduction
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array

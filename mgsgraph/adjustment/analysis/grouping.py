@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import InputError
-from mgsgraph.factors.rows import GROUND
+from mgsgraph.kernel.rows import GROUND
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass, ProfileShifts, Strip

@@ -22,7 +22,7 @@ from mgsgraph.adjustment.analysis.linearised import Linearised, PointRows
 from mgsgraph.adjustment.analysis.prior_rows import prior_rows
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.square_root import product
-from mgsgraph.factors.rows import OUT
+from mgsgraph.kernel.rows import OUT
 from mgsgraph.geometry.records import Array, Index
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.analysis.prior_rows import prior_rows
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.factors.bundle import reliability
+from mgsgraph.kernel.bundle import reliability
 from mgsgraph.geometry.records import Array, Index
 
 ALPHA = 0.05

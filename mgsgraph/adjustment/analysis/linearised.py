@@ -11,10 +11,10 @@ from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, resi
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.factors.bundle import design
-from mgsgraph.factors.design import OWN
-from mgsgraph.factors.rows import OUT, Rows, of_points
-from mgsgraph.factors.tile import row_count
+from mgsgraph.kernel.bundle import design
+from mgsgraph.kernel.design import OWN_NUMBERS
+from mgsgraph.kernel.rows import OUT, Rows, of_points
+from mgsgraph.kernel.measurements import row_count
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.ties import PointKind
@@ -158,9 +158,9 @@ def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) ->
     by_shared = np.zeros((count, sight.size, int(width.sum())))
     for k, places in enumerate(_columns(rows, first + sight, np.cumsum(width) - width)):
         for n, column in enumerate(places.tolist()):
-            by_shared[:, k, column] += mine[:, k, OWN + n]
+            by_shared[:, k, column] += mine[:, k, OWN_NUMBERS + n]
     known = bool(rows.pattern_fixed[pattern])
-    return PointRows(layout.group_variables[group], mine[:, :, 0], mine[:, :, 1:OWN], by_shared, sight, row, known)
+    return PointRows(layout.group_variables[group], mine[:, :, 0], mine[:, :, 1:OWN_NUMBERS], by_shared, sight, row, known)
 
 
 def _columns(rows: Rows, sights: Index, first_of_member: Index) -> list[Index]:

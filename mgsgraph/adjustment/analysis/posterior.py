@@ -19,8 +19,8 @@ from mgsgraph.adjustment.analysis.quantity import Quantity, covariance, together
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.factors.bundle import point_covariances, reduce
-from mgsgraph.factors.rows import FIXED, GOOD, OUT
+from mgsgraph.kernel.bundle import point_covariances, reduce
+from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection

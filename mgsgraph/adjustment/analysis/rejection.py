@@ -11,7 +11,7 @@ from mgsgraph.adjustment.analysis.suspects import PointIndex
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.passes import Selection, everything
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.factors.rows import GROUND, OUT, SURFACE
+from mgsgraph.kernel.rows import GROUND, OUT, SURFACE
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind

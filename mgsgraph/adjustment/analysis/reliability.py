@@ -32,9 +32,9 @@ from mgsgraph.adjustment.analysis.naming import names_of, units_of
 from mgsgraph.adjustment.analysis.prior_rows import PriorRows, prior_rows
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.factors import bundle
-from mgsgraph.factors.reliability import NUMBERS
-from mgsgraph.factors.rows import GROUND, NO_LOSS, OUT, PRIOR, partition
+from mgsgraph.kernel import bundle
+from mgsgraph.kernel.reliability import NUMBERS
+from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR, partition
 from mgsgraph.geometry.records import Array, Index, Mask
 
 _AT_A_TIME = 1 << 17

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.factors.bundle import all_residuals, point_covariances, reduce
-from mgsgraph.factors.rows import Groups, Model, Rows, Target
-from mgsgraph.factors.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, own
+from mgsgraph.kernel.bundle import all_residuals, point_covariances, reduce
+from mgsgraph.kernel.rows import Groups, Model, Rows, Target
+from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, own
 from mgsgraph.geometry.records import Array
 
 HOLD, PLACES = -1, -2

@@ -35,9 +35,9 @@ from mgsgraph.adjustment.cluster.workers import GIGA
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, SolverError
-from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.rows import Groups, Rows, Target, partition
-from mgsgraph.factors.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, even_parts
+from mgsgraph.kernel.bundle import Reduction
+from mgsgraph.kernel.rows import Groups, Rows, Target, partition
+from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, even_parts
 from mgsgraph.geometry.records import Array, Index
 
 _COPIES = 2.0

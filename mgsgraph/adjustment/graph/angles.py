@@ -1,6 +1,6 @@
 """The kernel's codes for the three ways in which attitude is counted, and back."""
 
-from mgsgraph.factors.rows import CAMERA, OPK_PAPER, OPK_PEER, Model
+from mgsgraph.kernel.rows import CAMERA, OPK_PAPER, OPK_PEER, Model
 from mgsgraph.geometry.orientation import Angles
 
 ANGLE_CODES: dict[Angles, int] = {"camera": CAMERA, "opk-paper": OPK_PAPER, "opk-peer": OPK_PEER}

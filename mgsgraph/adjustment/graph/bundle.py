@@ -13,9 +13,10 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.patterns import group_blocks
-from mgsgraph.factors.bundle import Bundles, Reduction, all_residuals, point_covariances, reduce
+from mgsgraph.adjustment.sparse_cholesky import Factor
+from mgsgraph.kernel.bundle import Bundles, Reduction, all_residuals, point_covariances, reduce
 from mgsgraph.factors.priors import linear_prior, zero_prior
-from mgsgraph.factors.rows import Rows
+from mgsgraph.kernel.rows import Rows
 from mgsgraph.geometry.records import Array
 
 
@@ -155,6 +156,16 @@ class BundleGraph:
             else:
                 graph.push_back(self._pair(v, w, block))
         return graph
+
+    def factor(self, reduction: Reduction, damping: float = 0.0) -> Factor:
+        """Cholesky factor of the same system, damped in units of the unknowns' scales.
+
+        Raises NotDefinite.
+        """
+        assert reduction.blocks is not None
+        layout = self.layout
+        flat = reduction.blocks + layout.prior_information if layout.prior_information.size else reduction.blocks
+        return layout.cholesky.factor(flat, layout.prior.weights**2 + damping / layout.scales**2, layout.scales)
 
     def _pair(self, v: int, w: int, block: Array) -> gtsam.HessianFactor:
         """Factor of a block off the diagonal."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.bundle import point_key, prior_factors, shared_values, variable_key
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.factors.explicit import sight_factor
-from mgsgraph.factors.rows import (
+from mgsgraph.adjustment.graph.sights import sight_factor
+from mgsgraph.kernel.rows import (
     CAUCHY,
     FIXED,
     GROUND,
@@ -88,7 +88,7 @@ def _factor(layout: Layout, rows: Rows, i: int, pattern: int, j: int, weights: A
         [variable_key(layout, v) for v in felt],
         [int(layout.variables.width[v]) for v in felt],
         rows.start[i] if rows.kind[i] == FIXED else point_key(i),
-        one_sight(rows, layout.groups, layout.model, i, j),
+        one_sight(rows, layout.groups, i, j),
         layout.model,
         sight_noise(sight.kind, weights, layout.model),
         label,

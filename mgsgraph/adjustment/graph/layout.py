@@ -1,6 +1,7 @@
 """The network laid out for the kernel: points sorted by pattern, their rows, and the way back."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -13,7 +14,8 @@ from mgsgraph.adjustment.graph.rows import SightPlaces, lay_out_rows
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables, make_variables
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors.rows import (
+from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
+from mgsgraph.kernel.rows import (
     CAUCHY,
     HUBER,
     MEASURED,
@@ -34,7 +36,7 @@ _LINES = {"predicted": PREDICTED, "measured": MEASURED}
 _LOSSES = {"none": NO_LOSS, "huber": HUBER, "cauchy": CAUCHY, "tukey": TUKEY}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Layout:
     """Rows of a network in the kernel's order, and the way back."""
 
@@ -58,6 +60,12 @@ class Layout:
     """Points by pattern."""
     places: SightPlaces
     """Network rows among all sights."""
+
+    @cached_property
+    def cholesky(self) -> SparseCholesky:
+        """Elimination of the reduced normal equations; the same for layouts made of this one."""
+        pairs = np.stack([self.blocks.first, self.blocks.second], axis=1)
+        return SparseCholesky(self.variables.first, self.variables.width, pairs, self.blocks.offset)
 
     @property
     def angles(self) -> Angles:
@@ -146,10 +154,10 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     model = Model(_LINES[settings.line], ANGLE_CODES[settings.angles], _LOSSES[settings.loss], settings.width)
     variables = make_variables(network)
     terms = Terms(network, variables)
-    patterns = sort_points(network, variables, terms)
+    patterns, rays_of = sort_points(network, terms)
     known = None if model.line == MEASURED else places
-    sights, rows = lay_out_rows(network, model, variables, patterns, terms, known)
-    groups = make_groups(variables, patterns.group_variables)
+    sights, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known)
+    groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
     blocks = pair_blocks(variables, groups, prior.pairs)
     information = prior.information(blocks)

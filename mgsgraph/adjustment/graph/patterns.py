@@ -2,14 +2,18 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mgsgraph.adjustment.graph.sorting import by_point, counted, distinct, mix_rows, mix_values
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.factors.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target
+from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target, shapes
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
@@ -22,53 +26,62 @@ class Sight(NamedTuple):
     """IMAGE, RANGE, GROUND or SURFACE."""
     image: int
     """Image that carries it; -1 for none."""
-    terms: tuple[tuple[int, int], ...] = ()
-    """Variable of each basis term that it feels, and its first column within it: six columns each."""
-    moved: int = -1
-    """Variable of the shift that it feels; -1 for none."""
-    felt: tuple[int, ...] = ()
-    """Variables of the shared unknowns that it feels, ascending."""
-    columns: int = 0
-    """Columns of these together."""
-    wide: bool = False
-    """Whether its state has one component more: the focal length of an image, the bias of a range."""
-    steps: int = 2
-    """Single columns of a shift: eastward and northward, of the terrain model as many as it has."""
-
-    @property
-    def width(self) -> int:
-        """Components of its state."""
-        return (6 if self.kind == IMAGE else 3) + self.wide
-
-    @property
-    def shift(self) -> int:
-        """Single columns of the shift that it feels."""
-        return self.steps if self.moved >= 0 else 0
-
-    @property
-    def shared(self) -> int:
-        """Single columns that it feels: a shift's, then those of shared unknowns."""
-        return self.shift + self.columns
+    width: int
+    """Components of its state."""
+    terms: int
+    """Number of basis terms: its first entries."""
+    entries: tuple[tuple[int, int], ...]
+    """Variable of each basis term and single column, and its first column within it."""
 
     @property
     def variables(self) -> tuple[int, ...]:
-        """All variables that it feels, each once."""
-        moved = (self.moved,) if self.moved >= 0 else ()
-        return tuple(dict.fromkeys((*(v for v, _ in self.terms), *moved, *self.felt)))
+        """All variables that it feels, each once, in the order of its entries."""
+        return tuple(dict.fromkeys(variable for variable, _ in self.entries))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+_Rows = tuple[Index, NDArray[np.int32], NDArray[np.int32]]
+"""Rows of each point, as `sorting.by_point` gives them."""
+
+
+@dataclass(frozen=True, eq=False)
 class Patterns:
-    """Points sorted by pattern; n points, q patterns, m pieces."""
+    """Points sorted by pattern, patterns by shape and then by the unknowns that they feel.
 
-    sights: tuple[tuple[Sight, ...], ...]
-    """Sights of each pattern: rays by image, ranges by image, a-priori place, terrain."""
+    n points, q patterns, m pieces, g groups, s sights of patterns, e entries of sights.
+    """
+
+    first: Index
+    """(q + 1,) first sight of each pattern: rays by image, ranges by image, a-priori place, terrain."""
     fixed: Mask
     """(q,) whether the points are known."""
+    shape: Index
+    """(q,) shape of each pattern, ascending."""
     group: Index
-    """(q,) group of each pattern, ascending."""
-    group_variables: tuple[tuple[int, ...], ...]
-    """Variables of each group, ascending."""
+    """(q,) group of each pattern."""
+    group_first: Index
+    """(g + 1,) first member of each group."""
+    group_member: Index
+    """Variables of the groups, ascending within each."""
+    kind: Index
+    """(s,) IMAGE, RANGE, GROUND or SURFACE."""
+    image: Index
+    """(s,) image that carries it; -1 for none."""
+    node: Index
+    """(s,) first of the four nodes that it feels; -1 for an image without a strip, and for none."""
+    width: Index
+    """(s,) components of its state."""
+    terms: Index
+    """(s,) number of basis terms."""
+    shared: Index
+    """(s,) number of single columns: a shift's, then those of shared unknowns."""
+    entry: Index
+    """(s + 1,) first entry of each sight."""
+    entry_variable: Index
+    """(e,) variable of each basis term and of each single column."""
+    entry_inside: Index
+    """(e,) first of the term's six columns, or the single one, within that variable."""
+    entry_member: Index
+    """(e,) place of the variable among those of the group."""
     point_order: Index
     """(n,) network point at each place of the layout."""
     point_place: Index
@@ -77,90 +90,195 @@ class Patterns:
     """(m,) pattern of each piece."""
     piece_first: Index
     """(m + 1,) first point of each piece."""
+    ray_slot: NDArray[np.int32]
+    """(k,) place of each network ray among its point's sights."""
+    range_slot: NDArray[np.int32]
+    """(r,) the same of each network range."""
 
     def piece_of(self, places: Index | int) -> Index:
         """Piece of each place of the layout."""
         return np.asarray(np.searchsorted(self.piece_first, places, side="right") - 1)
 
+    @cached_property
+    def group_variables(self) -> tuple[tuple[int, ...], ...]:
+        """Variables of each group, ascending; for small networks."""
+        return tuple(tuple(part.tolist()) for part in np.split(self.group_member, self.group_first[1:-1]))
 
-def sort_points(network: Network, variables: Variables, terms: Terms) -> Patterns:
-    """Find the patterns of a network's points.
+    @cached_property
+    def sights(self) -> tuple[tuple[Sight, ...], ...]:
+        """Sights of each pattern one by one; for small networks."""
+        one = [
+            Sight(kind, image, width, terms, tuple(zip(*entries, strict=True)))
+            for kind, image, width, terms, *entries in zip(
+                self.kind.tolist(), self.image.tolist(), self.width.tolist(), self.terms.tolist(),
+                [part.tolist() for part in np.split(self.entry_variable, self.entry[1:-1])],
+                [part.tolist() for part in np.split(self.entry_inside, self.entry[1:-1])],
+                strict=True,
+            )
+        ]  # fmt: skip
+        return tuple(tuple(one[a:b]) for a, b in pairwise(self.first.tolist()))
 
-    Patterns are told apart by sums of 64-bit random numbers, one per sight: one pass, no Python per point.
+
+def sort_points(network: Network, terms: Terms) -> tuple[Patterns, tuple[Index, NDArray[np.int32]]]:
+    """Find the patterns of a network's points, told apart by 64-bit signatures of what they see; and the rays of each
+    point (`sorting.by_point`: begin, order).
     """
-    signature = _signatures(network, terms, len(variables.first))
-    _, example, pattern = np.unique(signature, return_index=True, return_inverse=True)
-    sights = _sights(network, variables, terms, example)
-    sets = [tuple(sorted({v for sight in mine for v in sight.variables})) for mine in sights]
-    group_variables = tuple(sorted(set(sets)))
-    number = {members: g for g, members in enumerate(group_variables)}
-    group = np.array([number[members] for members in sets], dtype=np.int64)
-    order = np.argsort(group, kind="stable")
+    rays, ranges, n = network.rays, network.ranges, len(network.points)
+    of_rays = by_point(rays.point, rays.image, terms.of_rays, n)
+    of_ranges = by_point(ranges.point, ranges.image, terms.of_ranges, n)
+    moved, beams = _moved(network), _beams(network)
+    signature = np.zeros(n, dtype=np.uint64)
+    mix_rows(signature, *of_rays[:2], rays.image, terms.of_rays, 1)
+    mix_rows(signature, *of_ranges[:2], ranges.image, terms.of_ranges, 2)
+    on_surface = np.zeros(n, dtype=np.int64)
+    if network.surface is not None:
+        on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
+    for values in (network.points.kinds, moved, on_surface, *beams):
+        mix_values(signature, values)
+    example, number = distinct(signature)
+    sights = _Sights(network, terms, example, of_rays, of_ranges, moved, on_surface, beams)
+    place, group_first, group_member, group = _groups(sights.pattern_of_entry, sights.variable, example.size)
+    fixed = network.points.kinds[example] == PointKind.FIXED
+    polynomial = (sights.image >= 0) & (sights.node < 0)
+    alike = sights.kind, sights.width, sights.terms, sights.shared, polynomial.astype(np.int64)
+    shape = shapes(sights.first, fixed.astype(np.int64), *alike)
+    order = np.lexsort([np.arange(example.size), group, shape])
     rank = np.empty_like(order)
     rank[order] = np.arange(order.size)
-    pattern = rank[pattern.reshape(-1)]
-    point_order = np.argsort(pattern, kind="stable")
-    point_place = np.empty_like(point_order)
-    point_place[point_order] = np.arange(point_order.size)
-    count = np.bincount(pattern, minlength=order.size)
+    point_order, point_place, count = counted(rank[number], order.size)
     pieces = -(-count // PIECE)
     inside = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    first = np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE
-    return Patterns(
-        tuple(sights[q] for q in order),
-        network.points.kinds[example[order]] == PointKind.FIXED,
-        group[order],
-        group_variables,
-        point_order,
-        point_place,
-        np.repeat(np.arange(order.size), pieces),
-        np.append(first, pattern.size),
-    )
+    of_order, first = _runs(sights.first, order)
+    entries, entry = _runs(sights.entry, of_order)
+    range_slot = (of_ranges[2] + network.ray_counts[ranges.point]).astype(np.int32)
+    patterns = Patterns(
+        first, fixed[order], shape[order], group[order], group_first, group_member, sights.kind[of_order],
+        sights.image[of_order], sights.node[of_order], sights.width[of_order], sights.terms[of_order],
+        sights.shared[of_order], entry, sights.variable[entries], sights.inside[entries], place[entries], point_order,
+        point_place, np.repeat(np.arange(order.size), pieces),
+        np.append(np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE, number.size), of_rays[2], range_slot,
+    )  # fmt: skip
+    return patterns, of_rays[:2]
 
 
-def _signatures(network: Network, terms: Terms, variables: int) -> Index:
-    """(n,) a number per point that two points share if, and only if, they have the same sights."""
-    marks = np.random.default_rng(0).integers(0, 2**64, (3, variables), dtype=np.uint64)
-    plain = np.random.default_rng(1).integers(0, 2**64, 3, dtype=np.uint64)
-    signature = np.zeros(len(network.points), dtype=np.uint64)
-    for mark, table, node in ((marks[0], network.rays, terms.of_rays), (marks[1], network.ranges, terms.of_ranges)):
-        mine = mark[table.image]
-        at_node = np.flatnonzero(node >= 0)
-        mine[at_node] ^= marks[2, terms.variable(table.image[at_node], node[at_node])]
-        np.add.at(signature, table.point, mine)
-    signature += plain[0] * (network.points.kinds == PointKind.FIXED)
-    signature += plain[1] * (network.points.kinds == PointKind.CONSTRAINED)
-    if network.shifts is not None:
-        moved = network.shifts.profile >= 0
-        signature[moved] += marks[2, len(network.images) + network.shifts.profile[moved]]
-    if network.surface is not None:
-        signature += plain[2] * np.isfinite(network.surface.sigmas)
-    return signature.view(np.int64)
+def _runs(first: Index, order: Index) -> tuple[Index, Index]:
+    """Runs first[k] .. first[k + 1] in another order: their elements one after another, and where each run begins."""
+    sizes = np.diff(first)[order]
+    begin = np.concatenate([[0], np.cumsum(sizes)])
+    return np.repeat(first[:-1][order] - begin[:-1], sizes) + np.arange(begin[-1]), begin
 
 
-def _sights(network: Network, variables: Variables, terms: Terms, example: Index) -> list[tuple[Sight, ...]]:
-    """Sights of the example points, one per pattern."""
-    position = np.full(len(network.points), -1, dtype=np.int64)
-    position[example] = np.arange(example.size)
-    sights: list[list[Sight]] = [[] for _ in range(example.size)]
-    felt = {kind: [_columns_of(network, mine) for mine in felt_by(network, kind)] for kind in (IMAGE, RANGE)}
-    for kind, table, node in ((IMAGE, network.rays, terms.of_rays), (RANGE, network.ranges, terms.of_ranges)):
-        mine = np.flatnonzero(position[table.point] >= 0)
-        for k in mine[np.lexsort((node[mine], table.image[mine]))]:
-            image = int(table.image[k])
-            sight = Sight(kind, image, terms.of(image, int(node[k])), -1, *felt[kind][image])
-            sights[position[table.point[k]]].append(sight)
-    surface, shifts = network.surface, network.shifts
-    terrain = network.first_shared - 1 if network.terrain_moves else -1
-    moved = beams_felt(network, example)
-    for q, i in enumerate(example):
-        if network.points.kinds[i] == PointKind.CONSTRAINED:
-            profile = -1 if shifts is None else int(shifts.profile[i])
-            variable = profile + variables.images if profile >= 0 else -1
-            sights[q].append(Sight(GROUND, -1, (), variable, *_columns_of(network, moved[q])))
-        if surface is not None and np.isfinite(surface.sigmas[i]):
-            sights[q].append(Sight(SURFACE, -1, (), terrain, steps=len(surface.terms)))
-    return [tuple(mine) for mine in sights]
+def _moved(network: Network) -> Index:
+    """(n,) variable of the shift that moves each point's a-priori place; -1 for none."""
+    if network.shifts is None:
+        return np.full(len(network.points), -1, dtype=np.int64)
+    profile = network.shifts.profile
+    return np.where(profile >= 0, len(network.images) + profile, -1)
+
+
+def _beams(network: Network) -> list[Index]:
+    """(n,) of each altimeter's boresight: its variable where it moves a point's a-priori place, -1 elsewhere."""
+    found = []
+    for k, shared in enumerate(network.shared):
+        if shared.kind is SharedKind.ALTIMETER_BORESIGHT:
+            felt = np.full(len(network.points), -1, dtype=np.int64)
+            felt[network.beams(shared)[0]] = network.first_shared + k
+            found.append(felt)
+    return found
+
+
+class _Sights:
+    """Sights of the patterns' example points, and the unknowns that they feel."""
+
+    def __init__(
+        self, network: Network, terms: Terms, example: Index, of_rays: _Rows, of_ranges: _Rows, moved: Index,
+        on_surface: Index, beams: list[Index],
+    ) -> None:  # fmt: skip
+        known = network.points.kinds[example] == PointKind.CONSTRAINED
+        surfaces = on_surface[example] > 0
+        counts = [np.diff(begin)[example] for begin, _, _ in (of_rays, of_ranges)] + [known, surfaces]
+        each = np.stack([np.asarray(count, dtype=np.int64) for count in counts], axis=1)
+        self.first = np.concatenate([[0], np.cumsum(each.sum(axis=1))])
+        begin = (np.cumsum(each.ravel()) - each.ravel()).reshape(each.shape)
+        size = int(self.first[-1])
+        self.kind, self.image, self.node = np.empty(size, np.int64), np.full(size, -1), np.full(size, -1)
+        for column, (kind, table, node, rows) in enumerate(
+            ((IMAGE, network.rays, terms.of_rays, of_rays), (RANGE, network.ranges, terms.of_ranges, of_ranges))
+        ):
+            source, _ = _runs(rows[0], example)
+            at = np.repeat(begin[:, column], each[:, column]) + _within(each[:, column])
+            self.kind[at], self.image[at], self.node[at] = kind, table.image[rows[1][source]], node[rows[1][source]]
+        ground, surface = begin[known, 2], begin[surfaces, 3]
+        self.kind[ground], self.kind[surface] = GROUND, SURFACE
+        self._feel(network, terms, ground, surface, [felt[example[known]] for felt in (moved, *beams)])
+
+    def _feel(self, network: Network, terms: Terms, ground: Index, surface: Index, moved: list[Index]) -> None:
+        """Numbers of terms and single columns, widths, and the entries."""
+        carried = self.image >= 0
+        self.terms = np.where(carried, terms.counts[self.image], 0)
+        self.width = np.where(self.kind == IMAGE, 6, 3)
+        size = self.kind.size
+        sight, variable, inside = [], [], []
+        mine = np.repeat(np.flatnonzero(carried), self.terms[carried])
+        step, node = _within(self.terms[carried]), self.node[mine]
+        strip = terms.first_node(self.image[mine])
+        sight.append(mine)
+        variable.append(np.where(node >= 0, strip + node + step, self.image[mine]))
+        inside.append(np.where(node >= 0, 0, 6 * step))
+        if network.terrain_moves and network.surface is not None:
+            moved_terrain = np.full(surface.size, network.first_shared - 1)
+            _add_singles(sight, variable, inside, surface, moved_terrain, len(network.surface.terms))
+        _add_singles(sight, variable, inside, ground[moved[0] >= 0], moved[0][moved[0] >= 0], 2)
+        for felt in moved[1:]:
+            _add_singles(sight, variable, inside, ground[felt >= 0], felt[felt >= 0], 3)
+        for k, shared in enumerate(network.shared):
+            of_image = np.zeros(len(network.images) + 1, dtype=bool)  # the last one is that of no image
+            of_image[shared.images] = True
+            kinds = [kind for kind, felt in ((IMAGE, shared.kind.felt_by_rays), (RANGE, shared.kind.felt_by_ranges)) if felt]
+            own = np.flatnonzero(of_image[self.image] & np.isin(self.kind, kinds))
+            _add_singles(sight, variable, inside, own, np.full(own.size, network.first_shared + k), shared.kind.width)
+            if not shared.kind.moves_pose:
+                self.width[own] = np.where(self.kind[own] == IMAGE, 7, 4)
+        sights = np.concatenate(sight)
+        order = np.argsort(sights, kind="stable")
+        counts = np.bincount(sights, minlength=size)
+        self.entry = np.concatenate([[0], np.cumsum(counts)])
+        self.shared = counts - self.terms
+        self.variable = np.concatenate(variable)[order].astype(np.int64)
+        self.inside = np.concatenate(inside)[order].astype(np.int64)
+        pattern = np.repeat(np.arange(self.first.size - 1), np.diff(self.first))
+        self.pattern_of_entry = pattern[sights[order]]
+
+
+def _within(counts: Index) -> Index:
+    """0, 1, .. within each run of `counts`."""
+    return np.asarray(np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts))
+
+
+def _add_singles(
+    sight: list[Index], variable: list[Index], inside: list[Index], own: Index, felt: Index, columns: int
+) -> None:
+    """Entries of sights that feel all columns of a variable."""
+    sight.append(np.repeat(own, columns))
+    variable.append(np.repeat(felt, columns))
+    inside.append(np.tile(np.arange(columns), own.size))
+
+
+def _groups(pattern: Index, variable: Index, patterns: int) -> tuple[Index, Index, Index, Index]:
+    """Sets of variables that patterns feel: of each entry its place among those of its group; first member of each
+    group, and members; group of each pattern. Groups are in the order of their members.
+    """
+    many = int(variable.max(initial=0)) + 1
+    unique, back = np.unique(pattern * many + variable, return_inverse=True)
+    owner, felt = unique // many, unique % many
+    count = np.bincount(owner, minlength=patterns)
+    begin = np.cumsum(count) - count
+    table = np.full((patterns, int(count.max(initial=0)) + 1), -1, dtype=np.int64)
+    table[owner, np.arange(unique.size) - begin[owner]] = felt
+    sets, group = np.unique(table, axis=0, return_inverse=True)
+    there = sets >= 0
+    first = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
+    return (np.arange(unique.size) - begin[owner])[back.reshape(-1)], first, sets[there], group.reshape(-1)
 
 
 def felt_by(network: Network, kind: int) -> list[list[int]]:
@@ -173,33 +291,11 @@ def felt_by(network: Network, kind: int) -> list[list[int]]:
     return felt
 
 
-def beams_felt(network: Network, points: Index) -> list[list[int]]:
-    """Of each of some points the altimeters' boresights that move its a-priori place, ascending."""
-    felt: list[list[int]] = [[] for _ in range(points.size)]
-    for k, shared in enumerate(network.shared):
-        if shared.kind is SharedKind.ALTIMETER_BORESIGHT:
-            for q in np.flatnonzero(np.isin(points, network.beams(shared)[0])).tolist():
-                felt[q].append(k)
-    return felt
-
-
-def _columns_of(network: Network, felt: list[int]) -> tuple[tuple[int, ...], int, bool]:
-    """Variables of some shared unknowns, their columns together, and whether they need a wider state."""
-    first, kinds = network.first_shared, [network.shared[k].kind for k in felt]
-    wide = any(kind in (SharedKind.FOCAL_LENGTH, SharedKind.RANGE_BIAS) for kind in kinds)
-    return tuple(first + k for k in felt), sum(kind.width for kind in kinds), wide
-
-
-def make_groups(variables: Variables, group_variables: tuple[tuple[int, ...], ...]) -> Groups:
-    """The kernel's record of the groups."""
-    sizes = np.array([len(members) for members in group_variables], dtype=np.int64)
-    member = np.array([v for members in group_variables for v in members], dtype=np.int64)
-    ends = np.concatenate([[0], np.cumsum(sizes)])
+def make_groups(variables: Variables, first: Index, member: Index) -> Groups:
+    """The kernel's record of the groups: first member of each (g + 1,), and the members' variables."""
+    squares = np.concatenate([[0], np.cumsum(np.diff(first) ** 2)])
     return Groups(
-        ends.astype(np.int64),
-        member,
-        variables.width[member],
-        np.concatenate([[0], np.cumsum(sizes**2)]).astype(np.int64),
+        first.astype(np.int64), member.astype(np.int64), variables.width[member], squares.astype(np.int64)
     )
 
 
@@ -233,12 +329,10 @@ def pair_blocks(variables: Variables, groups: Groups, more: Sequence[tuple[int, 
     pairs (first variable <= second).
     """
     count = variables.first.size
-    place, member = groups.pair_first, groups.member_variable
+    member = groups.member_variable
     pairs = [v * count + v for v in variables.adjusted()] + [v * count + w for v, w in more]
-    table = np.zeros(int(place[-1]), dtype=np.int64)
-    for g in range(place.size - 1):
-        mine = member[groups.member_first[g] : groups.member_first[g + 1]]
-        table[place[g] : place[g + 1]] = (np.minimum.outer(mine, mine) * count + np.maximum.outer(mine, mine)).ravel()
+    one, other = _member_pairs(groups)
+    table = np.minimum(member[one], member[other]) * count + np.maximum(member[one], member[other])
     unique = np.unique(np.concatenate([table, np.array(pairs, dtype=np.int64)]))
     first, second = unique // count, unique % count
     sizes = variables.width[first] * variables.width[second]
@@ -251,12 +345,17 @@ def pair_blocks(variables: Variables, groups: Groups, more: Sequence[tuple[int, 
 
 def group_blocks(groups: Groups) -> Target:
     """Blocks of each group by itself, not shared with others: what a bundle factor of its own needs."""
-    pair = np.zeros(int(groups.pair_first[-1]), dtype=np.int64)
-    at = 0
-    for g in range(groups.pair_first.size - 1):
-        width = groups.member_width[groups.member_first[g] : groups.member_first[g + 1]]
-        sizes = np.multiply.outer(width, width).ravel()
-        pair[groups.pair_first[g] : groups.pair_first[g + 1]] = at + np.cumsum(sizes) - sizes
-        at += int(sizes.sum())
+    one, other = _member_pairs(groups)
+    sizes = groups.member_width[one] * groups.member_width[other]
+    pair, at = np.cumsum(sizes) - sizes, int(sizes.sum())
     right = np.cumsum(groups.member_width) - groups.member_width
     return Target(pair, right.astype(np.int64), at, int(groups.member_width.sum()))
+
+
+def _member_pairs(groups: Groups) -> tuple[Index, Index]:
+    """Of all pairs of the groups' members, group by group and row by row, the first and the second."""
+    size = np.diff(groups.member_first)
+    one = np.repeat(np.arange(groups.member_variable.size), np.repeat(size, size))
+    group = np.repeat(np.arange(size.size), size**2)
+    other = groups.member_first[group] + (np.arange(group.size) - groups.pair_first[group]) % np.maximum(size[group], 1)
+    return one, other

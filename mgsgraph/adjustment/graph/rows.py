@@ -5,19 +5,26 @@ and the axes along which shifts move them: the constants that the kernel reads, 
 """
 
 import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.adjustment.graph.filling import crossings, put_rays, put_scale
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
-from mgsgraph.factors.rows import (
+from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
+from mgsgraph.factors.algebra import transform
+from mgsgraph.kernel.rows import (
     CAMERA,
     FIXED,
     FREE,
@@ -26,27 +33,24 @@ from mgsgraph.factors.rows import (
     OPK_PAPER,
     OPK_PEER,
     OUT,
+    PREDICTED,
     PRIOR,
     RANGE,
     Model,
     Rows,
-    components,
+    numbers_stored,
 )
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.intersection import RayAngles, RaySums
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
 
 _Component = TypeVar("_Component", int, Index)
-_PARALLEL = 1e-12
-"""rad: rays closer to parallel than this start on the ellipsoid instead of at their intersection."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Store:
     """Where the constants of each point's sights go; n points in network order."""
 
@@ -58,6 +62,12 @@ class _Store:
     """(m, 5) as in Rows."""
     data: Array
     """What is being filled."""
+
+    @cached_property
+    def tables(self) -> tuple[Index, NDArray[np.int32], Index, Index, Array]:
+        """The same for compiled code (`filling.put_rays`)."""
+        piece_of = np.repeat(np.arange(self.piece.shape[0], dtype=np.int32), self.piece[:, 2])
+        return self.patterns.point_place, piece_of, self.piece, self.before, self.data
 
     def place(self, points: Index, slots: Index) -> tuple[Index, Index, Index]:
         """For the `slots`-th sights of network `points`: first place in `data`, step to the next component, and place
@@ -95,22 +105,28 @@ def lay_out_rows(
     model: Model,
     variables: Variables,
     patterns: Patterns,
+    rays_of: tuple[Index, NDArray[np.int32]],
     terms: Terms,
     known: Array | None = None,
 ) -> tuple[SightPlaces, Rows]:
-    """Rows of a network in the kernel's order, and where each is; `known` (n, 3) are places at which to begin."""
-    store = _make_store(model, patterns)
-    starts = _starting_places(network, known)
-    weight = np.zeros((2, int(sum(len(patterns.sights[q]) * n for q, n in store.piece[:, [0, 2]]))))
-    angles = RayAngles(len(network.points))
+    """Rows of a network in the kernel's order, and where each is.
+
+    `rays_of` are the rays of each point (`sorting.by_point`: begin, order), `known` (n, 3) places at which to begin.
+    """
+    tables = _sight_tables(network, model, variables, patterns)
+    store = _make_store(patterns, tables)
+    weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
     effects = SharedEffects(network, model)
-    rays = _fill_rays(network, model, store, terms, effects, starts, weight, angles)
+    rays, parts = _fill_rays(network, model, store, terms, effects, weight)
     ranges = _fill_ranges(network, store, terms, effects, weight)
     _fill_ground(network, store, weight)
+    starts, angles = _starting_places(network, model, store, rays_of, known)
+    if model.line == MEASURED:
+        _fill_scales(network, model, store, parts, starts)
     places = SightPlaces(rays, ranges, *_fill_surface(network, store, starts, weight))
     order, surface = patterns.point_order, network.surface
     kinds = np.array([FREE, PRIOR, FIXED], dtype=np.int8)[network.points.kinds]
-    kinds[network.undetermined | parallel(network, angles.angles())] = OUT
+    kinds[network.undetermined | parallel(network, angles)] = OUT
     grid = None if surface is None else surface.grid
     rows = Rows(
         kind=kinds[order],
@@ -118,7 +134,7 @@ def lay_out_rows(
         data=store.data,
         weight=weight,
         piece=store.piece,
-        **_sight_tables(network, variables, patterns),
+        **tables,
         terrain=np.zeros((0, 0)) if grid is None else np.ascontiguousarray(grid.radii, dtype=np.float64),
         terrain_frame=np.zeros(4)
         if grid is None
@@ -128,62 +144,47 @@ def lay_out_rows(
     return places, rows
 
 
-def _make_store(model: Model, patterns: Patterns) -> _Store:
+def _make_store(patterns: Patterns, tables: Mapping[str, Index]) -> _Store:
     """Room for everything."""
-    widest = max(len(sights) for sights in patterns.sights)
-    stored = np.zeros((len(patterns.sights), widest), dtype=np.int64)
-    for q, sights in enumerate(patterns.sights):
-        for j, sight in enumerate(sights):
-            stored[q, j] = components(model, sight.kind, sight.width, len(sight.terms), sight.shared)
-    ends = np.cumsum(stored, axis=1)
-    pattern, count = patterns.piece_pattern, np.diff(patterns.piece_first)
-    numbers = count * (ends[:, -1][pattern] if widest else 0)
-    sights_of = count * np.array([len(mine) for mine in patterns.sights], dtype=np.int64)[pattern]
+    count = np.diff(patterns.first)
+    before = np.zeros((count.size, int(count.max(initial=0))), dtype=np.int64)
+    pattern = np.repeat(np.arange(count.size), count)
+    slot = np.arange(pattern.size) - np.repeat(patterns.first[:-1], count)
+    stored = tables["sight_numbers"]
+    ends = np.cumsum(stored)
+    begin = np.concatenate([[0], ends])[patterns.first]
+    before[pattern, slot] = ends - stored - begin[:-1][pattern]
+    of_piece, size = patterns.piece_pattern, np.diff(patterns.piece_first)
+    numbers, sights = size * np.diff(begin)[of_piece], size * count[of_piece]
     first = patterns.piece_first[:-1]
-    piece = np.stack([pattern, first, count, np.cumsum(numbers) - numbers, np.cumsum(sights_of) - sights_of], axis=1)
-    return _Store(patterns, ends - stored, np.ascontiguousarray(piece, dtype=np.int64), np.empty(int(numbers.sum())))
+    piece = np.stack([of_piece, first, size, np.cumsum(numbers) - numbers, np.cumsum(sights) - sights], axis=1)
+    return _Store(patterns, before, np.ascontiguousarray(piece, dtype=np.int64), np.empty(int(numbers.sum())))
 
 
-def _sight_tables(network: Network, variables: Variables, patterns: Patterns) -> dict[str, Any]:
-    """What the patterns' sights feel of the unknowns."""
-    table: list[tuple[int, int, int, int, int]] = []
-    focal: list[float] = []
-    entries: list[tuple[int, int, int]] = []
-    for q, sights in enumerate(patterns.sights):
-        members = patterns.group_variables[patterns.group[q]]
-        for sight in sights:
-            table.append((sight.kind, sight.width, len(sight.terms), sight.shared, len(entries)))
-            focal.append(network.images[sight.image].interior.focal_length if sight.kind == IMAGE else 0.0)
-            inside = list(sight.terms)
-            inside += [(sight.moved, step) for step in range(sight.shift)]
-            inside += [(v, step) for v in sight.felt for step in range(int(variables.width[v]))]
-            entries += [(int(variables.first[v]) + step, members.index(v), step) for v, step in inside]
-    columns = np.array(table, dtype=np.int64).reshape(-1, 5).T
-    column, member, inside_of = np.array(entries, dtype=np.int64).reshape(-1, 3).T
-    sizes = [len(sights) for sights in patterns.sights]
+def _sight_tables(network: Network, model: Model, variables: Variables, patterns: Patterns) -> dict[str, Any]:
+    """What the patterns' sights are, and what they feel of the unknowns."""
+    focal = np.array([image.interior.focal_length for image in network.images] + [0.0])
+    rate = np.array([image.normalised_rate for image in network.images] + [0.0])
+    rays, polynomial = patterns.kind == IMAGE, (patterns.image >= 0) & (patterns.node < 0)
     return {
-        "pattern_sight": np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        "pattern_sight": patterns.first,
         "pattern_group": patterns.group,
         "pattern_fixed": patterns.fixed.astype(np.int64),
-        **{
-            f"sight_{name}": np.ascontiguousarray(values)
-            for name, values in zip(("kind", "width", "terms", "shared", "entry"), columns, strict=True)
-        },
-        "sight_focal": np.array(focal),
-        "entry_column": np.ascontiguousarray(column),
-        "entry_member": np.ascontiguousarray(member),
-        "entry_inside": np.ascontiguousarray(inside_of),
+        "pattern_shape": patterns.shape,
+        "sight_kind": patterns.kind,
+        "sight_width": patterns.width,
+        "sight_terms": patterns.terms,
+        "sight_shared": patterns.shared,
+        "sight_entry": patterns.entry[:-1].copy(),
+        "sight_focal": np.where(rays, focal[patterns.image], 0.0),
+        "sight_rate": np.where(polynomial, rate[patterns.image], 0.0),
+        "sight_numbers": numbers_stored(
+            model, patterns.kind, patterns.width, patterns.terms, patterns.shared, polynomial
+        ),
+        "entry_column": variables.first[patterns.entry_variable] + patterns.entry_inside,
+        "entry_member": patterns.entry_member,
+        "entry_inside": patterns.entry_inside,
     }
-
-
-def _ranks(points: Index, images: Index, nodes: Index) -> Index:
-    """Rank of each row among its point's, by image, then by first node (then as given)."""
-    order = np.lexsort((nodes, images, points))
-    ordered = points[order]
-    begins = np.flatnonzero(np.diff(ordered, prepend=-1))
-    rank = np.empty_like(order)
-    rank[order] = np.arange(order.size) - np.repeat(begins, np.diff(np.append(begins, order.size)))
-    return rank
 
 
 def _by_image(images: Index, count: int) -> list[Index]:
@@ -192,63 +193,69 @@ def _by_image(images: Index, count: int) -> list[Index]:
     return np.split(order, np.searchsorted(images[order], np.arange(1, count)))
 
 
+def _in_threads(work: Callable[[int], None], count: int) -> None:
+    """Do work 0 .. count - 1; compiled code and NumPy let go of the interpreter."""
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        for _ in pool.map(work, range(count)):
+            pass
+
+
 def _fill_rays(
-    network: Network,
-    model: Model,
-    store: _Store,
-    terms: Terms,
-    effects: SharedEffects,
-    starts: Array,
-    weight: Array,
-    angles: RayAngles,
-) -> NDArray[np.int32]:
-    """Constants of the image rays, and their angles; the place of each among all sights."""
-    rays = network.rays
-    slots = _ranks(rays.point, rays.image, terms.of_rays)
-    place_among = np.empty(rays.point.size, dtype=np.int32)
-    for j, mine in enumerate(_by_image(rays.image, len(network.images))):
-        if mine.size == 0:
-            continue
-        image, (lines, samples) = network.images[j], rays.places[mine].T
-        place, stride, place_among[mine] = store.place(rays.point[mine], slots[mine])
+    network: Network, model: Model, store: _Store, terms: Terms, effects: SharedEffects, weight: Array
+) -> tuple[NDArray[np.int32], list[Index]]:
+    """Constants of the image rays, but for the scale of the measured-line form; the place of each among all sights, and
+    the rays of each image.
+    """
+    rays, predicted = network.rays, model.line == PREDICTED
+    among = np.empty(rays.point.size, dtype=np.int32)
+    parts = _by_image(rays.image, len(network.images))
+
+    def fill(j: int) -> None:
+        image, mine = network.images[j], parts[j]
+        lines, samples = terms.lines[mine], rays.places[mine, 1]
         pose = image.pose(lines)
         detector, slope = image.interior.focal_plane(samples)
-        look = np.column_stack([detector, np.full(mine.size, image.interior.focal_length)])
-        angles.add(rays.point[mine], np.einsum("kji,kj->ki", pose.matrix, look))
-        attitude, turning = _attitude(pose, model.angles)
-        at = store.put(place, stride, 0, pose.position)
-        at = store.put(place, stride, at, attitude)
-        at = store.put(place, stride, at, detector)
-        if model.line == MEASURED:
-            at = store.put(place, stride, at, _frozen_scale(image, pose, starts[rays.point[mine]], slope, model))
-        else:
-            for values in (pose.velocity, turning, slope):
-                at = store.put(place, stride, at, values)
-        if terms.count(j):
-            basis, rate = terms.basis(j, lines, terms.of_rays[mine])
-            both = np.concatenate([basis, rate], axis=1)
-            at = store.put(place, stride, at, basis if model.line == MEASURED else both)
-        store.put(place, stride, at, effects.of(IMAGE, j, image.normalised(lines)))
-    weight[:, place_among] = 1.0 / rays.sigmas.T
-    return place_among
+        turning = _angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.turning
+        u, basis = terms.basis(j, lines, terms.of_rays[mine], predicted)
+        shared = effects.of(IMAGE, j, image.normalised(lines))
+        put_rays(
+            mine, rays.point, store.patterns.ray_slot, rays.sigmas, store.tables, model.angles, predicted,
+            (pose.position, pose.matrix, pose.velocity, turning), detector, slope, u, basis, shared.reshape(mine.size, math.prod(shared.shape[1:])), among,
+            weight,
+        )  # fmt: skip
+
+    _in_threads(fill, len(parts))
+    return among, parts
+
+
+def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Index], starts: Array) -> None:
+    """The scale of the measured-line form, from the image motion of points at their starting places."""
+    rays, first = network.rays, 5 + (4 if model.angles == CAMERA else 3)
+
+    def fill(j: int) -> None:
+        image, mine = network.images[j], parts[j]
+        slope = image.interior.focal_plane(rays.places[mine, 1])[1]
+        scale = _frozen_scale(image, rays.places[mine, 0], starts[rays.point[mine]], slope, model)
+        put_scale(mine, rays.point, store.patterns.ray_slot, store.tables, first, scale.reshape(-1, 4))
+
+    _in_threads(fill, len(parts))
 
 
 def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedEffects, weight: Array) -> Index:
     """Constants of the ranges; the instrument is where the camera is at the shot's time."""
     ranges = network.ranges
-    slots = _ranks(ranges.point, ranges.image, terms.of_ranges) + network.ray_counts[ranges.point]
     place_among = np.empty(ranges.point.size, dtype=np.int64)
     for j, mine in enumerate(_by_image(ranges.image, len(network.images))):
         if mine.size == 0:
             continue
         image = network.images[j]
         since = ranges.times[mine] - image.trajectory.epoch
-        place, stride, place_among[mine] = store.place(ranges.point[mine], slots[mine])
+        place, stride, place_among[mine] = store.place(ranges.point[mine], store.patterns.range_slot[mine])
         at = store.put(place, stride, 0, image.trajectory.pose(since).position)
         at = store.put(place, stride, at, ranges.values[mine])
         lines = image.timing.lines(since)
-        if terms.count(j):
-            at = store.put(place, stride, at, terms.basis(j, lines, terms.of_ranges[mine])[0])
+        for values in terms.basis(j, lines, terms.of_ranges[mine], False):
+            at = store.put(place, stride, at, values)
         store.put(place, stride, at, effects.of(RANGE, j, image.normalised(lines)))
     weight[0, place_among] = 1.0 / ranges.sigmas
     return place_among
@@ -298,41 +305,25 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     return among, mine
 
 
-def _starting_places(network: Network, known: Array | None) -> Array:
+def _starting_places(
+    network: Network, model: Model, store: _Store, rays_of: tuple[Index, NDArray[np.int32]], known: Array | None
+) -> tuple[Array, Array]:
     """(n, 3) m: where each point's inner solve begins: where it is known to be, its a-priori place, or the intersection
-    of its nominal rays.
+    of its nominal rays; and (n,) rad between its outermost nominal rays.
     """
-    starts = network.points.places.copy()
+    starts, rays = network.points.places.copy(), network.rays
     there = np.zeros(starts.shape[0], dtype=bool)
     if known is not None:
         there = np.all(np.isfinite(known), axis=1)
         starts[there] = known[there]
     free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~there
-    if np.any(free):
-        _start_at_crossings(network, free, starts)
+    focal, angles = np.array([image.interior.focal_length for image in network.images]), np.empty(free.size)
+    order, slot = store.patterns.point_order, store.patterns.ray_slot
+    crossings(order, *rays_of, rays.image, slot, store.tables, model.angles, focal, free, starts, angles)
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
-    if missing.size:
-        _start_on_the_ground(network, missing, starts)
-    starts[network.undetermined] = 0.0
-    return starts
-
-
-def _start_at_crossings(network: Network, free: Mask, starts: Array) -> None:
-    """Where the nominal rays of points (n,) cross, ahead of their cameras."""
-    rays, count = network.rays, len(network.images)
-    mine = np.flatnonzero(free[rays.point])
-    sums = RaySums(starts.shape[0])
-    seen = list[tuple[Index, Array, Array]]()
-    for j, k in enumerate(_by_image(rays.image[mine], count)):
-        if k.size:
-            seen.append((mine[k], *network.images[j].sightlines(*rays.places[mine[k]].T)))
-            sums.add(rays.point[mine[k]], *seen[-1][1:])
-    crossing, angle = sums.places()
-    usable = free & np.all(np.isfinite(crossing), axis=1) & (angle > _PARALLEL)
-    for rows, origins, directions in seen:  # rays that part meet behind their cameras
-        ahead = np.einsum("ki,ki->k", crossing[rays.point[rows]] - origins, directions) > 0.0
-        usable[rays.point[rows[~ahead]]] = False
-    starts[usable] = crossing[usable]
+    _start_on_the_ground(network, missing, starts)
+    starts[~np.all(np.isfinite(starts), axis=1)] = 0.0
+    return starts, angles
 
 
 def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> None:
@@ -351,28 +342,24 @@ def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> Non
             )
 
 
-def _attitude(pose: Pose, angles: int) -> tuple[Array, Array]:
-    """Attitude (k, 4) as a quaternion of the body-fixed to camera matrix, or (k, 3) omega, phi, kappa in the papers'
-    or the peer's product; and its rate per line: angular velocity in camera axes, or rates of the angles.
-    """
-    if angles == CAMERA:
-        return rotation.from_matrix(pose.matrix), pose.turning
+def _angle_rates(pose: Pose, angles: int) -> Array:
+    """(k, 3) rates per line of omega, phi, kappa in the papers' or the peer's product."""
     paper = angles == OPK_PAPER
     found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
     chain = rotation.angle_axes(found, camera_to_body=paper)
-    return found, np.asarray(np.linalg.solve(chain, pose.turning[:, :, None])[:, :, 0])
+    return np.asarray(np.linalg.solve(chain, pose.turning[:, :, None])[:, :, 0])
 
 
-def _frozen_scale(image: PushbroomImage, pose: Pose, points: Array, slope: Array, model: Model) -> Array:
-    """(k, 2, 2) focal-plane m to (lines, samples): image motion per line, from the nominal, and detector slope.
+def _frozen_scale(image: PushbroomImage, lines: Array, points: Array, slope: Array, model: Model) -> Array:
+    """(k, 2, 2) focal-plane m to residual lines and samples: image motion per line, from the nominal, and detector slope.
 
     In the peer's convention both are pixels of the detector's size, along and across it.
     """
     if model.angles == OPK_PEER:
         square = np.einsum("ki,ki->k", slope, slope)[:, None]
-        return np.stack([np.stack([slope[:, 1], -slope[:, 0]], axis=1) / square, slope / square], axis=1)
-    ray = np.einsum("kij,kj->ki", pose.matrix, points - pose.position)
-    rate = -np.cross(pose.turning, ray) - np.einsum("kij,kj->ki", pose.matrix, pose.velocity)
-    motion = image.interior.focal_length * (rate[:, :2] - ray[:, :2] / ray[:, 2:] * rate[:, 2:]) / ray[:, 2:]
-    turned = np.stack([slope[:, ::-1], motion[:, ::-1]], axis=1) * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    return np.asarray(turned / (motion[:, 0] * slope[:, 1] - motion[:, 1] * slope[:, 0])[:, None, None])
+        return np.stack([np.stack([slope[:, 1], -slope[:, 0]], axis=1) / square, -slope / square], axis=1)
+    pose = image.pose(lines)
+    attitude, turning = tuple(np.moveaxis(pose.matrix, 0, -1)), tuple(pose.turning.T)
+    ray = transform(attitude, tuple((points - pose.position).T))
+    motion = image_motion(ray, ray_motion(attitude, ray, tuple(pose.velocity.T), turning), image.interior.focal_length)
+    return np.stack([np.stack(row, axis=1) for row in to_lines_and_samples(motion, tuple(slope.T))], axis=1)

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem
 from mgsgraph.adjustment.passes import Selection, determined_points
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.factors.bundle import Reduction, dense, point_covariances, reduce, sparse
+from mgsgraph.kernel.bundle import Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns

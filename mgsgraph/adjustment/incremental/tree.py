@@ -19,7 +19,7 @@ import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
 from mgsgraph.errors import SolverError
-from mgsgraph.factors.bundle import square_root
+from mgsgraph.kernel.bundle import square_root
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.parts import Members, Unknown
 

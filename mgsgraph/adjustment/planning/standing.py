@@ -15,8 +15,8 @@ from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.factors.bundle import Reduction
-from mgsgraph.factors.rows import Rows
+from mgsgraph.kernel.bundle import Reduction
+from mgsgraph.kernel.rows import Rows
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network

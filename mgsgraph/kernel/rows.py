@@ -45,7 +45,7 @@ class Rows(NamedTuple):
     start: Array
     """(n, 3) m: a-priori place, place of a fixed point, or where the inner solve begins."""
     data: Array
-    """Constants of all sights, in the order in which `tile.load` takes them."""
+    """Constants of all sights, in the order in which `tile.load_sight` takes them."""
     weight: Array
     """(2, t) 1/sigma per line and per sample (an image ray), 1/m in the first row (range, surface); 0 leaves it out."""
     piece: Index
@@ -57,6 +57,8 @@ class Rows(NamedTuple):
     """(q,) group: set of unknowns."""
     pattern_fixed: Index
     """(q,) 1 where the points are known."""
+    pattern_shape: Index
+    """(q,) shape: sights of the same kinds and sizes, whatever unknowns they feel (`shapes`)."""
     sight_kind: Index
     """(s,) IMAGE, RANGE, GROUND or SURFACE."""
     sight_width: Index
@@ -70,6 +72,10 @@ class Rows(NamedTuple):
     """(s,) first of its entries: terms, then single columns."""
     sight_focal: Array
     """(s,) m, nominal focal length."""
+    sight_rate: Array
+    """(s,) du/dline where the basis is a polynomial 1, u, u^2, .. of the line, of which u alone is stored; else 0."""
+    sight_numbers: Index
+    """(s,) numbers per point in `data` (`numbers_stored`)."""
     entry_column: Index
     """(e,) column of the orientation vector: the first of six, or the single one."""
     entry_member: Index
@@ -83,6 +89,21 @@ class Rows(NamedTuple):
     terrain_cell: Index
     """(n, 3) row, left and right column of the four posts that span each point's patch, row -1 for none; (0, 3) without
     a terrain model. Held during one optimisation, so that the cost is smooth, and renewed between optimisations."""
+
+
+def shapes(first: Index, fixed: Index, *tables: Index) -> Index:
+    """(q,) shape of each pattern, from 0 on: the same for patterns whose sights are alike.
+
+    `first` (q + 1,) is each pattern's first sight, `fixed` (q,) as in `Rows`, and the tables (s,) are what sights have to
+    share: kind, width, numbers of terms and single columns.
+    """
+    _, alike = np.unique(np.stack(tables), axis=1, return_inverse=True)
+    count = np.diff(first)
+    table = np.full((count.size, 1 + int(count.max(initial=0))), -1, dtype=np.int64)
+    table[:, 0] = fixed
+    row = np.repeat(np.arange(count.size), count)
+    table[row, 1 + np.arange(row.size) - np.repeat(first[:-1], count)] = alike.reshape(-1)
+    return np.asarray(np.unique(table, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.int64)
 
 
 class Model(NamedTuple):
@@ -124,18 +145,20 @@ class Target(NamedTuple):
     """Length of the gradient."""
 
 
-def components(model: Model, kind: int, width: int, terms: int, shared: int) -> int:
-    """Numbers per point that a sight stores in `Rows.data`, in the order of `tile.load_constants`."""
-    rates = model.line == PREDICTED
-    singles = width * shared
-    if kind == IMAGE:
-        attitude, rest = (4 if model.angles == CAMERA else 3), (8 if rates else 4)
-        return 3 + attitude + 2 + rest + terms * (2 if rates else 1) + singles
-    own = {RANGE: 3 + 1, GROUND: 3 + 6, SURFACE: 0}
-    return own[kind] + terms + singles
+def numbers_stored(
+    model: Model, kind: Index, width: Index, terms: Index, shared: Index, polynomial: NDArray[np.bool_]
+) -> Index:
+    """Numbers per point that sights (s,) store in `Rows.data`, in the order of `tile.load_sight`.
+
+    Its own, then the line u of a polynomial, or basis values and (where the pose is carried) rates, then directions.
+    """
+    carried = model.line == PREDICTED
+    own = np.array([9 + (4 if model.angles == CAMERA else 3) + (4 if carried else 0), 3 + 1, 3 + 6, 0])
+    of_basis = terms * np.where((kind == IMAGE) & carried, 2, 1)
+    return np.asarray(own[kind] + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
 
 
-def one_sight(rows: Rows, groups: Groups, model: Model, point: int, sight: int) -> Rows:
+def one_sight(rows: Rows, groups: Groups, point: int, sight: int) -> Rows:
     """Rows of a single point (place in the layout) with a single one of its sights, at weight 1.
 
     Its columns are counted through the variables that the sight feels, in the order of the group.
@@ -143,8 +166,7 @@ def one_sight(rows: Rows, groups: Groups, model: Model, point: int, sight: int) 
     piece = int(np.searchsorted(rows.piece[:, 1], point, side="right")) - 1
     pattern, first, count, start, _ = rows.piece[piece]
     begin = int(rows.pattern_sight[pattern])
-    tables = (rows.sight_kind, rows.sight_width, rows.sight_terms, rows.sight_shared)
-    sizes = [components(model, *(int(t[i]) for t in tables)) for i in range(begin, begin + sight + 1)]
+    sizes = rows.sight_numbers[begin : begin + sight + 1].tolist()
     at = start + sum(sizes[:-1]) * count + (point - first)
     i = begin + sight
     entries = slice(rows.sight_entry[i], rows.sight_entry[i] + rows.sight_terms[i] + rows.sight_shared[i])
@@ -159,9 +181,9 @@ def one_sight(rows: Rows, groups: Groups, model: Model, point: int, sight: int) 
         pattern_sight=np.array([0, 1]),
         pattern_group=np.zeros(1, dtype=np.int64),
         pattern_fixed=np.zeros(1, dtype=np.int64),
-        **{f"sight_{name}": getattr(rows, f"sight_{name}")[i : i + 1] for name in ("kind", "width", "terms", "shared")},
+        pattern_shape=np.zeros(1, dtype=np.int64),
+        **{f"sight_{name}": getattr(rows, f"sight_{name}")[i : i + 1] for name in ("kind", "width", "terms", "shared", "focal", "rate", "numbers")},
         sight_entry=np.zeros(1, dtype=np.int64),
-        sight_focal=rows.sight_focal[i : i + 1],
         entry_column=(np.cumsum(width) - width)[place.reshape(-1)] + rows.entry_inside[entries],
         entry_member=place.reshape(-1).astype(np.int64),
         entry_inside=rows.entry_inside[entries],

@@ -13,10 +13,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.factors.design import most_columns
-from mgsgraph.factors.reliability import NUMBERS
-from mgsgraph.factors.rows import NO_LOSS, Groups, Model, Rows, Target
-from mgsgraph.factors.sweep import COSTS, COVARIANCES, DESIGN, RELIABILITY, RESIDUALS, SYSTEM, sweep_all
+from mgsgraph.kernel.design import most_columns
+from mgsgraph.kernel.reliability import NUMBERS
+from mgsgraph.kernel.rows import NO_LOSS, Groups, Model, Rows, Target
+from mgsgraph.kernel.sweep import COSTS, COVARIANCES, DESIGN, RELIABILITY, RESIDUALS, SYSTEM, sweep_all
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,169 @@
+"""Constants of image rays put where the kernel reads them, and where points' nominal rays cross; compiled."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from mgsgraph.compiled import digest_of, make_equations_compilable
+from mgsgraph.factors import algebra
+from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
+from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
+from mgsgraph.factors.rotation import matrix_quaternion, opk_angles, opk_rotation, quaternion_matrix
+from mgsgraph.kernel.rows import CAMERA, OPK_PAPER
+
+make_equations_compilable()
+
+_compiled = njit(nogil=True, error_model="numpy")
+_kept = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_compiled
+def destination(point, slot, point_place, piece_of, piece, before):
+    """Where a sight's constants begin in the data, the step to the next one, and its place among all sights."""
+    place = point_place[point]
+    p = piece_of[place]
+    inside, stride = place - piece[p, 1], piece[p, 2]
+    return piece[p, 3] + stride * before[piece[p, 0], slot] + inside, stride, piece[p, 4] + slot * stride + inside
+
+
+@_compiled
+def put(data, at, stride, values):
+    """Store the components of a tuple; where the next one goes."""
+    for value in values:
+        data[at] = value
+        at += stride
+    return at
+
+
+@_compiled
+def rows_of(matrix):
+    """A matrix (3, 3) as rows."""
+    return (
+        (matrix[0, 0], matrix[0, 1], matrix[0, 2]),
+        (matrix[1, 0], matrix[1, 1], matrix[1, 2]),
+        (matrix[2, 0], matrix[2, 1], matrix[2, 2]),
+    )
+
+
+@_compiled
+def vector(values, k):
+    """Row k of an array (n, 3)."""
+    return values[k, 0], values[k, 1], values[k, 2]
+
+
+@_compiled
+def ray(data, point, slot, store, angles, focal):
+    """Origin (m) and direction, body-fixed, of a nominal ray that `put_rays` has put there."""
+    point_place, piece_of, piece, before, _ = store
+    at, s, _ = destination(point, slot, point_place, piece_of, piece, before)
+    centre, at = (data[at], data[at + s], data[at + 2 * s]), at + 3 * s
+    if angles == CAMERA:
+        to_body = transpose(quaternion_matrix((data[at], data[at + s], data[at + 2 * s], data[at + 3 * s])))
+        at += 4 * s
+    else:
+        to_body = opk_rotation((data[at], data[at + s], data[at + 2 * s]))
+        if angles != OPK_PAPER:
+            to_body = transpose(to_body)
+        at += 3 * s
+    return centre, transform(to_body, (data[at], data[at + s], focal))
+
+
+def _compile(sources: str) -> Any:
+    """What is called from Python; it holds the digest of all that it is compiled from."""
+
+    @_kept
+    def put_rays(mine, point, slot, sigmas, store, angles, predicted, pose, detector, slope, u, basis, effects, among, weight):
+        """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_sight` takes them.
+
+        `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, turnings or rates of
+        the angles), `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of nodes. The scale of the
+        measured-line form is left out.
+        """
+        if len(sources) == 0:
+            return
+        point_place, piece_of, piece, before, data = store
+        position, matrix, velocity, turning = pose
+        for r in range(mine.size):
+            k = mine[r]
+            at, stride, place = destination(point[k], slot[k], point_place, piece_of, piece, before)
+            among[k] = place
+            weight[0, place], weight[1, place] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
+            at = put(data, at, stride, vector(position, r))
+            attitude = rows_of(matrix[r])
+            if angles == CAMERA:
+                at = put(data, at, stride, matrix_quaternion(attitude))
+            else:
+                at = put(data, at, stride, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
+            at = put(data, at, stride, (detector[r, 0], detector[r, 1]))
+            if predicted:
+                at = put(data, at, stride, vector(velocity, r))
+                at = put(data, at, stride, vector(turning, r))
+                at = put(data, at, stride, (slope[r, 0], slope[r, 1]))
+            else:
+                at += 4 * stride
+            for values in (u, basis, effects):
+                for c in range(values.shape[1]):
+                    data[at] = values[r, c]
+                    at += stride
+
+    @_kept
+    def put_scale(mine, point, slot, store, first, values):
+        """The scale (m, 4) of the measured-line form, component `first` of each ray."""
+        if len(sources) == 0:
+            return
+        point_place, piece_of, piece, before, data = store
+        for r in range(mine.size):
+            at, stride, _ = destination(point[mine[r]], slot[mine[r]], point_place, piece_of, piece, before)
+            for c in range(4):
+                data[at + (first + c) * stride] = values[r, c]
+
+    @_kept
+    def crossings(point_order, begin, order, image, slot, store, angles, focal, wanted, places, apart):
+        """Where the nominal rays of points cross, and how far apart they point.
+
+        Parameters
+        ----------
+        point_order : (n,)
+            Network point at each place of the layout.
+        begin, order : (n + 1,), (k,)
+            Rays of each point (`sorting.by_point`).
+        image, slot : (k,)
+        store, angles
+            As of `put_rays`.
+        focal : (images,)
+            m.
+        wanted : (n,)
+            Points whose place is asked for.
+        places : (n, 3)
+            m: filled for these, unless the rays are closer to parallel than 2e-7 rad or meet behind a camera.
+        apart : (n,)
+            rad between the outermost rays, about: filled for all; zero for fewer than two.
+        """
+        if len(sources) == 0:
+            return
+        data = store[4]
+        for i in point_order:  # as the constants lie
+            count, origin = begin[i + 1] - begin[i], (0.0, 0.0, 0.0)
+            normal, right = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+            for r in range(begin[i], begin[i + 1]):
+                centre, look = ray(data, i, slot[order[r]], store, angles, focal[image[order[r]]])
+                origin = centre if r == begin[i] else origin
+                unit = scale(1.0 / np.sqrt(dot(look, look)), look)
+                normal, right = add_ray(normal, right, subtract(centre, origin), unit)
+            weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
+            apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
+            if wanted[i]:
+                found = solve_symmetric(normal, right)
+                usable = weakest > 1e-14
+                for r in range(begin[i], begin[i + 1] if usable else 0):  # rays that part meet behind their cameras
+                    centre, look = ray(data, i, slot[order[r]], store, angles, focal[image[order[r]]])
+                    usable &= dot(subtract(add(found, origin), centre), look) > 0.0
+                for j in range(3):
+                    places[i, j] = found[j] + origin[j] if usable else places[i, j]
+
+    return put_rays, put_scale, crossings
+
+
+put_rays, put_scale, crossings = _compile(digest_of(Path(__file__).parent, Path(algebra.__file__).parent))

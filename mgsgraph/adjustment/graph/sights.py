@@ -1,0 +1,83 @@
+"""Single sights of a layout as the records of which `factors` makes GTSAM factors: the explicit form."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from mgsgraph.factors.collinearity import ImageRay
+from mgsgraph.factors.explicit import Correction, Measurement, measurement_factor
+from mgsgraph.factors.ground import GroundPrior
+from mgsgraph.factors.laser_range import Range
+from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer
+from mgsgraph.factors.surface import SurfaceHeight
+from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.rows import CAMERA, GROUND, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, RANGE, Model, Rows
+
+_ATTITUDES = {CAMERA: about_axes, OPK_PAPER: opk_paper, OPK_PEER: opk_peer}
+
+
+def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
+    """The measurement of a single sight (`kernel.rows.one_sight`), and what it feels of its columns."""
+    kind, width, terms = int(rows.sight_kind[0]), int(rows.sight_width[0]), int(rows.sight_terms[0])
+    rates = terms if kind == IMAGE and model.line == PREDICTED else 0
+    singles = int(rows.sight_shared[0])
+    numbers, last = rows.data.tolist(), rows.data.size - singles * width
+    own = last - (min(terms, 1) if rows.sight_rate[0] else terms + rates)
+    basis, slopes = numbers[own : own + terms], numbers[own + terms : last] if rates else [0.0] * terms
+    if rows.sight_rate[0] and terms:
+        basis = [numbers[own] ** t for t in range(terms)]
+        slopes = [t * numbers[own] ** max(t - 1, 0) * float(rows.sight_rate[0]) for t in range(terms)]
+    columns = rows.entry_column[: terms + singles].tolist()
+    correction = Correction(
+        width,
+        6 if width >= 6 else 3,
+        tuple(columns[:terms]),
+        tuple(basis),
+        tuple(slopes),
+        tuple(columns[terms:]),
+        tuple(tuple(numbers[last + e * width : last + (e + 1) * width]) for e in range(singles)),
+    )
+    return _measurement(rows, model, kind, numbers[:own]), correction
+
+
+def _measurement(rows: Rows, model: Model, kind: int, own: list[float]) -> Measurement:
+    if kind == IMAGE:
+        return _image_ray(model, own, float(rows.sight_focal[0]))
+    if kind == RANGE:
+        return Range(own[3], tuple(own[:3]))
+    if kind == GROUND:
+        return GroundPrior(tuple(own[:3]), tuple(own[3:]))
+    (row, left, right), frame = rows.terrain_cell[0].tolist(), rows.terrain_frame.tolist()
+    posts: Any = None
+    if row >= 0:
+        posts = tuple(float(rows.terrain[i, j]) for i in (row, row + 1) for j in (left, right))
+    return SurfaceHeight(posts, (left, row), tuple(frame[:2]), tuple(frame[2:]))
+
+
+def _image_ray(model: Model, own: list[float], focal: float) -> ImageRay:
+    """Constants in the order of `kernel.tile.load_sight`."""
+    angles = 4 if model.angles == CAMERA else 3
+    centre, nominal, detector, rest = np.split(np.array(own), np.cumsum([3, angles, 2]))
+    nothing = (0.0, 0.0, 0.0)
+    if model.line == PREDICTED:
+        velocity, turning, slope, scale = *map(tuple, np.split(rest, [3, 6])), None
+    else:
+        velocity, turning, slope, scale = nothing, nothing, nothing[:2], (tuple(rest[:2]), tuple(rest[2:]))
+    return ImageRay(
+        _ATTITUDES[model.angles], tuple(centre), tuple(nominal), velocity, turning, tuple(detector), slope, scale, focal
+    )
+
+
+def sight_factor(
+    keys: Sequence[int],
+    widths: Sequence[int],
+    point_key: int | Array,
+    rows: Rows,
+    model: Model,
+    noise: gtsam.noiseModel.Base,
+    label: str,
+) -> gtsam.CustomFactor:
+    """Factor of a single sight (`kernel.rows.one_sight`); the other parameters as of `measurement_factor`."""
+    return measurement_factor(keys, widths, point_key, *measurement(rows, model), noise, label)

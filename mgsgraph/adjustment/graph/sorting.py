@@ -1,0 +1,116 @@
+"""Points sorted by what they see, by compiled code: no Python per point, per pattern or per image set."""
+
+import numpy as np
+from numba import njit
+
+_compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_compiled
+def by_point(point, image, node, points):
+    """Rows of each point, in the order of image and first node (then as given).
+
+    Parameters
+    ----------
+    point, image, node : (k,)
+    points : int
+        Number of points n.
+
+    Returns
+    -------
+    begin : (n + 1,)
+        Where each point's rows begin in `order`.
+    order : (k,)
+        Rows, point after point.
+    slot : (k,)
+        Place of each row among its point's.
+    """
+    begin = np.zeros(points + 1, dtype=np.int64)
+    for k in range(point.size):
+        begin[point[k] + 1] += 1
+    for i in range(points):
+        begin[i + 1] += begin[i]
+    order, filled = np.empty(point.size, dtype=np.int32), np.zeros(points, dtype=np.int32)
+    for k in range(point.size):
+        i = point[k]
+        at, first = begin[i] + filled[i], begin[i]
+        while at > first:
+            other = order[at - 1]
+            if image[other] < image[k] or (image[other] == image[k] and node[other] <= node[k]):
+                break
+            order[at] = other
+            at -= 1
+        order[at] = k
+        filled[i] += 1
+    slot = np.empty(point.size, dtype=np.int32)
+    for i in range(points):
+        for at in range(begin[i], begin[i + 1]):
+            slot[order[at]] = at - begin[i]
+    return begin, order, slot
+
+
+@_compiled
+def mixed(signature, value):
+    """A signature with one more number in it (splitmix64)."""
+    z = (signature ^ np.uint64(value)) + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@_compiled
+def mix_rows(signature, begin, order, image, node, mark):
+    """Let the signatures (n,) of points know their rows."""
+    for i in range(signature.size):
+        one = mixed(signature[i], np.uint64(mark))
+        for at in range(begin[i], begin[i + 1]):
+            k = order[at]
+            one = mixed(mixed(one, np.uint64(image[k] + 1)), np.uint64(node[k] + 2))
+        signature[i] = one
+
+
+@_compiled
+def mix_values(signature, values):
+    """Let signatures (n,) know a number (n,) of each point, not below -1."""
+    for i in range(signature.size):
+        signature[i] = mixed(signature[i], np.uint64(values[i] + 2))
+
+
+@_compiled
+def distinct(signature):
+    """Number each distinct signature in the order of appearance: example of each, and the number of all (n,)."""
+    size = 1024
+    table, number = np.full(size, -1, dtype=np.int64), np.empty(signature.size, dtype=np.int64)
+    example, count = np.empty(signature.size, dtype=np.int64), 0
+    for i in range(signature.size):
+        if 2 * count >= size:
+            size *= 4
+            table = np.full(size, -1, dtype=np.int64)
+            for q in range(count):
+                at = np.int64(signature[example[q]] & np.uint64(size - 1))
+                while table[at] >= 0:
+                    at = (at + 1) & (size - 1)
+                table[at] = q
+        at = np.int64(signature[i] & np.uint64(size - 1))
+        while table[at] >= 0 and signature[example[table[at]]] != signature[i]:
+            at = (at + 1) & (size - 1)
+        if table[at] < 0:
+            table[at], example[count] = count, i
+            count += 1
+        number[i] = table[at]
+    return example[:count].copy(), number
+
+
+@_compiled
+def counted(number, count):
+    """Points in the order of their numbers (n,), each below `count`: that order, the way back, and how many of each."""
+    sizes = np.zeros(count, dtype=np.int64)
+    for i in range(number.size):
+        sizes[number[i]] += 1
+    at = np.cumsum(sizes) - sizes
+    order, place = np.empty(number.size, dtype=np.int64), np.empty(number.size, dtype=np.int64)
+    for i in range(number.size):
+        k = at[number[i]]
+        order[k], place[i] = i, k
+        at[number[i]] = k + 1
+    return order, place, sizes

@@ -1,0 +1,272 @@
+"""Cholesky factor of the reduced normal equations: multifrontal, over dense blocks of pairs of variables.
+
+The order is GTSAM's (Colamd), the cliques are those of its Bayes tree, so that both factors are the same up to rounding;
+what differs is who does the arithmetic. GTSAM's wheels multiply without the processor's wide vectors and take a Python
+call per block; here a clique is one dense front, factored by LAPACK (Duff & Reid 1983; Liu 1992).
+"""
+
+from dataclasses import dataclass
+
+import gtsam
+import numba
+import numpy as np
+from scipy.linalg import blas, lapack
+
+from mgsgraph.adjustment.square_root import SquareRoot, begins
+from mgsgraph.geometry.records import Array, Index
+
+_RELAXED = 0.1
+"""Share of a front that may be zeros for the sake of a larger one: a few large fronts take less time than many."""
+_POORLY = 2.0**-24
+"""Share of a diagonal that elimination must leave of it, or its variable counts as hardly determined (as in GTSAM)."""
+
+
+class NotDefinite(Exception):
+    """A normal matrix that is not positive definite."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Front:
+    """One clique: its frontal variables, then its separator; and where its numbers come from."""
+
+    variables: Index
+    """All of them."""
+    frontals: int
+    """Number of frontal ones."""
+    columns: Index
+    """Columns of all, frontal ones first."""
+    width: int
+    """Frontal columns."""
+    source: Index
+    """(b,) where its original blocks begin in the flat matrix."""
+    shape: Index
+    """(b, 2) their rows and columns."""
+    place: Index
+    """(b, 2) first row and column of each in the front, the lower one first."""
+    turned: Index
+    """(b,) 1 for a block that stands transposed."""
+    children: tuple[int, ...]
+    """Cliques whose separators lie in it."""
+    index: Index
+    """Of its separator's columns, places in the parent's front."""
+
+
+class SparseCholesky:
+    """The elimination of normal equations of one structure, whatever their numbers.
+
+    Parameters
+    ----------
+    first, width : (v,)
+        First column of each variable, -1 for one without columns, and numbers of columns.
+    pairs : (p, 2)
+        Variables of the blocks, the first not after the second; each adjusted variable with itself among them.
+    offset : (p,)
+        Where each block begins in the flat matrix, the first variable's columns down.
+    """
+
+    def __init__(self, first: Index, width: Index, pairs: Index, offset: Index) -> None:
+        self.first, self.width = first, width
+        kept = np.all(first[pairs] >= 0, axis=1)
+        self._pairs, self._offset = pairs[kept], offset[kept]
+        self._fronts = _make_fronts(first, width, self._pairs, self._offset)
+        self.columns = int(width[first >= 0].sum())
+
+    def factor(self, flat: Array, diagonal: Array, scales: Array) -> "Factor":
+        """Factor of flat blocks plus a diagonal (columns,), per m and rad, in units of `scales` (columns,).
+
+        Raises NotDefinite.
+        """
+        flat = flat.copy()
+        _scale(flat, self._offset, self.width[self._pairs], self.first[self._pairs], scales)
+        extra = diagonal * scales**2
+        rows, left, determined = list[tuple[Array, Array]](), dict[int, Array](), True
+        for k, front in enumerate(self._fronts):
+            w, rest = front.width, front.columns.size - front.width
+            own, across, beyond = (np.zeros(shape, order="F") for shape in ((w, w), (w, rest), (rest, rest)))
+            _assemble(own, across, flat, front.source, front.shape, front.place, front.turned)
+            for child in front.children:
+                _add_at(own, across, beyond, left.pop(child), self._fronts[child].index)
+            every = np.arange(w)
+            own[every, every] += extra[front.columns[:w]]
+            before = np.diagonal(own).copy()
+            own, failed = lapack.dpotrf(own, lower=0, clean=0, overwrite_a=1)
+            if failed:
+                raise NotDefinite
+            determined &= bool(np.all(np.diagonal(own) ** 2 > _POORLY * before))
+            if rest:
+                across = blas.dtrsm(1.0, own, across, lower=0, trans_a=1, overwrite_b=1)
+                left[k] = blas.dsyrk(-1.0, across, 1.0, beyond, trans=1, lower=0, overwrite_c=1)
+            rows.append((own, across))
+        return Factor(self, rows, scales, determined)
+
+    def solve(self, rows: list[tuple[Array, Array]], right: Array) -> Array:
+        """Solution (columns,) of the factored equations."""
+        work = right.copy()
+        for front, (upper, across) in zip(self._fronts, rows, strict=True):
+            own, rest = front.columns[: front.width], front.columns[front.width :]
+            work[own] = blas.dtrsv(upper, work[own], trans=1)
+            work[rest] -= across.T @ work[own]
+        for front, (upper, across) in zip(self._fronts[::-1], rows[::-1], strict=True):
+            own, rest = front.columns[: front.width], front.columns[front.width :]
+            work[own] = blas.dtrsv(upper, work[own] - across @ work[rest])
+        return work
+
+    def square_root(self, rows: list[tuple[Array, Array]], scales: Array) -> SquareRoot:
+        """The factor as a record, parents first, in 1/m and 1/rad."""
+        fronts = self._fronts[::-1]
+        flat = [
+            (np.hstack([np.triu(upper), across]) / scales[front.columns]).ravel()
+            for front, (upper, across) in zip(fronts, rows[::-1], strict=True)
+        ]
+        return SquareRoot(
+            self.first.copy(), self.width.copy(),
+            members=np.concatenate([np.zeros(0, dtype=np.int64), *(front.variables for front in fronts)]),
+            sizes=np.array([front.variables.size for front in fronts], dtype=np.int64),
+            frontals=np.array([front.frontals for front in fronts], dtype=np.int64),
+            rows=np.concatenate([np.zeros(0), *flat]),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """A Cholesky factor."""
+
+    structure: SparseCholesky
+    rows: list[tuple[Array, Array]]
+    """R and T of each clique, children first, in units of `scales`."""
+    scales: Array
+    """(columns,) m and rad."""
+    determined: bool
+    """Whether elimination leaves enough of each diagonal that none of the unknowns is suspect."""
+
+    def solve(self, right: Array) -> Array:
+        """Solution (columns,), m and rad, for a right side per m and rad."""
+        return self.structure.solve(self.rows, right * self.scales) * self.scales
+
+    def square_root(self) -> SquareRoot:
+        """The record of it."""
+        return self.structure.square_root(self.rows, self.scales)
+
+
+def _make_fronts(first: Index, width: Index, pairs: Index, offset: Index) -> list[_Front]:
+    order = _colamd(pairs)
+    cliques, parent = _cliques(order, pairs, width)
+    turn = np.full(first.size, -1)
+    turn[order] = np.arange(order.size)
+    home = np.full(first.size, -1)
+    for k, (frontal, _) in enumerate(cliques):
+        home[frontal] = k
+    earlier = np.where(turn[pairs[:, 0]] <= turn[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
+    blocks = np.argsort(home[earlier], kind="stable")
+    edges = np.searchsorted(home[earlier][blocks], np.arange(len(cliques) + 1))
+    fronts, place, children = list[_Front](), np.full(first.size, -1), [list[int]() for _ in cliques]
+    for k, (frontal, separator) in enumerate(cliques):
+        variables = np.array(frontal + separator, dtype=np.int64)
+        start = begins(width[variables])
+        place[variables] = start[:-1]
+        columns = np.repeat(first[variables] - start[:-1], width[variables]) + np.arange(start[-1])
+        mine = blocks[edges[k] : edges[k + 1]]
+        at = place[pairs[mine]]
+        turned = at[:, 0] > at[:, 1]
+        fronts.append(_Front(
+            variables, len(frontal), columns, int(start[len(frontal)]), offset[mine], width[pairs[mine]],
+            np.where(turned[:, None], at[:, ::-1], at), turned.astype(np.int64), tuple(children[k]), columns[:0],
+        ))  # fmt: skip
+        if parent[k] >= 0:
+            children[parent[k]].append(k)
+    inner = np.full(int(width[first >= 0].sum()), -1)
+    for k, front in enumerate(fronts):
+        for child in front.children:
+            inner[front.columns] = np.arange(front.columns.size)
+            index = inner[fronts[child].columns[fronts[child].width :]]
+            object.__setattr__(fronts[child], "index", index)
+    return fronts
+
+
+def _colamd(pairs: Index) -> Index:
+    """Variables in the order of elimination."""
+    graph = gtsam.SymbolicFactorGraph()
+    for v, w in pairs.tolist():
+        if v == w:
+            graph.push_factor(v)
+        else:
+            graph.push_factor(v, w)
+    order = gtsam.Ordering.ColamdSymbolicFactorGraph(graph)
+    return np.array([order.at(k) for k in range(order.size())], dtype=np.int64)
+
+
+def _cliques(order: Index, pairs: Index, width: Index) -> tuple[list[tuple[list[int], list[int]]], list[int]]:
+    """Frontal and separator variables of each clique, children first, and each clique's parent, -1 for a root."""
+    turn = {v: k for k, v in enumerate(order.tolist())}
+    later = [set[int]() for _ in order]
+    for v, w in pairs.tolist():
+        low, high = sorted((turn[v], turn[w]))
+        later[low].add(high)
+    parent, children = [-1] * len(later), [list[int]() for _ in later]
+    for k, mine in enumerate(later):
+        mine.discard(k)
+        for child in children[k]:
+            mine |= later[child]
+        mine.discard(k)
+        if mine:
+            parent[k] = min(mine)
+            children[parent[k]].append(k)
+    frontals: dict[int, list[int]] = {}  # by the last of them
+    size = width[order]
+    for k, mine in enumerate(later):
+        frontals[k] = [k]
+        for child in children[k]:  # a child that hardly differs from its parent joins it
+            own, whole = sum(size[list(frontals[child])]), sum(size[list(later[child])])
+            merged = sum(size[frontals[k]]) + sum(size[list(mine)])
+            if own * (merged - whole) <= _RELAXED * own * (own + whole) or merged == whole:
+                frontals[k] = frontals.pop(child) + frontals[k]
+    last = sorted(frontals)
+    number = {k: c for c, k in enumerate(last)}
+    owner = {k: number[end] for end in last for k in frontals[end]}
+    cliques = [
+        ([int(order[k]) for k in frontals[end]], [int(order[k]) for k in sorted(later[end])]) for end in last
+    ]
+    return cliques, [owner[min(later[end])] if later[end] else -1 for end in last]
+
+
+@numba.njit(cache=True, nogil=True)
+def _scale(flat, offset, shape, first, scales):
+    """Bring blocks to units of `scales`."""
+    for b in range(offset.size):
+        at = offset[b]
+        for i in range(shape[b, 0]):
+            for j in range(shape[b, 1]):
+                flat[at] *= scales[first[b, 0] + i] * scales[first[b, 1] + j]
+                at += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _assemble(own, across, flat, source, shape, place, turned):
+    """Put original blocks into the rows of a front's frontal variables, upper triangle."""
+    width = own.shape[0]
+    for b in range(source.size):
+        rows, columns = shape[b]
+        down, right = place[b]
+        for i in range(rows):
+            for j in range(columns):
+                value = flat[source[b] + i * columns + j]
+                row, column = (down + j, right + i) if turned[b] else (down + i, right + j)
+                if column < width:
+                    own[row, column] += value
+                else:
+                    across[row, column - width] += value
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_at(own, across, beyond, part, index):
+    """Add the upper triangle of a child's left-over to its parent's front, at rows and columns `index`."""
+    width = own.shape[0]
+    for j in range(index.size):
+        for i in range(j + 1):
+            row, column = min(index[i], index[j]), max(index[i], index[j])
+            if column < width:
+                own[row, column] += part[i, j]
+            elif row < width:
+                across[row, column - width] += part[i, j]
+            else:
+                beyond[row - width, column - width] += part[i, j]

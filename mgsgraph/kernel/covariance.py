@@ -1,0 +1,183 @@
+"""Covariances of the points by back-substitution: S_p = V^-1 + V^-1 W' S W V^-1, S that of the shared unknowns.
+
+Per sight pair S is first taken to the sights' states (pose covariance at their lines), then through Y = W L^-T:
+S_p = L^-T (1 + sum_ij Y_i' S_ij Y_j) L^-1.
+"""
+
+import numpy as np
+
+from mgsgraph.kernel.elimination import block_place, couple_all, sight_columns
+from mgsgraph.kernel.lanes import (
+    BASIS,
+    CARRIED_PAIR,
+    COUPLED,
+    FACTOR,
+    LANES,
+    MIDDLE,
+    PAIR,
+    PRODUCT,
+    STATE,
+    STATE_WIDTH,
+    TILE,
+    WIDTH,
+    lane,
+)
+from mgsgraph.kernel.rows import OUT, WEAK
+from mgsgraph.kernel.tile import BEGIN, END, PATTERN, point_of, pose_components, sights_of
+
+
+@lane
+def entry_columns(rows, i, e):
+    """Columns of a sight's e-th entry: the components of a basis term, or a single one."""
+    return pose_components(rows.sight_width[i]) if e < rows.sight_terms[i] else 1
+
+
+@lane
+def lift(rows, i, e, a, s):
+    """How column a of a sight's e-th entry acts on its state: first register, its step, and the components it moves."""
+    terms = rows.sight_terms[i]
+    if e < terms:
+        return s + BASIS + e * LANES, 0, a, a + 1
+    return s + BASIS + 2 * terms * LANES + (e - terms) * WIDTH, LANES, 0, rows.sight_width[i]
+
+
+@lane
+def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t):
+    """PAIR: covariance (7, 7) between the states of two sights."""
+    for r in range(STATE_WIDTH * WIDTH):
+        w[PAIR + r] = 0.0
+    components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
+    for p in range(rows.sight_terms[i]):
+        for q in range(rows.sight_terms[j]):
+            first, second = s + BASIS + p * LANES, t + BASIS + q * LANES
+            for l in range(LANES):
+                w[PRODUCT + l] = w[first + l] * w[second + l]
+            for k in range(count):
+                pattern = segments[k, PATTERN]
+                entry_i = rows.sight_entry[rows.pattern_sight[pattern] + i - begin]
+                entry_j = rows.sight_entry[rows.pattern_sight[pattern] + j - begin]
+                group = rows.pattern_group[pattern]
+                start, down, across, _ = block_place(rows, groups, target, group, entry_i + p, entry_j + q)
+                for a in range(components_i):
+                    for b in range(components_j):
+                        value = joint[start + a * down + b * across]
+                        m = PAIR + a * WIDTH + b * LANES
+                        for l in range(segments[k, BEGIN], segments[k, END]):
+                            w[m + l] += value * w[PRODUCT + l]
+    if rows.sight_shared[i] + rows.sight_shared[j] > 0:
+        for k in range(count):
+            singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t)
+
+
+@lane
+def singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t):
+    """Add, in a segment, the share of pairs of entries of which one at least is a single column."""
+    pattern = segments[k, PATTERN]
+    first, group = rows.pattern_sight[pattern] - begin, rows.pattern_group[pattern]
+    entry_i, entry_j = rows.sight_entry[first + i], rows.sight_entry[first + j]
+    terms_i, terms_j = rows.sight_terms[i], rows.sight_terms[j]
+    for e in range(terms_i + rows.sight_shared[i]):
+        for f in range(0 if e >= terms_i else terms_j, terms_j + rows.sight_shared[j]):
+            start, down, across, _ = block_place(rows, groups, target, group, entry_i + e, entry_j + f)
+            for a in range(entry_columns(rows, i, e)):
+                left = lift(rows, i, e, a, s)
+                for b in range(entry_columns(rows, j, f)):
+                    value = joint[start + a * down + b * across]
+                    add_lifted(value, left, lift(rows, j, f, b, t), segments[k, BEGIN], segments[k, END], w)
+
+
+@lane
+def add_lifted(value, left, right, first, last, w):
+    """Add to PAIR the covariance of two columns, each as it acts on its sight's state (`lift`)."""
+    from_left, left_step, left_begin, left_end = left
+    from_right, right_step, right_begin, right_end = right
+    for a in range(left_begin, left_end):
+        for b in range(right_begin, right_end):
+            k = PAIR + a * WIDTH + b * LANES
+            for l in range(first, last):
+                w[k + l] += value * w[from_left + a * left_step + l] * w[from_right + b * right_step + l]
+
+
+@lane
+def through_coupling(width_i, width_j, twice, w, y, c, d):
+    """Add Y_i' PAIR Y_j to MIDDLE, and its transpose if `twice`."""
+    for a in range(width_i):
+        for e in range(3):
+            u = CARRIED_PAIR + (3 * a + e) * LANES
+            for l in range(LANES):
+                w[u + l] = 0.0
+            for b in range(width_j):
+                k, z = PAIR + a * WIDTH + b * LANES, d + (3 * b + e) * LANES
+                for l in range(LANES):
+                    w[u + l] += w[k + l] * y[z + l]
+    place = 0
+    for b in range(3):
+        for e in range(b, 3):
+            for a in range(width_i):
+                z, u = c + 3 * a * LANES, CARRIED_PAIR + 3 * a * LANES
+                for l in range(LANES):
+                    w[MIDDLE + place * LANES + l] += y[z + b * LANES + l] * w[u + e * LANES + l]
+                for l in range(LANES if twice else 0):
+                    w[MIDDLE + place * LANES + l] += y[z + e * LANES + l] * w[u + b * LANES + l]
+            place += 1
+
+
+@lane
+def begin_middle(w):
+    """MIDDLE: the unit matrix."""
+    for r in range(6 * LANES):
+        w[MIDDLE + r] = 0.0
+    for l in range(LANES):
+        w[MIDDLE + l], w[MIDDLE + 3 * LANES + l], w[MIDDLE + 5 * LANES + l] = 1.0, 1.0, 1.0
+
+
+@lane
+def store(rows, point, first, last, w, covariances):
+    """Covariances (n, 3, 3): L^-T MIDDLE L^-1; NaN for weak points, zero for those that are left out."""
+    for l in range(first, last):
+        i00, l10, i11 = w[FACTOR + l], w[FACTOR + LANES + l], w[FACTOR + 2 * LANES + l]
+        l20, l21, i22 = w[FACTOR + 3 * LANES + l], w[FACTOR + 4 * LANES + l], w[FACTOR + 5 * LANES + l]
+        i10 = -l10 * i00 * i11
+        i21 = -l21 * i11 * i22
+        i20 = -(l20 * i00 + l21 * i10) * i22
+        m00, m01, m02 = w[MIDDLE + l], w[MIDDLE + LANES + l], w[MIDDLE + 2 * LANES + l]
+        m11, m12, m22 = w[MIDDLE + 3 * LANES + l], w[MIDDLE + 4 * LANES + l], w[MIDDLE + 5 * LANES + l]
+        # columns of MIDDLE L^-1
+        a00, a10, a20 = (
+            m00 * i00 + m01 * i10 + m02 * i20,
+            m01 * i00 + m11 * i10 + m12 * i20,
+            m02 * i00 + m12 * i10 + m22 * i20,
+        )
+        a01, a11, a21 = m01 * i11 + m02 * i21, m11 * i11 + m12 * i21, m12 * i11 + m22 * i21
+        a12, a22 = m12 * i22, m22 * i22
+        c = covariances[point + l]
+        c[0, 0] = i00 * a00 + i10 * a10 + i20 * a20
+        c[0, 1] = c[1, 0] = i00 * a01 + i10 * a11 + i20 * a21
+        c[0, 2] = c[2, 0] = i00 * m02 * i22 + i10 * a12 + i20 * a22
+        c[1, 1] = i11 * a11 + i21 * a21
+        c[1, 2] = c[2, 1] = i11 * a12 + i21 * a22
+        c[2, 2] = i22 * a22
+        if rows.kind[point + l] == OUT:
+            c[:, :] = 0.0
+        elif w[STATE + l] == WEAK:
+            c[:, :] = np.nan
+
+
+@lane
+def covariance_tile(rows, groups, target, segments, count, joint, w, depth, y, covariances):
+    """Covariances (n, 3, 3) in m^2 of a tile's points, whose rows and L are there; zero for known ones.
+
+    `joint` holds the covariance of the shared unknowns in the blocks that `target` describes.
+    """
+    couple_all(rows, segments, w, depth, y)
+    begin_middle(w)
+    begin, end = sights_of(rows, segments)
+    for i in range(begin, end):
+        s = TILE + (i - begin) * depth
+        for j in range(i, end):
+            if sight_columns(rows, i)[1] > 0 and sight_columns(rows, j)[1] > 0:
+                t, widths = TILE + (j - begin) * depth, (rows.sight_width[i], rows.sight_width[j])
+                state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t)
+                through_coupling(*widths, i != j, w, y, (i - begin) * COUPLED, (j - begin) * COUPLED)
+    for k in range(count):
+        store(rows, point_of(rows, segments, k), segments[k, BEGIN], segments[k, END], w, covariances)

@@ -1,0 +1,251 @@
+"""Lanes: points of one shape side by side, so that the compiler turns loops over them into SIMD.
+
+A tile of up to `LANES` points is worked on in one flat array of registers, `LANES` numbers each: `w[REGISTER + l]` is
+lane l of a register. Registers lie at constant distances, which is what lets LLVM prove that they don't overlap. The
+first ones belong to the tile, then come those of the measurement that is worked on; each sight (an image ray, a range, a
+ground prior, a surface row) has a block of its own beyond, from where its constants are copied and to where its rows go.
+"""
+
+import operator
+from typing import Any
+
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.np.arrayobj import make_array
+
+LANES = 64
+"""Points per tile: a tile of two-ray points fits the second-level cache several times over."""
+
+
+class Registers(types.Type):
+    """Numba's type of an array of float64 that is indexed as it stands.
+
+    NumPy's negative indices would cost a comparison per access, which keeps LLVM from vectorising. Arrays of different
+    names don't overlap, which LLVM is told.
+    """
+
+    def __init__(self, own: str) -> None:
+        self.own = own
+        super().__init__(name=f"Registers({own})")
+
+
+@register_model(Registers)
+class _RegistersModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, ir.DoubleType().as_pointer())
+
+
+def _view(kind: Registers) -> Any:
+    def made(typing: Any, array: Any) -> Any:
+        def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+            return make_array(call.args[0])(context, builder, arguments[0]).data
+
+        return kind(array), generate
+
+    return intrinsic(made)
+
+
+_APART = ("tile", "sums", "products", "coupling")
+registers, sums_of, products_of, coupling_of = (_view(Registers(name)) for name in _APART)
+"""Registers in a contiguous array of float64, which the caller keeps alive; sums over lanes; products of basis values, lane
+by lane; the sights' coupling to their points.
+"""
+
+
+@infer_global(operator.getitem)
+class _Load(AbstractTemplate):
+    def generic(self, arguments: Any, keywords: Any) -> Any:
+        known = isinstance(arguments[0], Registers) and isinstance(arguments[1], types.Integer)
+        return signature(types.float64, arguments[0], types.int64) if known else None
+
+
+@infer_global(operator.setitem)
+class _Store(AbstractTemplate):
+    def generic(self, arguments: Any, keywords: Any) -> Any:
+        known = isinstance(arguments[0], Registers) and isinstance(arguments[1], types.Integer)
+        return signature(types.none, arguments[0], types.int64, types.float64) if known else None
+
+
+def _apart(builder: Any, instruction: Any, kind: Registers) -> Any:
+    """The instruction, marked as one on an array that doesn't overlap the other's."""
+    add = builder.module.add_metadata
+    domain = add([ir.MetaDataString(builder.module, "mgsgraph registers")])
+    scopes = {name: add([ir.MetaDataString(builder.module, f"mgsgraph {name}"), domain]) for name in _APART}
+    instruction.set_metadata("alias.scope", add([scopes.pop(kind.own)]))
+    instruction.set_metadata("noalias", add(list(scopes.values())))
+    return instruction
+
+
+@lower_builtin(operator.getitem, Registers, types.Integer)
+def _load(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+    pointer = cgutils.gep_inbounds(builder, arguments[0], arguments[1])
+    return _apart(builder, builder.load(pointer), call.args[0])
+
+
+@lower_builtin(operator.setitem, Registers, types.Integer, types.Float)
+def _store(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+    pointer = cgutils.gep_inbounds(builder, arguments[0], arguments[1])
+    _apart(builder, builder.store(arguments[2], pointer), call.args[0])
+    return context.get_dummy_value()
+
+
+FOUR = 4
+"""Products of basis values are kept in fours, which the processor takes at once."""
+
+
+class Four(types.Type):
+    """Numba's type of four numbers that the processor takes at once."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Four")
+
+
+_FOUR = Four()
+_VECTOR = ir.VectorType(ir.DoubleType(), FOUR)
+
+
+@register_model(Four)
+class _FourModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _VECTOR)
+
+
+def _address(builder: Any, pointer: Any, index: Any) -> Any:
+    return builder.bitcast(cgutils.gep_inbounds(builder, pointer, index), _VECTOR.as_pointer())
+
+
+@intrinsic
+def four(typing: Any, array: Any, index: Any) -> Any:
+    """Four numbers of an array from an index on."""
+
+    def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        return _apart(builder, builder.load(_address(builder, *arguments), align=8), call.args[0])
+
+    return _FOUR(array, types.int64), generate
+
+
+@intrinsic
+def put_four(typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """Put four numbers into an array from an index on."""
+
+    def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        address = _address(builder, *arguments[:2])
+        _apart(builder, builder.store(arguments[2], address, align=8), call.args[0])
+        return context.get_dummy_value()
+
+    return types.none(array, types.int64, _FOUR), generate
+
+
+def _spread(builder: Any, number: Any) -> Any:
+    """Four times the same number."""
+    lonely = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.IntType(32)(0))
+    return builder.shuffle_vector(lonely, lonely, ir.Constant(ir.VectorType(ir.IntType(32), FOUR), [0] * FOUR))
+
+
+@intrinsic
+def times(typing: Any, factor: Any, value: Any) -> Any:
+    """A number times four numbers."""
+
+    def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        return builder.fmul(_spread(builder, arguments[0]), arguments[1])
+
+    return _FOUR(types.float64, _FOUR), generate
+
+
+@intrinsic
+def multiply_add(typing: Any, factor: Any, value: Any, total: Any) -> Any:
+    """A number times four numbers, plus four."""
+
+    def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        product = builder.fmul(_spread(builder, arguments[0]), arguments[1], ("contract",))
+        return builder.fadd(product, arguments[2], ("contract",))
+
+    return _FOUR(types.float64, _FOUR, _FOUR), generate
+
+
+_INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""What is called from compiled code alone needs no entry for Python or C, whose compilation takes a fifth of it all."""
+
+lane = njit(fastmath={"contract", "nsz"}, **_INSIDE)
+"""Compile a function over lanes: division by zero gives inf, as in NumPy; products and sums may be fused.
+
+Not cached: the sweep is, with everything in it.
+"""
+
+inlined = njit(fastmath={"contract", "nsz"}, forceinline=True, **_INSIDE)
+"""The same for what is called lane by lane: taken in by its caller."""
+
+summing = njit(fastmath={"contract", "nsz", "reassoc"}, **_INSIDE)
+"""The same for sums over lanes, whose order is free."""
+
+STATE_WIDTH = 7
+"""Most components of a sight's state."""
+
+# ---- registers of the tile
+PLACE = 0 * LANES  # 3: m, the point
+NORMAL = 3 * LANES  # 6: lower triangle of its normal matrix
+GRADIENT = 9 * LANES  # 3
+FACTOR = 12 * LANES  # 6: L of NORMAL = L L', with 1 / L_jj for L_jj
+FORWARD = 18 * LANES  # 3: L^-1 GRADIENT
+COST = 21 * LANES
+SQUARE = 22 * LANES  # squared length of the last step, in sigmas
+STATE = 23 * LANES  # GOOD, BEHIND or WEAK
+ACTIVE = 24 * LANES  # 1 where the point takes part, else 0
+PAIR = 25 * LANES  # 49: normal matrix, or covariance, between two sights' states
+COLUMN = 74 * LANES  # 7: PAIR times a direction
+PRODUCT = 81 * LANES  # product of two basis values
+MIDDLE = 82 * LANES  # 6: upper triangle of 1 + sum_ij Y_i' S_ij Y_j
+CARRIED_PAIR = 88 * LANES  # 21: PAIR times Y_j
+J_U = 109 * LANES  # 9: J U of a sight's rows
+B_L = 118 * LANES  # 9: B L^-T of a sight's rows
+ERROR = 127 * LANES  # 9: M P' - (J U)'
+
+# ---- registers of the measurement that is worked on: what the unknowns do to it, its constants, its rows
+DELTA = 136 * LANES  # 7: correction of the pose (m, rad), and of focal length or range bias (m)
+RATE = 143 * LANES  # 6: its rate per line
+BEYOND = 149 * LANES  # lines from the pose's line to the predicted one
+SQUARES = 150 * LANES  # squared norm of its rows; of a robust loss, then the root of its weight
+CONSTANTS = 151 * LANES
+ROWS = CONSTANTS + 31 * LANES
+
+# constants, from CONSTANTS or from a sight's own first register
+WEIGHT = 0 * LANES  # 2
+FOCAL = 2 * LANES
+CENTRE = 3 * LANES  # 3
+NOMINAL = 6 * LANES  # 4: quaternion (w, x, y, z), or omega, phi, kappa
+DETECTOR = 10 * LANES  # 2
+SCALE = 12 * LANES  # 4
+VELOCITY = 16 * LANES  # 3
+TURNING = 19 * LANES  # 3
+SLOPE = 22 * LANES  # 2
+ROOT = 24 * LANES  # 6: upper triangle of a ground prior's square root information
+DISTANCE = 30 * LANES  # measured range
+OF_MEASURED, OF_PREDICTED, OF_ANY = 16 * LANES, 24 * LANES, 31 * LANES
+"""Registers up to which a ray of either form, and any sight, has constants."""
+
+# rows, from ROWS or from a sight's register RESULT; of each row, ROW apart:
+CARRY = 0 * LANES  # lines from the line of the constants to the one whose pose is used
+FRONT = 1 * LANES  # 1 where the point is before the camera
+RESIDUAL = 2 * LANES  # whitened
+BY_POINT = 3 * LANES  # 3: derivatives by the point
+BY_STATE = 6 * LANES  # 7: by what the sight feels of the shared unknowns, its state
+ROW = (1 + 3 + STATE_WIDTH) * LANES
+OF_ROWS = (RESIDUAL, RESIDUAL + ROW, RESIDUAL + 2 * ROW, RESIDUAL + 3 * ROW)
+"""Registers of none to three rows."""
+
+# ---- further registers of a sight
+RESULT = OF_ANY
+RIGHT = RESULT + OF_ROWS[3]  # 7: reduced gradient
+CARRIED = RIGHT + 7 * LANES  # (7, 3): U = sum_j S_ij Y_j
+OWN = CARRIED + 21 * LANES  # upper triangle (3, 3) of J S J'
+BASIS = OWN + 6 * LANES  # values of all terms, then their rates per line, then directions of single columns
+TILE = ROWS + OF_ROWS[3]
+"""Registers before those of the first sight."""
+WIDTH = STATE_WIDTH * LANES
+"""From one row of PAIR, or one direction, to the next."""
+
+# ---- registers of a sight in the array of its own that keeps coupling
+COUPLED = 21 * LANES  # Y (7, 3): state against point, times L^-T

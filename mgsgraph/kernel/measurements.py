@@ -1,0 +1,339 @@
+"""Rows of all measurements of a tile: one loop over lanes around the equations of each (`mgsgraph.factors`).
+
+Each loop reads the registers of the measurement that is worked on and the place of the points, and leaves RESIDUAL,
+BY_POINT and BY_STATE at ROWS, whitened; zero where a row takes no part.
+"""
+
+import math
+
+from mgsgraph.compiled import make_equations_compilable
+from mgsgraph.factors.algebra import add, subtract, transform
+from mgsgraph.factors.collinearity import (
+    NEWTON_STEPS,
+    NEWTON_TOLERANCE,
+    by_focal,
+    by_point,
+    by_ray,
+    by_rotation,
+    focal_plane,
+    image_motion,
+    ray_motion,
+    residual,
+    to_lines_and_samples,
+)
+from mgsgraph.factors.ground import ground_residual, upper_triangle
+from mgsgraph.factors.laser_range import range_residual
+from mgsgraph.factors.loss import cauchy, huber, tukey
+from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer, perspective_centre
+from mgsgraph.factors.surface import bilinear, cell_place, height_above
+from mgsgraph.kernel.lanes import (
+    ACTIVE,
+    BEYOND,
+    BY_POINT,
+    BY_STATE,
+    CARRY,
+    CENTRE,
+    CONSTANTS,
+    COST,
+    DELTA,
+    DETECTOR,
+    DISTANCE,
+    FOCAL,
+    FRONT,
+    GRADIENT,
+    LANES,
+    NOMINAL,
+    NORMAL,
+    OF_ANY,
+    OF_MEASURED,
+    OF_PREDICTED,
+    OF_ROWS,
+    PLACE,
+    RATE,
+    RESIDUAL,
+    RESULT,
+    ROOT,
+    ROW,
+    ROWS,
+    SCALE,
+    SLOPE,
+    SQUARES,
+    STATE,
+    TILE,
+    TURNING,
+    VELOCITY,
+    WEIGHT,
+    inlined,
+    lane,
+)
+from mgsgraph.kernel.rows import (
+    BEHIND,
+    CAMERA,
+    CAUCHY,
+    GROUND,
+    HUBER,
+    IMAGE,
+    OPK_PAPER,
+    PREDICTED,
+    RANGE,
+)
+from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, point_of, sights_of
+
+make_equations_compilable()
+
+_C = CONSTANTS
+_LINE, _SAMPLE, _STATE = ROWS + BY_POINT, ROWS + BY_POINT + ROW, ROWS + BY_STATE
+
+
+@inlined
+def vector(w, register, l):
+    """Three registers of a lane."""
+    return w[register + l], w[register + LANES + l], w[register + 2 * LANES + l]
+
+
+@inlined
+def put(w, register, l, values, used):
+    """Three registers of a lane, zero where they aren't used."""
+    w[register + l] = values[0] if used else 0.0
+    w[register + LANES + l] = values[1] if used else 0.0
+    w[register + 2 * LANES + l] = values[2] if used else 0.0
+
+
+def _image_loop(attitude_of, predicted):
+    """The loop over image rays of one form of the model: `attitude_of` is one of `factors.pose`."""
+
+    @lane
+    def loop(w):
+        """Rows of an image sight with the pose of CARRY; BEYOND is left how far the predicted line is from there."""
+        for l in range(LANES):
+            carry = w[ROWS + CARRY + l] if predicted else 0.0
+            velocity = vector(w, _C + VELOCITY, l) if predicted else (0.0, 0.0, 0.0)
+            turning = vector(w, _C + TURNING, l) if predicted else (0.0, 0.0, 0.0)
+            nominal = (*vector(w, _C + NOMINAL, l), w[_C + NOMINAL + 3 * LANES + l])
+            rate = vector(w, RATE + 3 * LANES, l) if predicted else (0.0, 0.0, 0.0)
+            attitude, axes, turned = attitude_of(nominal, turning, carry, vector(w, DELTA + 3 * LANES, l), rate)
+            centre = perspective_centre(vector(w, _C + CENTRE, l), velocity, carry, vector(w, DELTA, l))
+            ray = transform(attitude, subtract(vector(w, PLACE, l), centre))
+            focal = w[_C + FOCAL + l] + w[DELTA + 6 * LANES + l]
+            detector = w[_C + DETECTOR + l], w[_C + DETECTOR + LANES + l]
+            image = focal_plane(ray, focal)
+            if predicted:
+                motion = ray_motion(attitude, ray, add(velocity, vector(w, RATE, l)), turned)
+                slope = w[_C + SLOPE + l], w[_C + SLOPE + LANES + l]
+                scale = to_lines_and_samples(image_motion(ray, motion, focal), slope)
+            else:
+                scale = (
+                    (w[_C + SCALE + l], w[_C + SCALE + LANES + l]),
+                    (w[_C + SCALE + 2 * LANES + l], w[_C + SCALE + 3 * LANES + l]),
+                )
+            line, sample = residual(scale, image, detector, carry)
+            of_line, of_sample = by_ray(scale, ray, focal)
+            weight_line, weight_sample = w[_C + WEIGHT + l] * w[ACTIVE + l], w[_C + WEIGHT + LANES + l] * w[ACTIVE + l]
+            front, wanted = ray[2] > 0.0, weight_line > 0.0
+            used = front & wanted
+            w[ROWS + FRONT + l] = 1.0 if front else 0.0
+            w[STATE + l] = w[STATE + l] if front | (not wanted) else BEHIND
+            w[BEYOND + l] = line + carry if used else 0.0
+            w[ROWS + RESIDUAL + l] = weight_line * line if used else 0.0
+            w[ROWS + RESIDUAL + ROW + l] = weight_sample * sample if used else 0.0
+            of_line = weight_line * of_line[0], weight_line * of_line[1], weight_line * of_line[2]
+            of_sample = weight_sample * of_sample[0], weight_sample * of_sample[1], weight_sample * of_sample[2]
+            put(w, _LINE, l, by_point(of_line, attitude), used)
+            put(w, _SAMPLE, l, by_point(of_sample, attitude), used)
+            put(w, _STATE + 3 * LANES, l, by_rotation(of_line, ray, axes), used)
+            put(w, _STATE + ROW + 3 * LANES, l, by_rotation(of_sample, ray, axes), used)
+            w[_STATE + 6 * LANES + l] = by_focal(of_line, ray, focal) if used else 0.0
+            w[_STATE + ROW + 6 * LANES + l] = by_focal(of_sample, ray, focal) if used else 0.0
+        for row in range(2):  # by position: minus by point
+            for r in range(3 * LANES):
+                w[_STATE + row * ROW + r] = -w[_LINE + row * ROW + r]
+
+    return loop
+
+
+_about_axes_predicted, _about_axes_measured = _image_loop(about_axes, True), _image_loop(about_axes, False)
+_opk_paper_predicted, _opk_paper_measured = _image_loop(opk_paper, True), _image_loop(opk_paper, False)
+_opk_peer_predicted, _opk_peer_measured = _image_loop(opk_peer, True), _image_loop(opk_peer, False)
+
+
+@lane
+def next_line(w):
+    """Move CARRY on to the predicted line, lane by lane, unless it is near; whether any lane has moved."""
+    moved = False
+    for l in range(LANES):
+        far = abs(w[BEYOND + l]) >= NEWTON_TOLERANCE
+        w[ROWS + CARRY + l] -= w[BEYOND + l] if far else 0.0
+        moved |= far
+    return moved
+
+
+@lane
+def image_rows(rows, model, segments, count, i, x, w, s):
+    """Rows of image sight i: at the predicted line by Newton's method, or at the measured one."""
+    predicted = model.line == PREDICTED
+    copy_block(w, s, _C, OF_PREDICTED if predicted else OF_MEASURED)
+    for l in range(LANES):
+        w[ROWS + CARRY + l] = 0.0
+    for step in range(NEWTON_STEPS if predicted else 1):
+        correct(rows, segments, count, i, x, w, s, predicted)
+        if predicted:
+            if model.angles == CAMERA:
+                _about_axes_predicted(w)
+            elif model.angles == OPK_PAPER:
+                _opk_paper_predicted(w)
+            else:
+                _opk_peer_predicted(w)
+            if step == NEWTON_STEPS - 1 or not next_line(w):
+                break
+        elif model.angles == CAMERA:
+            _about_axes_measured(w)
+        elif model.angles == OPK_PAPER:
+            _opk_paper_measured(w)
+        else:
+            _opk_peer_measured(w)
+
+
+@lane
+def range_rows(w):
+    """Row of a range; its state is the instrument's place, and the range bias."""
+    for l in range(LANES):
+        weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
+        used = weight > 0.0
+        centre, bias = add(vector(w, _C + CENTRE, l), vector(w, DELTA, l)), w[DELTA + 3 * LANES + l]
+        value, of_point = range_residual(w[_C + DISTANCE + l], vector(w, PLACE, l), centre, bias)
+        of_point = weight * of_point[0], weight * of_point[1], weight * of_point[2]
+        w[ROWS + RESIDUAL + l] = weight * value if used else 0.0
+        put(w, _LINE, l, of_point, used)
+        put(w, _STATE, l, (-of_point[0], -of_point[1], -of_point[2]), used)
+        w[_STATE + 3 * LANES + l] = -weight
+
+
+@lane
+def ground_rows(w):
+    """Rows of an a-priori place; its state is the shift."""
+    for l in range(LANES):
+        used = w[ACTIVE + l] > 0.0
+        root = upper_triangle((*vector(w, _C + ROOT, l), *vector(w, _C + ROOT + 3 * LANES, l)))
+        values = ground_residual(root, vector(w, PLACE, l), vector(w, _C + CENTRE, l), vector(w, DELTA, l))
+        for row in range(3):
+            w[ROWS + RESIDUAL + row * ROW + l] = values[row] if used else 0.0
+            of_point = root[row]
+            put(w, _LINE + row * ROW, l, of_point, used)
+            put(w, _STATE + row * ROW, l, (-of_point[0], -of_point[1], -of_point[2]), used)
+
+
+@lane
+def surface_rows(rows, segments, count, w):
+    """Row of a height above the terrain model; its state is where the model is. Nothing where there is no patch."""
+    frame, posts = rows.terrain_frame, rows.terrain
+    first, step = (frame[0], frame[1]), (frame[2], frame[3])
+    for r in range(LANES):
+        w[ROWS + RESIDUAL + r] = 0.0
+    for r in range(3 * LANES):
+        w[_LINE + r] = 0.0
+    for k in range(count):
+        point = point_of(rows, segments, k)
+        for l in range(segments[k, BEGIN], segments[k, END]):
+            row, left, right = rows.terrain_cell[point + l]
+            weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
+            if row >= 0 and weight > 0.0:
+                moved = subtract(vector(w, PLACE, l), vector(w, DELTA, l))
+                corners = posts[row, left], posts[row, right], posts[row + 1, left], posts[row + 1, right]
+                east, south = cell_place(moved, first, step, left, row)
+                height, slope = height_above(moved, bilinear(east, south, corners), step)
+                w[ROWS + RESIDUAL + l] = weight * height
+                put(w, _LINE, l, (weight * slope[0], weight * slope[1], weight * slope[2]), True)
+    for r in range(3 * LANES):
+        w[_STATE + r] = -w[_LINE + r]
+
+
+@lane
+def row_count(kind):
+    """Rows of a sight."""
+    return 2 if kind == IMAGE else 3 if kind == GROUND else 1
+
+
+@lane
+def sum_squares(count, w):
+    """Squared norm of the rows, in SQUARES."""
+    for l in range(LANES):
+        w[SQUARES + l] = w[ROWS + RESIDUAL + l] * w[ROWS + RESIDUAL + l]
+    for row in range(1, count):
+        for l in range(LANES):
+            w[SQUARES + l] += w[ROWS + RESIDUAL + row * ROW + l] * w[ROWS + RESIDUAL + row * ROW + l]
+
+
+def _loss_loop(loss):
+    """The loop of one loss, of `factors.loss`."""
+
+    @lane
+    def loop(width, count, components, w):
+        """Add a sight's loss to COST and scale its rows by the root of the loss's weight."""
+        for l in range(LANES):
+            cost, weight = loss(w[SQUARES + l], width)
+            w[COST + l] += cost
+            w[SQUARES + l] = math.sqrt(weight)
+        for row in range(count):
+            for c in range(1 + 3 + components):
+                for l in range(LANES):
+                    w[ROWS + RESIDUAL + row * ROW + c * LANES + l] *= w[SQUARES + l]
+
+    return loop
+
+
+_huber, _cauchy, _tukey = _loss_loop(huber), _loss_loop(cauchy), _loss_loop(tukey)
+
+
+@lane
+def add_rows(model, robust, kind, width, w):
+    """Add a sight's rows to COST, with the loss if `robust`, and to NORMAL (00, 10, 11, 20, 21, 22) and GRADIENT."""
+    count = row_count(kind)
+    sum_squares(count, w)
+    if not robust:
+        for l in range(LANES):
+            w[COST + l] += 0.5 * w[SQUARES + l]
+    elif model.loss == HUBER:
+        _huber(model.width, count, width, w)
+    elif model.loss == CAUCHY:
+        _cauchy(model.width, count, width, w)
+    else:
+        _tukey(model.width, count, width, w)
+    for row in range(count):
+        p, r = _LINE + row * ROW, ROWS + RESIDUAL + row * ROW
+        for l in range(LANES):
+            (a, b, c), value = vector(w, p, l), w[r + l]
+            w[NORMAL + l] += a * a
+            w[NORMAL + LANES + l] += b * a
+            w[NORMAL + 2 * LANES + l] += b * b
+            w[NORMAL + 3 * LANES + l] += c * a
+            w[NORMAL + 4 * LANES + l] += c * b
+            w[NORMAL + 5 * LANES + l] += c * c
+            w[GRADIENT + l] += a * value
+            w[GRADIENT + LANES + l] += b * value
+            w[GRADIENT + 2 * LANES + l] += c * value
+
+
+@lane
+def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
+    """Rows of all sights at PLACE, their COST and normal equations; if `kept` they go to the sights' own registers."""
+    for l in range(LANES):
+        w[COST + l] = 0.0
+    for r in range(9 * LANES):
+        w[NORMAL + r] = 0.0
+    begin, end = sights_of(rows, segments)
+    for i in range(begin, end):
+        s, kind = TILE + (i - begin) * depth, rows.sight_kind[i]
+        if kind == IMAGE:
+            image_rows(rows, model, segments, count, i, x, w, s)
+        else:
+            copy_block(w, s, _C, OF_ANY)
+            correct(rows, segments, count, i, x, w, s, False)
+            if kind == RANGE:
+                range_rows(w)
+            elif kind == GROUND:
+                ground_rows(w)
+            else:
+                surface_rows(rows, segments, count, w)
+        add_rows(model, robust and (kind == IMAGE or kind == RANGE), kind, rows.sight_width[i], w)
+        if kept:
+            copy_block(w, ROWS, s + RESULT, OF_ROWS[row_count(kind)])

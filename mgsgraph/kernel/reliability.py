@@ -1,0 +1,182 @@
+"""How far each measure controls itself: its share H of its own adjusted value, and what an error in it does.
+
+With A the whitened rows and Q the covariance of all unknowns, the adjusted measures have the covariance H = A Q A' and
+the residuals 1 - H (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Per point, with P = B L^-T, Y = W L^-T and S
+the covariance of the sights' states, all that is needed of Q is U_i = sum_j S_ij Y_j and M = 1 + sum_i Y_i' U_i:
+H_i = P_i M P_i' - P_i (J_i U_i)' - (J_i U_i) P_i' + J_i S_ii J_i'; an error e in the rows moves the point by
+-L^-T (M P_i' - (J_i U_i)') e.
+"""
+
+import numpy as np
+
+from mgsgraph.kernel.covariance import begin_middle, state_covariance
+from mgsgraph.kernel.elimination import couple_all, sight_columns
+from mgsgraph.kernel.lanes import (
+    B_L,
+    BY_POINT,
+    BY_STATE,
+    CARRIED,
+    COUPLED,
+    ERROR,
+    FACTOR,
+    J_U,
+    LANES,
+    MIDDLE,
+    OWN,
+    PAIR,
+    RESIDUAL,
+    RESULT,
+    ROW,
+    STATE,
+    TILE,
+    WIDTH,
+    lane,
+)
+from mgsgraph.kernel.measurements import row_count
+from mgsgraph.kernel.rows import OUT, WEAK
+from mgsgraph.kernel.tile import BEGIN, END, point_of, sight_place, sights_of
+
+NUMBERS = 7
+"""Per row: the whitened residual, its row of H (3), the effect on the point (3, m) of an error of one sigma in it."""
+
+
+@lane
+def add_carried(width_i, width_j, turned, w, s, y, d):
+    """Add PAIR Y_j, whose coupling begins at d, to U_i, or PAIR' Y_j if `turned` (then PAIR is that of j and i)."""
+    for a in range(width_i):
+        for b in range(width_j):
+            k = PAIR + (b * WIDTH + a * LANES if turned else a * WIDTH + b * LANES)
+            u, z = s + CARRIED + 3 * a * LANES, d + 3 * b * LANES
+            for l in range(LANES):
+                w[u + l] += w[k + l] * y[z + l]
+                w[u + LANES + l] += w[k + l] * y[z + LANES + l]
+                w[u + 2 * LANES + l] += w[k + l] * y[z + 2 * LANES + l]
+
+
+@lane
+def own_share(count, width, w, s):
+    """OWN: J PAIR J' of a sight with itself."""
+    place = 0
+    for row in range(count):
+        for other in range(row, count):
+            sink = s + OWN + place * LANES
+            for l in range(LANES):
+                w[sink + l] = 0.0
+            for a in range(width):
+                for b in range(width):
+                    k, left = PAIR + a * WIDTH + b * LANES, s + RESULT + BY_STATE + row * ROW + a * LANES
+                    right = s + RESULT + BY_STATE + other * ROW + b * LANES
+                    for l in range(LANES):
+                        w[sink + l] += w[left + l] * w[k + l] * w[right + l]
+            place += 1
+
+
+@lane
+def add_middle(width, w, s, y, d):
+    """Add Y' U of a sight to MIDDLE."""
+    place = 0
+    for b in range(3):
+        for c in range(b, 3):
+            for a in range(width):
+                z, u = d + (3 * a + b) * LANES, s + CARRIED + (3 * a + c) * LANES
+                for l in range(LANES):
+                    w[MIDDLE + place * LANES + l] += y[z + l] * w[u + l]
+            place += 1
+
+
+@lane
+def middle(b, c):
+    """First register of an element of MIDDLE."""
+    low, high = min(b, c), max(b, c)
+    return MIDDLE + (3 * low - low * (low - 1) // 2 + high - low) * LANES
+
+
+@lane
+def through_point(count, width, felt, w, s):
+    """J_U, B_L and ERROR, row by row of a sight: J U, P = B L^-T, and M P' - (J U)'."""
+    for row in range(count):
+        ju, p, e = J_U + 3 * row * LANES, B_L + 3 * row * LANES, ERROR + 3 * row * LANES
+        b = s + RESULT + BY_POINT + row * ROW
+        for l in range(LANES):
+            p0 = w[b + l] * w[FACTOR + l]
+            p1 = (w[b + LANES + l] - w[FACTOR + LANES + l] * p0) * w[FACTOR + 2 * LANES + l]
+            p2 = w[b + 2 * LANES + l] - w[FACTOR + 3 * LANES + l] * p0 - w[FACTOR + 4 * LANES + l] * p1
+            w[p + l], w[p + LANES + l], w[p + 2 * LANES + l] = p0, p1, p2 * w[FACTOR + 5 * LANES + l]
+        for c in range(3):
+            for l in range(LANES):
+                w[ju + c * LANES + l] = 0.0
+            for a in range(width if felt else 0):
+                state, u = s + RESULT + BY_STATE + row * ROW + a * LANES, s + CARRIED + (3 * a + c) * LANES
+                for l in range(LANES):
+                    w[ju + c * LANES + l] += w[state + l] * w[u + l]
+        for c in range(3):
+            m0, m1, m2 = middle(c, 0), middle(c, 1), middle(c, 2)
+            for l in range(LANES):
+                mp = w[m0 + l] * w[p + l] + w[m1 + l] * w[p + LANES + l] + w[m2 + l] * w[p + 2 * LANES + l]
+                w[e + c * LANES + l] = mp - w[ju + c * LANES + l]
+
+
+@lane
+def share(row, other, l, w):
+    """Element of H without J S J': P_row (M P' - (J U)')_other - (J U)_row P_other'."""
+    total = 0.0
+    for c in range(3):
+        total += w[B_L + (3 * row + c) * LANES + l] * w[ERROR + (3 * other + c) * LANES + l]
+        total -= w[J_U + (3 * row + c) * LANES + l] * w[B_L + (3 * other + c) * LANES + l]
+    return total
+
+
+@lane
+def store_sight(rows, count, felt, at, point, first, last, w, s, values):
+    """`NUMBERS` of each row of a sight, lanes first .. last; NaN where the point is out or weak."""
+    for l in range(first, last):
+        known = (rows.kind[point + l] != OUT) & (w[STATE + l] != WEAK)
+        place = 0
+        for row in range(count):
+            values[at + l, row, 0] = w[s + RESULT + RESIDUAL + row * ROW + l] if known else np.nan
+            for other in range(row, count):
+                value = share(row, other, l, w) + (w[s + OWN + place * LANES + l] if felt else 0.0)
+                value = value if known else np.nan
+                values[at + l, row, 1 + other] = value
+                values[at + l, other, 1 + row] = value
+                place += 1
+            e = ERROR + 3 * row * LANES
+            z2 = w[e + 2 * LANES + l] * w[FACTOR + 5 * LANES + l]
+            z1 = (w[e + LANES + l] - w[FACTOR + 4 * LANES + l] * z2) * w[FACTOR + 2 * LANES + l]
+            z0 = (w[e + l] - w[FACTOR + LANES + l] * z1 - w[FACTOR + 3 * LANES + l] * z2) * w[FACTOR + l]
+            values[at + l, row, 4] = -z0 if known else np.nan
+            values[at + l, row, 5] = -z1 if known else np.nan
+            values[at + l, row, 6] = -z2 if known else np.nan
+
+
+@lane
+def reliability_tile(rows, groups, target, segments, count, joint, w, depth, y, values):
+    """`NUMBERS` of all rows of a tile's points, whose rows and L are there; `joint` as for covariances."""
+    couple_all(rows, segments, w, depth, y)
+    begin_middle(w)
+    begin, end = sights_of(rows, segments)
+    for i in range(begin, end):
+        u = TILE + (i - begin) * depth + CARRIED
+        for r in range(3 * WIDTH):
+            w[u + r] = 0.0
+    for i in range(begin, end):
+        s, width_i = TILE + (i - begin) * depth, rows.sight_width[i]
+        for j in range(i, end):
+            if sight_columns(rows, i)[1] > 0 and sight_columns(rows, j)[1] > 0:
+                t, width_j = TILE + (j - begin) * depth, rows.sight_width[j]
+                state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t)
+                add_carried(width_i, width_j, False, w, s, y, (j - begin) * COUPLED)
+                if i == j:
+                    own_share(row_count(rows.sight_kind[i]), width_i, w, s)
+                else:
+                    add_carried(width_j, width_i, True, w, t, y, (i - begin) * COUPLED)
+    for i in range(begin, end):
+        if sight_columns(rows, i)[1] > 0:
+            add_middle(rows.sight_width[i], w, TILE + (i - begin) * depth, y, (i - begin) * COUPLED)
+    for i in range(begin, end):
+        s, felt = TILE + (i - begin) * depth, sight_columns(rows, i)[1] > 0
+        rows_of = row_count(rows.sight_kind[i])
+        through_point(rows_of, rows.sight_width[i], felt, w, s)
+        for k in range(count):
+            at, point = sight_place(rows, segments, k, i - begin), point_of(rows, segments, k)
+            store_sight(rows, rows_of, felt, at, point, segments[k, BEGIN], segments[k, END], w, s, values)

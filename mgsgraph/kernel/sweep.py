@@ -1,0 +1,259 @@
+"""The kernel: one sweep over points that solves them, and eliminates them, or states their covariances or residuals.
+
+Compiled once and cached on disk; it holds no lock, so that threads share a sweep, each with pieces of its own.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mgsgraph.compiled import digest_of
+from mgsgraph.factors import collinearity
+from mgsgraph.kernel.covariance import covariance_tile
+from mgsgraph.kernel.design import design_tile
+from mgsgraph.kernel.elimination import eliminate_tile, room_for_sums, spread
+from mgsgraph.kernel.lanes import (
+    COST,
+    COUPLED,
+    FRONT,
+    LANES,
+    PLACE,
+    RESIDUAL,
+    RESULT,
+    ROW,
+    STATE,
+    TILE,
+    coupling_of,
+    lane,
+    products_of,
+    registers,
+    sums_of,
+)
+from mgsgraph.kernel.points import solve_tile
+from mgsgraph.kernel.reliability import reliability_tile
+from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, SURFACE, Groups, Model, Rows, Target
+from mgsgraph.kernel.tile import BEGIN, END, PATTERN, PIECE_OF, fill, point_of, sight_place, sights_of, workspace
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+COSTS, SYSTEM, COVARIANCES, RESIDUALS, RELIABILITY, DESIGN = 0, 1, 2, 3, 4, 5
+"""What a sweep is for: costs of the best places; the reduced system there, too; covariances, or residuals of all rows,
+taking part or not, or reliability or design of those that take part, at given places.
+"""
+
+_WORTHWHILE = 5000.0
+"""Sights below which a second thread costs more than it saves."""
+
+
+@lane
+def store_places(rows, segments, count, w, places, states, costs):
+    """Places (n, 3) and states (n,) of a tile; its costs are added to those of its pieces, infinite where a point is
+    behind a camera.
+    """
+    for k in range(count):
+        point, cost = point_of(rows, segments, k), 0.0
+        for l in range(segments[k, BEGIN], segments[k, END]):
+            for j in range(3):
+                places[point + l, j] = w[PLACE + j * LANES + l]
+            states[point + l] = w[STATE + l]
+            cost += np.inf if w[STATE + l] == BEHIND else w[COST + l]
+        costs[segments[k, PIECE_OF]] += cost
+
+
+@lane
+def store_residuals(rows, segments, count, w, depth, values):
+    """Residuals (t, 2) of a tile's sights, measured minus predicted: of an image ray in pixels, of a range in m, of a
+    surface row its height in m; NaN for a ray whose point is behind the camera, and where there is no terrain.
+    """
+    begin, end = sights_of(rows, segments)
+    for i in range(begin, end):
+        s, kind = TILE + (i - begin) * depth, rows.sight_kind[i]
+        for k in range(count):
+            point, at = point_of(rows, segments, k), sight_place(rows, segments, k, i - begin)
+            for row in range(2 if kind == IMAGE else 0 if kind == GROUND else 1):
+                for l in range(segments[k, BEGIN], segments[k, END]):
+                    value = w[s + RESULT + RESIDUAL + row * ROW + l] / rows.weight[row, at + l]
+                    if kind == IMAGE and w[s + RESULT + FRONT + l] == 0.0:
+                        value = np.nan
+                    if kind == SURFACE and rows.terrain_cell[point + l, 0] < 0:
+                        value = np.nan
+                    values[at + l, row] = value
+
+
+class Scratch(NamedTuple):
+    """What a thread works in."""
+
+    work: Array
+    """Registers of a tile."""
+    depth: int
+    """Numbers per sight among them."""
+    segments: Index
+    """(LANES, 5) of a tile."""
+    sums: Array
+    """Sums over the points of a pattern, from `aside` on those of a segment, from `spare` on what nobody wants."""
+    aside: int
+    spare: int
+    products: Array
+    """Products of two sights' basis values, lane by lane, and from `values` on those of each sight, `room` apart."""
+    values: int
+    room: int
+    coupling: Array
+    """Of the sights to their points."""
+
+
+def scratch_for(rows: Rows) -> Scratch:
+    """Room for a thread."""
+    (size, depth), (sums, pair, products, values) = workspace(rows), room_for_sums(rows)
+    most = int(np.diff(rows.pattern_sight).max(initial=0))
+    every, coupling = np.zeros(products + most * values), np.zeros(most * COUPLED)
+    segments = np.zeros((LANES, 5), dtype=np.int64)
+    return Scratch(
+        np.zeros(size), depth, segments, np.zeros(sums + 2 * pair), sums, sums + pair, every, products, values, coupling
+    )
+
+
+def _compiled(sources: str) -> Any:
+    """The kernel. Numba's cache looks at one file alone; that the kernel holds the digest of all of them makes it
+    forget what was compiled from others.
+    """
+
+    @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+    def sweep(
+        rows,
+        groups,
+        target,
+        model,
+        x,
+        task,
+        first_piece,
+        last_piece,
+        scratch,
+        places,
+        states,
+        costs,
+        blocks,
+        gradient,
+        values,
+    ):
+        """One sweep over the pieces first_piece .. last_piece.
+
+        COSTS and SYSTEM begin at `places` (n, 3) and leave the best ones there, with states (n,) and the cost of each
+        piece in costs (m,); SYSTEM adds the reduced normal matrix to `blocks` and the gradient to `gradient`.
+        COVARIANCES and RELIABILITY take the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3)
+        covariances, (t, 2, 1) residuals, (t, 3, 7) `reliability.NUMBERS` or (t, 3, c) rows as in `design`.
+        """
+        if len(sources) == 0:
+            return
+        flat = sums_of(blocks)
+        w, sums, products = registers(scratch.work), sums_of(scratch.sums), products_of(scratch.products)
+        y, segments, depth = coupling_of(scratch.coupling), scratch.segments, scratch.depth
+        costs[first_piece:last_piece] = 0.0
+        piece, first, open_pattern = first_piece, 0, -1
+        while piece < last_piece:
+            count, piece, first = fill(rows, piece, first, last_piece, segments)
+            solve_tile(
+                rows, model, segments, count, x, places, task <= SYSTEM, task == RESIDUALS, w, depth, task != COSTS
+            )
+            if task <= SYSTEM:
+                store_places(rows, segments, count, w, places, states, costs)
+            if task == SYSTEM:
+                pattern = segments[0, PATTERN] if count == 1 else -1
+                if open_pattern >= 0 and pattern != open_pattern:
+                    spread(rows, groups, target, open_pattern, sums, flat)
+                open_pattern = pattern
+                room = scratch.values, scratch.room, sums, scratch.aside, scratch.spare
+                eliminate_tile(rows, groups, target, segments, count, w, depth, y, products, *room, flat, gradient)
+            elif task == COVARIANCES:
+                covariance_tile(rows, groups, target, segments, count, blocks, w, depth, y, values)
+            elif task == RESIDUALS:
+                store_residuals(rows, segments, count, w, depth, values[:, :, 0])
+            elif task == RELIABILITY:
+                reliability_tile(rows, groups, target, segments, count, blocks, w, depth, y, values)
+            elif task == DESIGN:
+                design_tile(rows, segments, count, w, depth, values)
+        if open_pattern >= 0:
+            spread(rows, groups, target, open_pattern, sums, flat)
+
+    return sweep
+
+
+sweep = _compiled(digest_of(Path(__file__).parent, Path(collinearity.__file__).parent))
+
+
+def even_parts(rows: Rows, parts: int) -> Index:
+    """(p + 1,) pieces at which the work is divided into so many even parts."""
+    sights = np.diff(rows.pattern_sight)[rows.piece[:, 0]]
+    costs = rows.piece[:, 2] * (sights + 0.25 * sights**2) + 8.0 * sights**2
+    work = np.concatenate([[0.0], np.cumsum(costs)])
+    edges = np.searchsorted(work, work[-1] * np.arange(1, parts) / parts)
+    return np.concatenate([[0], np.maximum.accumulate(edges), [costs.size]]).astype(np.int64)
+
+
+@cache
+def _threads(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count, thread_name_prefix="sweep")
+
+
+def with_frozen_terrain(rows: Rows) -> Rows:
+    """The rows with a terrain model that is read-only, as the network's is: the kernel is compiled for that alone."""
+    terrain = rows.terrain.view()
+    terrain.flags.writeable = False
+    return rows._replace(terrain=terrain)
+
+
+def own(values: NDArray[Any]) -> NDArray[Any]:
+    """The array itself, or a copy of one that is read-only (as what comes over a wire may be), strided or not aligned:
+    to the kernel that would be another type, compiled anew.
+    """
+    return np.require(values, requirements=("C", "A", "W"))
+
+
+def sweep_all(
+    rows: Rows,
+    groups: Groups,
+    target: Target,
+    model: Model,
+    x: Array,
+    task: int,
+    places: Array,
+    states: NDArray[np.int8] | None = None,
+    costs: Array | None = None,
+    joint: Array | None = None,
+    values: Array | None = None,
+) -> tuple[Array, Array]:
+    """A sweep over all pieces, shared by numba's number of threads (NUMBA_NUM_THREADS); blocks and gradient, summed.
+
+    The threads' sums are added in their order, so that the result depends on their number alone (in the last digits).
+    """
+    count = min(numba.get_num_threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
+    edges = even_parts(rows, count) if count > 1 else np.array([0, rows.piece.shape[0]])
+    system = task == SYSTEM
+    states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states
+    costs = np.empty(rows.piece.shape[0]) if costs is None else costs
+    values = np.empty((0, 0, 0)) if values is None else values
+    none = np.empty(0) if joint is None else own(joint)
+    x, places = own(x), own(places)
+    rows = with_frozen_terrain(rows)
+
+    def part(k: int) -> tuple[Array, Array]:
+        blocks, gradient = (np.zeros(target.size), np.zeros(target.columns)) if system else (none, none)
+        results = (scratch_for(rows), places, states, costs, blocks, gradient, values)
+        sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
+        return blocks, gradient
+
+    if count == 1:
+        return part(0)
+    running = _threads(count - 1).map(part, range(1, count))
+    blocks, gradient = part(0)
+    for more, slope in running:
+        if system:
+            blocks += more
+            gradient += slope
+    return blocks, gradient
