@@ -7,10 +7,10 @@ The papers' -f belongs to axes turned by diag(1, -1, -1). A detector line sees t
 it. With e = (x - x0, y - y0) the misplacement from the detector pixel of the measured sample, and S the 2x2 matrix that
 takes metres to (lines, samples), the residuals, measured minus predicted, are
 
-    r = S e - (carry, 0)                       `carry`: lines from where the ray is laid out to the line of the pose
+    r = S e - (beyond, 0)                      `beyond`: lines from the measured line to the line of the pose
 
 *Predicted line* (the strict form): the pose is that of the line where S e has no line left, found by Newton's method, and
-S follows from the image's motion per line there. *Measured line* (the papers'): carry is 0, S constants of the ray.
+S follows from the image's motion per line there. *Measured line* (the papers'): beyond is 0, S constants of the ray.
 Derivatives by the chain rule: by the ray, then by point, position (minus that by the point), rotation, focal length.
 """
 
@@ -70,10 +70,10 @@ def to_lines_and_samples(motion, slope):
 
 
 @equation
-def residual(scale, image, detector, carry):
-    """r = S e - (carry, 0): lines, samples."""
+def residual(scale, image, detector, beyond):
+    """r = S e - (beyond, 0): lines, samples."""
     x, y = image[0] - detector[0], image[1] - detector[1]
-    return scale[0][0] * x + scale[0][1] * y - carry, scale[1][0] * x + scale[1][1] * y
+    return scale[0][0] * x + scale[0][1] * y - beyond, scale[1][0] * x + scale[1][1] * y
 
 
 @equation
@@ -123,6 +123,8 @@ class ImageRay(NamedTuple):
     """(2,) m per sample."""
     scale: tuple[Vector, Vector] | None
     """S of the measured-line form; None for the predicted line."""
+    offset: float
+    """Lines from the measured line to the one about which the ray is laid out."""
     focal: float
     """m, nominal."""
 
@@ -142,13 +144,14 @@ class ImageRay(NamedTuple):
                 break
             motion = ray_motion(attitude, ray, add(velocity, rate[:3]), turned)
             scale = to_lines_and_samples(image_motion(ray, motion, focal), self.slope)
-            beyond = residual(scale, image, self.detector, 0.0)[0]
-            if abs(beyond) < NEWTON_TOLERANCE or step == NEWTON_STEPS - 1:
+            step_back = residual(scale, image, self.detector, 0.0)[0]
+            if abs(step_back) < NEWTON_TOLERANCE or step == NEWTON_STEPS - 1:
                 break
-            carry -= beyond
+            carry -= step_back
         of_ray = by_ray(scale, ray, focal)
         points = np.array([by_point(row, attitude) for row in of_ray])
         state_rows = [-points, [by_rotation(row, ray, axes) for row in of_ray]]
         if len(state) > 6:
             state_rows.append([[by_focal(row, ray, focal)] for row in of_ray])
-        return Linear(np.array(residual(scale, image, self.detector, carry)), points, np.hstack(state_rows), carry)
+        values = residual(scale, image, self.detector, self.offset + carry)
+        return Linear(np.array(values), points, np.hstack(state_rows), carry)

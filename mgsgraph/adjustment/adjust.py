@@ -29,9 +29,11 @@ from mgsgraph.adjustment.posterior import (
     explicit_covariances,
     fit,
     orientation_covariance,
+    Residuals,
     point_covariances,
     residuals,
 )
+from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -106,12 +108,15 @@ def adjust_network(
     with _sweeper(layout, cluster) as sweeper:
         if cluster is not None:
             clock.stop("send to workers")
-        selection, before = _nominal(layout, sweeper, left_in)
-        solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
+        layout, selection, before = _nominal(layout, sweeper, left_in)
         clock.stop("solve")
-        places_before = _places_before(layout, before)
-        del before  # the posterior needs the room
-        return _posterior(settings, name, solved, places_before, clock, sweeper)
+        places = _places_before(layout, before)
+        nominal = _Nominal(layout.network_order(places), residuals(layout, np.zeros(layout.columns), places, sweeper))
+        clock.stop("residuals")
+        solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
+        del before, layout, places  # the posterior needs the room
+        clock.stop("solve")
+        return _posterior(settings, name, solved, nominal, clock, sweeper)
 
 
 class Adjustment:
@@ -161,8 +166,7 @@ class Prediction:
 def predict(network: Network, settings: SolverSettings) -> Prediction:
     """Covariances that an adjustment of the network will have; raises what `adjust_network` raises before solving."""
     network.require_felt()
-    layout = lay_out(network, settings)
-    selection, before = _nominal(layout)
+    layout, selection, before = _nominal(lay_out(network, settings))
     rows, nominal = selection.rows(layout), np.zeros(layout.columns)
     joint = orientation_covariance(BundleGraph(layout, rows), before)
     covariances = point_covariances(layout, rows, nominal, before.points, joint)
@@ -179,8 +183,9 @@ def predict(network: Network, settings: SolverSettings) -> Prediction:
 
 def _nominal(
     layout: Layout, sweeper: Sweeper = IN_PROCESS, left_in: Selection | None = None
-) -> tuple[Selection, Reduction]:
-    """All points that are determined, and their reduction with the nominal orientation.
+) -> tuple[Layout, Selection, Reduction]:
+    """All points that are determined, and their reduction with the nominal orientation, rays laid out about the lines
+    that it predicts.
 
     Raises PointBehindCamera, and WeakNetwork where nothing determines some direction of the orientation.
     """
@@ -197,11 +202,24 @@ def _nominal(
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)
-    return selection, before
+    anew = about_predicted_lines(layout, nominal, before.points, sweeper)
+    if anew is not layout:
+        layout, before = anew, BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
+    return layout, selection, before
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Nominal:
+    """What the nominal orientation makes of the network."""
+
+    places: Array
+    """(n, 3) m, network order."""
+    residuals: Residuals
+    """There."""
 
 
 def _posterior(
-    settings: SolverSettings, name: str, solved: Solved, places_before: Array, clock: _Clock, sweeper: Sweeper
+    settings: SolverSettings, name: str, solved: Solved, nominal: _Nominal, clock: _Clock, sweeper: Sweeper
 ) -> Solution:
     """Covariances, residuals and the record of it all."""
     layout, rows, orientation = solved.layout, solved.rows, solved.orientation
@@ -213,7 +231,7 @@ def _posterior(
     merit = fit(layout, rows, orientation, solved.points, found)
     if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
         found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
-    found_before = residuals(layout, np.zeros(layout.columns), places_before, sweeper)
+    found_before = nominal.residuals
     never = solved.selection.out[network.rays.point]
     found.image[never] = found_before.image[never] = np.nan
     clock.stop("residuals")
@@ -249,7 +267,7 @@ def _posterior(
         coefficients=coefficients,
         shifts=shifts,
         joint_covariance=joint,
-        places_before=_blanked(layout, places_before, determined),
+        places_before=np.where(determined[:, None], nominal.places, np.nan),
         places=_blanked(layout, solved.points, determined),
         covariances=_blanked(layout, covariances, determined),
         determined=determined,

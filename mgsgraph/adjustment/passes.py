@@ -11,6 +11,7 @@ from mgsgraph.adjustment.batch import Iteration, Outcome
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.kernel.bundle import Reduction
@@ -22,6 +23,8 @@ from mgsgraph.ties import PointKind
 Progress = Callable[[Iteration], None]
 
 _MOST_PASSES = 10
+_MOST_LAYOUTS = 5
+"""Times that rays are laid out anew in one pass."""
 _FLOOR = 0.1
 """A-priori sigmas below which a class's spread is not taken at its word when blunders are sought."""
 
@@ -98,11 +101,11 @@ def solve_in_passes(
     """
     history, initial = tuple[Iteration, ...](), float("nan")
     seen: dict[bytes, Solved] = {}
-    rows, orientation = selection.rows(layout), np.zeros(layout.columns)
+    orientation = np.zeros(layout.columns)
     known: Reduction | None = before
     for number in range(1, _MOST_PASSES + 1):
-        solved = _solve(BundleGraph(layout, rows, sweeper), selection, orientation, known, settings, progress)
-        history += solved.history
+        solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
+        layout, history = solved.layout, history + solved.history
         initial = solved.outcome.cost_initial if number == 1 else initial
         solved = replace(solved, history=history, cost_initial=initial, passes=number)
         chosen = select(layout, solved, settings.reject, sweeper) if settings.reject > 0.0 else selection
@@ -111,16 +114,38 @@ def solve_in_passes(
             return solved
         seen[_state(layout, selection)] = solved
         layout, selection, orientation, known = followed, chosen, solved.orientation, None
-        rows = selection.rows(layout)
         if _state(layout, selection) in seen:
             break
     best = min(seen.values(), key=lambda one: one.outcome.cost_final)
     return replace(best, history=history, circling=True)
 
 
+def _solve_exactly(
+    layout: Layout,
+    selection: Selection,
+    orientation: Array,
+    known: Reduction | None,
+    settings: SolverSettings,
+    progress: Progress,
+    sweeper: Sweeper,
+) -> Solved:
+    """One pass: solve, and again with rays laid out about their predicted lines until every row is exact."""
+    graph = BundleGraph(layout, selection.rows(layout), sweeper)
+    solved = _solve(graph, selection, orientation, known, settings, progress)
+    initial, history = solved.cost_initial, solved.history
+    for _ in range(_MOST_LAYOUTS):
+        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, sweeper)
+        if anew is solved.layout:
+            break
+        graph = BundleGraph(anew, selection.rows(anew), sweeper)
+        solved = _solve(graph, selection, solved.orientation, None, settings, progress)
+        history += solved.history
+    return replace(solved, cost_initial=initial, history=history)
+
+
 def _state(layout: Layout, selection: Selection) -> bytes:
     """What a pass depends on beside its start."""
-    return layout.rows.terrain_cell.tobytes() + selection.rays.tobytes() + selection.ranges.tobytes()
+    return layout.network_order(layout.rows.terrain_cell).tobytes() + selection.rays.tobytes() + selection.ranges.tobytes()
 
 
 def _solve(

@@ -209,7 +209,7 @@ RATE = 143 * LANES  # 6: its rate per line
 BEYOND = 149 * LANES  # lines from the pose's line to the predicted one
 SQUARES = 150 * LANES  # squared norm of its rows; of a robust loss, then the root of its weight
 CONSTANTS = 151 * LANES
-ROWS = CONSTANTS + 31 * LANES
+ROWS = CONSTANTS + 32 * LANES
 
 # constants, from CONSTANTS or from a sight's own first register
 WEIGHT = 0 * LANES  # 2
@@ -221,9 +221,10 @@ SCALE = 12 * LANES  # 4
 VELOCITY = 16 * LANES  # 3
 TURNING = 19 * LANES  # 3
 SLOPE = 22 * LANES  # 2
-ROOT = 24 * LANES  # 6: upper triangle of a ground prior's square root information
-DISTANCE = 30 * LANES  # measured range
-OF_MEASURED, OF_PREDICTED, OF_ANY = 16 * LANES, 24 * LANES, 31 * LANES
+OFFSET = 24 * LANES  # lines from the measured line to the one of the constants
+ROOT = 25 * LANES  # 6: upper triangle of a ground prior's square root information
+DISTANCE = 31 * LANES  # measured range
+OF_MEASURED, OF_PREDICTED, OF_ANY = 16 * LANES, 25 * LANES, 32 * LANES
 """Registers up to which a ray of either form, and any sight, has constants."""
 
 # rows, from ROWS or from a sight's register RESULT; of each row, ROW apart:

@@ -48,6 +48,7 @@ from mgsgraph.kernel.lanes import (
     OF_MEASURED,
     OF_PREDICTED,
     OF_ROWS,
+    OFFSET,
     PLACE,
     RATE,
     RESIDUAL,
@@ -126,14 +127,15 @@ def _image_loop(attitude_of, predicted):
                     (w[_C + SCALE + l], w[_C + SCALE + LANES + l]),
                     (w[_C + SCALE + 2 * LANES + l], w[_C + SCALE + 3 * LANES + l]),
                 )
-            line, sample = residual(scale, image, detector, carry)
+            beyond = w[_C + OFFSET + l] + carry if predicted else 0.0
+            line, sample = residual(scale, image, detector, beyond)
             of_line, of_sample = by_ray(scale, ray, focal)
             weight_line, weight_sample = w[_C + WEIGHT + l] * w[ACTIVE + l], w[_C + WEIGHT + LANES + l] * w[ACTIVE + l]
             front, wanted = ray[2] > 0.0, weight_line > 0.0
             used = front & wanted
             w[ROWS + FRONT + l] = 1.0 if front else 0.0
             w[STATE + l] = w[STATE + l] if front | (not wanted) else BEHIND
-            w[BEYOND + l] = line + carry if used else 0.0
+            w[BEYOND + l] = line + beyond if used else 0.0
             w[ROWS + RESIDUAL + l] = weight_line * line if used else 0.0
             w[ROWS + RESIDUAL + ROW + l] = weight_sample * sample if used else 0.0
             of_line = weight_line * of_line[0], weight_line * of_line[1], weight_line * of_line[2]

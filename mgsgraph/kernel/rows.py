@@ -153,7 +153,7 @@ def numbers_stored(
     Its own, then the line u of a polynomial, or basis values and (where the pose is carried) rates, then directions.
     """
     carried = model.line == PREDICTED
-    own = np.array([9 + (4 if model.angles == CAMERA else 3) + (4 if carried else 0), 3 + 1, 3 + 6, 0])
+    own = np.array([9 + (4 if model.angles == CAMERA else 3) + (5 if carried else 0), 3 + 1, 3 + 6, 0])
     of_basis = terms * np.where((kind == IMAGE) & carried, 2, 1)
     return np.asarray(own[kind] + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
 

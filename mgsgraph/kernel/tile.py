@@ -17,7 +17,7 @@ from mgsgraph.kernel.lanes import (
     FOCAL,
     LANES,
     NOMINAL,
-    OF_ANY,
+    OFFSET,
     PLACE,
     RATE,
     ROOT,
@@ -143,6 +143,7 @@ def load_sight(rows, model, segments, count, begin, i, at, w, s):
             at = copied(rows, segments, count, at, w, s + VELOCITY, 3)
             at = copied(rows, segments, count, at, w, s + TURNING, 3)
             at = copied(rows, segments, count, at, w, s + SLOPE, 2)
+            at = copied(rows, segments, count, at, w, s + OFFSET, 1)
         else:
             at = copied(rows, segments, count, at, w, s + SCALE, 4)
     elif kind == RANGE:

@@ -99,7 +99,7 @@ def attitude_time(made: Draft) -> None:
     """One column for the camera, in s, shared by its images: it turns along its nominal turning."""
     variable = made.variable(0.05)
     for sight, image, _ in made.sights(IMAGE):
-        turning = sight.own[-5:-2] / period(image)
+        turning = sight.own[-6:-3] / period(image)
         add(sight, variable, 0, np.concatenate([np.zeros(3), turning, np.zeros(sight.width - 6)]))
 
 
@@ -107,7 +107,7 @@ def position_time(made: Draft) -> None:
     """One column, in s, shared by images and ranges: the instrument is further along its path."""
     variable = made.variable(0.01)
     for sight, image, _ in made.sights(IMAGE):
-        add(sight, variable, 0, np.append(sight.own[-8:-5] / period(image), np.zeros(sight.width - 3)))
+        add(sight, variable, 0, np.append(sight.own[-9:-6] / period(image), np.zeros(sight.width - 3)))
     for sight, image, time in made.sights(RANGE):
         velocity = image.trajectory.pose(np.array([time])).velocity[0]
         add(sight, variable, 0, np.append(velocity, np.zeros(sight.width - 3)))
@@ -289,7 +289,7 @@ def shift_position(sight: HandSight, image: PushbroomImage, at: float, amount: f
 def turn_camera(sight: HandSight, image: PushbroomImage, line: float, amount: float) -> None:
     turned = rotation.exponential(np.array([0.0, amount, 0.0])).T @ image.pose(np.array([line])).matrix
     sight.own[3:7] = rotation.from_matrix(turned)[0]
-    sight.own[-5:-2] = rotation.exponential(np.array([0.0, amount, 0.0])).T @ sight.own[-5:-2]
+    sight.own[-6:-3] = rotation.exponential(np.array([0.0, amount, 0.0])).T @ sight.own[-6:-3]
 
 
 def lengthen(sight: HandSight, image: PushbroomImage, line: float, amount: float) -> None:

@@ -141,8 +141,13 @@ class Partitions:
     """
 
     def __init__(self, cluster: Connection, layout: Layout) -> None:
-        self._cluster, self._layout = cluster, layout
+        self._cluster = cluster
         self._numbers, self._living = itertools.count(), WeakSet[PartedReduction]()
+        self._divide(layout)
+
+    def _divide(self, layout: Layout) -> None:
+        """Make partitions of a layout's points."""
+        cluster, self._layout = self._cluster, layout
         rows, workers = layout.rows, cluster.workers
         common = weight_of(rows) - sum(
             weight_of((values,)) for values in (rows.kind, rows.start, rows.data, rows.weight, rows.terrain_cell)
@@ -153,6 +158,12 @@ class Partitions:
         largest = max(self._parts, key=lambda part: part.size)
         what = f"{_words(largest)} times {each}" if each > 1 else _words(largest)
         cluster.require_memory(LEAST_MEMORY + each * largest.need, what, _REMEDY)
+
+    def _take(self, layout: Layout) -> None:
+        """Go on with a layout made of the same network: one whose rays are laid out anew has partitions of its own."""
+        if layout.patterns is not self._layout.patterns:
+            self._cluster.tell(forget, [part.token for part in self._parts])
+            self._divide(layout)
 
     def __enter__(self) -> "Partitions":
         self._sweep(self._layout.rows, lambda part: Order(part.token, HOLD, np.empty(0)))
@@ -169,6 +180,7 @@ class Partitions:
         self, layout: Layout, rows: Rows, orientation: Array, system: bool, points: Array | Reduction | None
     ) -> Reduction:
         """All points solved (and eliminated)."""
+        self._take(layout)
         number, kept = next(self._numbers), frozenset(one.number for one in self._living)
         after = points.number if isinstance(points, PartedReduction) else None
         given = points if isinstance(points, np.ndarray) else None
@@ -184,6 +196,7 @@ class Partitions:
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """(n, 3, 3) m^2."""
+        self._take(layout)
 
         def order(part: _Part) -> Order:
             mine, places = joint[part.blocks], points[part.points]
@@ -193,6 +206,7 @@ class Partitions:
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
         """(t, 2)."""
+        self._take(layout)
 
         def order(part: _Part) -> Order:
             return Order(part.token, RESIDUALS, orientation, points=points[part.points])

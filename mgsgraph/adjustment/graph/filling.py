@@ -74,11 +74,11 @@ def _compile(sources: str) -> Any:
     """What is called from Python; it holds the digest of all that it is compiled from."""
 
     @_kept
-    def put_rays(mine, point, slot, sigmas, store, angles, predicted, pose, detector, slope, u, basis, effects, among, weight):
+    def put_rays(mine, point, slot, sigmas, store, angles, predicted, pose, detector, slope, offset, u, basis, effects, among, weight):
         """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_sight` takes them.
 
         `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, turnings or rates of
-        the angles), `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of nodes. The scale of the
+        the angles), `offset` (m,) lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of nodes. The scale of the
         measured-line form is left out.
         """
         if len(sources) == 0:
@@ -100,7 +100,7 @@ def _compile(sources: str) -> Any:
             if predicted:
                 at = put(data, at, stride, vector(velocity, r))
                 at = put(data, at, stride, vector(turning, r))
-                at = put(data, at, stride, (slope[r, 0], slope[r, 1]))
+                at = put(data, at, stride, (slope[r, 0], slope[r, 1], offset[r]))
             else:
                 at += 4 * stride
             for values in (u, basis, effects):

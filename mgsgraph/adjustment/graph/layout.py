@@ -60,6 +60,8 @@ class Layout:
     """Points by pattern."""
     places: SightPlaces
     """Network rows among all sights."""
+    lines: Array
+    """(k,) line about which each network ray is laid out."""
 
     @cached_property
     def cholesky(self) -> SparseCholesky:
@@ -122,6 +124,17 @@ class Layout:
             return self
         return replace(self, rows=self.rows._replace(terrain_cell=cells))
 
+    def about(self, lines: Array) -> "Layout":
+        """The same network, points in and out, starting places and terrain patches, its rays laid out about other lines
+        (k,).
+        """
+        starts, kinds = self.network_order(self.rows.start), self.network_order(self.rows.kind)
+        anew = _lay_out(self.network, self.model, None, lines, (starts, kinds))
+        if not self.rows.terrain_cell.size:
+            return anew
+        cells = self.network_order(self.rows.terrain_cell)[anew.point_order]
+        return replace(anew, rows=anew.rows._replace(terrain_cell=cells))
+
     def active(self, rays: Mask, ranges: Mask, out: Mask) -> Rows:
         """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't; network order."""
         kind, weight = self.rows.kind, self.rows.weight
@@ -152,13 +165,19 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
         When a point that nothing else places lies on a ray that misses the body.
     """
     model = Model(_LINES[settings.line], ANGLE_CODES[settings.angles], _LOSSES[settings.loss], settings.width)
+    return _lay_out(network, model, None if model.line == MEASURED else places, network.rays.places[:, 0], None)
+
+
+def _lay_out(
+    network: Network, model: Model, known: Array | None, lines: Array, like: tuple[Array, NDArray[np.int8]] | None
+) -> Layout:
+    """The same with rays laid out about lines (k,); `like` are starting places and kinds to keep, network order."""
     variables = make_variables(network)
-    terms = Terms(network, variables)
+    terms = Terms(network, variables, lines)
     patterns, rays_of = sort_points(network, terms)
-    known = None if model.line == MEASURED else places
-    sights, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known)
+    sights, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like)
     groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
     blocks = pair_blocks(variables, groups, prior.pairs)
     information = prior.information(blocks)
-    return Layout(network, model, rows, groups, blocks, variables, prior, information, patterns, sights)
+    return Layout(network, model, rows, groups, blocks, variables, prior, information, patterns, sights, lines)

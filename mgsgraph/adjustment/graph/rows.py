@@ -107,11 +107,13 @@ def lay_out_rows(
     patterns: Patterns,
     rays_of: tuple[Index, NDArray[np.int32]],
     terms: Terms,
-    known: Array | None = None,
+    known: Array | None,
+    like: tuple[Array, NDArray[np.int8]] | None,
 ) -> tuple[SightPlaces, Rows]:
     """Rows of a network in the kernel's order, and where each is.
 
-    `rays_of` are the rays of each point (`sorting.by_point`: begin, order), `known` (n, 3) places at which to begin.
+    `rays_of` are the rays of each point (`sorting.by_point`: begin, order), `known` (n, 3) places at which to
+    begin; `like` starting places (n, 3) and kinds (n,) to keep as they are, network order.
     """
     tables = _sight_tables(network, model, variables, patterns)
     store = _make_store(patterns, tables)
@@ -120,13 +122,11 @@ def lay_out_rows(
     rays, parts = _fill_rays(network, model, store, terms, effects, weight)
     ranges = _fill_ranges(network, store, terms, effects, weight)
     _fill_ground(network, store, weight)
-    starts, angles = _starting_places(network, model, store, rays_of, known)
+    starts, kinds = like or _starting_points(network, model, store, rays_of, known)
     if model.line == MEASURED:
         _fill_scales(network, model, store, parts, starts)
     places = SightPlaces(rays, ranges, *_fill_surface(network, store, starts, weight))
     order, surface = patterns.point_order, network.surface
-    kinds = np.array([FREE, PRIOR, FIXED], dtype=np.int8)[network.points.kinds]
-    kinds[network.undetermined | parallel(network, angles)] = OUT
     grid = None if surface is None else surface.grid
     rows = Rows(
         kind=kinds[order],
@@ -220,7 +220,8 @@ def _fill_rays(
         shared = effects.of(IMAGE, j, image.normalised(lines))
         put_rays(
             mine, rays.point, store.patterns.ray_slot, rays.sigmas, store.tables, model.angles, predicted,
-            (pose.position, pose.matrix, pose.velocity, turning), detector, slope, u, basis, shared.reshape(mine.size, math.prod(shared.shape[1:])), among,
+            (pose.position, pose.matrix, pose.velocity, turning), detector, slope, lines - rays.places[mine, 0],
+            u, basis, shared.reshape(mine.size, math.prod(shared.shape[1:])), among,
             weight,
         )  # fmt: skip
 
@@ -305,11 +306,11 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     return among, mine
 
 
-def _starting_places(
+def _starting_points(
     network: Network, model: Model, store: _Store, rays_of: tuple[Index, NDArray[np.int32]], known: Array | None
-) -> tuple[Array, Array]:
+) -> tuple[Array, NDArray[np.int8]]:
     """(n, 3) m: where each point's inner solve begins: where it is known to be, its a-priori place, or the intersection
-    of its nominal rays; and (n,) rad between its outermost nominal rays.
+    of its nominal rays; and (n,) what each point is.
     """
     starts, rays = network.points.places.copy(), network.rays
     there = np.zeros(starts.shape[0], dtype=bool)
@@ -323,7 +324,9 @@ def _starting_places(
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
     _start_on_the_ground(network, missing, starts)
     starts[~np.all(np.isfinite(starts), axis=1)] = 0.0
-    return starts, angles
+    kinds = np.array([FREE, PRIOR, FIXED], dtype=np.int8)[network.points.kinds]
+    kinds[network.undetermined | parallel(network, angles)] = OUT
+    return starts, kinds
 
 
 def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> None:

@@ -62,11 +62,13 @@ def _image_ray(model: Model, own: list[float], focal: float) -> ImageRay:
     centre, nominal, detector, rest = np.split(np.array(own), np.cumsum([3, angles, 2]))
     nothing = (0.0, 0.0, 0.0)
     if model.line == PREDICTED:
-        velocity, turning, slope, scale = *map(tuple, np.split(rest, [3, 6])), None
+        (velocity, turning, slope, offset), scale = map(tuple, np.split(rest, [3, 6, 8])), None
     else:
-        velocity, turning, slope, scale = nothing, nothing, nothing[:2], (tuple(rest[:2]), tuple(rest[2:]))
+        velocity, turning, slope, offset = nothing, nothing, nothing[:2], (0.0,)
+        scale = tuple(rest[:2]), tuple(rest[2:])
     return ImageRay(
-        _ATTITUDES[model.angles], tuple(centre), tuple(nominal), velocity, turning, tuple(detector), slope, scale, focal
+        _ATTITUDES[model.angles], tuple(centre), tuple(nominal), velocity, turning, tuple(detector), slope, scale,
+        offset[0], focal,
     )
 
 

@@ -13,17 +13,17 @@ from mgsgraph.network import Network
 class Terms:
     """What each ray and each range of a network depends on; a term is six columns, one of each component.
 
-    `lines` (k,) are those about which rays are laid out, the measured ones when absent.
+    `lines` (k,) are those about which rays are laid out.
     """
 
-    def __init__(self, network: Network, variables: Variables, lines: Array | None = None) -> None:
+    def __init__(self, network: Network, variables: Variables, lines: Array) -> None:
         self._network, self._strip = network, network.strip_of
         own = [prior.degree + 1 for prior in network.priors]
         self.counts = np.where(self._strip >= 0, SUPPORT, np.where(variables.first[: len(own)] < 0, 0, own))
         """(images,) number of terms of each image's rays and ranges; none for one that is held."""
         self._first_of_strips = network.first_of_strips
         rays, ranges = network.rays, network.ranges
-        self.lines = rays.places[:, 0] if lines is None else lines
+        self.lines = lines
         """(k,) line about which each ray is laid out."""
         self.of_rays = np.full(rays.point.size, -1, dtype=np.int64)
         """(k,) of each ray the first of its four nodes, counted in its strip; -1 for an image without a strip."""
