@@ -71,7 +71,7 @@ def to_lines_and_samples(motion, slope):
 
 @equation
 def residual(scale, image, detector, beyond):
-    """r = S e - (beyond, 0): lines, samples."""
+    """R = S e - (beyond, 0): lines, samples."""
     x, y = image[0] - detector[0], image[1] - detector[1]
     return scale[0][0] * x + scale[0][1] * y - beyond, scale[1][0] * x + scale[1][1] * y
 

@@ -13,7 +13,14 @@ The papers' own way, coefficients that add to omega, phi, kappa, takes `opk_pape
 
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import add, product, scale, transform, transpose
-from mgsgraph.factors.rotation import opk_paper_axes, opk_peer_axes, opk_rotation, quaternion_matrix, right_jacobian, rotation
+from mgsgraph.factors.rotation import (
+    opk_paper_axes,
+    opk_peer_axes,
+    opk_rotation,
+    quaternion_matrix,
+    right_jacobian,
+    rotation,
+)
 
 
 @equation

@@ -17,8 +17,8 @@ _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 """pi / 2 in three parts, the first two short enough that products with small whole numbers are exact (Cody & Waite)."""
 
 
-_SECOND = tuple((-1.0) ** k / factorial(2 * k + 2) for k in range(11, -1, -1))
-_THIRD = tuple((-1.0) ** k / factorial(2 * k + 3) for k in range(11, -1, -1))
+_SECOND = tuple((-1.0) ** k / factorial(2 * k + 2) for k in range(13, -1, -1))
+_THIRD = tuple((-1.0) ** k / factorial(2 * k + 3) for k in range(13, -1, -1))
 """Series of (1 - cos t) / t^2 and (t - sin t) / t^3 in t^2 (Stumpff's functions c2, c3), highest power first."""
 
 

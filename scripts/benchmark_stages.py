@@ -1,325 +1,163 @@
-"""A tile's way through the sweep in stages, for benchmark_profile: each timed as compiled, and counted as written.
+"""Nanoseconds that a point spends in each stage of a sweep: one tile, over and over, one thread, as the sweep compiles it.
 
-    NUMBA_DISABLE_JIT=1 python scripts/benchmark_stages.py FILE.bin measured|predicted
+    python scripts/benchmark_stages.py [--line predicted] [--sights 3] [--markdown OUT]
 
-counts: the kernel's own source runs as Python, on numbers that count what is done with them. What is printed is JSON:
-operations per point, loads and stores of the tile's registers and of arrays, by pattern and stage.
+The tile is that of the largest group of points with so many rays in a chain like the peer's (`benchmark_blocks.chain`). A
+stage alone finds its registers in the processor's cache: the stages added up are less than a sweep takes.
 """
 
-import json
-import math
-import operator
+import argparse
 import sys
-from collections import Counter
+import time
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from peer_problem import network, read_problem
+from benchmark_blocks import chain
+from benchmark_command import OneLine, status
+from benchmark_run import write_text
+from peer_problem import network
 
-from mgsgraph.adjustment.graph import Layout, lay_out
-from mgsgraph.adjustment.settings import Line
-from mgsgraph.factors import pose, surface, tile
-from mgsgraph.factors import range as ranges
-from mgsgraph.kernel.elimination import (
-    couple_all,
-    eliminate_tile,
-    most_sums,
-    pair_sums,
-    paired,
-    spread,
-    state_pair,
-    sum_right,
-    sum_shared,
-    sum_terms,
-    term_sums,
-)
-from mgsgraph.kernel.lanes import LANES, SQUARE, lane
-from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, Groups, Model, Rows, Target
-from mgsgraph.kernel.sweep import store_places
+from mgsgraph.errors import InputError
 
-PATTERNS = {"two rays": (IMAGE, IMAGE), "three rays": (IMAGE,) * 3, "laser": (IMAGE, IMAGE, RANGE, GROUND)}
-"""Kinds of the sights of points that are measured: ties, and a laser shot seen by two images."""
-SETTLING = 4
-"""Inner steps that bring a tile to rest before anything is measured."""
+_REPEATS, _TRIES = 300, 7
 
 
 class Tile(NamedTuple):
-    """`LANES` points of one pattern, and what their stages need."""
+    """A solved tile, and room for what comes of it."""
 
-    rows: Rows
-    groups: Groups
-    target: Target
-    model: Model
+    rows: Any
+    groups: Any
+    target: Any
+    model: Any
+    x: np.ndarray
+    scratch: Any
     piece: int
-    pattern: int
-    x: Any
-    """(columns,) orientation vector."""
-    places: Any
-    """(n, 3) m."""
-    states: Any
-    """(n,)."""
-    base: int
-    depth: int
-    sums: Any
-    gradient: Any
-    blocks: Any
+    places: np.ndarray
+    blocks: np.ndarray
+    gradient: np.ndarray
 
 
-def piece_of(rows: Rows, kinds: tuple[int, ...]) -> int | None:
-    """The first piece with a full tile of such points that aren't known; None without one."""
-    for number, (pattern, _, count, _, _) in enumerate(rows.piece.tolist()):
-        begin, end = rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1]
-        if count >= LANES and not rows.pattern_fixed[pattern] and tuple(rows.sight_kind[begin:end].tolist()) == kinds:
-            return number
-    return None
+def solved_tile(line: str, rays: int) -> Tile:
+    """The first tile of the largest piece of points with so many rays and nothing else."""
+    from mgsgraph.adjustment.graph import lay_out
+    from mgsgraph.kernel.rows import IMAGE
+    from mgsgraph.kernel.sweep import scratch_for, with_frozen_terrain
+
+    layout = lay_out(*network(chain(6, 9000)[0], line))  # type: ignore[arg-type]
+    rows, target = with_frozen_terrain(layout.rows), layout.blocks.target
+    wanted = [
+        set(rows.sight_kind[a:b].tolist()) == {IMAGE} and b - a == rays
+        for a, b in zip(rows.pattern_sight, rows.pattern_sight[1:], strict=False)
+    ]
+    sizes = np.where(np.array(wanted)[rows.piece[:, 0]], rows.piece[:, 2], 0)
+    if sizes.max() == 0:
+        raise InputError("--sights", f"no points with {rays} rays", "2 or 3")
+    room = np.zeros(target.size), np.zeros(target.columns)
+    piece = int(np.argmax(sizes))
+    x = np.zeros(layout.columns)
+    return Tile(rows, layout.groups, target, layout.model, x, scratch_for(rows), piece, rows.start.copy(), *room)
 
 
-def tile_of(layout: Layout, piece: int) -> tuple[Tile, Any]:
-    """A tile of a piece with the nominal orientation, and its registers."""
-    rows, target = layout.rows, layout.blocks.target
-    size, base, depth = tile.workspace(rows)
-    results = (np.zeros(most_sums(rows)), np.zeros(target.columns), np.zeros(target.size))
-    x, states = np.zeros(layout.columns), np.zeros(rows.kind.size, dtype=np.int8)
-    pattern = int(rows.piece[piece, 0])
-    own = (layout.groups, target, layout.model, piece, pattern, x, rows.start.copy(), states, base, depth)
-    return Tile(rows, *own, *results), np.zeros(size)
+def stages() -> dict[str, Callable[..., Any]]:
+    """Each stage as a compiled loop over (tile, count of segments, times)."""
+    from numba import njit
+
+    from mgsgraph.kernel import elimination, measurements, points, tile
+    from mgsgraph.kernel.lanes import COUPLED, TILE, coupling_of, products_of, registers, sums_of
+
+    compiled = njit(fastmath={"contract", "nsz"}, error_model="numpy")
+
+    @compiled
+    def load(t, times):
+        for _ in range(times):
+            count, _, _ = tile.fill(t.rows, t.piece, 0, t.piece + 1, t.scratch.segments)
+            w = registers(t.scratch.work)
+            tile.load(t.rows, t.model, t.scratch.segments, count, w, t.scratch.depth, t.places)
+
+    @compiled
+    def all_rows(t, times):
+        w = registers(t.scratch.work)
+        for _ in range(times):
+            measurements.all_rows(
+                t.rows, t.model, False, t.scratch.segments, 1, t.x, w, t.scratch.depth, True
+            )
+
+    @compiled
+    def solve(t, times):
+        w = registers(t.scratch.work)
+        for _ in range(times):
+            points.factorise(w)
+            points.step_points(w)
+
+    @compiled
+    def couple(t, times):
+        w, y = registers(t.scratch.work), coupling_of(t.scratch.coupling)
+        for _ in range(times):
+            elimination.couple_all(t.rows, t.scratch.segments, w, t.scratch.depth, y)
+
+    @compiled
+    def pair(t, times):
+        w, y = registers(t.scratch.work), coupling_of(t.scratch.coupling)
+        for _ in range(times):
+            elimination.state_pair(2, 6, 6, False, w, TILE, y, 0, COUPLED)
+
+    @compiled
+    def sums(t, times):
+        first = tile.sights_of(t.rows, t.scratch.segments)[0]
+        w, sums, products = registers(t.scratch.work), sums_of(t.scratch.sums), products_of(t.scratch.products)
+        for _ in range(times):
+            elimination.sum_pair(t.rows, first, first + 1, 0, 64, w, products, 12, sums, 0, t.scratch.spare)
+
+    @compiled
+    def eliminate(t, times):
+        w, y, s = registers(t.scratch.work), coupling_of(t.scratch.coupling), t.scratch
+        sums, products, flat = sums_of(s.sums), products_of(s.products), sums_of(t.blocks)
+        for _ in range(times):
+            room = s.values, s.room, sums, s.aside, s.spare
+            elimination.eliminate_tile(
+                t.rows, t.groups, t.target, s.segments, 1, w, s.depth, y, products, *room, flat, t.gradient
+            )
+
+    return {
+        "load: constants and places from memory": load,
+        "rows: residuals, derivatives, normal equations, all rays": all_rows,
+        "solve: Cholesky factor and step of the point": solve,
+        "couple: Y = W L^-T, all rays": couple,
+        "K_ij of one pair of rays": pair,
+        "sums of one pair, times products of basis values": sums,
+        "eliminate: all of the last three, and the rest": eliminate,
+    }
 
 
-@lane
-def load(t: Tile, w: Any) -> float:
-    """Constants and places from memory into registers."""
-    tile.load(t.rows, t.model, t.piece, 0, LANES, w, t.base, t.depth)
-    tile.place_points(t.places, t.rows.piece[t.piece, 1], LANES, w)
-    return 0.0
+def measure(wanted: argparse.Namespace) -> int:
+    """The table."""
+    t = solved_tile(wanted.line, wanted.sights)
+    lines = [f"| stage, points with {wanted.sights} rays, {wanted.line} line | ns per point |", "|---|---|"]
+    for name, stage in stages().items():
+        stage(t, 1)
+        tries = []
+        for _ in range(_TRIES):
+            start = time.perf_counter()
+            stage(t, _REPEATS)
+            tries.append((time.perf_counter() - start) / (_REPEATS * 64) * 1e9)
+        lines.append(f"| {name} | {np.median(tries):.1f} |")
+    text = "\n".join(lines) + "\n"
+    print(text)
+    if wanted.markdown:
+        write_text(text, wanted.markdown)
+    return 0
 
 
-@lane
-def make_rows(t: Tile, w: Any) -> float:
-    """Residuals and derivatives of all sights."""
-    tile.all_rows(t.rows, t.model, t.piece, t.x, 0, LANES, w, t.base, t.depth)
-    return 0.0
-
-
-@lane
-def normal(t: Tile, w: Any) -> float:
-    """The points' own normal equations."""
-    tile.normal_equations(t.rows, t.pattern, LANES, w, t.base, t.depth)
-    return 0.0
-
-
-@lane
-def factorise(t: Tile, w: Any) -> float:
-    """Their Cholesky factors."""
-    tile.factorise(LANES, w)
-    return 0.0
-
-
-@lane
-def move(t: Tile, w: Any) -> float:
-    """The step of the inner solve and its length."""
-    tile.step_points(LANES, w)
-    return tile.largest(LANES, w, SQUARE)
-
-
-@lane
-def store(t: Tile, w: Any) -> float:
-    """Places, states and cost back to memory."""
-    return store_places(t.rows.piece[t.piece, 1], LANES, w, t.places, t.states)
-
-
-@lane
-def couple(t: Tile, w: Any) -> float:
-    """What each sight's state shares with its point."""
-    couple_all(t.rows, t.pattern, LANES, w, t.base, t.depth)
-    return 0.0
-
-
-@lane
-def pairs(t: Tile, w: Any) -> float:
-    """K_ij between the states of two sights, for all pairs."""
-    begin, end = tile.sights_of(t.rows, t.pattern)
-    for i in range(begin, end):
-        for j in range(i, end):
-            if paired(t.rows, t.pattern, i, j):
-                s, other = t.base + (i - begin) * t.depth, t.base + (j - begin) * t.depth
-                count, width = tile.row_count(t.rows.sight_kind[i]), t.rows.sight_width[i]
-                state_pair(count, width, t.rows.sight_width[j], i == j, LANES, w, s, other)
-    return 0.0
-
-
-@lane
-def sums(t: Tile, w: Any) -> float:
-    """Sums over lanes of K_ij times products of basis values, and of the gradient."""
-    begin, end = tile.sights_of(t.rows, t.pattern)
-    at, group = 0, t.rows.pattern_group[t.pattern]
-    for i in range(begin, end):
-        s = t.base + (i - begin) * t.depth
-        if t.rows.sight_terms[i] + t.rows.sight_shared[i] > 0:
-            sum_right(t.rows, t.groups, t.target, group, i, LANES, w, s, t.gradient)
-        for j in range(i, end):
-            if paired(t.rows, t.pattern, i, j):
-                other = t.base + (j - begin) * t.depth
-                sum_terms(t.rows, i, j, LANES, w, s, other, t.sums, at)
-                if t.rows.sight_shared[i] > 0 or t.rows.sight_shared[j] > 0:
-                    sum_shared(t.rows, i, j, LANES, w, s, other, t.sums, at + term_sums(t.rows, i, j))
-                at += pair_sums(t.rows, i, j)
-    return 0.0
-
-
-@lane
-def spread_sums(t: Tile, w: Any) -> float:
-    """Sums to the blocks of variable pairs, once for all points of a pattern."""
-    spread(t.rows, t.groups, t.target, t.pattern, t.sums, t.blocks)
-    return 0.0
-
-
-@lane
-def eliminate(t: Tile, w: Any) -> float:
-    """couple, pairs and sums as the sweep does them."""
-    eliminate_tile(t.rows, t.groups, t.target, t.pattern, LANES, w, t.base, t.depth, t.sums, t.gradient)
-    return 0.0
-
-
-Stages = dict[str, Callable[..., float]]
-
-INNER: Stages = {"rows": make_rows, "normal equations": normal, "factorise": factorise, "step": move}
-"""Of every inner step."""
-OUTER: Stages = {"couple": couple, "pairs": pairs, "sums": sums}
-"""Elimination; once."""
-STAGES: Stages = {"load": load, **INNER, "store": store, **OUTER, "spread": spread_sums}
-"""`spread` is counted and timed per pattern and not per point."""
-
-
-# ---- numbers that count
-class Counted(float):
-    """A float that counts what is done with it."""
-
-    tally: ClassVar[Counter[str]] = Counter()
-    __array_ufunc__ = None  # so that NumPy's scalars let it have the operation
-    __hash__ = float.__hash__
-
-    def __neg__(self) -> "Counted":
-        return Counted(-float(self))
-
-    def __abs__(self) -> "Counted":
-        return Counted(abs(float(self)))
-
-
-def _counting(name: str, kind: str) -> Callable[[Any, Any], Any]:
-    """An operator of two floats that counts; by zero it divides as the kernel does."""
-    turned = name in ("__radd__", "__rsub__", "__rmul__", "__rtruediv__")
-    plain = getattr(operator, name.replace("__r", "__") if turned else name)
-
-    def counted(self: Any, other: Any) -> Any:
-        Counted.tally[kind] += 1
-        a, b = (float(other), float(self)) if turned else (float(self), float(other))
-        try:
-            value = plain(a, b)
-        except ZeroDivisionError:
-            with np.errstate(all="ignore"):
-                value = np.divide(a, b)
-        return value if kind == "compare" else Counted(value)
-
-    return counted
-
-
-for _kind, _names in {
-    "add": ("__add__", "__radd__", "__sub__", "__rsub__"),
-    "multiply": ("__mul__", "__rmul__"),
-    "divide": ("__truediv__", "__rtruediv__"),
-    "compare": ("__lt__", "__le__", "__gt__", "__ge__", "__eq__", "__ne__"),
-}.items():
-    for _name in _names:
-        setattr(Counted, _name, _counting(_name, _kind))
-
-
-class Memory:
-    """An array whose loads and stores are counted; one index counts through all of it, as registers do."""
-
-    def __init__(self, values: NDArray[Any], where: str) -> None:
-        self.values, self.flat, self.shape, self.where = values, values.reshape(-1), values.shape, where
-
-    def _bytes(self, what: str, value: Any) -> None:
-        Counted.tally[f"{self.where} {what}"] += np.size(value)
-        Counted.tally[f"{self.where} bytes"] += np.size(value) * self.flat.itemsize
-
-    def __getitem__(self, place: Any) -> Counted:
-        value = self.values[place] if isinstance(place, tuple) else self.flat[place]
-        self._bytes("loads", value)
-        return Counted(value)
-
-    def __setitem__(self, place: Any, value: Any) -> None:
-        array = self.values if isinstance(place, tuple) else self.flat
-        self._bytes("stores", array[place])
-        array[place] = value
-
-
-def counted(t: Tile, work: NDArray[np.float64], stage: Callable[..., float]) -> dict[str, int]:
-    """What one stage of a tile does. The kernel must not be compiled."""
-    floats = ("start", "data", "weight", "kind", "sight_focal")
-    arrays = ("x", "places", "states", "sums", "gradient", "blocks")
-    rows = t.rows._replace(**{name: Memory(getattr(t.rows, name), "array") for name in floats})
-    own = t._replace(rows=rows, **{name: Memory(getattr(t, name), "array") for name in arrays})
-    Counted.tally.clear()
-    stage(own, Memory(work, "register"))
-    return dict(Counted.tally)
-
-
-def _count_in_kernel() -> None:
-    """Let the kernel's source take numbers that count."""
-
-    def root(value: float) -> Counted:
-        Counted.tally["root"] += 1
-        return Counted(math.sqrt(value) if value >= 0.0 else math.nan)
-
-    counting = SimpleNamespace(**{**vars(math), "sqrt": root})
-    for module in (tile, pose, ranges, surface):
-        vars(module)["math"] = counting
-    vars(tile)["registers"] = lambda array: array
-
-
-def settle(t: Tile, work: Any) -> None:
-    """Bring a tile to rest, so that no stage is measured on an unusual way."""
-    load(t, work)
-    for _ in range(SETTLING):
-        for stage in INNER.values():
-            stage(t, work)
-    store(t, work)
-    load(t, work)
-
-
-def counts(layout: Layout) -> dict[str, dict[str, dict[str, float]]]:
-    """Operations per point (of `spread`: per pattern) by pattern and stage; the kernel must not be compiled."""
-    _count_in_kernel()
-    found = {}
-    for name, kinds in PATTERNS.items():
-        piece = piece_of(layout.rows, kinds)
-        if piece is None:
-            continue
-        t, work = tile_of(layout, piece)
-        settle(t._replace(rows=_plain(t.rows)), Memory(work, "register"))
-        stages = {stage: counted(t, work, function) for stage, function in STAGES.items()}
-        stages["eliminate"] = counted(t, work, eliminate)
-        found[name] = {
-            stage: {kind: value / (1 if stage == "spread" else LANES) for kind, value in tally.items()}
-            for stage, tally in stages.items()
-        }
-    return found
-
-
-def _plain(rows: Rows) -> Rows:
-    """Rows whose arrays of floats are read as `registers` reads them."""
-    return rows._replace(**{name: Memory(getattr(rows, name), "array") for name in ("data", "weight")})
-
-
-def laid_out(path: Path, line: str) -> Layout:
-    """A problem file, laid out for the kernel."""
-    return lay_out(*network(read_problem(path), cast(Line, line)))
+def main() -> int:
+    parser = OneLine(prog="benchmark_stages", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--line", choices=("measured", "predicted"), default="measured", help="measured is the peer's")
+    parser.add_argument("--sights", type=int, choices=(2, 3), default=2, help="rays of each point")
+    parser.add_argument("--markdown", type=Path, help="file for the table")
+    wanted = parser.parse_args()
+    return status("benchmark_stages", lambda: measure(wanted))
 
 
 if __name__ == "__main__":
-    print(json.dumps(counts(laid_out(Path(sys.argv[1]), sys.argv[2]))))
+    sys.exit(main())

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
+from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case import read_case
 from mgsgraph.geometry import rotation

@@ -15,8 +15,8 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.graph.explicit import sight_noise
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables, make_groups, pair_blocks
-from mgsgraph.kernel.bundle import Reduction, point_covariances, reduce
 from mgsgraph.adjustment.graph.sights import sight_factor
+from mgsgraph.kernel.reduction import Reduction, point_covariances, reduce
 from mgsgraph.kernel.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, one_sight
 
 Column = tuple[int, int]

@@ -18,27 +18,35 @@ STOREYS = [
     ("mgsgraph.campaign", "mgsgraph.project"),
     ("mgsgraph.products",),
     ("mgsgraph.case",),
+    (
+        "mgsgraph.adjustment.analysis", "mgsgraph.adjustment.incremental", "mgsgraph.adjustment.planning",
+        "mgsgraph.adjustment.spacing", "mgsgraph.adjustment.two_steps",
+    ),
     ("mgsgraph.adjustment",),
     ("mgsgraph.simulation",),
     ("mgsgraph.matching",),
     ("mgsgraph.network", "mgsgraph.registration", "mgsgraph.io", "mgsgraph.fetch"),
     ("mgsgraph.ties",),
-    ("mgsgraph.geometry",),
+    ("mgsgraph.geometry", "mgsgraph.kernel"),
     ("mgsgraph.factors",),
     ("mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook", "mgsgraph.wording", "mgsgraph.compiled"),
 ]
 ONLY_IN = {
     "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment"),
     "matplotlib": ("mgsgraph.products",),
-    "numba": ("mgsgraph.factors", "mgsgraph.matching", "mgsgraph.products.dem"),
+    "numba": (
+        "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.geometry", "mgsgraph.adjustment.graph",
+        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.matching", "mgsgraph.products.dem",
+    ),
+    "llvmlite": ("mgsgraph.kernel.lanes",),
     "cv2": ("mgsgraph.matching",),
     "jinja2": ("mgsgraph.products",),
     "google": ("mgsgraph.io.control",),
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
-        "mgsgraph.adjustment.analysis", "mgsgraph.adjustment.graph.prior", "mgsgraph.geometry.track_terrain",
-        "mgsgraph.matching",
+        "mgsgraph.adjustment.analysis", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.graph.prior",
+        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.track_terrain", "mgsgraph.matching",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.products.export"),
     "pyogrio": ("mgsgraph.products.export",),
@@ -114,12 +122,17 @@ def test_libraries_stay_in_their_rooms(library: str) -> None:
     assert not wrong
 
 
-def test_only_the_adjustment_imports_factors() -> None:
+def test_equations_and_kernel_stay_below_the_adjustment() -> None:
+    """Equations serve geometry, kernel and adjustment; the kernel serves the adjustment alone, and factors know neither."""
+    users = {
+        "mgsgraph.factors": ("mgsgraph.factors", "mgsgraph.geometry", "mgsgraph.kernel", "mgsgraph.adjustment"),
+        "mgsgraph.kernel": ("mgsgraph.kernel", "mgsgraph.adjustment"),
+    }
     wrong = [
-        name
+        f"{name} imports {package}"
         for name, path in modules().items()
-        if not name.startswith(("mgsgraph.factors", "mgsgraph.adjustment"))
-        and any(target.startswith("mgsgraph.factors") for target in imports(path))
+        for package, rooms in users.items()
+        if not name.startswith(rooms) and any(target.startswith(package) for target in imports(path))
     ]
     assert not wrong
 

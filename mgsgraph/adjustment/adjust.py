@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.datum import require_strength
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
+from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
@@ -26,10 +26,10 @@ from mgsgraph.adjustment.passes import (
     what_changes,
 )
 from mgsgraph.adjustment.posterior import (
+    Residuals,
     explicit_covariances,
     fit,
     orientation_covariance,
-    Residuals,
     point_covariances,
     residuals,
 )
@@ -37,9 +37,9 @@ from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.kernel.bundle import Reduction
-from mgsgraph.kernel.rows import FIXED, PRIOR
 from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.rows import FIXED, PRIOR
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.support import require_felt_nodes
 
@@ -202,7 +202,7 @@ def _nominal(
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)
-    anew = about_predicted_lines(layout, nominal, before.points, sweeper)
+    anew = about_predicted_lines(layout, nominal, before.points)
     if anew is not layout:
         layout, before = anew, BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
     return layout, selection, before

@@ -5,9 +5,9 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.passes import Selection
 from mgsgraph.errors import PointBehindCamera
-from mgsgraph.kernel.bundle import Reduction
-from mgsgraph.kernel.rows import BEHIND, WEAK
 from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.rows import BEHIND, WEAK
 
 
 def without_weak(layout: Layout, reduction: Reduction, selection: Selection) -> Selection:

@@ -14,9 +14,9 @@ from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.kernel.bundle import Reduction
-from mgsgraph.kernel.rows import OUT, Rows
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.rows import OUT, Rows
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind
 
@@ -106,7 +106,7 @@ def solve_in_passes(
     for number in range(1, _MOST_PASSES + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
         layout, history = solved.layout, history + solved.history
-        initial = solved.outcome.cost_initial if number == 1 else initial
+        initial = solved.cost_initial if number == 1 else initial
         solved = replace(solved, history=history, cost_initial=initial, passes=number)
         chosen = select(layout, solved, settings.reject, sweeper) if settings.reject > 0.0 else selection
         followed = layout.following(solved.points, solved.orientation)
@@ -134,7 +134,7 @@ def _solve_exactly(
     solved = _solve(graph, selection, orientation, known, settings, progress)
     initial, history = solved.cost_initial, solved.history
     for _ in range(_MOST_LAYOUTS):
-        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, sweeper)
+        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points)
         if anew is solved.layout:
             break
         graph = BundleGraph(anew, selection.rows(anew), sweeper)
@@ -145,7 +145,9 @@ def _solve_exactly(
 
 def _state(layout: Layout, selection: Selection) -> bytes:
     """What a pass depends on beside its start."""
-    return layout.network_order(layout.rows.terrain_cell).tobytes() + selection.rays.tobytes() + selection.ranges.tobytes()
+    cells = layout.rows.terrain_cell
+    cells = layout.network_order(cells) if cells.size else cells  # rays laid out anew may change the order
+    return cells.tobytes() + selection.rays.tobytes() + selection.ranges.tobytes()
 
 
 def _solve(

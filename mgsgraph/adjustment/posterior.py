@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.analysis.datum import POORLY, defects, scaled_normal
+from mgsgraph.adjustment.datum.datum import POORLY, defects, scaled_normal
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, point_key, variable_key
 from mgsgraph.adjustment.graph.shared import footprint_shifts, shared_values
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
-from mgsgraph.kernel.bundle import Reduction
-from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,20 +8,19 @@ jump), nor over a misfit of hundreds of lines. So rays are laid out anew about t
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import PREDICTED
 
-EXACT = 1e-7
-"""Lines (and samples) by which a row may be off."""
+EXACT = 3e-9
+"""Lines (and samples) by which a row may be off: what rounding of body-fixed metres leaves."""
 _MOST = 5
-"""Times: each leaves the square of what was left before, in units of the trajectory's own scale."""
+"""Times: each leaves the square of what was left before, until rounding does."""
 _BEYOND = 0.5
 """Share of an image's lines by which a predicted line may lie before it or after it."""
 
 
-def about_predicted_lines(layout: Layout, orientation: Array, points: Array, sweeper: Sweeper = IN_PROCESS) -> Layout:
+def about_predicted_lines(layout: Layout, orientation: Array, points: Array) -> Layout:
     """The layout itself where its rows are exact at shared unknowns (columns,) and points (n, 3), layout order; else one
     laid out about the predicted lines. Nothing to do in the measured-line form.
     """
@@ -30,13 +29,21 @@ def about_predicted_lines(layout: Layout, orientation: Array, points: Array, swe
     network, now = layout.network, layout
     size = np.array([image.lines for image in network.images], dtype=np.float64)[network.rays.image]
     places = layout.network_order(points)
-    found = residuals(layout, orientation, points, sweeper).image
+    found = residuals(layout, orientation, points).image
+    before = np.inf
     for _ in range(_MOST):
         lines = network.rays.places[:, 0] - found[:, 0]
         lines = np.clip(np.where(np.isnan(lines), now.lines, lines), -_BEYOND * size, (1.0 + _BEYOND) * size)
         anew = now.about(lines)
-        again = residuals(anew, orientation, places[anew.point_order], sweeper).image
-        if np.nanmax(np.abs(again - found), initial=0.0) <= EXACT:
+        again = residuals(anew, orientation, places[anew.point_order]).image
+        off = float(np.nanmax(np.abs(again - found), initial=0.0))
+        if off <= EXACT or off > 0.5 * before:
             return now
-        now, found = anew, again
+        now, found, before = anew, again, off
     return now
+
+
+def exactly(layout: Layout, orientation: Array, points: Array) -> tuple[Layout, Array]:
+    """The same, and the points in its order: for a network that is linearised where it was adjusted."""
+    anew = about_predicted_lines(layout, orientation, points)
+    return anew, points if anew is layout else layout.network_order(points)[anew.point_order]

@@ -13,8 +13,8 @@ from mgsgraph.adjustment.graph.explicit import all_points
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import is_indeterminate
-from mgsgraph.kernel.bundle import Reduction
 from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.reduction import Reduction
 
 _POINT_SCALE = np.full(3, 100.0)
 """m, unit of a point's step in the damping of the explicit form."""

@@ -10,7 +10,7 @@ from mgsgraph.compiled import digest_of, make_equations_compilable
 from mgsgraph.factors import algebra
 from mgsgraph.factors.algebra import add, cross, product, scale, subtract, transform, transpose
 from mgsgraph.factors.interpolation import hermite
-from mgsgraph.factors.rotation import opk_paper_axes, opk_rotation, quaternion_matrix, rotation
+from mgsgraph.factors.rotation import matrix_quaternion, opk_paper_axes, opk_rotation, quaternion_matrix, rotation
 
 make_equations_compilable()
 
@@ -84,6 +84,16 @@ def _compile(sources: str) -> Any:
             put(velocity, i, motion)
 
     @_kept
+    def quaternions(matrix, found):
+        """Unit quaternions (n, 4) of rotation matrices (n, 3, 3)."""
+        if len(sources) == 0:
+            return
+        for i in range(matrix.shape[0]):
+            m = matrix[i]
+            rows = vector(m, 0), vector(m, 1), vector(m, 2)
+            found[i, 0], found[i, 1], found[i, 2], found[i, 3] = matrix_quaternion(rows)
+
+    @_kept
     def attitudes(times, table, matrix, turning):
         """Matrices (n, 3, 3) and angular velocities (n, 3) of a table at times (n,)."""
         if len(sources) == 0:
@@ -126,7 +136,7 @@ def _compile(sources: str) -> Any:
             for j in range(3):
                 put(matrix[i], j, attitude[j])
 
-    return places, attitudes, sampled_poses, polynomial_poses
+    return places, quaternions, attitudes, sampled_poses, polynomial_poses
 
 
-places, attitudes, sampled_poses, polynomial_poses = _compile(digest_of(Path(__file__).parent, Path(algebra.__file__).parent))
+places, quaternions, attitudes, sampled_poses, polynomial_poses = _compile(digest_of(Path(__file__).parent, Path(algebra.__file__).parent))

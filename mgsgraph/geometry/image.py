@@ -9,6 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.factors.algebra import transform
+from mgsgraph.factors.collinearity import by_point, focal_plane, image_by_ray, image_motion, ray_motion
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
@@ -243,15 +246,14 @@ class PushbroomImage:
         """
         pose = self.pose(place[:, 0], correction)
         detector, slope = self.interior.focal_plane(place[:, 1])
-        ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
-        depth = np.where(ray[:, 2] > 0.0, ray[:, 2], np.nan)
-        image = self.interior.focal_length * ray[:, :2] / depth[:, None]
-        by_ray = np.zeros((points.shape[0], 2, 3))
-        by_ray[:, 0, 0] = by_ray[:, 1, 1] = self.interior.focal_length / depth
-        by_ray[:, :, 2] = -image / depth[:, None]
-        ray_rate = -np.cross(pose.turning, ray) - np.einsum("nij,nj->ni", pose.matrix, pose.velocity)
-        by_line = np.einsum("nij,nj->ni", by_ray, ray_rate)
-        return image - detector, np.stack([by_line, -slope], axis=2), by_ray @ pose.matrix
+        attitude, focal = rotation.rows(pose.matrix), self.interior.focal_length
+        ray = transform(attitude, rotation.components(points - pose.position))
+        ray = ray[0], ray[1], np.where(ray[2] > 0.0, ray[2], np.nan)
+        motion = ray_motion(attitude, ray, rotation.components(pose.velocity), rotation.components(pose.turning))
+        by_line = rotation.stacked(image_motion(ray, motion, focal))
+        points_rows = [rotation.stacked(by_point(row, attitude)) for row in image_by_ray(ray, focal)]
+        error = rotation.stacked(focal_plane(ray, focal)) - detector
+        return error, np.stack([by_line, -slope], axis=2), np.stack(points_rows, axis=1)
 
 
 def _solve(matrix: Array, right: Array) -> Array:

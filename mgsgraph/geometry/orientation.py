@@ -7,12 +7,14 @@ Shan 2005, Eq. 2, as corrections to SPICE), or the basis of a strip's orientatio
 whatever acts linearly on the pose.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, assign, frozen
@@ -28,7 +30,9 @@ COMPONENTS = ("X", "Y", "Z", "rotation x", "rotation y", "rotation z")
 def polynomial(u: Array, degree: int) -> tuple[Array, Array]:
     """Values and derivatives d/du of the basis 1, u, ..., u^degree at u (n,); two arrays (n, degree + 1)."""
     powers = np.arange(degree + 1)
-    values = u[:, None] ** powers
+    values = np.ones((u.size, degree + 1))
+    for k in range(degree):
+        values[:, k + 1] = values[:, k] * u
     rates = np.zeros_like(values)
     rates[:, 1:] = powers[1:] * values[:, :-1]
     return values, rates
@@ -127,31 +131,24 @@ class OrientationCorrection:
         """Corrected pose of nominal poses (rates per line) at n lines."""
         correction, slope = self.at(moments)
         turn, turn_rate = correction[:, 3:], slope[:, 3:]
-        if self.angles == "camera":
-            back = np.swapaxes(rotation.exponential(turn), 1, 2)
-            turning = np.einsum("nij,nj->ni", back, nominal.turning)
-            turning += np.einsum("nij,nj->ni", rotation.right_jacobian(turn), turn_rate)
-            matrix = back @ nominal.matrix
-        else:
-            matrix, turning = self._add_angles(nominal, turn, turn_rate)
+        attitude_of, at, rates = self._nominal_attitude(nominal)
+        turned = attitude_of(at, rates, 0.0, rotation.components(turn), rotation.components(turn_rate))
         position = nominal.position + correction[:, :3]
-        return Pose(position, nominal.velocity + slope[:, :3], matrix, turning)
+        matrix, _, turning = turned
+        return Pose(position, nominal.velocity + slope[:, :3], rotation.matrices(matrix), rotation.stacked(turning))
 
-    def _add_angles(self, nominal: Pose, turn: Array, turn_rate: Array) -> tuple[Array, Array]:
-        """Matrix and turning of the pose whose omega, phi, kappa are larger by `turn` (n, 3), rates by `turn_rate`."""
+    def _nominal_attitude(self, nominal: Pose) -> tuple[Callable[..., Any], tuple[Array, ...], tuple[Array, ...]]:
+        """The equation of `factors.pose` that adds corrections, and nominal attitude and rates as it takes them."""
+        if self.angles == "camera":
+            at = rotation.components(rotation.from_matrix(nominal.matrix))
+            return about_axes, at, rotation.components(nominal.turning)
         paper = self.angles == "opk-paper"
-        before = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
-        rates = np.linalg.solve(rotation.angle_axes(before, paper), nominal.turning[:, :, None])[:, :, 0]
-        after = before + turn
-        product = rotation.from_omega_phi_kappa(after)
-        turning = np.einsum("nij,nj->ni", rotation.angle_axes(after, paper), rates + turn_rate)
-        return product if paper else np.swapaxes(product, 1, 2), turning
+        angles = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
+        rates = np.linalg.solve(rotation.angle_axes(angles, paper), nominal.turning[:, :, None])[:, :, 0]
+        return opk_paper if paper else opk_peer, rotation.components(angles), rotation.components(rates)
 
     def axes(self, nominal: Pose, moments: Moments) -> Array:
         """(n, 3, 3): how the camera turns, about its own axes, per rad of each rotation component at n lines."""
-        turn = self.at(moments)[0][:, 3:]
-        if self.angles == "camera":
-            return rotation.right_jacobian(turn)
-        paper = self.angles == "opk-paper"
-        before = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
-        return rotation.angle_axes(before + turn, paper)
+        turn = rotation.components(self.at(moments)[0][:, 3:])
+        attitude_of, at, rates = self._nominal_attitude(nominal)
+        return rotation.matrices(attitude_of(at, rates, 0.0, turn, turn)[1])

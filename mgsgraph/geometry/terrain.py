@@ -6,12 +6,14 @@ the patch's normal: with F = r - R(lon, lat), the distance F / |grad F|, which i
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.factors.surface import bilinear, height_above
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask, assign
 
@@ -23,15 +25,16 @@ _EDGE = 1e-9
 """cells by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Patch:
-    """Bilinear patches under places: values and derivatives by longitude and latitude (rad); NaN outside the grid."""
+class _Patch(NamedTuple):
+    """Bilinear patches at places (`factors.surface.bilinear`); NaN outside the grid."""
 
     value: Array
-    by_longitude: Array
-    by_latitude: Array
+    eastward: Array
+    """per cell."""
+    southward: Array
+    """per cell."""
     twist: Array
-    """second derivative by longitude and latitude; the other two are zero in a bilinear patch."""
+    """second derivative by both; the other two are zero in a bilinear patch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,18 +117,8 @@ class TerrainGrid:
 
     def _patch(self, longitudes: Array, latitudes: Array) -> _Patch:
         row, left, right, s, e, inside = self._cell(longitudes, latitudes)
-        north_west, north_east, south_west, south_east = (
-            self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right)
-        )
-        east = np.where(inside, north_east - north_west, np.nan)
-        south = south_west - north_west
-        twist = south_east - south_west - east
-        return _Patch(
-            north_west + e * east + s * south + e * s * twist,
-            (east + s * twist) / self.longitude_step,
-            -(south + e * twist) / self.latitude_step,
-            -twist / (self.longitude_step * self.latitude_step),
-        )
+        posts = (self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right))
+        return _Patch(*bilinear(e, s, tuple(np.where(inside, post, np.nan) for post in posts)))
 
     def cells(self, points: Array) -> Index:
         """(n, 3) row, left and right column of the posts around points (n, 3) in m; row -1 where one is missing."""
@@ -150,7 +143,7 @@ class TerrainGrid:
             m per rad.
         """
         patch = self._patch(longitudes, latitudes)
-        return patch.value, patch.by_longitude, patch.by_latitude
+        return patch.value, patch.eastward / self.longitude_step, -patch.southward / self.latitude_step
 
     def at(self, points: Array) -> Array:
         """Posts' values (n,) in m under points (n, 3) in m, body-fixed; NaN outside."""
@@ -161,8 +154,8 @@ class TerrainGrid:
         """Slope (n,) in rad of the patches against the sphere through them at places (n,); NaN outside."""
         self._require("radius", "a slope")
         patch = self._patch(longitudes, latitudes)
-        east = patch.by_longitude / (patch.value * np.cos(latitudes))
-        return np.asarray(np.arctan(np.hypot(east, patch.by_latitude / patch.value)))
+        east = patch.eastward / self.longitude_step / np.cos(latitudes)
+        return np.asarray(np.arctan(np.hypot(east, patch.southward / self.latitude_step) / patch.value))
 
     def rise(self, longitudes: Array, latitudes: Array) -> Array:
         """How steep the ground is about places (n,), m per m: slope of the plane through the 4 x 4 posts around each.
@@ -185,8 +178,8 @@ class TerrainGrid:
                 north -= (i - 0.5) / _SQUARES * post
         patch = self._patch(longitudes, latitudes)
         whole = np.isfinite(east)
-        by_longitude = np.where(whole, east / self.longitude_step, patch.by_longitude)
-        by_latitude = np.where(whole, north / self.latitude_step, patch.by_latitude)
+        by_longitude = np.where(whole, east, patch.eastward) / self.longitude_step
+        by_latitude = np.where(whole, north, -patch.southward) / self.latitude_step
         return np.asarray(np.hypot(by_longitude / np.cos(latitudes), by_latitude) / patch.value)
 
     def height_sigmas(self, points: Array, shifts: bool) -> Array:
@@ -234,25 +227,10 @@ class TerrainGrid:
             d(height) / d(point); a unit vector along the normal where the height is zero.
         """
         self._require("radius", "heights above the terrain")
-        longitudes, latitudes, r = planetocentric(points).T
-        patch = self._patch(longitudes, latitudes)
-        cosine, sine = np.cos(latitudes), np.sin(latitudes)
-        planar = np.maximum(r * cosine, 1e-6)  # at a pole itself longitude means nothing; the posts end before it
-        above = r - patch.value
-        a, b = patch.by_longitude / planar, patch.by_latitude / r  # slopes eastward and northward
-        norm = np.sqrt(1.0 + a * a + b * b)
-        # derivatives of a a' + b b' by longitude, latitude, radius: the patch's only second derivative is its twist
-        turn_longitude = b * patch.twist / r
-        turn_latitude = a * (patch.twist / planar + a * sine / cosine)
-        turn_radius = -(a * a + b * b) / r
-        share = above / norm**3
-        by_east = (-patch.by_longitude / norm - share * turn_longitude) / planar
-        by_north = (-patch.by_latitude / norm - share * turn_latitude) / r
-        by_up = 1.0 / norm - share * turn_radius
-        east = np.stack([-np.sin(longitudes), np.cos(longitudes), np.zeros_like(r)], axis=1)
-        north = np.stack([-sine * np.cos(longitudes), -sine * np.sin(longitudes), cosine], axis=1)
-        jacobian = by_east[:, None] * east + by_north[:, None] * north + by_up[:, None] * (points / r[:, None])
-        return above / norm, jacobian
+        longitudes, latitudes, _ = planetocentric(points).T
+        step = self.longitude_step, self.latitude_step
+        height, slope = height_above(rotation.components(points), self._patch(longitudes, latitudes), step)
+        return np.asarray(height), rotation.stacked(slope)
 
     def around(self, points: Array, margin: int = 8) -> "TerrainGrid":
         """The part of the grid under points (n, 3) in m, body-fixed, and `margin` posts beyond.

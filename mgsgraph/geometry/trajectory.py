@@ -14,7 +14,7 @@ import numpy as np
 
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.records import Array, assign, frozen
 
 
 def _check_times(times: Array, where: str) -> None:

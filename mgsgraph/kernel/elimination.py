@@ -44,6 +44,7 @@ from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.rows import BEHIND, GOOD, IMAGE, WEAK, Rows
 from mgsgraph.kernel.tile import BEGIN, END, PATTERN, any_state, pose_components, sights_of
 
+
 @lane
 def sight_columns(rows, i):
     """Columns of the unknowns that a sight feels: components per basis term, and their number altogether."""

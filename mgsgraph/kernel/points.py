@@ -2,7 +2,20 @@
 
 import math
 
-from mgsgraph.kernel.lanes import ACTIVE, COST, FACTOR, FORWARD, GRADIENT, LANES, NORMAL, PLACE, SQUARE, STATE, lane, summing
+from mgsgraph.kernel.lanes import (
+    ACTIVE,
+    COST,
+    FACTOR,
+    FORWARD,
+    GRADIENT,
+    LANES,
+    NORMAL,
+    PLACE,
+    SQUARE,
+    STATE,
+    lane,
+    summing,
+)
 from mgsgraph.kernel.measurements import all_rows
 from mgsgraph.kernel.rows import GOOD, NO_LOSS, WEAK
 from mgsgraph.kernel.tile import BEGIN, END, PATTERN, load

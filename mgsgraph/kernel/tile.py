@@ -9,8 +9,8 @@ import numpy as np
 from mgsgraph.kernel.lanes import (
     ACTIVE,
     BASIS,
+    CARRY,
     CENTRE,
-    CONSTANTS,
     DELTA,
     DETECTOR,
     DISTANCE,
@@ -31,7 +31,6 @@ from mgsgraph.kernel.lanes import (
     VELOCITY,
     WEIGHT,
     WIDTH,
-    CARRY,
     lane,
     registers,
 )

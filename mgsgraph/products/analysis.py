@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.analysis.components import Components, components_of, honest_sigmas
-from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.adjustment.analysis.levels import Levels
 from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
@@ -19,6 +18,7 @@ from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
 from mgsgraph.adjustment.analysis.snooping import snoop
 from mgsgraph.adjustment.analysis.suspects import suspects
 from mgsgraph.adjustment.analysis.weak import weakest
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.errors import InputError
 from mgsgraph.products.answers import Answer, Questions, answered
 from mgsgraph.products.atomic import ANALYSIS, PROGRAM, fresh_folder

@@ -14,9 +14,9 @@ from mgsgraph.adjustment.analysis.answers import (
     PlaceEstimate,
     PoseEstimate,
 )
-from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
 from mgsgraph.adjustment.analysis.quantity import Quantity
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array

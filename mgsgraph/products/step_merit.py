@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.analysis.flight_sigmas import overhead, point_sigmas, pose_sigmas
-from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
 from mgsgraph.geometry.orientation import OrientationCorrection

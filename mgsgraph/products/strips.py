@@ -1,6 +1,6 @@
 """Strips in reports: how their trajectories were corrected along time, and how well that is known.
 
-Corrections are those of the orientation images alone, in the terms of the flight (`analysis.frames`): along, across and
+Corrections are those of the orientation images alone, in the terms of the flight (`datum.frames`): along, across and
 radial; roll, pitch and yaw. What unknowns that images share do to them on top stands in `shared.csv`.
 """
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.analysis.flight_sigmas import strip_turns
-from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation_images import SUPPORT

@@ -15,7 +15,7 @@ from mgsgraph.adjustment.cluster.partitions import _own_blocks
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_blocks
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.kernel.bundle import all_residuals, point_covariances, reduce
+from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import partition
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
 

@@ -16,10 +16,10 @@ from mgsgraph.adjustment.graph import Layout, lay_out, patterns
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Sight, group_blocks
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.kernel.rows import FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.rows import FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE, SURFACE
 from mgsgraph.network import Network, Ranges
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
@@ -175,13 +175,14 @@ def check_ray(made: Layout, sight: HandSight, k: int) -> None:
     pose = image.pose(np.array([line]))
     detector, slope = image.interior.focal_plane(np.array([sample]))
     assert sight.focal == image.interior.focal_length
-    position, attitude, place, velocity, turning, along_detector = np.split(sight.own, [3, 7, 9, 12, 15])
+    position, attitude, place, velocity, turning, along_detector, offset = np.split(sight.own, [3, 7, 9, 12, 15, 17])
     np.testing.assert_allclose(position, pose.position[0], rtol=1e-15)
     np.testing.assert_allclose(rotation.to_matrix(attitude), pose.matrix[0], atol=1e-15)
     np.testing.assert_allclose(velocity, pose.velocity[0], rtol=1e-13)
     np.testing.assert_allclose(turning, pose.turning[0], rtol=1e-13, atol=1e-20)
     np.testing.assert_array_equal(place, detector[0])
     np.testing.assert_array_equal(along_detector, slope[0])
+    assert offset == 0.0
     if net.held[j]:
         assert sight.terms == []
         return

@@ -12,18 +12,18 @@ from jacobians import assert_jacobians
 from networks import network, pair, terrain, with_tilting_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.frames import Frames
 from mgsgraph.adjustment.analysis.grouping import group_rows, scaled
+from mgsgraph.adjustment.datum.frames import Frames
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shift_key
+from mgsgraph.adjustment.graph.sights import sight_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.adjustment.graph.sights import sight_factor
-from mgsgraph.kernel.rows import SURFACE, one_sight
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.kernel.rows import SURFACE, one_sight
 from mgsgraph.network import GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
 from mgsgraph.products.archive import read_solution, write_archive

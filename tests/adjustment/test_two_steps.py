@@ -10,7 +10,7 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.analysis.flight_sigmas import flight_axes_at, pose_sigmas
 from mgsgraph.adjustment.analysis.forward import RaysAlone, prior_covariance
-from mgsgraph.adjustment.analysis.frames import flight_axes, flight_frame
+from mgsgraph.adjustment.datum.frames import flight_axes, flight_frame
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.passes import everything
 from mgsgraph.adjustment.settings import SolverSettings

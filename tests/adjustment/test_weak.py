@@ -10,10 +10,10 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.analysis import weak
-from mgsgraph.adjustment.analysis.datum import datum_transformations, defects, scaled_normal
-from mgsgraph.adjustment.analysis.frames import Frames, flight_frame
-from mgsgraph.adjustment.analysis.simple import simple_basis
 from mgsgraph.adjustment.analysis.weak import WeakDirection, spectrum, weak_directions, weakest
+from mgsgraph.adjustment.datum.datum import datum_transformations, defects, scaled_normal
+from mgsgraph.adjustment.datum.frames import Frames, flight_frame
+from mgsgraph.adjustment.datum.simple import simple_basis
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.passes import everything
 from mgsgraph.adjustment.settings import SolverSettings

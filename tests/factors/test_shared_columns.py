@@ -31,10 +31,10 @@ from normals import (
 
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.kernel.rows import IMAGE, PIECE, RANGE
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.kernel.rows import IMAGE, PIECE, RANGE
 
 NODES = 6
 """Per image, evenly over its lines and one interval beyond both ends."""

@@ -13,13 +13,13 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
+from mgsgraph.adjustment.graph.sights import measurement, sight_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
-from mgsgraph.adjustment.graph.sights import measurement, sight_factor
 from mgsgraph.factors.priors import zero_prior
-from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_sight
 from mgsgraph.geometry.body import east_north, from_planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_sight
 
 MODELS = [(line, angles) for line in ("predicted", "measured") for angles in ("camera", "opk-paper", "opk-peer")]
 SEEDS = st.integers(0, 2**32 - 1)

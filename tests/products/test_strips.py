@@ -12,7 +12,7 @@ from networks import network, pair
 from strip_files import block, write_block
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.frames import flight_frame
+from mgsgraph.adjustment.datum.frames import flight_frame
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case import read_case
@@ -85,7 +85,7 @@ def test_the_course_is_what_each_image_has(basis: Basis, angles: Angles) -> None
 
 
 def test_axes_are_those_of_the_analysis(solution: Solution) -> None:
-    """Roll, pitch and yaw, along, across and radial, in the middle of an image: `analysis.frames` finds the same."""
+    """Roll, pitch and yaw, along, across and radial, in the middle of an image: `datum.frames` finds the same."""
     for strip, image in ((0, 2), (1, 7)):
         picture = solution.network.images[image]
         middle = picture.moments(np.array([0.5 * picture.lines]))

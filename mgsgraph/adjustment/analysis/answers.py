@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.analysis.quantity import correlation
+from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.notebook import card

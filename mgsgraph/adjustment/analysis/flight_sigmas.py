@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
@@ -37,7 +37,7 @@ def pose_sigmas(
     Returns
     -------
     (n, 6)
-        m along, across and radial, and rad of roll, pitch and yaw (`analysis.frames`), for sigma0 = 1.
+        m along, across and radial, and rad of roll, pitch and yaw (`datum.frames`), for sigma0 = 1.
     """
     picture = network.images[image]
     moments, nominal = picture.moments(lines), picture.pose(lines)

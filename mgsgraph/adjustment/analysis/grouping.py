@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import InputError
-from mgsgraph.kernel.rows import GROUND
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.rows import GROUND
 from mgsgraph.network import Network, PointClass, ProfileShifts, Strip
 
 _CLASS = {PointClass.TIE: "tie", PointClass.LASER: "laser", PointClass.CONTROL: "control"}

@@ -22,8 +22,8 @@ from mgsgraph.adjustment.analysis.linearised import Linearised, PointRows
 from mgsgraph.adjustment.analysis.prior_rows import prior_rows
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.square_root import product
-from mgsgraph.kernel.rows import OUT
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.rows import OUT
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -17,8 +17,8 @@ from mgsgraph.adjustment.analysis.prior_rows import prior_rows
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.kernel.bundle import reliability
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.reduction import reliability
 
 ALPHA = 0.05
 """Probability of a false alarm of the tests."""

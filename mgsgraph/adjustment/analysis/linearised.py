@@ -8,14 +8,15 @@ import numpy as np
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, residuals
+from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.kernel.bundle import design
-from mgsgraph.kernel.design import OWN_NUMBERS
-from mgsgraph.kernel.rows import OUT, Rows, of_points
-from mgsgraph.kernel.measurements import row_count
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel.design import OWN_NUMBERS
+from mgsgraph.kernel.measurements import row_count
+from mgsgraph.kernel.reduction import design
+from mgsgraph.kernel.rows import OUT, Rows, of_points
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.ties import PointKind
 
@@ -194,6 +195,7 @@ def at_solution(solution: Solution) -> Linearised:
     else:
         layout = replace(layout, rows=layout.rows._replace(terrain_cell=solution.terrain_cells[layout.point_order]))
     points[layout.rows.kind == OUT] = 0.0
+    layout, points = exactly(layout, orientation, points)
     rows = layout.active(solution.rays_used | out[network.rays.point], solution.ranges_used, out)
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance)
 
@@ -205,7 +207,7 @@ def at_values(network: Network, settings: SolverSettings, values: Sequence[Array
     layout = lay_out(network, settings, places)
     out = ~np.all(np.isfinite(places), axis=1)
     orientation, points = _placed(layout, values, np.where(out[:, None], 0.0, places))
-    layout = layout.following(points, orientation)
+    layout, points = exactly(layout.following(points, orientation), orientation, points)
     rows = layout.active(_unmarked(network.rays.rejected), _unmarked(network.ranges.rejected), out)
     graph = BundleGraph(layout, rows)
     joint = orientation_covariance(graph, graph.reduction(orientation, points=points))

@@ -19,12 +19,12 @@ from mgsgraph.adjustment.analysis.quantity import Quantity, covariance, together
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.kernel.bundle import point_covariances, reduce
-from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
 from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.kernel.reduction import point_covariances, reduce
+from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
 

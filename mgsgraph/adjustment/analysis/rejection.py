@@ -10,9 +10,10 @@ from mgsgraph.adjustment.analysis.measures import UNCONTROLLED, MeasureKind
 from mgsgraph.adjustment.analysis.suspects import PointIndex
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.passes import Selection, everything
+from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.kernel.rows import GROUND, OUT, SURFACE
 from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.kernel.rows import GROUND, OUT, SURFACE
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
@@ -189,7 +190,7 @@ def readmissible(
     determined = solution.determined[layout.point_order]
     by_all = BundleGraph(layout, layout.rows).reduction(at.orientation, system=False).points
     points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
-    layout = layout.following(points, at.orientation)
+    layout, points = exactly(layout.following(points, at.orientation), at.orientation, points)
     whole = Linearised(layout, at.settings, layout.rows, at.orientation, points, at.joint)
     index = SightIndex(whole)
     return [

@@ -32,10 +32,10 @@ from mgsgraph.adjustment.analysis.naming import names_of, units_of
 from mgsgraph.adjustment.analysis.prior_rows import PriorRows, prior_rows
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.kernel import bundle
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel import reduction
 from mgsgraph.kernel.reliability import NUMBERS
 from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR, partition
-from mgsgraph.geometry.records import Array, Index, Mask
 
 _AT_A_TIME = 1 << 17
 """Sights that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
@@ -226,7 +226,7 @@ def _swept(at: Linearised, ground: Index) -> tuple[_Numbers, Array]:
     def part(first: int, last: int) -> None:
         mine, point = partition(rows, first, last), int(rows.piece[first, 1])
         points = at.points[point : point + mine.kind.size]
-        values = bundle.reliability(
+        values = reduction.reliability(
             mine, layout.groups, layout.blocks.target, layout.model, at.orientation, pairs, points
         )
         goal = found.of(slice(begins[first], begins[last]))

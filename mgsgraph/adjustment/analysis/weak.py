@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.frames import Frames
-from mgsgraph.adjustment.analysis.simple import simple_basis
-from mgsgraph.adjustment.analysis.words import Part, in_words, parts_of
+from mgsgraph.adjustment.datum.frames import Frames
+from mgsgraph.adjustment.datum.simple import simple_basis
+from mgsgraph.adjustment.datum.words import Part, in_words, parts_of
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution

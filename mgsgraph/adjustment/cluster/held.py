@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.kernel.bundle import all_residuals, point_covariances, reduce
+from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Groups, Model, Rows, Target
 from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, own
-from mgsgraph.geometry.records import Array
 
 HOLD, PLACES = -1, -2
 """Orders beside the kernel's sweeps: take a partition in; tell where the points of an earlier sweep ended."""

@@ -35,10 +35,10 @@ from mgsgraph.adjustment.cluster.workers import GIGA
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, SolverError
-from mgsgraph.kernel.bundle import Reduction
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Groups, Rows, Target, partition
 from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, even_parts
-from mgsgraph.geometry.records import Array, Index
 
 _COPIES = 2.0
 """Memory for a partition over its own size: what it is unpacked from, or scratch and results."""

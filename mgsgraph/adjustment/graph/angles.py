@@ -1,7 +1,7 @@
 """The kernel's codes for the three ways in which attitude is counted, and back."""
 
-from mgsgraph.kernel.rows import CAMERA, OPK_PAPER, OPK_PEER, Model
 from mgsgraph.geometry.orientation import Angles
+from mgsgraph.kernel.rows import CAMERA, OPK_PAPER, OPK_PEER, Model
 
 ANGLE_CODES: dict[Angles, int] = {"camera": CAMERA, "opk-paper": OPK_PAPER, "opk-peer": OPK_PEER}
 """Code of each."""

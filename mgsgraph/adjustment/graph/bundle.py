@@ -11,13 +11,14 @@ from typing import Protocol
 import gtsam
 import numpy as np
 
+from mgsgraph.adjustment.graph.bundle_factors import Bundles
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.sparse_cholesky import Factor
-from mgsgraph.kernel.bundle import Bundles, Reduction, all_residuals, point_covariances, reduce
 from mgsgraph.factors.priors import linear_prior, zero_prior
-from mgsgraph.kernel.rows import Rows
 from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.reduction import Reduction, all_residuals, point_covariances, reduce
+from mgsgraph.kernel.rows import Rows
 
 
 def orientation_key(image: int) -> int:
@@ -73,15 +74,15 @@ class Sweeper(Protocol):
     def reduction(
         self, layout: Layout, rows: Rows, orientation: Array, system: bool, points: Array | Reduction | None
     ) -> Reduction:
-        """All points solved (and eliminated), see `factors.bundle.reduce`; `points` as in `BundleGraph.reduction`."""
+        """All points solved (and eliminated), see `kernel.reduction.reduce`; `points` as in `BundleGraph.reduction`."""
         ...
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
-        """(n, 3, 3) m^2, see `factors.bundle.point_covariances`."""
+        """(n, 3, 3) m^2, see `kernel.reduction.point_covariances`."""
         ...
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
-        """(t, 2), see `factors.bundle.all_residuals`."""
+        """(t, 2), see `kernel.reduction.all_residuals`."""
         ...
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.bundle import point_key, prior_factors, shared_values, variable_key
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.sights import sight_factor
+from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import (
     CAUCHY,
     FIXED,
@@ -22,7 +23,6 @@ from mgsgraph.kernel.rows import (
     Rows,
     one_sight,
 )
-from mgsgraph.geometry.records import Array
 
 _ESTIMATORS: dict[int, Any] = {
     HUBER: gtsam.noiseModel.mEstimator.Huber,

@@ -15,6 +15,8 @@ from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables, make_variables
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
+from mgsgraph.geometry.orientation import Angles
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import (
     CAUCHY,
     HUBER,
@@ -27,8 +29,6 @@ from mgsgraph.kernel.rows import (
     Model,
     Rows,
 )
-from mgsgraph.geometry.orientation import Angles
-from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
 
 _Kind = TypeVar("_Kind", np.float64, np.bool_, np.int8)

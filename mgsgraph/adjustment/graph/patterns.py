@@ -13,8 +13,8 @@ from mgsgraph.adjustment.graph.sorting import by_point, counted, distinct, mix_r
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target, shapes
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target, shapes
 from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
 

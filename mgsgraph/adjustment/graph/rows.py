@@ -22,8 +22,13 @@ from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
-from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
 from mgsgraph.factors.algebra import transform
+from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import (
     CAMERA,
     FIXED,
@@ -40,11 +45,6 @@ from mgsgraph.kernel.rows import (
     Rows,
     numbers_stored,
 )
-from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
 

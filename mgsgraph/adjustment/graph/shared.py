@@ -5,9 +5,9 @@ import numpy as np
 from mgsgraph.adjustment.graph.angles import angles_of
 from mgsgraph.adjustment.graph.patterns import felt_by
 from mgsgraph.adjustment.graph.variables import Variables
-from mgsgraph.kernel.rows import IMAGE, RANGE, Model
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.rows import IMAGE, RANGE, Model
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import DEGREE, beam_motion, image_effect
 

@@ -10,9 +10,10 @@ from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem
 from mgsgraph.adjustment.passes import Selection, determined_points
+from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.kernel.bundle import Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.reduction import Reduction, dense, point_covariances, reduce, sparse
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
 
@@ -76,12 +77,11 @@ class Sweep:
     def __init__(self, network: Network, settings: SolverSettings, places: Array | None = None) -> None:
         self.network, self._settings = network, settings
         self._names = unknowns(network)
-        self._layout = lay_out(network, settings, places)
-        self._blocks = group_blocks(self._layout.groups)
+        layout = lay_out(network, settings, places)
         rays, ranges = network.rays.rejected, network.ranges.rejected
         assert rays is not None
         assert ranges is not None
-        self._select(self._layout, Selection(~rays, ~ranges, network.undetermined.copy()))
+        self._select(layout, Selection(~rays, ~ranges, network.undetermined.copy()))
         self._last: Reduction | None = None
         self._spread: Array | None = None
 
@@ -101,6 +101,11 @@ class Sweep:
         followed = self._layout.following(found.points, shared)
         if followed is not self._layout:
             self._select(followed, self._selection)
+            found = self._reduced(shared, system)
+        exact = about_predicted_lines(self._layout, shared, found.points) if system else self._layout
+        if exact is not self._layout:
+            self._select(exact, self._selection)
+            self._last = None  # its points are in another order
             found = self._reduced(shared, system)
         self._last = found
         return found
@@ -142,6 +147,7 @@ class Sweep:
     def _select(self, layout: Layout, selection: Selection) -> None:
         """Which points take part, in which patches of the terrain."""
         self._layout, self._selection, self._rows = layout, selection, selection.rows(layout)
+        self._blocks = group_blocks(layout.groups)
 
     def _reduced(self, shared: Array, system: bool) -> Reduction:
         layout, begin = self._layout, None if self._last is None else self._last.points

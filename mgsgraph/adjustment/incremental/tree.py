@@ -17,9 +17,9 @@ from functools import cache
 import gtsam
 import numpy as np
 
+from mgsgraph.adjustment.graph.bundle_factors import square_root
 from mgsgraph.adjustment.incremental.state import ReducedSystem, stretches
 from mgsgraph.errors import SolverError
-from mgsgraph.kernel.bundle import square_root
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.parts import Members, Unknown
 

@@ -5,20 +5,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.datum import require_strength
 from mgsgraph.adjustment.analysis.linearised import require_covariance
+from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.incremental.closing import shared_of
 from mgsgraph.adjustment.passes import Selection, determined_points, everything
 from mgsgraph.adjustment.posterior import orientation_covariance
+from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.kernel.bundle import Reduction
-from mgsgraph.kernel.rows import Rows
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.rows import Rows
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, joined, known_images, part, unknowns, with_images
 
@@ -122,8 +123,10 @@ class ReducedNetwork:
         for v in layout.variables.adjusted():
             if self.names[v] in values:
                 self.values[layout.columns_of(v)] = values[self.names[v]]
-        self.layout: Layout = layout.following(places[layout.point_order], self.values)
-        selection, begin = everything(network), places[layout.point_order]
+        begin = places[layout.point_order]
+        self.layout: Layout
+        self.layout, begin = exactly(layout.following(begin, self.values), self.values, begin)
+        selection = everything(network)
         found = self._reduced(selection, begin)
         strong = without_weak(self.layout, found, selection)
         if not np.array_equal(strong.out, selection.out):

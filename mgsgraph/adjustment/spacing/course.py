@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.analysis.flight_sigmas import strip_turns
-from mgsgraph.adjustment.analysis.frames import FLIGHT
+from mgsgraph.adjustment.datum.frames import FLIGHT
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.spacing.scatter import ray_scatter
 from mgsgraph.errors import InputError

@@ -9,8 +9,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from mgsgraph.adjustment.analysis.answers import PoseEstimate
-from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.analysis.overlap_sigmas import SigmaGrid
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.products.figures.sheet import Sheet, new_sheet, number, panels, short, words
 from mgsgraph.units import DEG, MRAD
 

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from mgsgraph.adjustment.analysis.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.spacing.choice import Choice
 from mgsgraph.adjustment.spacing.course import Course
 from mgsgraph.adjustment.spacing.spectrum import FALSE_ALARMS, Spectrum

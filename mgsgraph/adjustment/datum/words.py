@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.frames import Axis, FlightFrame, Frames
+from mgsgraph.adjustment.datum.frames import Axis, FlightFrame, Frames
 from mgsgraph.geometry.records import Array
 from mgsgraph.wording import listed, some
 

@@ -9,17 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.frames import Frames
-from mgsgraph.adjustment.analysis.simple import simple_basis
-from mgsgraph.adjustment.analysis.words import in_words, parts_of
+from mgsgraph.adjustment.datum.frames import Frames
+from mgsgraph.adjustment.datum.simple import simple_basis
+from mgsgraph.adjustment.datum.words import in_words, parts_of
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.errors import WeakNetwork
-from mgsgraph.kernel.bundle import Reduction
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection, polynomial
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.network.passes import nominal_poses
 from mgsgraph.wording import listed
 
