@@ -135,7 +135,7 @@ def _solve_exactly(
     initial, history = solved.cost_initial, solved.history
     for _ in range(_MOST_LAYOUTS):
         anew = about_predicted_lines(solved.layout, solved.orientation, solved.points)
-        if anew is solved.layout:
+        if anew is solved.layout or not solved.outcome.converged:
             break
         graph = BundleGraph(anew, selection.rows(anew), sweeper)
         solved = _solve(graph, selection, solved.orientation, None, settings, progress)

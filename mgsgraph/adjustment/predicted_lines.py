@@ -10,36 +10,33 @@ import numpy as np
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.rows import PREDICTED
+from mgsgraph.kernel.rows import OUT, PREDICTED
 
-EXACT = 3e-9
-"""Lines (and samples) by which a row may be off: what rounding of body-fixed metres leaves."""
+NEAR = 1e-5
+"""Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much less than
+a tenth of themselves, so that a row is then right to 1e-6 lines, and its derivatives to 1e-10."""
 _MOST = 5
-"""Times: each leaves the square of what was left before, until rounding does."""
+"""Times: each leaves the square of what was left before."""
 _BEYOND = 0.5
 """Share of an image's lines by which a predicted line may lie before it or after it."""
 
 
 def about_predicted_lines(layout: Layout, orientation: Array, points: Array) -> Layout:
-    """The layout itself where its rows are exact at shared unknowns (columns,) and points (n, 3), layout order; else one
-    laid out about the predicted lines. Nothing to do in the measured-line form.
+    """The layout itself where its rays are laid out about the lines predicted by shared unknowns (columns,) and points
+    (n, 3), layout order; else one where they are. Nothing to do in the measured-line form.
     """
     if layout.model.line != PREDICTED:
         return layout
     network, now = layout.network, layout
     size = np.array([image.lines for image in network.images], dtype=np.float64)[network.rays.image]
-    places = layout.network_order(points)
-    found = residuals(layout, orientation, points).image
-    before = np.inf
+    places, taken = layout.network_order(points), (layout.network_order(layout.rows.kind) != OUT)[network.rays.point]
     for _ in range(_MOST):
-        lines = network.rays.places[:, 0] - found[:, 0]
-        lines = np.clip(np.where(np.isnan(lines), now.lines, lines), -_BEYOND * size, (1.0 + _BEYOND) * size)
-        anew = now.about(lines)
-        again = residuals(anew, orientation, places[anew.point_order]).image
-        off = float(np.nanmax(np.abs(again - found), initial=0.0))
-        if off <= EXACT or off > 0.5 * before:
-            return now
-        now, found, before = anew, again, off
+        found = residuals(now, orientation, places[now.point_order]).image[:, 0]
+        lines = network.rays.places[:, 0] - found
+        lines = np.clip(np.where(taken & np.isfinite(lines), lines, now.lines), -_BEYOND * size, (1.0 + _BEYOND) * size)
+        if np.abs(lines - now.lines).max(initial=0.0) <= NEAR:
+            break
+        now = now.about(lines)
     return now
 
 

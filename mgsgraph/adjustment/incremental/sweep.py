@@ -102,7 +102,7 @@ class Sweep:
         if followed is not self._layout:
             self._select(followed, self._selection)
             found = self._reduced(shared, system)
-        exact = about_predicted_lines(self._layout, shared, found.points) if system else self._layout
+        exact = about_predicted_lines(self._layout, shared, found.points)
         if exact is not self._layout:
             self._select(exact, self._selection)
             self._last = None  # its points are in another order
