@@ -3,15 +3,16 @@
     d = (a, b, c) = M (P - C)                  the ray, in camera components; +Z out of the lens
     x = f a / c,    y = f b / c                its image in the focal plane, m
 
-The papers' -f belongs to axes turned by diag(1, -1, -1). A detector line sees the point in the line where (x, y) lies on
-it. With e = (x - x0, y - y0) the misplacement from the detector pixel of the measured sample, and S the 2x2 matrix that
-takes metres to (lines, samples), the residuals, measured minus predicted, are
+The papers' -f belongs to axes turned by diag(1, -1, -1). A detector line sees the point in the line where (x, y) lies
+on it. With e = (x - x0, y - y0) the misplacement from the detector pixel of the measured sample, and S the 2x2 matrix
+that takes metres to (lines, samples), the residuals, measured minus predicted, are
 
     r = S e - (beyond, 0)                      `beyond`: lines from the measured line to the line of the pose
 
-*Predicted line* (the strict form): the pose is that of the line where S e has no line left, found by Newton's method, and
-S follows from the image's motion per line there. *Measured line* (the papers'): beyond is 0, S constants of the ray.
-Derivatives by the chain rule: by the ray, then by point, position (minus that by the point), rotation, focal length.
+*Predicted line* (the strict form): the pose is that of the line where S e has no line left, found by Newton's method,
+and S follows from the image's motion per line there. *Measured line* (the papers'): beyond is 0, S constants of the
+ray. Derivatives by the chain rule: by the ray, then by point, position (minus that by the point), rotation, focal
+length.
 """
 
 from collections.abc import Callable
@@ -150,7 +151,7 @@ class ImageRay(NamedTuple):
             carry -= step_back
         of_ray = by_ray(scale, ray, focal)
         points = np.array([by_point(row, attitude) for row in of_ray])
-        state_rows = [-points, [by_rotation(row, ray, axes) for row in of_ray]]
+        state_rows: list[Any] = [-points, [by_rotation(row, ray, axes) for row in of_ray]]
         if len(state) > 6:
             state_rows.append([[by_focal(row, ray, focal)] for row in of_ray])
         values = residual(scale, image, self.detector, self.offset + carry)

@@ -1,7 +1,7 @@
 """One measurement as a GTSAM factor on the unknowns that it feels and on its ground point: the explicit form.
 
-What a measurement feels of the shared unknowns x is its *state*: correction of the pose (m, rad) and of the focal length
-(m), range bias, or shift (m), linear in x: state = sum_t (B_t + carry B_t') c_t + sum_e direction_e x_e.
+What a measurement feels of the shared unknowns x is its *state*: correction of the pose (m, rad) and of the focal
+length (m), range bias, or shift (m), linear in x: state = sum_t (B_t + carry B_t') c_t + sum_e direction_e x_e.
 """
 
 from __future__ import annotations

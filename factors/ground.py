@@ -2,8 +2,8 @@
 
     r = U (P - P0 - s),    Q = (U'U)^-1        predicted minus known, whitened
 
-P0 is the a-priori place with covariance Q (m^2), s the shift that its laser profile shares. U is upper triangular, so the
-derivative by P is U, by s -U.
+P0 is the a-priori place with covariance Q (m^2), s the shift that its laser profile shares. U is upper triangular, so
+the derivative by P is U, by s -U.
 """
 
 from typing import NamedTuple

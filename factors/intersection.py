@@ -2,8 +2,8 @@
 
     sum_k (I - u_k u_k') (P - C_k) = 0
 
-with C_k the origins and u_k the unit directions. The least eigenvalue of the normal matrix over the number of rays is the
-spread of the directions: sin^2 of half the angle between two.
+with C_k the origins and u_k the unit directions. The least eigenvalue of the normal matrix over the number of rays is
+the spread of the directions: sin^2 of half the angle between two.
 """
 
 import numpy as np
@@ -45,10 +45,12 @@ def solve_symmetric(normal, right):
 
 @equation
 def least_eigenvalue(normal):
-    """Smallest eigenvalue of a positive semidefinite matrix: Newton's method from below on its characteristic polynomial."""
+    """Smallest eigenvalue of a positive semidefinite matrix: Newton's method from below on its characteristic
+    polynomial.
+    """
     (xx, _, _, yy, _, zz), determinant = minors(normal)
     trace, second, value = normal[0] + normal[3] + normal[5], xx + yy + zz, 0.0 * determinant
-    for _ in range(12):
+    for _ in range(6):
         slope = second - value * (2.0 * trace - 3.0 * value)
         value = value + (determinant - value * (second - value * (trace - value))) / np.maximum(slope, 1e-300)
     return value

@@ -1,7 +1,7 @@
 """Robust losses on the norm of an image's row pair and on each range: rho(s) and its weight rho'(s) for s = |r|^2.
 
-Cost contribution and weight as GTSAM's mEstimators define them; k is the width in sigmas. The rows of a robust adjustment
-are those of the plain one times the root of the weight.
+Cost contribution and weight as GTSAM's mEstimators define them; k is the width in sigmas. The rows of a robust
+adjustment are those of the plain one times the root of the weight.
 """
 
 import numpy as np

@@ -8,7 +8,8 @@ per line, `carry` counts lines from there. dC and theta are sums of basis functi
 boresights enter these sums as basis functions of their own. Rotations are passive: the frame turns by theta, components
 turn back. Derivatives of M d go by the axes A: d(M d) = [M d]x A dtheta, where A is the right Jacobian of SO(3).
 
-The papers' own way, coefficients that add to omega, phi, kappa, takes `opk_paper` or `opk_peer` in place of `about_axes`.
+The papers' own way, coefficients that add to omega, phi, kappa, takes `opk_paper` or `opk_peer` in place of
+`about_axes`.
 """
 
 from mgsgraph.compiled import equation
@@ -31,7 +32,8 @@ def perspective_centre(nominal, velocity, carry, correction):
 
 @equation
 def about_axes(nominal, turning, carry, theta, rate):
-    """Attitude M, axes A, and how the camera turns per line (rad, in its own axes), corrections turning it about its axes.
+    """Attitude M, axes A, and how the camera turns per line (rad, in its own axes), corrections turning it about its
+    axes.
 
     `nominal` is M0 as a quaternion, `turning` tau, `rate` that of theta per line.
     """
@@ -42,7 +44,7 @@ def about_axes(nominal, turning, carry, theta, rate):
 
 @equation
 def opk_paper(nominal, turning, carry, addition, rate):
-    """The same for additions to omega, phi, kappa, camera to body; `nominal` are these angles, `turning` their rates."""
+    """The same for additions to omega, phi, kappa, camera to body; `nominal` are these angles, `turning` rates."""
     angles = add(add(nominal, scale(carry, turning)), addition)
     axes = opk_paper_axes(angles)
     return transpose(opk_rotation(angles)), axes, transform(axes, add(turning, rate))

@@ -1,8 +1,8 @@
 """Rotations: of a rotation vector, of a quaternion, of omega, phi, kappa; and what small changes of these do.
 
 All matrices are passive: components of a frame to components of the frame that is turned. A rotation vector theta turns
-the frame about its axis by its length t, R = Exp([theta]x)' = 1 - sin t / t [theta]x + (1 - cos t) / t^2 [theta]x^2. The
-papers' angles are those of R3(kappa) R2(phi) R1(omega), camera to Mars (Yoon & Shan 2005; Shan et al. 2005).
+the frame about its axis by its length t, R = Exp([theta]x)' = 1 - sin t / t [theta]x + (1 - cos t) / t^2 [theta]x^2.
+The papers' angles are those of R3(kappa) R2(phi) R1(omega), camera to Mars (Yoon & Shan 2005; Shan et al. 2005).
 """
 
 from math import factorial

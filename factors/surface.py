@@ -63,7 +63,8 @@ class SurfaceHeight(NamedTuple):
     """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
 
     posts: Vector | None
-    """(4,) m, radii of the posts around the point: north-west, north-east, south-west, south-east; None for no patch."""
+    """(4,) m, radii of the posts around the point: north-west, north-east, south-west, south-east; None for no patch.
+    """
     cell: tuple[int, int]
     """Column and row of the first."""
     first: Vector
@@ -76,6 +77,7 @@ class SurfaceHeight(NamedTuple):
         if self.posts is None:
             return Linear(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
         moved = subtract(place, state_at(0.0)[0])
-        patch = bilinear(*cell_place(moved, self.first, self.step, *self.cell), self.posts)
+        east, south = cell_place(moved, self.first, self.step, *self.cell)
+        patch = bilinear(east, south, self.posts)
         height, by_point = height_above(moved, patch, self.step)
         return Linear(np.array([height]), np.array([by_point]), -np.array([by_point]))

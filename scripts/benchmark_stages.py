@@ -1,9 +1,11 @@
-"""Nanoseconds that a point spends in each stage of a sweep: one tile, over and over, one thread, as the sweep compiles it.
+"""Nanoseconds that a point spends in each stage of a sweep: one tile, over and over, one thread, as the sweep compiles
+it.
 
     python scripts/benchmark_stages.py [--line predicted] [--sights 3] [--markdown OUT]
 
-The tile is that of the largest group of points with so many rays in a chain like the peer's (`benchmark_blocks.chain`). A
-stage alone finds its registers in the processor's cache: the stages added up are less than a sweep takes.
+The tile is that of the largest group of points with so many rays in a chain like the peer's
+(`benchmark_blocks.chain`). A stage alone finds its registers in the processor's cache: the stages added up are less
+than a sweep takes.
 """
 
 import argparse
@@ -80,9 +82,7 @@ def stages() -> dict[str, Callable[..., Any]]:
     def all_rows(t, times):
         w = registers(t.scratch.work)
         for _ in range(times):
-            measurements.all_rows(
-                t.rows, t.model, False, t.scratch.segments, 1, t.x, w, t.scratch.depth, True
-            )
+            measurements.all_rows(t.rows, t.model, False, t.scratch.segments, 1, t.x, w, t.scratch.depth, True)
 
     @compiled
     def solve(t, times):
@@ -95,7 +95,7 @@ def stages() -> dict[str, Callable[..., Any]]:
     def couple(t, times):
         w, y = registers(t.scratch.work), coupling_of(t.scratch.coupling)
         for _ in range(times):
-            elimination.couple_all(t.rows, t.scratch.segments, w, t.scratch.depth, y)
+            elimination.couple_all(t.rows, t.model, t.scratch.segments, w, t.scratch.depth, y)
 
     @compiled
     def pair(t, times):
@@ -117,7 +117,7 @@ def stages() -> dict[str, Callable[..., Any]]:
         for _ in range(times):
             room = s.values, s.room, sums, s.aside, s.spare
             elimination.eliminate_tile(
-                t.rows, t.groups, t.target, s.segments, 1, w, s.depth, y, products, *room, flat, t.gradient
+                t.rows, t.groups, t.target, t.model, s.segments, 1, w, s.depth, y, products, *room, flat, t.gradient
             )
 
     return {

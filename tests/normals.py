@@ -221,7 +221,9 @@ def _variables(units: list[np.ndarray]) -> Variables:
     return Variables(0, first, width, sigmas, np.zeros(sigmas.size, dtype=bool))
 
 
-def _tables(sights: list[tuple[Any, tuple[int, ...]]], numbers: list[int], variables: Variables) -> dict[str, np.ndarray]:
+def _tables(
+    sights: list[tuple[Any, tuple[int, ...]]], numbers: list[int], variables: Variables
+) -> dict[str, np.ndarray]:
     """The tables of the patterns' sights, and their entries."""
     signatures = [signature for signature, _ in sights]
     entries = [

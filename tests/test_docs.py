@@ -347,7 +347,7 @@ def test_the_api_page_has_every_public_name() -> None:
 
 def test_modules_that_the_theory_names_are_there() -> None:
     text = (DOCS / "theory.md").read_text(encoding="utf-8")
-    named = re.findall(r"`((?:factors|geometry|network|adjustment|matching|io)/[\w/]+)`", text)
+    named = re.findall(r"`((?:factors|kernel|geometry|network|adjustment|matching|io)/[\w/]+)`", text)
     assert len(named) > 30
     for name in named:
         base = ROOT if name.startswith("factors/") else ROOT / "mgsgraph"

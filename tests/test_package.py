@@ -123,7 +123,9 @@ def test_libraries_stay_in_their_rooms(library: str) -> None:
 
 
 def test_equations_and_kernel_stay_below_the_adjustment() -> None:
-    """Equations serve geometry, kernel and adjustment; the kernel serves the adjustment alone, and factors know neither."""
+    """Equations serve geometry, kernel and adjustment; the kernel serves the adjustment alone, and factors know
+    neither.
+    """
     users = {
         "mgsgraph.factors": ("mgsgraph.factors", "mgsgraph.geometry", "mgsgraph.kernel", "mgsgraph.adjustment"),
         "mgsgraph.kernel": ("mgsgraph.kernel", "mgsgraph.adjustment"),

@@ -33,7 +33,7 @@ from mgsgraph.adjustment.posterior import (
     point_covariances,
     residuals,
 )
-from mgsgraph.adjustment.predicted_lines import about_predicted_lines
+from mgsgraph.adjustment.predicted_lines import settled
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -202,9 +202,11 @@ def _nominal(
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)
-    anew = about_predicted_lines(layout, nominal, before.points)
-    if anew is not layout:
-        layout, before = anew, BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
+
+    def again(anew: Layout) -> Reduction:
+        return BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
+
+    layout, before = settled(layout, before, again)
     return layout, selection, before
 
 

@@ -2,8 +2,8 @@
 
 The damping is Levenberg's in whitened units: a weak extra prior on the step, in the variables' own scales (a-priori
 sigmas), so that metres and radians are treated alike. A trial step costs one sweep of the kernel, which brings the
-next linear system with it; after a rejected step the cost alone. The loop is Python, the work is in the kernel, in LAPACK
-and in GTSAM.
+next linear system with it; after a rejected step the cost alone. The loop is Python, the work is in the kernel, in
+LAPACK and in GTSAM.
 """
 
 import math

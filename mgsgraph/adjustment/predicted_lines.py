@@ -1,20 +1,24 @@
 """Rays laid out about the lines in which their points are seen, so that every row is that of the true trajectory there.
 
-The kernel takes the pose from the line about which a ray is laid out, the measured one to begin with, to the predicted line
-by its rates. Over some lines that is right to 1e-9 of a line, but not across a sample of the attitude (where the rates
-jump), nor over a misfit of hundreds of lines. So rays are laid out anew about their predicted lines until nothing moves.
+The kernel takes the pose from the line about which a ray is laid out, the measured one to begin with, to the predicted
+line by its rates. Over some lines that is right to 1e-9 of a line, but not across a sample of the attitude (where the
+rates jump), nor over a misfit of hundreds of lines. So rays are laid out anew about their predicted lines until
+nothing moves.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import OUT, PREDICTED
 
 NEAR = 1e-5
-"""Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much less than
-a tenth of themselves, so that a row is then right to 1e-6 lines, and its derivatives to 1e-10."""
+"""Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much
+less than a tenth of themselves, so that a row is then right to 1e-6 lines, and its derivatives to 1e-10."""
 _MOST = 5
 """Times: each leaves the square of what was left before."""
 _BEYOND = 0.5
@@ -38,6 +42,21 @@ def about_predicted_lines(layout: Layout, orientation: Array, points: Array) -> 
             break
         now = now.about(lines)
     return now
+
+
+def settled(
+    layout: Layout, reduction: Reduction, again: Callable[[Layout], Reduction]
+) -> tuple[Layout, Reduction]:
+    """Layout and reduction of points that follow their lines, and lines their points, the shared unknowns held.
+
+    `again` solves the points of another layout for the same unknowns.
+    """
+    for _ in range(_MOST):
+        anew = about_predicted_lines(layout, reduction.orientation, reduction.points)
+        if anew is layout:
+            break
+        layout, reduction = anew, again(anew)
+    return layout, reduction
 
 
 def exactly(layout: Layout, orientation: Array, points: Array) -> tuple[Layout, Array]:

@@ -1,8 +1,8 @@
 """Cholesky factor of the reduced normal equations: multifrontal, over dense blocks of pairs of variables.
 
-The order is GTSAM's (Colamd), the cliques are those of its Bayes tree, so that both factors are the same up to rounding;
-what differs is who does the arithmetic. GTSAM's wheels multiply without the processor's wide vectors and take a Python
-call per block; here a clique is one dense front, factored by LAPACK (Duff & Reid 1983; Liu 1992).
+The order is GTSAM's (Colamd), the cliques are those of its Bayes tree, so that both factors are the same up to
+rounding; what differs is who does the arithmetic. GTSAM's wheels multiply without the processor's wide vectors and
+take a Python call per block; here a clique is one dense front, factored by LAPACK (Duff & Reid 1983; Liu 1992).
 """
 
 from dataclasses import dataclass
@@ -175,7 +175,7 @@ def _make_fronts(first: Index, width: Index, pairs: Index, offset: Index) -> lis
         if parent[k] >= 0:
             children[parent[k]].append(k)
     inner = np.full(int(width[first >= 0].sum()), -1)
-    for k, front in enumerate(fronts):
+    for front in fronts:
         for child in front.children:
             inner[front.columns] = np.arange(front.columns.size)
             index = inner[fronts[child].columns[fronts[child].width :]]
@@ -223,9 +223,7 @@ def _cliques(order: Index, pairs: Index, width: Index) -> tuple[list[tuple[list[
     last = sorted(frontals)
     number = {k: c for c, k in enumerate(last)}
     owner = {k: number[end] for end in last for k in frontals[end]}
-    cliques = [
-        ([int(order[k]) for k in frontals[end]], [int(order[k]) for k in sorted(later[end])]) for end in last
-    ]
+    cliques = [([int(order[k]) for k in frontals[end]], [int(order[k]) for k in sorted(later[end])]) for end in last]
     return cliques, [owner[min(later[end])] if later[end] else -1 for end in last]
 
 

@@ -119,4 +119,5 @@ class InteriorOrientation:
         pixel[:, 1] = samples * self.sample_summing + self.first[1] - self.centre[1]
         from_pixel: Array = np.linalg.inv(self.to_pixel[:, 1:]).astype(np.float64)
         place, jacobian = self.distortion.undistort((pixel - self.to_pixel[:, 0]) @ from_pixel.T)
-        return place, jacobian @ (from_pixel[:, 1] * self.sample_summing)
+        along, across = from_pixel[:, 1] * self.sample_summing
+        return place, jacobian[:, :, 0] * along + jacobian[:, :, 1] * across

@@ -14,8 +14,8 @@ from mgsgraph.factors.rotation import matrix_quaternion, opk_paper_axes, opk_rot
 
 make_equations_compilable()
 
-_compiled = njit(nogil=True, error_model="numpy")
-_kept = njit(cache=True, nogil=True, error_model="numpy")
+_compiled: Any = njit(nogil=True, error_model="numpy")
+_kept: Any = njit(cache=True, nogil=True, error_model="numpy")
 
 
 @_compiled
@@ -42,7 +42,13 @@ def place_at(time, table):
     times, positions, velocities = table
     k = interval(times, time)
     ends = vector(positions, k), vector(positions, k + 1)
-    return hermite((time - times[k]) / (times[k + 1] - times[k]), times[k + 1] - times[k], *ends, vector(velocities, k), vector(velocities, k + 1))
+    return hermite(
+        (time - times[k]) / (times[k + 1] - times[k]),
+        times[k + 1] - times[k],
+        *ends,
+        vector(velocities, k),
+        vector(velocities, k + 1),
+    )
 
 
 @_compiled
@@ -139,4 +145,6 @@ def _compile(sources: str) -> Any:
     return places, quaternions, attitudes, sampled_poses, polynomial_poses
 
 
-places, quaternions, attitudes, sampled_poses, polynomial_poses = _compile(digest_of(Path(__file__).parent, Path(algebra.__file__).parent))
+places, quaternions, attitudes, sampled_poses, polynomial_poses = _compile(
+    digest_of(Path(__file__).parent, Path(algebra.__file__).parent)
+)

@@ -145,7 +145,7 @@ class OrientationCorrection:
         paper = self.angles == "opk-paper"
         angles = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
         rates = np.linalg.solve(rotation.angle_axes(angles, paper), nominal.turning[:, :, None])[:, :, 0]
-        return opk_paper if paper else opk_peer, rotation.components(angles), rotation.components(rates)
+        return opk_paper if paper else opk_peer, rotation.components(angles), tuple(rates.T)
 
     def axes(self, nominal: Pose, moments: Moments) -> Array:
         """(n, 3, 3): how the camera turns, about its own axes, per rad of each rotation component at n lines."""

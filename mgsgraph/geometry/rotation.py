@@ -100,4 +100,5 @@ def angle_axes(angles: Array, camera_to_body: bool) -> Array:
 
     `camera_to_body` True for the papers' product M' = R3 R2 R1, False for the peer's M = R3 R2 R1.
     """
-    return matrices((equations.opk_paper_axes if camera_to_body else equations.opk_peer_axes)(components(angles)))
+    parts = components(angles)
+    return matrices(equations.opk_paper_axes(parts) if camera_to_body else equations.opk_peer_axes(parts))

@@ -164,12 +164,12 @@ def store(rows, point, first, last, w, covariances):
 
 
 @lane
-def covariance_tile(rows, groups, target, segments, count, joint, w, depth, y, covariances):
+def covariance_tile(rows, groups, target, model, segments, count, joint, w, depth, y, covariances):
     """Covariances (n, 3, 3) in m^2 of a tile's points, whose rows and L are there; zero for known ones.
 
     `joint` holds the covariance of the shared unknowns in the blocks that `target` describes.
     """
-    couple_all(rows, segments, w, depth, y)
+    couple_all(rows, model, segments, w, depth, y)
     begin_middle(w)
     begin, end = sights_of(rows, segments)
     for i in range(begin, end):

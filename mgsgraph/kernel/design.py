@@ -3,7 +3,7 @@
 from mgsgraph.kernel.elimination import carry_basis
 from mgsgraph.kernel.lanes import BASIS, BY_POINT, BY_STATE, LANES, RESIDUAL, RESULT, ROW, TILE, WIDTH, lane
 from mgsgraph.kernel.measurements import row_count
-from mgsgraph.kernel.rows import Rows
+from mgsgraph.kernel.rows import PREDICTED, Rows
 from mgsgraph.kernel.tile import BEGIN, END, pose_components, sight_place, sights_of
 
 OWN_NUMBERS = 4
@@ -11,11 +11,14 @@ OWN_NUMBERS = 4
 
 
 @lane
-def design_tile(rows, segments, count, w, depth, values):
-    """Of each row of a tile's sights `OWN_NUMBERS`, then its derivatives: six columns per basis term, then the single ones."""
+def design_tile(rows, model, segments, count, w, depth, values):
+    """Of each row of a tile's sights `OWN_NUMBERS`, then its derivatives: six columns per basis term, then the single
+    ones.
+    """
     begin, end = sights_of(rows, segments)
     for i in range(begin, end):
-        carry_basis(rows, i, w, TILE + (i - begin) * depth)
+        if model.line == PREDICTED:
+            carry_basis(rows, i, w, TILE + (i - begin) * depth)
         for k in range(count):
             first, last = segments[k, BEGIN], segments[k, END]
             at = sight_place(rows, segments, k, i - begin)

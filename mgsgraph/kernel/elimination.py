@@ -41,8 +41,8 @@ from mgsgraph.kernel.lanes import (
     times,
 )
 from mgsgraph.kernel.measurements import row_count
-from mgsgraph.kernel.rows import BEHIND, GOOD, IMAGE, WEAK, Rows
-from mgsgraph.kernel.tile import BEGIN, END, PATTERN, any_state, pose_components, sights_of
+from mgsgraph.kernel.rows import GOOD, IMAGE, PREDICTED, Rows
+from mgsgraph.kernel.tile import BEGIN, END, PATTERN, all_good, pose_components, sights_of
 
 
 @lane
@@ -103,10 +103,10 @@ def couple(count, width, w, s, y, c):
 
 
 @lane
-def couple_all(rows, segments, w, depth, y):
+def couple_all(rows, model, segments, w, depth, y):
     """Coupling and RIGHT of all sights that feel an unknown."""
     begin, end = sights_of(rows, segments)
-    lost = any_state(w, WEAK) or any_state(w, BEHIND)
+    lost = not all_good(w)
     if rows.pattern_fixed[segments[0, PATTERN]]:  # known points have nothing to eliminate: an endless L
         for r in range(6 * LANES):
             w[FACTOR + r] = 0.0
@@ -117,7 +117,8 @@ def couple_all(rows, segments, w, depth, y):
         if sight_columns(rows, i)[1] > 0:
             if lost:
                 silence(row_count(rows.sight_kind[i]), w, s)
-            carry_basis(rows, i, w, s)
+            if model.line == PREDICTED:
+                carry_basis(rows, i, w, s)
             couple(row_count(rows.sight_kind[i]), rows.sight_width[i], w, s, y, (i - begin) * COUPLED)
 
 
@@ -191,8 +192,8 @@ def lane_products(rows, i, w, s, products, values, room):
 
 @lane
 def add_weighted(first, last, w, one, other, products, values, stride, sums, at, beside):
-    """Add a register of lanes first .. last times the numbers of each lane, from `values` on, to `stride` sums from `at` on, and another
-    register's to those from `beside` on.
+    """Add a register of lanes first .. last times the numbers of each lane, from `values` on, to `stride` sums from
+    `at` on, and another register's to those from `beside` on.
     """
     k = 0
     while k + 3 * FOUR <= stride:  # six sums at once: each waits for its last addition
@@ -326,7 +327,9 @@ def sum_right(rows, groups, target, segments, count, i, begin, w, s, products, v
         for a in range(0, components if room > 0 else 0, 3):  # three at a time: places, then rotations
             for c in range(0, 3, 2):
                 register, sink = s + RIGHT + (a + c) * LANES, at + c * room
-                add_weighted(first, last, w, register, register + LANES, products, values, room, sums, sink, sink + room)
+                add_weighted(
+                    first, last, w, register, register + LANES, products, values, room, sums, sink, sink + room
+                )
             for q in range(rows.sight_terms[i]):
                 place = target.right[member + rows.entry_member[entry + q]] + rows.entry_inside[entry + q] + a
                 for c in range(3):
@@ -451,13 +454,31 @@ def spread(rows, groups, target, pattern, sums, blocks):
 
 
 @lane
-def eliminate_tile(rows, groups, target, segments, count, w, depth, y, products, values, room, sums, aside, spare, blocks, gradient):
+def eliminate_tile(
+    rows,
+    groups,
+    target,
+    model,
+    segments,
+    count,
+    w,
+    depth,
+    y,
+    products,
+    values,
+    room,
+    sums,
+    aside,
+    spare,
+    blocks,
+    gradient,
+):
     """Add a tile's solved points to the blocks of pairs of variables, and to the gradient.
 
     A tile of one segment leaves its sums for the next tile of its pattern, or for `spread`; those of
     others begin `aside`, and `spare` is room for what nobody wants.
     """
-    couple_all(rows, segments, w, depth, y)
+    couple_all(rows, model, segments, w, depth, y)
     begin, end = sights_of(rows, segments)
     fixed, at = rows.pattern_fixed[segments[0, PATTERN]] > 0, 0
     for i in range(begin, end):
@@ -486,8 +507,8 @@ def eliminate_tile(rows, groups, target, segments, count, w, depth, y, products,
 
 
 def room_for_sums(rows: Rows) -> tuple[int, int, int, int]:
-    """Numbers of all sums of any pattern, of those of any pair, of a tile's products of two sights' basis values, and of
-    the values of one.
+    """Numbers of all sums of any pattern, of those of any pair, of a tile's products of two sights' basis values, and
+    of the values of one.
     """
     terms, columns = rows.sight_terms, np.where(rows.sight_width < 6, 3, 6)
     fourfold = FOUR * ((terms + FOUR - 1) // FOUR)

@@ -2,8 +2,9 @@
 
 A tile of up to `LANES` points is worked on in one flat array of registers, `LANES` numbers each: `w[REGISTER + l]` is
 lane l of a register. Registers lie at constant distances, which is what lets LLVM prove that they don't overlap. The
-first ones belong to the tile, then come those of the measurement that is worked on; each sight (an image ray, a range, a
-ground prior, a surface row) has a block of its own beyond, from where its constants are copied and to where its rows go.
+first ones belong to the tile, then come those of the measurement that is worked on; each sight (an image ray, a range,
+a ground prior, a surface row) has a block of its own beyond, from where its constants are copied and to where its rows
+go.
 """
 
 import operator
@@ -50,8 +51,8 @@ def _view(kind: Registers) -> Any:
 
 _APART = ("tile", "sums", "products", "coupling")
 registers, sums_of, products_of, coupling_of = (_view(Registers(name)) for name in _APART)
-"""Registers in a contiguous array of float64, which the caller keeps alive; sums over lanes; products of basis values, lane
-by lane; the sights' coupling to their points.
+"""Registers in a contiguous array of float64, which the caller keeps alive; sums over lanes; products of basis values,
+lane by lane; the sights' coupling to their points.
 """
 
 
@@ -96,6 +97,9 @@ FOUR = 4
 """Products of basis values are kept in fours, which the processor takes at once."""
 
 
+_intrinsic: Any = intrinsic
+
+
 class Four(types.Type):
     """Numba's type of four numbers that the processor takes at once."""
 
@@ -117,7 +121,7 @@ def _address(builder: Any, pointer: Any, index: Any) -> Any:
     return builder.bitcast(cgutils.gep_inbounds(builder, pointer, index), _VECTOR.as_pointer())
 
 
-@intrinsic
+@_intrinsic
 def four(typing: Any, array: Any, index: Any) -> Any:
     """Four numbers of an array from an index on."""
 
@@ -127,7 +131,7 @@ def four(typing: Any, array: Any, index: Any) -> Any:
     return _FOUR(array, types.int64), generate
 
 
-@intrinsic
+@_intrinsic
 def put_four(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """Put four numbers into an array from an index on."""
 
@@ -145,7 +149,7 @@ def _spread(builder: Any, number: Any) -> Any:
     return builder.shuffle_vector(lonely, lonely, ir.Constant(ir.VectorType(ir.IntType(32), FOUR), [0] * FOUR))
 
 
-@intrinsic
+@_intrinsic
 def times(typing: Any, factor: Any, value: Any) -> Any:
     """A number times four numbers."""
 
@@ -155,7 +159,7 @@ def times(typing: Any, factor: Any, value: Any) -> Any:
     return _FOUR(types.float64, _FOUR), generate
 
 
-@intrinsic
+@_intrinsic
 def multiply_add(typing: Any, factor: Any, value: Any, total: Any) -> Any:
     """A number times four numbers, plus four."""
 

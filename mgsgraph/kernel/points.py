@@ -89,8 +89,9 @@ def solve_tile(rows, model, segments, count, x, places, move, everything, w, dep
     """Best places of a tile's points with the orientation held: PLACE, COST and STATE, and, if `kept`, rows there.
 
     Begins at `places` (n, 3); rows, FACTOR and FORWARD stay those of the place before the last, short step. Unless
-    `move`, the points stay where they are, and take part all if `everything`. With a robust loss the way is begun anew, at `rows.start` and with plain
-    squares, for where such a loss is flat it leads nowhere; so earlier calls don't count.
+    `move`, the points stay where they are, and take part all if `everything`. With a robust loss the way is begun
+    anew, at `rows.start` and with plain squares, for where such a loss is flat it leads nowhere; so earlier calls
+    don't count.
     """
     fixed = rows.pattern_fixed[segments[0, PATTERN]] > 0
     robust = model.loss != NO_LOSS

@@ -16,6 +16,7 @@ from mgsgraph.kernel.sweep import COSTS, COVARIANCES, DESIGN, RELIABILITY, RESID
 
 Array = NDArray[np.float64]
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduction:
     """All points solved and eliminated at one orientation."""

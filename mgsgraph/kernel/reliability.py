@@ -150,9 +150,9 @@ def store_sight(rows, count, felt, at, point, first, last, w, s, values):
 
 
 @lane
-def reliability_tile(rows, groups, target, segments, count, joint, w, depth, y, values):
+def reliability_tile(rows, groups, target, model, segments, count, joint, w, depth, y, values):
     """`NUMBERS` of all rows of a tile's points, whose rows and L are there; `joint` as for covariances."""
-    couple_all(rows, segments, w, depth, y)
+    couple_all(rows, model, segments, w, depth, y)
     begin_middle(w)
     begin, end = sights_of(rows, segments)
     for i in range(begin, end):

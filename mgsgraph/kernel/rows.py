@@ -94,8 +94,8 @@ class Rows(NamedTuple):
 def shapes(first: Index, fixed: Index, *tables: Index) -> Index:
     """(q,) shape of each pattern, from 0 on: the same for patterns whose sights are alike.
 
-    `first` (q + 1,) is each pattern's first sight, `fixed` (q,) as in `Rows`, and the tables (s,) are what sights have to
-    share: kind, width, numbers of terms and single columns.
+    `first` (q + 1,) is each pattern's first sight, `fixed` (q,) as in `Rows`, and the tables (s,) are what sights have
+    to share: kind, width, numbers of terms and single columns.
     """
     _, alike = np.unique(np.stack(tables), axis=1, return_inverse=True)
     count = np.diff(first)
@@ -182,7 +182,10 @@ def one_sight(rows: Rows, groups: Groups, point: int, sight: int) -> Rows:
         pattern_group=np.zeros(1, dtype=np.int64),
         pattern_fixed=np.zeros(1, dtype=np.int64),
         pattern_shape=np.zeros(1, dtype=np.int64),
-        **{f"sight_{name}": getattr(rows, f"sight_{name}")[i : i + 1] for name in ("kind", "width", "terms", "shared", "focal", "rate", "numbers")},
+        **{
+            f"sight_{name}": getattr(rows, f"sight_{name}")[i : i + 1]
+            for name in ("kind", "width", "terms", "shared", "focal", "rate", "numbers")
+        },
         sight_entry=np.zeros(1, dtype=np.int64),
         entry_column=(np.cumsum(width) - width)[place.reshape(-1)] + rows.entry_inside[entries],
         entry_member=place.reshape(-1).astype(np.int64),

@@ -169,15 +169,17 @@ def _compiled(sources: str) -> Any:
                     spread(rows, groups, target, open_pattern, sums, flat)
                 open_pattern = pattern
                 room = scratch.values, scratch.room, sums, scratch.aside, scratch.spare
-                eliminate_tile(rows, groups, target, segments, count, w, depth, y, products, *room, flat, gradient)
+                eliminate_tile(
+                    rows, groups, target, model, segments, count, w, depth, y, products, *room, flat, gradient
+                )
             elif task == COVARIANCES:
-                covariance_tile(rows, groups, target, segments, count, blocks, w, depth, y, values)
+                covariance_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
             elif task == RESIDUALS:
                 store_residuals(rows, segments, count, w, depth, values[:, :, 0])
             elif task == RELIABILITY:
-                reliability_tile(rows, groups, target, segments, count, blocks, w, depth, y, values)
+                reliability_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
             elif task == DESIGN:
-                design_tile(rows, segments, count, w, depth, values)
+                design_tile(rows, model, segments, count, w, depth, values)
         if open_pattern >= 0:
             spread(rows, groups, target, open_pattern, sums, flat)
 

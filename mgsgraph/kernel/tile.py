@@ -85,7 +85,7 @@ def sight_place(rows, segments, k, sight):
 
 @lane
 def load(rows, model, segments, count, w, depth, places):
-    """Load a tile: which points take part, where they are, and the constants of their sights; spare lanes do nothing."""
+    """Load a tile: which points take part, where they are, and their sights' constants; spare lanes do nothing."""
     for l in range(LANES):
         w[ACTIVE + l] = 0.0
     for k in range(count):
@@ -116,16 +116,20 @@ def copied(rows, segments, count, at, w, register, components):
 
 
 @lane
-def powers(rows, segments, count, sight, terms, w, basis):
-    """Values 1, u, u^2, .. of a polynomial and their rates per line, of the line u that lies where the values begin."""
-    for k in range(count):
+def powers(rows, segments, count, sight, terms, w, basis, rates):
+    """Values 1, u, u^2, .. of a polynomial and, if `rates`, theirs per line, of the line u in the second register."""
+    for t in range(2, terms):
+        for l in range(LANES):
+            w[basis + t * LANES + l] = w[basis + (t - 1) * LANES + l] * w[basis + LANES + l]
+    for l in range(LANES):
+        w[basis + l] = 1.0
+    for k in range(count if rates else 0):
         rate = rows.sight_rate[rows.pattern_sight[segments[k, PATTERN]] + sight]
         for l in range(segments[k, BEGIN], segments[k, END]):
-            u, value, slope = w[basis + l], 1.0, 0.0
-            for t in range(terms):
-                w[basis + t * LANES + l], w[basis + (terms + t) * LANES + l] = value, slope
-                slope = (t + 1.0) * value * rate
-                value *= u
+            w[basis + terms * LANES + l] = 0.0
+        for t in range(1, terms):
+            for l in range(segments[k, BEGIN], segments[k, END]):
+                w[basis + (terms + t) * LANES + l] = t * rate * w[basis + (t - 1) * LANES + l]
 
 
 @lane
@@ -151,8 +155,8 @@ def load_sight(rows, model, segments, count, begin, i, at, w, s):
         at = copied(rows, segments, count, at, w, s + ROOT, 6)
     terms = rows.sight_terms[i]
     if rows.sight_rate[i] != 0.0 and terms > 0:
-        at = copied(rows, segments, count, at, w, s + BASIS, 1)
-        powers(rows, segments, count, i - begin, terms, w, s + BASIS)
+        at = copied(rows, segments, count, at, w, s + BASIS + LANES, 1)
+        powers(rows, segments, count, i - begin, terms, w, s + BASIS, rates)
     else:
         at = copied(rows, segments, count, at, w, s + BASIS, 2 * terms if rates else terms)
     for e in range(rows.sight_shared[i]):
@@ -218,9 +222,9 @@ def correct(rows, segments, count, i, x, w, s, rates):
 
 
 @lane
-def any_state(w, state):
-    """Whether a lane that takes part is in a state."""
-    found = False
+def all_good(w):
+    """Whether every lane that takes part is GOOD."""
+    lost = 0.0
     for l in range(LANES):
-        found |= (w[ACTIVE + l] > 0.0) & (w[STATE + l] == state)
-    return found
+        lost = max(lost, w[ACTIVE + l] * abs(w[STATE + l] - GOOD))
+    return lost == 0.0

@@ -247,7 +247,8 @@ def test_constants_are_the_networks() -> None:
 
 
 def test_frozen_scale_is_the_nominal_image_motion() -> None:
-    """In the papers' form, to residuals: what a still point does in the focal plane from line to line, by differences."""
+    """In the papers' form, to residuals: what a still point does in the focal plane from line to line, by differences.
+    """
     net = network(pair())
     made = lay_out(net, SolverSettings(line="measured"))
     for place, point in enumerate(take_apart(made)):

@@ -21,9 +21,11 @@ from mgsgraph.adjustment.graph.bundle import IN_PROCESS, prior_factors, shared_v
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance
 from mgsgraph.adjustment.passes import Selection, determined_points
 from mgsgraph.adjustment.posterior import point_covariances, shared_marginals
+from mgsgraph.adjustment.predicted_lines import settled
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.square_root import SquareRoot, in_cliques, is_indeterminate
 from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.network import Network
 
 
@@ -40,10 +42,7 @@ class RaysAlone:
     """
 
     def __init__(self, network: Network, settings: SolverSettings, selection: Selection) -> None:
-        self._layout = lay_out(network, settings)
-        self._rows = selection.rows(self._layout)
-        blank = np.where(determined_points(self._rows), 1.0, np.nan)
-        self._blank = self._layout.network_order(blank)
+        self._layout, self._selection = lay_out(network, settings), selection
 
     @cached_property
     def joint(self) -> JointCovariance | None:
@@ -55,12 +54,12 @@ class RaysAlone:
         (n, 3, 3) in m^2 with the a-priori one, for sigma0 = 1; NaN there, and all where there is none.
         """
         orientation = np.zeros(self._layout.columns)
-        points = self._points(orientation)
+        layout, points = self._placed(orientation)
         if self.joint is None:
             covariances = np.full((*points.shape, 3), np.nan)
         else:
-            covariances = point_covariances(self._layout, self._rows, orientation, points, self.joint)
-        return self._whole(points), self._whole(covariances)
+            covariances = point_covariances(layout, self._selection.rows(layout), orientation, points, self.joint)
+        return self._whole(layout, points), self._whole(layout, covariances)
 
     def at(self, values: Sequence[Array]) -> tuple[Array, Array]:
         """Places (n, 3) in m with given values of the shared unknowns, numbered as `Network` has them, and covariances
@@ -69,19 +68,24 @@ class RaysAlone:
         orientation = np.zeros(self._layout.columns)
         for v in self._layout.variables.adjusted():
             orientation[self._layout.columns_of(v)] = values[v]
-        points = self._points(orientation)
-        known = np.zeros(self._layout.blocks.target.size)
-        return self._whole(points), self._whole(
-            IN_PROCESS.covariances(self._layout, self._rows, orientation, known, points)
-        )
+        layout, points = self._placed(orientation)
+        known, rows = np.zeros(layout.blocks.target.size), self._selection.rows(layout)
+        covariances = IN_PROCESS.covariances(layout, rows, orientation, known, points)
+        return self._whole(layout, points), self._whole(layout, covariances)
 
-    def _points(self, orientation: Array) -> Array:
-        return BundleGraph(self._layout, self._rows).reduction(orientation, system=False).points
+    def _placed(self, orientation: Array) -> tuple[Layout, Array]:
+        """Points (n, 3) where the unknowns put them, and the layout in whose order they are."""
 
-    def _whole(self, values: Array) -> Array:
+        def again(layout: Layout) -> Reduction:
+            return BundleGraph(layout, self._selection.rows(layout)).reduction(orientation, system=False)
+
+        layout, found = settled(self._layout, again(self._layout), again)
+        return layout, found.points
+
+    def _whole(self, layout: Layout, values: Array) -> Array:
         """Values (n, ...) in the network's order, NaN for points that nothing determines."""
-        blank = self._blank.reshape(-1, *[1] * (values.ndim - 1))
-        return np.asarray(self._layout.network_order(values) * blank)
+        blank = np.where(determined_points(self._selection.rows(layout)), 1.0, np.nan)
+        return layout.network_order(values * blank.reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def prior_covariance(layout: Layout) -> JointCovariance | None:

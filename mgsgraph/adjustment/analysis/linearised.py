@@ -161,7 +161,8 @@ def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) ->
         for n, column in enumerate(places.tolist()):
             by_shared[:, k, column] += mine[:, k, OWN_NUMBERS + n]
     known = bool(rows.pattern_fixed[pattern])
-    return PointRows(layout.group_variables[group], mine[:, :, 0], mine[:, :, 1:OWN_NUMBERS], by_shared, sight, row, known)
+    by_point = mine[:, :, 1:OWN_NUMBERS]
+    return PointRows(layout.group_variables[group], mine[:, :, 0], by_point, by_shared, sight, row, known)
 
 
 def _columns(rows: Rows, sights: Index, first_of_member: Index) -> list[Index]:

@@ -1,1 +1,1 @@
-"""What a network leaves undetermined, in words: transformations of the whole of it, and weak directions of its images."""
+"""What a network leaves undetermined, in words: transformations of the whole, and weak directions of images."""

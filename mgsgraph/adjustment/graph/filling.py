@@ -15,8 +15,8 @@ from mgsgraph.kernel.rows import CAMERA, OPK_PAPER
 
 make_equations_compilable()
 
-_compiled = njit(nogil=True, error_model="numpy")
-_kept = njit(cache=True, nogil=True, error_model="numpy")
+_compiled: Any = njit(nogil=True, error_model="numpy")
+_kept: Any = njit(cache=True, nogil=True, error_model="numpy")
 
 
 @_compiled
@@ -74,12 +74,31 @@ def _compile(sources: str) -> Any:
     """What is called from Python; it holds the digest of all that it is compiled from."""
 
     @_kept
-    def put_rays(mine, point, slot, sigmas, store, angles, predicted, pose, detector, slope, offset, u, basis, effects, among, weight):
+    def put_rays(
+        mine,
+        point,
+        slot,
+        sigmas,
+        store,
+        angles,
+        predicted,
+        pose,
+        detector,
+        slope,
+        scales,
+        offset,
+        u,
+        basis,
+        effects,
+        among,
+        weight,
+    ):
         """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_sight` takes them.
 
-        `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, turnings or rates of
-        the angles), `offset` (m,) lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of nodes. The scale of the
-        measured-line form is left out.
+        `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, turnings or
+        rates of the angles), `scales` (m, 4 or 0) where S of the measured-line form is known already, `offset` (m,)
+        lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of
+        nodes.
         """
         if len(sources) == 0:
             return
@@ -102,6 +121,8 @@ def _compile(sources: str) -> Any:
                 at = put(data, at, stride, vector(turning, r))
                 at = put(data, at, stride, (slope[r, 0], slope[r, 1], offset[r]))
             else:
+                for c in range(scales.shape[1]):
+                    data[at + c * stride] = scales[r, c]
                 at += 4 * stride
             for values in (u, basis, effects):
                 for c in range(values.shape[1]):

@@ -31,7 +31,7 @@ from mgsgraph.kernel.rows import (
 )
 from mgsgraph.network import Network
 
-_Kind = TypeVar("_Kind", np.float64, np.bool_, np.int8)
+_Kind = TypeVar("_Kind", np.float64, np.bool_, np.int8, np.int64)
 _LINES = {"predicted": PREDICTED, "measured": MEASURED}
 _LOSSES = {"none": NO_LOSS, "huber": HUBER, "cauchy": CAUCHY, "tukey": TUKEY}
 

@@ -203,11 +203,14 @@ class _Sights:
         size = int(self.first[-1])
         self.kind, self.image, self.node = np.empty(size, np.int64), np.full(size, -1), np.full(size, -1)
         for column, (kind, table, node, rows) in enumerate(
-            ((IMAGE, network.rays, terms.of_rays, of_rays), (RANGE, network.ranges, terms.of_ranges, of_ranges))
+            (
+                (IMAGE, network.rays.image, terms.of_rays, of_rays),
+                (RANGE, network.ranges.image, terms.of_ranges, of_ranges),
+            )
         ):
             source, _ = _runs(rows[0], example)
             at = np.repeat(begin[:, column], each[:, column]) + _within(each[:, column])
-            self.kind[at], self.image[at], self.node[at] = kind, table.image[rows[1][source]], node[rows[1][source]]
+            self.kind[at], self.image[at], self.node[at] = kind, table[rows[1][source]], node[rows[1][source]]
         ground, surface = begin[known, 2], begin[surfaces, 3]
         self.kind[ground], self.kind[surface] = GROUND, SURFACE
         self._feel(network, terms, ground, surface, [felt[example[known]] for felt in (moved, *beams)])
@@ -229,13 +232,13 @@ class _Sights:
             moved_terrain = np.full(surface.size, network.first_shared - 1)
             _add_singles(sight, variable, inside, surface, moved_terrain, len(network.surface.terms))
         _add_singles(sight, variable, inside, ground[moved[0] >= 0], moved[0][moved[0] >= 0], 2)
-        for felt in moved[1:]:
-            _add_singles(sight, variable, inside, ground[felt >= 0], felt[felt >= 0], 3)
+        for beam in moved[1:]:
+            _add_singles(sight, variable, inside, ground[beam >= 0], beam[beam >= 0], 3)
         for k, shared in enumerate(network.shared):
             of_image = np.zeros(len(network.images) + 1, dtype=bool)  # the last one is that of no image
             of_image[shared.images] = True
-            kinds = [kind for kind, felt in ((IMAGE, shared.kind.felt_by_rays), (RANGE, shared.kind.felt_by_ranges)) if felt]
-            own = np.flatnonzero(of_image[self.image] & np.isin(self.kind, kinds))
+            felt = {IMAGE: shared.kind.felt_by_rays, RANGE: shared.kind.felt_by_ranges}
+            own = np.flatnonzero(of_image[self.image] & np.isin(self.kind, [kind for kind in felt if felt[kind]]))
             _add_singles(sight, variable, inside, own, np.full(own.size, network.first_shared + k), shared.kind.width)
             if not shared.kind.moves_pose:
                 self.width[own] = np.where(self.kind[own] == IMAGE, 7, 4)

@@ -19,6 +19,7 @@ from mgsgraph.adjustment.graph.filling import crossings, put_rays, put_scale
 from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
+from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
@@ -69,7 +70,7 @@ class _Store:
         piece_of = np.repeat(np.arange(self.piece.shape[0], dtype=np.int32), self.piece[:, 2])
         return self.patterns.point_place, piece_of, self.piece, self.before, self.data
 
-    def place(self, points: Index, slots: Index) -> tuple[Index, Index, Index]:
+    def place(self, points: Index, slots: NDArray[np.integer[Any]]) -> tuple[Index, Index, Index]:
         """For the `slots`-th sights of network `points`: first place in `data`, step to the next component, and place
         among all sights.
         """
@@ -123,7 +124,7 @@ def lay_out_rows(
     ranges = _fill_ranges(network, store, terms, effects, weight)
     _fill_ground(network, store, weight)
     starts, kinds = like or _starting_points(network, model, store, rays_of, known)
-    if model.line == MEASURED:
+    if model.line == MEASURED and model.angles != OPK_PEER:
         _fill_scales(network, model, store, parts, starts)
     places = SightPlaces(rays, ranges, *_fill_surface(network, store, starts, weight))
     order, surface = patterns.point_order, network.surface
@@ -189,8 +190,8 @@ def _sight_tables(network: Network, model: Model, variables: Variables, patterns
 
 def _by_image(images: Index, count: int) -> list[Index]:
     """Rows of each image."""
-    order = np.argsort(images, kind="stable")
-    return np.split(order, np.searchsorted(images[order], np.arange(1, count)))
+    order, _, sizes = counted(images, count)
+    return np.split(order, np.cumsum(sizes)[:-1])
 
 
 def _in_threads(work: Callable[[int], None], count: int) -> None:
@@ -218,10 +219,11 @@ def _fill_rays(
         turning = _angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.turning
         u, basis = terms.basis(j, lines, terms.of_rays[mine], predicted)
         shared = effects.of(IMAGE, j, image.normalised(lines))
+        scale = _peer_scale(slope) if model.angles == OPK_PEER and not predicted else np.empty((mine.size, 0))
         put_rays(
             mine, rays.point, store.patterns.ray_slot, rays.sigmas, store.tables, model.angles, predicted,
-            (pose.position, pose.matrix, pose.velocity, turning), detector, slope, lines - rays.places[mine, 0],
-            u, basis, shared.reshape(mine.size, math.prod(shared.shape[1:])), among,
+            (pose.position, pose.matrix, pose.velocity, turning), detector, slope, scale,
+            lines - rays.places[mine, 0], u, basis, shared.reshape(mine.size, math.prod(shared.shape[1:])), among,
             weight,
         )  # fmt: skip
 
@@ -236,7 +238,7 @@ def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Inde
     def fill(j: int) -> None:
         image, mine = network.images[j], parts[j]
         slope = image.interior.focal_plane(rays.places[mine, 1])[1]
-        scale = _frozen_scale(image, rays.places[mine, 0], starts[rays.point[mine]], slope, model)
+        scale = _frozen_scale(image, rays.places[mine, 0], starts[rays.point[mine]], slope)
         put_scale(mine, rays.point, store.patterns.ray_slot, store.tables, first, scale.reshape(-1, 4))
 
     _in_threads(fill, len(parts))
@@ -320,7 +322,13 @@ def _starting_points(
     free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~there
     focal, angles = np.array([image.interior.focal_length for image in network.images]), np.empty(free.size)
     order, slot = store.patterns.point_order, store.patterns.ray_slot
-    crossings(order, *rays_of, rays.image, slot, store.tables, model.angles, focal, free, starts, angles)
+    edges = np.linspace(0, order.size, numba.get_num_threads() + 1).astype(np.int64).tolist()
+
+    def cross(k: int) -> None:
+        mine = order[edges[k] : edges[k + 1]]
+        crossings(mine, *rays_of, rays.image, slot, store.tables, model.angles, focal, free, starts, angles)
+
+    _in_threads(cross, len(edges) - 1)
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
     _start_on_the_ground(network, missing, starts)
     starts[~np.all(np.isfinite(starts), axis=1)] = 0.0
@@ -353,14 +361,16 @@ def _angle_rates(pose: Pose, angles: int) -> Array:
     return np.asarray(np.linalg.solve(chain, pose.turning[:, :, None])[:, :, 0])
 
 
-def _frozen_scale(image: PushbroomImage, lines: Array, points: Array, slope: Array, model: Model) -> Array:
-    """(k, 2, 2) focal-plane m to residual lines and samples: image motion per line, from the nominal, and detector slope.
+def _peer_scale(slope: Array) -> Array:
+    """(k, 4) focal-plane m to residuals in the peer's convention: pixels of the detector's size along and across it."""
+    square = slope[:, 0] ** 2 + slope[:, 1] ** 2
+    return np.stack([slope[:, 1], -slope[:, 0], -slope[:, 0], -slope[:, 1]], axis=1) / square[:, None]
 
-    In the peer's convention both are pixels of the detector's size, along and across it.
+
+def _frozen_scale(image: PushbroomImage, lines: Array, points: Array, slope: Array) -> Array:
+    """(k, 2, 2) focal-plane m to residual lines and samples: image motion per line, from the nominal, and detector
+    slope.
     """
-    if model.angles == OPK_PEER:
-        square = np.einsum("ki,ki->k", slope, slope)[:, None]
-        return np.stack([np.stack([slope[:, 1], -slope[:, 0]], axis=1) / square, -slope / square], axis=1)
     pose = image.pose(lines)
     attitude, turning = tuple(np.moveaxis(pose.matrix, 0, -1)), tuple(pose.turning.T)
     ray = transform(attitude, tuple((points - pose.position).T))

@@ -42,7 +42,7 @@ def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
     return _measurement(rows, model, kind, numbers[:own]), correction
 
 
-def _measurement(rows: Rows, model: Model, kind: int, own: list[float]) -> Measurement:
+def _measurement(rows: Rows, model: Model, kind: int, own: list[float]) -> Any:
     if kind == IMAGE:
         return _image_ray(model, own, float(rows.sight_focal[0]))
     if kind == RANGE:
@@ -67,8 +67,16 @@ def _image_ray(model: Model, own: list[float], focal: float) -> ImageRay:
         velocity, turning, slope, offset = nothing, nothing, nothing[:2], (0.0,)
         scale = tuple(rest[:2]), tuple(rest[2:])
     return ImageRay(
-        _ATTITUDES[model.angles], tuple(centre), tuple(nominal), velocity, turning, tuple(detector), slope, scale,
-        offset[0], focal,
+        _ATTITUDES[model.angles],
+        tuple(centre),
+        tuple(nominal),
+        velocity,
+        turning,
+        tuple(detector),
+        slope,
+        scale,
+        offset[0],
+        focal,
     )
 
 

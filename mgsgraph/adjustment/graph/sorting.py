@@ -1,9 +1,11 @@
 """Points sorted by what they see, by compiled code: no Python per point, per pattern or per image set."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
-_compiled = njit(cache=True, nogil=True, error_model="numpy")
+_compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
 
 
 @_compiled
