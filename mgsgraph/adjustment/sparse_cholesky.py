@@ -223,7 +223,7 @@ def _cliques(order: Index, pairs: Index, width: Index) -> tuple[list[tuple[list[
     last = sorted(frontals)
     number = {k: c for c, k in enumerate(last)}
     owner = {k: number[end] for end in last for k in frontals[end]}
-    cliques = [([int(order[k]) for k in frontals[end]], [int(order[k]) for k in sorted(later[end])]) for end in last]
+    cliques = [([int(order[k]) for k in sorted(frontals[end])], [int(order[k]) for k in sorted(later[end])]) for end in last]
     return cliques, [owner[min(later[end])] if later[end] else -1 for end in last]
 
 
@@ -257,14 +257,18 @@ def _assemble(own, across, flat, source, shape, place, turned):
 
 @numba.njit(cache=True, nogil=True)
 def _add_at(own, across, beyond, part, index):
-    """Add the upper triangle of a child's left-over to its parent's front, at rows and columns `index`."""
+    """Add the upper triangle of a child's left-over to its parent's front, at rows and columns `index`, ascending."""
     width = own.shape[0]
+    frontal = np.searchsorted(index, width)
     for j in range(index.size):
-        for i in range(j + 1):
-            row, column = min(index[i], index[j]), max(index[i], index[j])
-            if column < width:
-                own[row, column] += part[i, j]
-            elif row < width:
-                across[row, column - width] += part[i, j]
-            else:
-                beyond[row - width, column - width] += part[i, j]
+        column, source = index[j], part[:, j]
+        if column < width:
+            target = own[:, column]
+            for i in range(j + 1):
+                target[index[i]] += source[i]
+        else:
+            target, rest = across[:, column - width], beyond[:, column - width]
+            for i in range(frontal):
+                target[index[i]] += source[i]
+            for i in range(frontal, j + 1):
+                rest[index[i] - width] += source[i]

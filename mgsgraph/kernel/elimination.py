@@ -11,7 +11,7 @@ segment of five points costs per point what one of a thousand does.
 
 import numpy as np
 
-from mgsgraph.factors.algebra import dot
+from mgsgraph.factors.algebra import add, dot, scale
 from mgsgraph.kernel.lanes import (
     BASIS,
     BY_POINT,
@@ -78,28 +78,44 @@ def silence(count, w, s):
                 w[state + l] = w[state + l] if w[STATE + l] == GOOD else 0.0
 
 
+@inlined
+def three(registers, first, l):
+    """Three registers of a lane."""
+    return registers[first + l], registers[first + LANES + l], registers[first + 2 * LANES + l]
+
+
+@inlined
+def put_coupling(w, y, mine, right, l, a, r):
+    """Y = a L^-T of a row a of W, and right side r - Y L^-1 g, lane l."""
+    y0 = a[0] * w[FACTOR + l]
+    y1 = (a[1] - w[FACTOR + LANES + l] * y0) * w[FACTOR + 2 * LANES + l]
+    y2 = a[2] - w[FACTOR + 3 * LANES + l] * y0 - w[FACTOR + 4 * LANES + l] * y1
+    y2 *= w[FACTOR + 5 * LANES + l]
+    y[mine + l], y[mine + LANES + l], y[mine + 2 * LANES + l] = y0, y1, y2
+    w[right + l] = r - dot((y0, y1, y2), three(w, FORWARD, l))
+
+
 @lane
 def couple(count, width, w, s, y, c):
     """Y = W L^-T from register c of the coupling on, and RIGHT J'r - Y L^-1 g, of a sight, W = J_state' B."""
+    b, r = s + RESULT + BY_POINT, s + RESULT + RESIDUAL
     for a in range(width):
-        state, right, mine = s + RESULT + BY_STATE + a * LANES, s + RIGHT + a * LANES, c + 3 * a * LANES
-        for l in range(LANES):
-            w[right + l] = 0.0
-            y[mine + l], y[mine + LANES + l], y[mine + 2 * LANES + l] = 0.0, 0.0, 0.0
-        for row in range(count):
-            f, b, r = state + row * ROW, s + RESULT + BY_POINT + row * ROW, s + RESULT + RESIDUAL + row * ROW
+        f, right, mine = s + RESULT + BY_STATE + a * LANES, s + RIGHT + a * LANES, c + 3 * a * LANES
+        if count == 1:
             for l in range(LANES):
-                y[mine + l] += w[f + l] * w[b + l]
-                y[mine + LANES + l] += w[f + l] * w[b + LANES + l]
-                y[mine + 2 * LANES + l] += w[f + l] * w[b + 2 * LANES + l]
-                w[right + l] += w[f + l] * w[r + l]
-        for l in range(LANES):
-            y0 = y[mine + l] * w[FACTOR + l]
-            y1 = (y[mine + LANES + l] - w[FACTOR + LANES + l] * y0) * w[FACTOR + 2 * LANES + l]
-            y2 = y[mine + 2 * LANES + l] - w[FACTOR + 3 * LANES + l] * y0 - w[FACTOR + 4 * LANES + l] * y1
-            y2 *= w[FACTOR + 5 * LANES + l]
-            y[mine + l], y[mine + LANES + l], y[mine + 2 * LANES + l] = y0, y1, y2
-            w[right + l] -= y0 * w[FORWARD + l] + y1 * w[FORWARD + LANES + l] + y2 * w[FORWARD + 2 * LANES + l]
+                put_coupling(w, y, mine, right, l, scale(w[f + l], three(w, b, l)), w[f + l] * w[r + l])
+        elif count == 2:
+            for l in range(LANES):
+                u, v = w[f + l], w[f + ROW + l]
+                row = add(scale(u, three(w, b, l)), scale(v, three(w, b + ROW, l)))
+                put_coupling(w, y, mine, right, l, row, u * w[r + l] + v * w[r + ROW + l])
+        else:
+            for l in range(LANES):
+                u, v, z = w[f + l], w[f + ROW + l], w[f + 2 * ROW + l]
+                row = add(scale(u, three(w, b, l)), scale(v, three(w, b + ROW, l)))
+                row = add(row, scale(z, three(w, b + 2 * ROW, l)))
+                rest = u * w[r + l] + v * w[r + ROW + l] + z * w[r + 2 * ROW + l]
+                put_coupling(w, y, mine, right, l, row, rest)
 
 
 @lane
@@ -120,12 +136,6 @@ def couple_all(rows, model, segments, w, depth, y):
             if model.line == PREDICTED:
                 carry_basis(rows, i, w, s)
             couple(row_count(rows.sight_kind[i]), rows.sight_width[i], w, s, y, (i - begin) * COUPLED)
-
-
-@inlined
-def three(registers, first, l):
-    """Three registers of a lane."""
-    return registers[first + l], registers[first + LANES + l], registers[first + 2 * LANES + l]
 
 
 @inlined
@@ -380,21 +390,26 @@ def spread_terms(rows, groups, target, group, i, j, sums, at, blocks):
     """Add a pair's sums over products of basis values to the blocks."""
     components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
     entry_i, entry_j, room = rows.sight_entry[i], rows.sight_entry[j], fours(rows.sight_terms[j])
-    stride = rows.sight_terms[i] * room
+    stride, polynomials = rows.sight_terms[i] * room, rows.sight_rate[i] * rows.sight_rate[j] != 0.0
+    if stride == 0:
+        return
+    begin, down, across, own = block_place(rows, groups, target, group, entry_i, entry_j)
     for p in range(rows.sight_terms[i]):
         for q in range(p if i == j else 0, rows.sight_terms[j]):
-            start, down, across, own = block_place(rows, groups, target, group, entry_i + p, entry_j + q)
+            start, turned = begin + 6 * (p * down + q * across), begin + 6 * (q * down + p * across)
+            if not polynomials:  # each term has a variable of its own
+                start, down, across, own = block_place(rows, groups, target, group, entry_i + p, entry_j + q)
+                turned = block_place(rows, groups, target, group, entry_j + q, entry_i + p)[0]
             first = at + p * room + q
             if i == j:
                 add_symmetric(blocks, start, down, across, sums, first, stride, components_i)
             else:
                 add_block(blocks, start, down, across, sums, first, stride, components_i, components_j)
             if own and not (i == j and p == q):  # a variable's block with itself holds both triangles
-                start, down, across, _ = block_place(rows, groups, target, group, entry_j + q, entry_i + p)
                 if i == j:
-                    add_symmetric(blocks, start, across, down, sums, first, stride, components_i)
+                    add_symmetric(blocks, turned, across, down, sums, first, stride, components_i)
                 else:
-                    add_block(blocks, start, across, down, sums, first, stride, components_i, components_j)
+                    add_block(blocks, turned, across, down, sums, first, stride, components_i, components_j)
 
 
 @lane
