@@ -33,7 +33,7 @@ from mgsgraph.adjustment.posterior import (
     point_covariances,
     residuals,
 )
-from mgsgraph.adjustment.predicted_lines import settled
+from mgsgraph.adjustment.predicted_lines import exactly, settled
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -111,7 +111,7 @@ def adjust_network(
         layout, selection, before = _nominal(layout, sweeper, left_in)
         clock.stop("solve")
         places = _places_before(layout, before)
-        nominal = _Nominal(layout.network_order(places), residuals(layout, np.zeros(layout.columns), places, sweeper))
+        nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places, sweeper))
         clock.stop("residuals")
         solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
         del before, layout, places  # the posterior needs the room
@@ -171,7 +171,7 @@ def predict(network: Network, settings: SolverSettings) -> Prediction:
     joint = orientation_covariance(BundleGraph(layout, rows), before)
     covariances = point_covariances(layout, rows, nominal, before.points, joint)
     places = _places_before(layout, before)
-    found = residuals(layout, nominal, places)
+    found = _exact_residuals(layout, places)
     blank = layout.network_order(np.where(determined_points(rows), 1.0, np.nan))
     return Prediction(
         layout.network_order(places) * blank[:, None],
@@ -302,6 +302,13 @@ def _blanked(layout: Layout, values: Array, determined: Mask) -> Array:
 def _places_before(layout: Layout, before: Reduction) -> Array:
     """(n, 3) m, layout order: a-priori places; for free points the intersection with the nominal orientation."""
     return np.where((layout.rows.kind == PRIOR)[:, None], layout.rows.start, before.points)
+
+
+def _exact_residuals(layout: Layout, places: Array, sweeper: Sweeper = IN_PROCESS) -> Residuals:
+    """With the nominal orientation at places (n, 3), layout order: a-priori ones are not where the rays alone meet."""
+    nominal = np.zeros(layout.columns)
+    layout, places = exactly(layout, nominal, places)
+    return residuals(layout, nominal, places, sweeper)
 
 
 def _sigmas_without_laser(layout: Layout, solved: Solved, sweeper: Sweeper) -> Array | None:

@@ -19,8 +19,8 @@ from mgsgraph.kernel.rows import OUT, PREDICTED
 NEAR = 1e-5
 """Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much
 less than a tenth of themselves, so that a row is then right to 1e-6 lines, and its derivatives to 1e-10."""
-_MOST = 5
-"""Times: each leaves the square of what was left before."""
+_MOST = 20
+"""Times: two or three do it, more where a predicted line lies beside a sample at which the rates jump."""
 _BEYOND = 0.5
 """Share of an image's lines by which a predicted line may lie before it or after it."""
 

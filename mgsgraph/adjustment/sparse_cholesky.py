@@ -223,7 +223,9 @@ def _cliques(order: Index, pairs: Index, width: Index) -> tuple[list[tuple[list[
     last = sorted(frontals)
     number = {k: c for c, k in enumerate(last)}
     owner = {k: number[end] for end in last for k in frontals[end]}
-    cliques = [([int(order[k]) for k in sorted(frontals[end])], [int(order[k]) for k in sorted(later[end])]) for end in last]
+    cliques = [
+        ([int(order[k]) for k in sorted(frontals[end])], [int(order[k]) for k in sorted(later[end])]) for end in last
+    ]
     return cliques, [owner[min(later[end])] if later[end] else -1 for end in last]
 
 

@@ -11,7 +11,7 @@ import operator
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
+from numba import config, njit, types
 from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
@@ -168,6 +168,17 @@ def multiply_add(typing: Any, factor: Any, value: Any, total: Any) -> Any:
         return builder.fadd(product, arguments[2], ("contract",))
 
     return _FOUR(types.float64, _FOUR, _FOUR), generate
+
+
+if config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what they are
+    registers = sums_of = products_of = coupling_of = lambda array: array.reshape(-1)
+    four = lambda array, index: array[index : index + FOUR].copy()  # noqa: E731
+    times = lambda factor, value: factor * value  # noqa: E731
+    multiply_add = lambda factor, value, total: factor * value + total  # noqa: E731
+
+    def put_four(array: Any, index: int, value: Any) -> None:
+        """Put four numbers into an array from an index on."""
+        array[index : index + FOUR] = value
 
 
 _INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}

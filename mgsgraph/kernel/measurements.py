@@ -4,7 +4,7 @@ Each loop reads the registers of the measurement that is worked on and the place
 BY_POINT and BY_STATE at ROWS, whitened; zero where a row takes no part.
 """
 
-import math
+import numpy as np
 
 from mgsgraph.compiled import make_equations_compilable
 from mgsgraph.factors.algebra import add, subtract, transform
@@ -274,7 +274,7 @@ def _loss_loop(loss):
         for l in range(LANES):
             cost, weight = loss(w[SQUARES + l], width)
             w[COST + l] += cost
-            w[SQUARES + l] = math.sqrt(weight)
+            w[SQUARES + l] = np.sqrt(weight)
         for row in range(count):
             for c in range(1 + 3 + components):
                 for l in range(LANES):

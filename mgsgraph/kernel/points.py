@@ -1,6 +1,6 @@
 """The inner solve: with the orientation held, each point of a tile is solved by Gauss-Newton to a fixed tolerance."""
 
-import math
+import numpy as np
 
 from mgsgraph.kernel.lanes import (
     ACTIVE,
@@ -41,13 +41,13 @@ def factorise(w):
         v00, v10, v11 = w[NORMAL + l], w[NORMAL + LANES + l], w[NORMAL + 2 * LANES + l]
         v20, v21, v22 = w[NORMAL + 3 * LANES + l], w[NORMAL + 4 * LANES + l], w[NORMAL + 5 * LANES + l]
         d0 = v00
-        i00 = 1.0 / math.sqrt(d0)
+        i00 = 1.0 / np.sqrt(d0)
         l10, l20 = v10 * i00, v20 * i00
         d1 = v11 - l10 * l10
-        i11 = 1.0 / math.sqrt(d1)
+        i11 = 1.0 / np.sqrt(d1)
         l21 = (v21 - l20 * l10) * i11
         d2 = v22 - l20 * l20 - l21 * l21
-        i22 = 1.0 / math.sqrt(d2)
+        i22 = 1.0 / np.sqrt(d2)
         strong = (d0 > 0.0) & (d1 > _SINGULAR * v11) & (d2 > _SINGULAR * v22)
         weak = (not strong) & (w[ACTIVE + l] > 0.0) & (w[STATE + l] == GOOD)
         w[STATE + l] = WEAK if weak else w[STATE + l]

@@ -10,7 +10,7 @@ from mgsgraph.compiled import digest_of, make_equations_compilable
 from mgsgraph.factors import algebra
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
-from mgsgraph.factors.rotation import matrix_quaternion, opk_angles, opk_rotation, quaternion_matrix
+from mgsgraph.factors.rotation import matrix_quaternion, opk_angles
 from mgsgraph.kernel.rows import CAMERA, OPK_PAPER
 
 make_equations_compilable()
@@ -54,20 +54,11 @@ def vector(values, k):
 
 
 @_compiled
-def ray(data, point, slot, store, angles, focal):
-    """Origin (m) and direction, body-fixed, of a nominal ray that `put_rays` has put there."""
-    point_place, piece_of, piece, before, _ = store
+def origin_of(point, slot, store):
+    """Origin (m) of a nominal ray that `put_rays` has put there."""
+    point_place, piece_of, piece, before, data = store
     at, s, _ = destination(point, slot, point_place, piece_of, piece, before)
-    centre, at = (data[at], data[at + s], data[at + 2 * s]), at + 3 * s
-    if angles == CAMERA:
-        to_body = transpose(quaternion_matrix((data[at], data[at + s], data[at + 2 * s], data[at + 3 * s])))
-        at += 4 * s
-    else:
-        to_body = opk_rotation((data[at], data[at + s], data[at + 2 * s]))
-        if angles != OPK_PAPER:
-            to_body = transpose(to_body)
-        at += 3 * s
-    return centre, transform(to_body, (data[at], data[at + s], focal))
+    return data[at], data[at + s], data[at + 2 * s]
 
 
 def _compile(sources: str) -> Any:
@@ -84,6 +75,7 @@ def _compile(sources: str) -> Any:
         predicted,
         pose,
         detector,
+        focal,
         slope,
         scales,
         offset,
@@ -92,13 +84,14 @@ def _compile(sources: str) -> Any:
         effects,
         among,
         weight,
+        units,
     ):
         """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_sight` takes them.
 
         `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, turnings or
         rates of the angles), `scales` (m, 4 or 0) where S of the measured-line form is known already, `offset` (m,)
         lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of
-        nodes.
+        nodes. What is filled beside the constants: the ray's place among all sights, weights, and unit directions.
         """
         if len(sources) == 0:
             return
@@ -116,6 +109,8 @@ def _compile(sources: str) -> Any:
             else:
                 at = put(data, at, stride, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
             at = put(data, at, stride, (detector[r, 0], detector[r, 1]))
+            look = transform(transpose(attitude), (detector[r, 0], detector[r, 1], focal))
+            units[k, 0], units[k, 1], units[k, 2] = scale(1.0 / np.sqrt(dot(look, look)), look)
             if predicted:
                 at = put(data, at, stride, vector(velocity, r))
                 at = put(data, at, stride, vector(turning, r))
@@ -141,7 +136,7 @@ def _compile(sources: str) -> Any:
                 data[at + (first + c) * stride] = values[r, c]
 
     @_kept
-    def crossings(point_order, begin, order, image, slot, store, angles, focal, wanted, places, apart):
+    def crossings(point_order, begin, order, slot, store, units, wanted, places, apart):
         """Where the nominal rays of points cross, and how far apart they point.
 
         Parameters
@@ -150,11 +145,11 @@ def _compile(sources: str) -> Any:
             Network point at each place of the layout.
         begin, order : (n + 1,), (k,)
             Rays of each point (`sorting.by_point`).
-        image, slot : (k,)
-        store, angles
+        slot : (k,)
+        store
             As of `put_rays`.
-        focal : (images,)
-            m.
+        units : (k, 3)
+            Directions of the rays, body-fixed.
         wanted : (n,)
             Points whose place is asked for.
         places : (n, 3)
@@ -164,23 +159,21 @@ def _compile(sources: str) -> Any:
         """
         if len(sources) == 0:
             return
-        data = store[4]
         for i in point_order:  # as the constants lie
             count, origin = begin[i + 1] - begin[i], (0.0, 0.0, 0.0)
             normal, right = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
             for r in range(begin[i], begin[i + 1]):
-                centre, look = ray(data, i, slot[order[r]], store, angles, focal[image[order[r]]])
+                centre = origin_of(i, slot[order[r]], store)
                 origin = centre if r == begin[i] else origin
-                unit = scale(1.0 / np.sqrt(dot(look, look)), look)
-                normal, right = add_ray(normal, right, subtract(centre, origin), unit)
+                normal, right = add_ray(normal, right, subtract(centre, origin), vector(units, order[r]))
             weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
             apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
             if wanted[i]:
                 found = solve_symmetric(normal, right)
                 usable = weakest > 1e-14
                 for r in range(begin[i], begin[i + 1] if usable else 0):  # rays that part meet behind their cameras
-                    centre, look = ray(data, i, slot[order[r]], store, angles, focal[image[order[r]]])
-                    usable &= dot(subtract(add(found, origin), centre), look) > 0.0
+                    ahead = subtract(add(found, origin), origin_of(i, slot[order[r]], store))
+                    usable &= dot(ahead, vector(units, order[r])) > 0.0
                 for j in range(3):
                     places[i, j] = found[j] + origin[j] if usable else places[i, j]
 

@@ -120,10 +120,10 @@ def lay_out_rows(
     store = _make_store(patterns, tables)
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
     effects = SharedEffects(network, model)
-    rays, parts = _fill_rays(network, model, store, terms, effects, weight)
+    rays, parts, units = _fill_rays(network, model, store, terms, effects, weight)
     ranges = _fill_ranges(network, store, terms, effects, weight)
     _fill_ground(network, store, weight)
-    starts, kinds = like or _starting_points(network, model, store, rays_of, known)
+    starts, kinds = like or _starting_points(network, store, rays_of, units, known)
     if model.line == MEASURED and model.angles != OPK_PEER:
         _fill_scales(network, model, store, parts, starts)
     places = SightPlaces(rays, ranges, *_fill_surface(network, store, starts, weight))
@@ -203,12 +203,12 @@ def _in_threads(work: Callable[[int], None], count: int) -> None:
 
 def _fill_rays(
     network: Network, model: Model, store: _Store, terms: Terms, effects: SharedEffects, weight: Array
-) -> tuple[NDArray[np.int32], list[Index]]:
-    """Constants of the image rays, but for the scale of the measured-line form; the place of each among all sights, and
-    the rays of each image.
+) -> tuple[NDArray[np.int32], list[Index], Array]:
+    """Constants of the image rays, but for the scale of the measured-line form; the place of each among
+    all sights, the rays of each image, and unit directions (k, 3).
     """
     rays, predicted = network.rays, model.line == PREDICTED
-    among = np.empty(rays.point.size, dtype=np.int32)
+    among, units = np.empty(rays.point.size, dtype=np.int32), np.empty((rays.point.size, 3))
     parts = _by_image(rays.image, len(network.images))
 
     def fill(j: int) -> None:
@@ -222,13 +222,13 @@ def _fill_rays(
         scale = _peer_scale(slope) if model.angles == OPK_PEER and not predicted else np.empty((mine.size, 0))
         put_rays(
             mine, rays.point, store.patterns.ray_slot, rays.sigmas, store.tables, model.angles, predicted,
-            (pose.position, pose.matrix, pose.velocity, turning), detector, slope, scale,
-            lines - rays.places[mine, 0], u, basis, shared.reshape(mine.size, math.prod(shared.shape[1:])), among,
-            weight,
+            (pose.position, pose.matrix, pose.velocity, turning), detector, image.interior.focal_length,
+            slope, scale, lines - rays.places[mine, 0], u, basis,
+            shared.reshape(mine.size, math.prod(shared.shape[1:])), among, weight, units,
         )  # fmt: skip
 
     _in_threads(fill, len(parts))
-    return among, parts
+    return among, parts, units
 
 
 def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Index], starts: Array) -> None:
@@ -309,24 +309,24 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
 
 
 def _starting_points(
-    network: Network, model: Model, store: _Store, rays_of: tuple[Index, NDArray[np.int32]], known: Array | None
+    network: Network, store: _Store, rays_of: tuple[Index, NDArray[np.int32]], units: Array, known: Array | None
 ) -> tuple[Array, NDArray[np.int8]]:
     """(n, 3) m: where each point's inner solve begins: where it is known to be, its a-priori place, or the intersection
     of its nominal rays; and (n,) what each point is.
     """
-    starts, rays = network.points.places.copy(), network.rays
+    starts = network.points.places.copy()
     there = np.zeros(starts.shape[0], dtype=bool)
     if known is not None:
         there = np.all(np.isfinite(known), axis=1)
         starts[there] = known[there]
     free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~there
-    focal, angles = np.array([image.interior.focal_length for image in network.images]), np.empty(free.size)
+    angles = np.empty(free.size)
     order, slot = store.patterns.point_order, store.patterns.ray_slot
     edges = np.linspace(0, order.size, numba.get_num_threads() + 1).astype(np.int64).tolist()
 
     def cross(k: int) -> None:
         mine = order[edges[k] : edges[k + 1]]
-        crossings(mine, *rays_of, rays.image, slot, store.tables, model.angles, focal, free, starts, angles)
+        crossings(mine, *rays_of, slot, store.tables, units, free, starts, angles)
 
     _in_threads(cross, len(edges) - 1)
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
