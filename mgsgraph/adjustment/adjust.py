@@ -111,7 +111,7 @@ def adjust_network(
         layout, selection, before = _nominal(layout, sweeper, left_in)
         clock.stop("solve")
         places = _places_before(layout, before)
-        nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places, sweeper))
+        nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places))
         clock.stop("residuals")
         solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
         del before, layout, places  # the posterior needs the room
@@ -304,11 +304,11 @@ def _places_before(layout: Layout, before: Reduction) -> Array:
     return np.where((layout.rows.kind == PRIOR)[:, None], layout.rows.start, before.points)
 
 
-def _exact_residuals(layout: Layout, places: Array, sweeper: Sweeper = IN_PROCESS) -> Residuals:
+def _exact_residuals(layout: Layout, places: Array) -> Residuals:
     """With the nominal orientation at places (n, 3), layout order: a-priori ones are not where the rays alone meet."""
     nominal = np.zeros(layout.columns)
     layout, places = exactly(layout, nominal, places)
-    return residuals(layout, nominal, places, sweeper)
+    return residuals(layout, nominal, places)
 
 
 def _sigmas_without_laser(layout: Layout, solved: Solved, sweeper: Sweeper) -> Array | None:
