@@ -16,6 +16,7 @@ from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_k
 from mgsgraph.adjustment.graph.sights import measurement, sight_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
+from mgsgraph.factors import collinearity
 from mgsgraph.factors.priors import zero_prior
 from mgsgraph.geometry.body import east_north, from_planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -226,6 +227,17 @@ def test_the_oracle_finds_a_sign_error() -> None:
     assert_jacobians(right, values, steps())
     with pytest.raises(AssertionError, match=r"block o0, column (9|10|11)"):
         assert_jacobians(planted, values, steps())
+
+
+def test_the_oracle_finds_a_sign_error_in_an_equation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The explicit factors call the functions of `factors` themselves, as plain Python."""
+    made, right = layout(), collinearity.by_rotation
+    coefficients, move = state(3, 1e-3)
+    values = values_of(orientation_key(0), coefficients, made.rows.start[0] + move)
+    assert_jacobians(image_factor(made, 0, 0, UNIT(2)), values, steps())
+    monkeypatch.setattr(collinearity, "by_rotation", lambda *given: tuple(-value for value in right(*given)))
+    with pytest.raises(AssertionError, match=r"block o0, column (3|4|5|9|10|11|15|16|17)"):
+        assert_jacobians(image_factor(made, 0, 0, UNIT(2)), values, steps())
 
 
 @pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
