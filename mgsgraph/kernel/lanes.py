@@ -170,7 +170,8 @@ def multiply_add(typing: Any, factor: Any, value: Any, total: Any) -> Any:
     return _FOUR(types.float64, _FOUR, _FOUR), generate
 
 
-if config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what they are
+_config: Any = config
+if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what they are
     registers = sums_of = products_of = coupling_of = lambda array: array.reshape(-1)
     four = lambda array, index: array[index : index + FOUR].copy()  # noqa: E731
     times = lambda factor, value: factor * value  # noqa: E731
