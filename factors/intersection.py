@@ -50,7 +50,7 @@ def least_eigenvalue(normal):
     """
     (xx, _, _, yy, _, zz), determinant = minors(normal)
     trace, second, value = normal[0] + normal[3] + normal[5], xx + yy + zz, 0.0 * determinant
-    for _ in range(6):
+    for _ in range(12):
         slope = second - value * (2.0 * trace - 3.0 * value)
         value = value + (determinant - value * (second - value * (trace - value))) / np.maximum(slope, 1e-300)
     return value

@@ -6,7 +6,8 @@ S_p = L^-T (1 + sum_ij Y_i' S_ij Y_j) L^-1.
 
 import numpy as np
 
-from mgsgraph.kernel.elimination import block_place, couple_all, sight_columns
+from mgsgraph.kernel.blocks import block_place, sight_columns
+from mgsgraph.kernel.elimination import couple_all
 from mgsgraph.kernel.lanes import (
     BASIS,
     CARRIED_PAIR,

@@ -9,8 +9,9 @@ H_i = P_i M P_i' - P_i (J_i U_i)' - (J_i U_i) P_i' + J_i S_ii J_i'; an error e i
 
 import numpy as np
 
+from mgsgraph.kernel.blocks import sight_columns
 from mgsgraph.kernel.covariance import begin_middle, state_covariance
-from mgsgraph.kernel.elimination import couple_all, sight_columns
+from mgsgraph.kernel.elimination import couple_all
 from mgsgraph.kernel.lanes import (
     B_L,
     BY_POINT,

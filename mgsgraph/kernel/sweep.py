@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from mgsgraph.compiled import digest_of
 from mgsgraph.factors import collinearity
+from mgsgraph.kernel.blocks import spread
 from mgsgraph.kernel.covariance import covariance_tile
 from mgsgraph.kernel.design import design_tile
-from mgsgraph.kernel.elimination import eliminate_tile, room_for_sums, spread
+from mgsgraph.kernel.elimination import eliminate_tile, room_for_sums
 from mgsgraph.kernel.lanes import (
     COST,
     COUPLED,
