@@ -67,7 +67,7 @@ def stages() -> dict[str, Callable[..., Any]]:
     from numba import njit
 
     from mgsgraph.kernel import elimination, measurements, points, tile
-    from mgsgraph.kernel.lanes import COUPLED, TILE, coupling_of, products_of, registers, sums_of
+    from mgsgraph.kernel.lanes import COUPLED, PAIR, TILE, WIDTH, blocks_of, coupling_of, registers, turned_of
 
     compiled = njit(fastmath={"contract", "nsz"}, error_model="numpy")
 
@@ -104,21 +104,36 @@ def stages() -> dict[str, Callable[..., Any]]:
             elimination.state_pair(2, 6, 6, False, w, TILE, y, 0, COUPLED)
 
     @compiled
-    def sums(t, times):
-        first = tile.sights_of(t.rows, t.scratch.segments)[0]
-        w, sums, products = registers(t.scratch.work), sums_of(t.scratch.sums), products_of(t.scratch.products)
+    def right(t, times):
+        s, w = t.scratch, registers(t.scratch.work)
+        room = turned_of(s.turned), turned_of(s.weights), turned_of(s.sums)
+        begin = tile.sights_of(t.rows, s.segments)[0]
         for _ in range(times):
-            elimination.sum_pair(t.rows, first, first + 1, 0, 64, w, products, 12, sums, 0, t.scratch.spare)
+            here = t.rows, t.groups, t.target, s.segments, 1, begin, begin
+            elimination.sum_right(*here, w, TILE, room, t.gradient)
+
+    @compiled
+    def turn(t, times):
+        w, turned = registers(t.scratch.work), turned_of(t.scratch.turned)
+        for _ in range(times):
+            elimination.turn(36, 6, WIDTH, False, PAIR, w, turned)
+
+    @compiled
+    def sums(t, times):
+        s, w, flat = t.scratch, registers(t.scratch.work), blocks_of(t.blocks)
+        room = turned_of(s.turned), turned_of(s.weights), turned_of(s.sums)
+        begin = tile.sights_of(t.rows, s.segments)[0]
+        for _ in range(times):
+            here = t.rows, t.groups, t.target, s.segments, 1, begin, begin + 1, begin
+            elimination.sum_terms(*here, w, TILE, TILE + s.depth, room, flat)
 
     @compiled
     def eliminate(t, times):
-        w, y, s = registers(t.scratch.work), coupling_of(t.scratch.coupling), t.scratch
-        sums, products, flat = sums_of(s.sums), products_of(s.products), sums_of(t.blocks)
+        s, w, y, flat = t.scratch, registers(t.scratch.work), coupling_of(t.scratch.coupling), blocks_of(t.blocks)
+        room = turned_of(s.turned), turned_of(s.weights), turned_of(s.sums)
         for _ in range(times):
-            room = s.values, s.room, sums, s.aside, s.spare
-            elimination.eliminate_tile(
-                t.rows, t.groups, t.target, t.model, s.segments, 1, w, s.depth, y, products, *room, flat, t.gradient
-            )
+            tile_of = t.rows, t.groups, t.target, t.model, s.segments, 1
+            elimination.eliminate_tile(*tile_of, True, w, s.depth, y, room, flat, t.gradient)
 
     return {
         "load: constants and places from memory": load,
@@ -126,8 +141,10 @@ def stages() -> dict[str, Callable[..., Any]]:
         "solve: Cholesky factor and step of the point": solve,
         "couple: Y = W L^-T, all rays": couple,
         "K_ij of one pair of rays": pair,
-        "sums of one pair, times products of basis values": sums,
-        "eliminate: all of the last three, and the rest": eliminate,
+        "right sides of one ray": right,
+        "K_ij of one pair lane by lane": turn,
+        "the same, its products with basis values, summed to blocks": sums,
+        "eliminate: all from coupling on": eliminate,
     }
 
 

@@ -71,7 +71,7 @@ def measured(network: Network) -> dict[str, float]:
     sweeps, whole = [], []
     for _ in range(ITERATIONS):
         begin = time.perf_counter()
-        last = graph.reduction(nominal, True, last)
+        last = graph.reduction(nominal, points=last)
         sweeps.append(time.perf_counter() - begin)
         linear = graph.linear(last)
         linear.optimize(gtsam.Ordering.ColamdGaussianFactorGraph(linear))

@@ -18,6 +18,7 @@ from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables, make_group
 from mgsgraph.adjustment.graph.sights import sight_factor
 from mgsgraph.kernel.reduction import Reduction, point_covariances, reduce
 from mgsgraph.kernel.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, one_sight
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
 
 Column = tuple[int, int]
 """Variable, and column within it."""
@@ -85,8 +86,8 @@ class System:
     def columns(self) -> int:
         return int(self.sigmas.size)
 
-    def reduce(self, x: np.ndarray, points: np.ndarray | None = None, system: bool = True) -> Reduction:
-        return reduce(self.rows, self.groups, self.blocks.target, self.model, x, system, points)
+    def reduce(self, x: np.ndarray, points: np.ndarray | None = None, task: int = SYSTEM) -> Reduction:
+        return reduce(self.rows, self.groups, self.blocks.target, self.model, x, task, points)
 
     def matrix(self, flat: np.ndarray) -> np.ndarray:
         """(columns, columns) of blocks."""
@@ -384,7 +385,7 @@ def assert_bundle_is_explicit(system: System, x: np.ndarray, share: float = 1e-9
 def assert_gradient_is_that_of_the_cost(system: System, x: np.ndarray, share: float = 1e-6) -> None:
     """Central differences of fourth order of the reduced cost, a step of 1e-3 sigma."""
     found = system.reduce(x)
-    cost: Callable[[np.ndarray], float] = lambda move: system.reduce(x + move, found.points, system=False).cost  # noqa: E731
+    cost: Callable[[np.ndarray], float] = lambda move: system.reduce(x + move, found.points, COSTS).cost  # noqa: E731
     numeric = np.empty(system.columns)
     for k in range(system.columns):
         step = np.zeros(system.columns)

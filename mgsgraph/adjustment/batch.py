@@ -2,8 +2,10 @@
 
 The damping is Levenberg's in whitened units: a weak extra prior on the step, in the variables' own scales (a-priori
 sigmas), so that metres and radians are treated alike. A trial step costs one sweep of the kernel, which brings the
-next linear system with it; after a rejected step the cost alone. The loop is Python, the work is in the kernel, in
-LAPACK and in GTSAM.
+next linear system with it; after a rejected step the cost alone. Near the optimum, where the normal matrix hardly
+changes, its factor is kept and only the gradient is renewed (simplified Newton method; Ortega & Rheinboldt 1970, ch. 7)
+as long as steps become shorter by a factor of ten. The loop is Python, the work is in the kernel, in LAPACK and in
+GTSAM.
 """
 
 import math
@@ -13,6 +15,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import SolverError
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
 
 State = TypeVar("State")
 Step = TypeVar("Step")
@@ -25,6 +28,11 @@ _ROUNDING = 1e-11
 """Share of the cost by which it may seem to rise: body-fixed metres leave that much rounding in the residuals."""
 _NEAR = 1e-8
 """Share up to which a rise may come from where the inner solves began, and is looked at again."""
+_KEEP = 1e-5
+"""Share of the cost that a step promises to gain, up to which the matrix counts as the same after it: rows then change
+by less than some thousandths of their sigma on average."""
+_SHORTER = 0.1
+"""Of the step before, the most that a step with a kept matrix may be long, or the matrix is renewed."""
 _REMEDY = "look for blunders (reject), or try another loss"
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
 
@@ -89,16 +97,16 @@ class Problem(Protocol[State]):
     adjusts: bool
     """Whether there is anything to adjust."""
 
-    def cost(self, state: State, system: bool) -> float:
-        """Full cost; `system` says that the linear system will probably be wanted next."""
+    def cost(self, state: State, task: int) -> float:
+        """Full cost; `task` (kernel.sweep.COSTS, GRADIENT or SYSTEM) says what will probably be wanted next."""
         ...
 
     def exact_cost(self, state: State) -> float:
         """The same without any help from earlier calls."""
         ...
 
-    def linear(self, state: State) -> LinearSystem[Any]:
-        """Linear system at the state whose cost was asked for last."""
+    def linear(self, state: State, kept: Any = None) -> LinearSystem[Any]:
+        """Linear system at the state whose cost was asked for last; its matrix may be that of the system `kept`."""
         ...
 
     def moved(self, state: State, step: Any) -> State:
@@ -126,14 +134,14 @@ def levenberg_marquardt(
     SolverError
         When the start has no finite cost or the linear system can't be solved at any damping.
     """
-    state, cost = start, problem.cost(start, True)
+    state, cost = start, problem.cost(start, SYSTEM)
     initial, history = cost, list[Iteration]()
     if not math.isfinite(cost):
         raise SolverError("the starting values have no finite cost; check that all points lie before their cameras")
     if not problem.adjusts:
         return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
-    damping, rejected = _FIRST_DAMPING, 0
-    linear = problem.linear(state)
+    damping, rejected, before = _FIRST_DAMPING, 0, math.inf
+    linear, kept = problem.linear(state), False
     while len(history) < settings.max_iterations:
         step = linear.step(damping)
         if step is None:
@@ -141,10 +149,13 @@ def levenberg_marquardt(
             if damping > _MOST_DAMPING:
                 raise SolverError("the normal equations can't be solved at any damping; the network is too weak")
             continue
+        predicted, length = linear.gain(step), math.sqrt(max(linear.slope(step), 0.0))
+        if kept and length > _SHORTER * before:
+            linear, kept = problem.linear(state), False
+            continue
+        task = _next_task(predicted, length, cost, settings) if rejected == 0 else COSTS
         trial = problem.moved(state, step)
-        new = problem.cost(trial, rejected == 0)
-        predicted = linear.gain(step)
-        length = math.sqrt(max(linear.slope(step), 0.0))
+        new = problem.cost(trial, task)
         accepted = _lower(problem, state, trial, cost, new)
         now = Iteration(len(history) + 1, new, cost - new, predicted, length, damping, accepted)
         history.append(now)
@@ -154,11 +165,13 @@ def levenberg_marquardt(
             state, cost = trial, new
         if last:
             return Outcome(state, initial, cost, True, _converged(now, settings), tuple(history))
-        if accepted:
-            if rejected:
-                problem.cost(state, True)
-            damping, rejected = max(damping * _EASE, _LEAST_DAMPING), 0
-            linear = problem.linear(state)
+        if accepted and task == GRADIENT:
+            linear, kept, before = problem.linear(state, linear), True, length
+        elif accepted:
+            damping, rejected, before = max(damping * _EASE, _LEAST_DAMPING), 0, length
+            linear, kept = problem.linear(state), False
+        elif kept:
+            linear, kept = problem.linear(state), False
         else:
             rejected += 1
             damping *= _TIGHTEN**rejected
@@ -167,6 +180,15 @@ def levenberg_marquardt(
     limit = settings.max_iterations
     message = f"Stopped after {limit} iterations without converging; raise max_iterations or {_REMEDY}."
     return Outcome(state, initial, cost, False, message, tuple(history))
+
+
+def _next_task(predicted: float, length: float, cost: float, settings: SolverSettings) -> int:
+    """What a step's trial should bring with it: the whole system, also at the optimum, for the posterior; or the
+    gradient alone.
+    """
+    if predicted > _KEEP * cost or predicted <= settings.cost_tolerance * cost or length < settings.step_tolerance:
+        return SYSTEM
+    return GRADIENT
 
 
 def _lower(problem: Problem[State], state: State, trial: State, cost: float, new: float) -> bool:

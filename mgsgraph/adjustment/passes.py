@@ -17,6 +17,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import OUT, Rows
+from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind
 
@@ -162,7 +163,7 @@ def _solve(
     if settings.form == "bundle":
         outcome, reduction = solve_bundle(graph, orientation, known, settings, progress)
         return _solved(graph, selection, outcome, outcome.state, reduction.points, reduction=reduction)
-    points = (known or graph.reduction(orientation, system=False)).points
+    points = (known or graph.reduction(orientation, COSTS)).points
     found, vector, points, explicit = solve_explicit(graph, orientation, points, settings, progress)
     return _solved(graph, selection, found, vector, points, explicit=explicit)
 
@@ -225,7 +226,7 @@ def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS)
     """(n, 3) m, layout order: solved places; for points whose rays were rejected, the place that all its rays give."""
     selection = solved.selection
     whole = Selection(np.ones_like(selection.rays), np.ones_like(selection.ranges), selection.out)
-    by_all = BundleGraph(layout, whole.rows(layout), sweeper).reduction(solved.orientation, False).points
+    by_all = BundleGraph(layout, whole.rows(layout), sweeper).reduction(solved.orientation, COSTS).points
     return np.where(determined_points(solved.rows)[:, None], solved.points, by_all)
 
 

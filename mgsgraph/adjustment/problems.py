@@ -11,10 +11,11 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout, explicit_graph
 from mgsgraph.adjustment.graph.bundle import shared_vector, variable_key
 from mgsgraph.adjustment.graph.explicit import all_points
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.sparse_cholesky import NotDefinite
+from mgsgraph.adjustment.sparse_cholesky import Factor, NotDefinite
 from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
 
 _POINT_SCALE = np.full(3, 100.0)
 """m, unit of a point's step in the damping of the explicit form."""
@@ -26,19 +27,27 @@ def variable_scales(layout: Layout) -> dict[int, Array]:
 
 
 class ReducedEquations:
-    """Normal equations of the shared unknowns (`batch.LinearSystem`), damped in units of their scales."""
+    """Normal equations of the shared unknowns (`batch.LinearSystem`), damped in units of their scales.
 
-    def __init__(self, graph: BundleGraph, reduction: Reduction) -> None:
+    With the factor of `kept`, the matrix is that of another state; the gradient is that of the reduction.
+    """
+
+    def __init__(self, graph: BundleGraph, reduction: Reduction, kept: "ReducedEquations | None" = None) -> None:
         self._graph, self._reduction, self._gradient = graph, reduction, graph.gradient(reduction)
         self._damping, self._inverse_squares = 0.0, graph.layout.scales**-2.0
+        self._factor: Factor | None = None
+        if kept is not None:
+            self._factor, self._damping = kept._factor, kept._damping
 
     def step(self, damping: float) -> Array | None:
         """Solution of the damped equations; None when they are not positive definite."""
-        self._damping = damping
-        try:
-            return self._graph.factor(self._reduction, damping).solve(-self._gradient)
-        except NotDefinite:
-            return None
+        if self._factor is None or damping != self._damping:
+            assert self._reduction.task == SYSTEM, "a kept factor has the damping that it was made with"
+            try:
+                self._factor, self._damping = self._graph.factor(self._reduction, damping), damping
+            except NotDefinite:
+                return None
+        return self._factor.solve(-self._gradient)
 
     def slope(self, step: Array) -> float:
         """Minus gradient times step."""
@@ -86,25 +95,25 @@ class BundleProblem:
         self.graph, self.adjusts = graph, graph.layout.columns > 0
         self._last = known
 
-    def at(self, state: Array, system: bool) -> Reduction:
+    def at(self, state: Array, task: int) -> Reduction:
         """All points solved (and eliminated) at a state."""
         last = self._last
-        if last is None or not last.serves(state, system):
+        if last is None or not last.serves(state, task):
             begin = last if last is not None and np.isfinite(last.cost) else None
-            self._last = last = self.graph.reduction(state, system, begin)
+            self._last = last = self.graph.reduction(state, task, begin)
         return last
 
-    def cost(self, state: Array, system: bool) -> float:
+    def cost(self, state: Array, task: int) -> float:
         """Full cost."""
-        return self.graph.cost(self.at(state, system))
+        return self.graph.cost(self.at(state, task))
 
     def exact_cost(self, state: Array) -> float:
         """Full cost, all points solved from their first places."""
-        return self.graph.cost(self.graph.reduction(state, system=False))
+        return self.graph.cost(self.graph.reduction(state, COSTS))
 
-    def linear(self, state: Array) -> ReducedEquations:
+    def linear(self, state: Array, kept: ReducedEquations | None = None) -> ReducedEquations:
         """Linear system."""
-        return ReducedEquations(self.graph, self.at(state, True))
+        return ReducedEquations(self.graph, self.at(state, SYSTEM if kept is None else GRADIENT), kept)
 
     def moved(self, state: Array, step: Array) -> Array:
         """State after a step."""
@@ -117,7 +126,7 @@ class GraphProblem:
     def __init__(self, graph: gtsam.NonlinearFactorGraph, scales: Mapping[int, Array]) -> None:
         self.graph, self._scales, self.adjusts = graph, scales, len(scales) > 0
 
-    def cost(self, state: gtsam.Values, system: bool) -> float:
+    def cost(self, state: gtsam.Values, task: int) -> float:
         """Full cost."""
         return float(self.graph.error(state))
 
@@ -125,8 +134,8 @@ class GraphProblem:
         """Full cost."""
         return float(self.graph.error(state))
 
-    def linear(self, state: gtsam.Values) -> FactorEquations:
-        """Linear system."""
+    def linear(self, state: gtsam.Values, kept: FactorEquations | None = None) -> FactorEquations:
+        """Linear system, always with a matrix of its own."""
         return FactorEquations(self.graph.linearize(state), self._scales)
 
     def moved(self, state: gtsam.Values, step: gtsam.VectorValues) -> gtsam.Values:
@@ -149,7 +158,7 @@ def solve_bundle(
         found = by_gtsam(graph.graph, graph.values(start), settings, progress, graph.constant_cost)
         state = shared_vector(graph.layout, found.state)
         outcome = Outcome(state, found.cost_initial, found.cost_final, found.converged, found.message, found.history)
-    return outcome, problem.at(outcome.state, True)
+    return outcome, problem.at(outcome.state, SYSTEM)
 
 
 def solve_explicit(

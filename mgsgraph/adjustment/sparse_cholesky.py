@@ -5,12 +5,16 @@ rounding; what differs is who does the arithmetic. GTSAM's wheels multiply witho
 take a Python call per block; here a clique is one dense front, factored by LAPACK (Duff & Reid 1983; Liu 1992).
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 
 import gtsam
 import numba
 import numpy as np
 from scipy.linalg import blas, lapack
+from threadpoolctl import ThreadpoolController
 
 from mgsgraph.adjustment.square_root import SquareRoot, begins
 from mgsgraph.geometry.records import Array, Index
@@ -19,6 +23,11 @@ _RELAXED = 0.1
 """Share of a front that may be zeros for the sake of a larger one: a few large fronts take less time than many."""
 _POORLY = 2.0**-24
 """Share of a diagonal that elimination must leave of it, or its variable counts as hardly determined (as in GTSAM)."""
+
+
+_WORTHWHILE = 2e10
+"""Operations from which on threads of the BLAS are worth their company: between two products they go on waiting, and so
+take the processors from the sweeps."""
 
 
 class NotDefinite(Exception):
@@ -70,13 +79,18 @@ class SparseCholesky:
         self._pairs, self._offset = pairs[kept], offset[kept]
         self._fronts = _make_fronts(first, width, self._pairs, self._offset)
         self.columns = int(width[first >= 0].sum())
+        sizes = np.array([[front.width, front.columns.size] for front in self._fronts], dtype=np.float64).reshape(-1, 2)
+        self._operations = float((sizes[:, 0] * sizes[:, 1] ** 2).sum())
 
     def factor(self, flat: Array, diagonal: Array, scales: Array) -> "Factor":
         """Factor of flat blocks plus a diagonal (columns,), per m and rad, in units of `scales` (columns,).
 
         Raises NotDefinite.
         """
-        flat = flat.copy()
+        with _blas_threads(self._operations):
+            return self._factor(flat.copy(), diagonal, scales)
+
+    def _factor(self, flat: Array, diagonal: Array, scales: Array) -> "Factor":
         _scale(flat, self._offset, self.width[self._pairs], self.first[self._pairs], scales)
         extra = diagonal * scales**2
         rows, left, determined = list[tuple[Array, Array]](), dict[int, Array](), True
@@ -146,6 +160,21 @@ class Factor:
     def square_root(self) -> SquareRoot:
         """The record of it."""
         return self.structure.square_root(self.rows, self.scales)
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+@contextmanager
+def _blas_threads(operations: float) -> Iterator[None]:
+    """One thread for the BLAS unless there is much to do."""
+    if operations >= _WORTHWHILE:
+        yield
+    else:
+        with _controller().limit(limits=1, user_api="blas"):
+            yield
 
 
 def _make_fronts(first: Index, width: Index, pairs: Index, offset: Index) -> list[_Front]:

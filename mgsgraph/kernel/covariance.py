@@ -21,19 +21,20 @@ from mgsgraph.kernel.lanes import (
     STATE_WIDTH,
     TILE,
     WIDTH,
+    inlined,
     lane,
 )
 from mgsgraph.kernel.rows import OUT, WEAK
 from mgsgraph.kernel.tile import BEGIN, END, PATTERN, point_of, pose_components, sights_of
 
 
-@lane
+@inlined
 def entry_columns(rows, i, e):
     """Columns of a sight's e-th entry: the components of a basis term, or a single one."""
     return pose_components(rows.sight_width[i]) if e < rows.sight_terms[i] else 1
 
 
-@lane
+@inlined
 def lift(rows, i, e, a, s):
     """How column a of a sight's e-th entry acts on its state: first register, its step, and the components it moves."""
     terms = rows.sight_terms[i]
@@ -42,7 +43,7 @@ def lift(rows, i, e, a, s):
     return s + BASIS + 2 * terms * LANES + (e - terms) * WIDTH, LANES, 0, rows.sight_width[i]
 
 
-@lane
+@inlined
 def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t):
     """PAIR: covariance (7, 7) between the states of two sights."""
     for r in range(STATE_WIDTH * WIDTH):
@@ -70,7 +71,7 @@ def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, 
             singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t)
 
 
-@lane
+@inlined
 def singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t):
     """Add, in a segment, the share of pairs of entries of which one at least is a single column."""
     pattern = segments[k, PATTERN]
@@ -132,7 +133,7 @@ def begin_middle(w):
         w[MIDDLE + l], w[MIDDLE + 3 * LANES + l], w[MIDDLE + 5 * LANES + l] = 1.0, 1.0, 1.0
 
 
-@lane
+@inlined
 def store(rows, point, first, last, w, covariances):
     """Covariances (n, 3, 3): L^-T MIDDLE L^-1; NaN for weak points, zero for those that are left out."""
     for l in range(first, last):

@@ -1,7 +1,7 @@
 """The rows themselves: residuals and derivatives of every sight, whitened, for whoever wants to ask more of them."""
 
 from mgsgraph.kernel.elimination import carry_basis
-from mgsgraph.kernel.lanes import BASIS, BY_POINT, BY_STATE, LANES, RESIDUAL, RESULT, ROW, TILE, WIDTH, lane
+from mgsgraph.kernel.lanes import BASIS, BY_POINT, BY_STATE, LANES, RESIDUAL, RESULT, ROW, TILE, WIDTH, inlined, lane
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.rows import PREDICTED, Rows
 from mgsgraph.kernel.tile import BEGIN, END, pose_components, sight_place, sights_of
@@ -25,7 +25,7 @@ def design_tile(rows, model, segments, count, w, depth, values):
             store_design(rows, i, at, first, last, w, TILE + (i - begin) * depth, values)
 
 
-@lane
+@inlined
 def store_design(rows, i, at, first, last, w, s, values):
     """The same of one sight, lanes first .. last."""
     terms, width = rows.sight_terms[i], rows.sight_width[i]

@@ -5,14 +5,12 @@ sight feels the unknowns through its state (pose correction at its line): J = G'
 directions. So the small matrices K_ij between states are formed per point, and only their sums over points, weighted
 with products of basis values, reach the size of the unknowns: 36 x 9 products for two polynomials of degree two.
 
-The sums go point by point, each adding K_ij times the row of its products: no sum over lanes has to be ended, so that a
-segment of five points costs per point what one of a thousand does.
+For the sums the numbers of K_ij are laid side by side, lane by lane: no sum over lanes has to be ended, and a segment's
+sums lie as their block does, so that one of five points costs per point hardly more than one of a thousand.
 """
 
-import numpy as np
-
 from mgsgraph.factors.algebra import add, dot, scale
-from mgsgraph.kernel.blocks import fours, pair_sums, paired, sight_columns, spread_pair, term_sums
+from mgsgraph.kernel.blocks import add_entry, add_sums, block_place, paired, sight_columns
 from mgsgraph.kernel.lanes import (
     BASIS,
     BY_POINT,
@@ -24,6 +22,7 @@ from mgsgraph.kernel.lanes import (
     FORWARD,
     FOUR,
     LANES,
+    MOST_SUMS,
     PAIR,
     RESIDUAL,
     RESULT,
@@ -33,20 +32,23 @@ from mgsgraph.kernel.lanes import (
     STATE_WIDTH,
     TILE,
     WIDTH,
-    four,
+    accumulate_nine,
+    accumulate_nine_twice,
+    accumulate_one,
+    accumulate_one_twice,
+    accumulate_two,
+    accumulate_two_twice,
     inlined,
     lane,
-    multiply_add,
-    put_four,
     summing,
-    times,
+    turn_four,
 )
-from mgsgraph.kernel.measurements import row_count
-from mgsgraph.kernel.rows import GOOD, IMAGE, PREDICTED, Rows
+from mgsgraph.kernel.measurements import row_count, vector
+from mgsgraph.kernel.rows import GOOD, IMAGE, PREDICTED
 from mgsgraph.kernel.tile import BEGIN, END, PATTERN, all_good, pose_components, sights_of
 
 
-@lane
+@inlined
 def carry_basis(rows, i, w, s):
     """Basis values at the line whose pose was used."""
     terms = rows.sight_terms[i]
@@ -57,19 +59,13 @@ def carry_basis(rows, i, w, s):
 
 
 @lane
-def silence(count, w, s):
+def leave_out_unsolved(count, w, s):
     """Take points that aren't solved out of the system."""
     for row in range(count):
         for a in range(STATE_WIDTH):
             state = s + RESULT + BY_STATE + row * ROW + a * LANES
             for l in range(LANES):
                 w[state + l] = w[state + l] if w[STATE + l] == GOOD else 0.0
-
-
-@inlined
-def three(registers, first, l):
-    """Three registers of a lane."""
-    return registers[first + l], registers[first + LANES + l], registers[first + 2 * LANES + l]
 
 
 @inlined
@@ -80,7 +76,7 @@ def put_coupling(w, y, mine, right, l, a, r):
     y2 = a[2] - w[FACTOR + 3 * LANES + l] * y0 - w[FACTOR + 4 * LANES + l] * y1
     y2 *= w[FACTOR + 5 * LANES + l]
     y[mine + l], y[mine + LANES + l], y[mine + 2 * LANES + l] = y0, y1, y2
-    w[right + l] = r - dot((y0, y1, y2), three(w, FORWARD, l))
+    w[right + l] = r - dot((y0, y1, y2), vector(w, FORWARD, l))
 
 
 @lane
@@ -91,17 +87,17 @@ def couple(count, width, w, s, y, c):
         f, right, mine = s + RESULT + BY_STATE + a * LANES, s + RIGHT + a * LANES, c + 3 * a * LANES
         if count == 1:
             for l in range(LANES):
-                put_coupling(w, y, mine, right, l, scale(w[f + l], three(w, b, l)), w[f + l] * w[r + l])
+                put_coupling(w, y, mine, right, l, scale(w[f + l], vector(w, b, l)), w[f + l] * w[r + l])
         elif count == 2:
             for l in range(LANES):
                 u, v = w[f + l], w[f + ROW + l]
-                row = add(scale(u, three(w, b, l)), scale(v, three(w, b + ROW, l)))
+                row = add(scale(u, vector(w, b, l)), scale(v, vector(w, b + ROW, l)))
                 put_coupling(w, y, mine, right, l, row, u * w[r + l] + v * w[r + ROW + l])
         else:
             for l in range(LANES):
                 u, v, z = w[f + l], w[f + ROW + l], w[f + 2 * ROW + l]
-                row = add(scale(u, three(w, b, l)), scale(v, three(w, b + ROW, l)))
-                row = add(row, scale(z, three(w, b + 2 * ROW, l)))
+                row = add(scale(u, vector(w, b, l)), scale(v, vector(w, b + ROW, l)))
+                row = add(row, scale(z, vector(w, b + 2 * ROW, l)))
                 rest = u * w[r + l] + v * w[r + ROW + l] + z * w[r + 2 * ROW + l]
                 put_coupling(w, y, mine, right, l, row, rest)
 
@@ -120,7 +116,7 @@ def couple_all(rows, model, segments, w, depth, y):
         s = TILE + (i - begin) * depth
         if sight_columns(rows, i)[1] > 0:
             if lost:
-                silence(row_count(rows.sight_kind[i]), w, s)
+                leave_out_unsolved(row_count(rows.sight_kind[i]), w, s)
             if model.line == PREDICTED:
                 carry_basis(rows, i, w, s)
             couple(row_count(rows.sight_kind[i]), rows.sight_width[i], w, s, y, (i - begin) * COUPLED)
@@ -137,14 +133,14 @@ def put_products(w, k, y, z0, z1, z2, z3, z4, z5):
 def pose_pair(w, y, c, d):
     """PAIR: -Y_i Y_j' between the poses of two sights, whose coupling begins at c and d; each number is read once."""
     for l in range(LANES):
-        z0, z1, z2 = three(y, d, l), three(y, d + 3 * LANES, l), three(y, d + 6 * LANES, l)
-        z3, z4, z5 = three(y, d + 9 * LANES, l), three(y, d + 12 * LANES, l), three(y, d + 15 * LANES, l)
-        put_products(w, PAIR + l, three(y, c, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + WIDTH + l, three(y, c + 3 * LANES, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + 2 * WIDTH + l, three(y, c + 6 * LANES, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + 3 * WIDTH + l, three(y, c + 9 * LANES, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + 4 * WIDTH + l, three(y, c + 12 * LANES, l), z0, z1, z2, z3, z4, z5)
-        put_products(w, PAIR + 5 * WIDTH + l, three(y, c + 15 * LANES, l), z0, z1, z2, z3, z4, z5)
+        z0, z1, z2 = vector(y, d, l), vector(y, d + 3 * LANES, l), vector(y, d + 6 * LANES, l)
+        z3, z4, z5 = vector(y, d + 9 * LANES, l), vector(y, d + 12 * LANES, l), vector(y, d + 15 * LANES, l)
+        put_products(w, PAIR + l, vector(y, c, l), z0, z1, z2, z3, z4, z5)
+        put_products(w, PAIR + WIDTH + l, vector(y, c + 3 * LANES, l), z0, z1, z2, z3, z4, z5)
+        put_products(w, PAIR + 2 * WIDTH + l, vector(y, c + 6 * LANES, l), z0, z1, z2, z3, z4, z5)
+        put_products(w, PAIR + 3 * WIDTH + l, vector(y, c + 9 * LANES, l), z0, z1, z2, z3, z4, z5)
+        put_products(w, PAIR + 4 * WIDTH + l, vector(y, c + 12 * LANES, l), z0, z1, z2, z3, z4, z5)
+        put_products(w, PAIR + 5 * WIDTH + l, vector(y, c + 15 * LANES, l), z0, z1, z2, z3, z4, z5)
 
 
 @lane
@@ -158,68 +154,66 @@ def state_pair(count, first_width, second_width, same, w, s, y, c, d):
             z, k = d + 3 * b * LANES, PAIR + a * WIDTH + b * LANES
             if first_width != 6 or second_width != 6:
                 for l in range(LANES):
-                    w[k + l] = -dot(three(y, mine, l), three(y, z, l))
+                    w[k + l] = -dot(vector(y, mine, l), vector(y, z, l))
             f, g = s + RESULT + BY_STATE + a * LANES, s + RESULT + BY_STATE + b * LANES
             for row in range(count if same else 0):
                 for l in range(LANES):
                     w[k + l] += w[f + row * ROW + l] * w[g + row * ROW + l]
 
 
-@lane
-def lane_values(rows, i, w, s, products, at):
-    """A sight's basis values, lane by lane, in fours from `at` on."""
-    terms, room = rows.sight_terms[i], fours(rows.sight_terms[i])
-    for q in range(room):
-        value = s + BASIS + q * LANES
-        for l in range(LANES):
-            products[at + q + l * room] = w[value + l] if q < terms else 0.0
+@inlined
+def fours(count):
+    """Room for as many numbers, in fours."""
+    return FOUR * ((count + FOUR - 1) // FOUR)
 
 
 @lane
-def lane_products(rows, i, w, s, products, values, room):
-    """Products of sight i's basis values with another's (`lane_values`), lane by lane from 0 on; numbers of a lane."""
-    stride = rows.sight_terms[i] * room
-    for p in range(rows.sight_terms[i]):
-        first = s + BASIS + p * LANES
-        for q in range(0, room, FOUR):
-            for l in range(LANES):
-                value = four(products, values + l * room + q)
-                put_four(products, l * stride + p * room + q, times(w[first + l], value))
+def turn(count, columns, row, same, first, w, turned):
+    """Numbers (count / columns, columns) of registers from `first` on, whose rows are `row` apart, lane by lane: how
+    many there are for each, in fours. If the `same`, the lower triangle is that of the upper one.
+    """
+    stride, a, b = fours(count), 0, 0
+    for e in range(0, stride, FOUR):
+        first_number, a, b = number_place(a, b, columns, row, same)
+        second, a, b = number_place(a, b, columns, row, same)
+        third, a, b = number_place(a, b, columns, row, same)
+        fourth, a, b = number_place(a, b, columns, row, same)
+        for l in range(0, LANES, FOUR):
+            k = first + l
+            turn_four(w, k + first_number, k + second, k + third, k + fourth, turned, l * stride + e, stride)
     return stride
 
 
+@inlined
+def number_place(a, b, columns, row, same):
+    """Register of a number (a, b), from the first one on; and the next number. Beyond the last one all goes on."""
+    place = min(a, b) * row + max(a, b) * LANES if same else a * row + b * LANES
+    return (place, a, b + 1) if b + 1 < columns else (place, a + 1, 0)
+
+
 @lane
-def add_weighted(first, last, w, one, other, products, values, stride, sums, at, beside):
-    """Add a register of lanes first .. last times the numbers of each lane, from `values` on, to `stride` sums from
-    `at` on, and another register's to those from `beside` on.
+def weighted_sums(first, last, weights, weight, twice, turned, stride, sums, to):
+    """Sums from `to` on, over lanes first .. last, of a register times the `stride` numbers of each lane; if `twice`,
+    with the next register from MOST_SUMS beyond.
     """
+    if stride == MOST_SUMS:
+        if twice:
+            accumulate_nine_twice(weights, weight, first, last, turned, 0, stride, sums, to)
+        else:
+            accumulate_nine(weights, weight, first, last, turned, 0, stride, sums, to)
+        return
     k = 0
-    while k + 3 * FOUR <= stride:  # six sums at once: each waits for its last addition
-        a, b, c = four(sums, at + k), four(sums, at + k + FOUR), four(sums, at + k + 2 * FOUR)
-        d, e, f = four(sums, beside + k), four(sums, beside + k + FOUR), four(sums, beside + k + 2 * FOUR)
-        p = values + first * stride + k
-        for l in range(first, last):
-            u, v, x = w[one + l], w[other + l], four(products, p)
-            y, z = four(products, p + FOUR), four(products, p + 2 * FOUR)
-            a, b, c = multiply_add(u, x, a), multiply_add(u, y, b), multiply_add(u, z, c)
-            d, e, f = multiply_add(v, x, d), multiply_add(v, y, e), multiply_add(v, z, f)
-            p += stride
-        put_four(sums, at + k, a)
-        put_four(sums, at + k + FOUR, b)
-        put_four(sums, at + k + 2 * FOUR, c)
-        put_four(sums, beside + k, d)
-        put_four(sums, beside + k + FOUR, e)
-        put_four(sums, beside + k + 2 * FOUR, f)
-        k += 3 * FOUR
-    while k < stride:
-        a, d, p = four(sums, at + k), four(sums, beside + k), values + first * stride + k
-        for l in range(first, last):
-            x = four(products, p)
-            a, d = multiply_add(w[one + l], x, a), multiply_add(w[other + l], x, d)
-            p += stride
-        put_four(sums, at + k, a)
-        put_four(sums, beside + k, d)
-        k += FOUR
+    while k + 2 * FOUR <= stride:
+        if twice:
+            accumulate_two_twice(weights, weight, first, last, turned, k, stride, sums, to + k)
+        else:
+            accumulate_two(weights, weight, first, last, turned, k, stride, sums, to + k)
+        k += 2 * FOUR
+    if k < stride:
+        if twice:
+            accumulate_one_twice(weights, weight, first, last, turned, k, stride, sums, to + k)
+        else:
+            accumulate_one(weights, weight, first, last, turned, k, stride, sums, to + k)
 
 
 @summing
@@ -255,131 +249,121 @@ def direction_times(first_width, second_width, w, direction):
                 w[COLUMN + b * LANES + l] += w[k + l] * w[direction + a * LANES + l]
 
 
-@lane
-def sum_pair(rows, i, j, first, last, w, products, stride, sums, at, spare):
-    """Add K_ij of lanes first .. last, weighted with the products of basis values, to `sums` from `at` on."""
+@inlined
+def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, room, blocks):
+    """Add K_ij, weighted with products of basis values, to the blocks of the variables of each pair of terms."""
+    turned, weights, sums = room
+    terms_i, terms_j, same = rows.sight_terms[i], rows.sight_terms[j], i == j
     components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
-    for a in range(components_i if stride > 0 else 0):
-        b = a if i == j else 0
-        while b < components_j:
-            k, sink = PAIR + (STATE_WIDTH * a + b) * LANES, at + (a * components_j + b) * stride
-            beside = sink + stride if b + 1 < components_j else spare
-            add_weighted(first, last, w, k, k + LANES, products, 0, stride, sums, sink, beside)
-            b += 2
+    stride, pairs = turn(components_i * components_j, components_j, WIDTH, same, PAIR, w, turned), 0
+    for p in range(terms_i):
+        for q in range(p if same else 0, terms_j):
+            for l in range(LANES):
+                weights[pairs * LANES + l] = w[s + BASIS + p * LANES + l] * w[t + BASIS + q * LANES + l]
+            pairs += 1
+    for k in range(count):
+        for n in range(0, pairs, 2):
+            twice, to = n + 1 < pairs, n * MOST_SUMS
+            weighted_sums(segments[k, BEGIN], segments[k, END], weights, n * LANES, twice, turned, stride, sums, to)
+        (group, first), at = segment_sights(rows, segments, k, begin), 0
+        for p in range(terms_i):
+            for q in range(p if same else 0, terms_j):
+                one, other = rows.sight_entry[first + i] + p, rows.sight_entry[first + j] + q
+                start, down, across, own = block_place(rows, groups, target, group, one, other)
+                add_sums(blocks, start, down, across, sums, at, components_i, components_j)
+                if own and one != other:  # a variable's block with itself holds both triangles
+                    start, down, across, _ = block_place(rows, groups, target, group, other, one)
+                    down, across = (down, across) if same else (across, down)
+                    add_sums(blocks, start, down, across, sums, at, components_i, components_j)
+                at += MOST_SUMS
 
 
-@lane
-def sum_singles(rows, i, j, first, last, w, s, t, sums, at):
+@inlined
+def segment_sights(rows, segments, k, begin):
+    """Group of a segment, and what brings a sight of the tile's first pattern to that of the segment's."""
+    pattern = segments[k, PATTERN]
+    return rows.pattern_group[pattern], rows.pattern_sight[pattern] - begin
+
+
+@inlined
+def add_dots(rows, groups, target, segments, count, i, e, a, j, f, begin, w, register, factor, components, blocks):
+    """Add, to the block of column a of entry e of sight i and single column f of sight j, the product of `components`
+    registers each, summed over them and over lanes.
+    """
+    for k in range(count):
+        group, first = segment_sights(rows, segments, k, begin)
+        value = 0.0
+        for c in range(components):
+            value += lane_dot(segments[k, BEGIN], segments[k, END], w, register + c * LANES, factor + c * LANES)
+        entry_i, entry_j = rows.sight_entry[first + i] + e, rows.sight_entry[first + j] + f
+        add_entry(rows, groups, target, group, entry_i, a, entry_j, value, blocks)
+
+
+@inlined
+def sum_singles(rows, groups, target, segments, count, i, j, begin, w, s, t, blocks):
     """The same for single columns: those of j with everything of i, then those of i with the terms of j."""
     width_i, width_j = rows.sight_width[i], rows.sight_width[j]
     terms_i, terms_j = rows.sight_terms[i], rows.sight_terms[j]
     singles_i, singles_j = s + BASIS + 2 * terms_i * LANES, t + BASIS + 2 * terms_j * LANES
+    tile = rows, groups, target, segments, count
     for f in range(rows.sight_shared[j]):
         times_direction(width_i, width_j, i == j, w, singles_j + f * WIDTH)
         for a in range(pose_components(width_i) if terms_i > 0 else 0):
             for p in range(terms_i):
-                sums[at] += lane_dot(first, last, w, COLUMN + a * LANES, s + BASIS + p * LANES)
-                at += 1
-        for e in range(rows.sight_shared[i]):
-            for a in range(width_i):
-                sums[at] += lane_dot(first, last, w, COLUMN + a * LANES, singles_i + e * WIDTH + a * LANES)
-            at += 1
+                register, value = COLUMN + a * LANES, s + BASIS + p * LANES
+                add_dots(*tile, i, p, a, j, terms_j + f, begin, w, register, value, 1, blocks)
+        for e in range(rows.sight_shared[i] if i != j else f + 1):
+            direction = singles_i + e * WIDTH
+            add_dots(*tile, i, terms_i + e, 0, j, terms_j + f, begin, w, COLUMN, direction, width_i, blocks)
     for e in range(rows.sight_shared[i] if i != j and terms_j > 0 else 0):
         direction_times(width_i, width_j, w, singles_i + e * WIDTH)
         for b in range(pose_components(width_j)):
             for q in range(terms_j):
-                sums[at] += lane_dot(first, last, w, COLUMN + b * LANES, t + BASIS + q * LANES)
-                at += 1
+                register, value = COLUMN + b * LANES, t + BASIS + q * LANES
+                add_dots(*tile, j, q, b, i, terms_i + e, begin, w, register, value, 1, blocks)
 
 
-@lane
-def sum_right(rows, groups, target, segments, count, i, begin, w, s, products, values, sums, at, gradient):
-    """Add a sight's RIGHT to the gradient; uses the sums from `at` on."""
-    components, width, room = sight_columns(rows, i)[0], rows.sight_width[i], fours(rows.sight_terms[i])
+@inlined
+def sum_right(rows, groups, target, segments, count, i, begin, w, s, room, gradient):
+    """Add a sight's RIGHT to the gradient."""
+    turned, _, sums = room
+    components, width, terms = sight_columns(rows, i)[0], rows.sight_width[i], rows.sight_terms[i]
+    stride = turn(components, components, 0, False, s + RIGHT, w, turned)
     for k in range(count):
         first, last, pattern = segments[k, BEGIN], segments[k, END], segments[k, PATTERN]
         entry = rows.sight_entry[rows.pattern_sight[pattern] + i - begin]
         member = groups.member_first[rows.pattern_group[pattern]]
-        for a in range(0, components if room > 0 else 0, 3):  # three at a time: places, then rotations
-            for c in range(0, 3, 2):
-                register, sink = s + RIGHT + (a + c) * LANES, at + c * room
-                add_weighted(
-                    first, last, w, register, register + LANES, products, values, room, sums, sink, sink + room
-                )
-            for q in range(rows.sight_terms[i]):
-                place = target.right[member + rows.entry_member[entry + q]] + rows.entry_inside[entry + q] + a
-                for c in range(3):
-                    gradient[place + c] += sums[at + c * room + q]
-            for q in range(4 * room):
-                sums[at + q] = 0.0
-        for e in range(rows.sight_terms[i], rows.sight_terms[i] + rows.sight_shared[i]):
+        for p in range(0, terms, 2):
+            weighted_sums(first, last, w, s + BASIS + p * LANES, p + 1 < terms, turned, stride, sums, 0)
+            for r in range(min(2, terms - p)):
+                term = entry + p + r
+                place = target.right[member + rows.entry_member[term]] + rows.entry_inside[term]
+                for a in range(components):
+                    gradient[place + a] += sums[r * MOST_SUMS + a]
+        for e in range(terms, terms + rows.sight_shared[i]):
             place = target.right[member + rows.entry_member[entry + e]] + rows.entry_inside[entry + e]
-            direction = s + BASIS + 2 * rows.sight_terms[i] * LANES + (e - rows.sight_terms[i]) * WIDTH
+            direction = s + BASIS + 2 * terms * LANES + (e - terms) * WIDTH
             for a in range(width):
                 gradient[place] += lane_dot(first, last, w, s + RIGHT + a * LANES, direction + a * LANES)
 
 
-@lane
-def eliminate_tile(
-    rows,
-    groups,
-    target,
-    model,
-    segments,
-    count,
-    w,
-    depth,
-    y,
-    products,
-    values,
-    room,
-    sums,
-    aside,
-    spare,
-    blocks,
-    gradient,
-):
-    """Add a tile's solved points to the blocks of pairs of variables, and to the gradient.
-
-    A tile of one segment leaves its sums for the next tile of its pattern, or for `spread`; those of
-    others begin `aside`, and `spare` is room for what nobody wants.
-    """
+@inlined
+def eliminate_tile(rows, groups, target, model, segments, count, matrix, w, depth, y, room, blocks, gradient):
+    """Add a tile's solved points to the gradient and, if `matrix`, to the blocks of pairs of variables."""
     couple_all(rows, model, segments, w, depth, y)
     begin, end = sights_of(rows, segments)
-    fixed, at = rows.pattern_fixed[segments[0, PATTERN]] > 0, 0
-    for i in range(begin, end):
-        lane_values(rows, i, w, TILE + (i - begin) * depth, products, values + (i - begin) * room)
+    fixed, tile = rows.pattern_fixed[segments[0, PATTERN]] > 0, (rows, groups, target, segments, count)
     for i in range(begin, end):
         s = TILE + (i - begin) * depth
         if sight_columns(rows, i)[1] > 0:
-            of_sight = values + (i - begin) * room
-            sum_right(rows, groups, target, segments, count, i, begin, w, s, products, of_sight, sums, aside, gradient)
-        for j in range(i, end):
+            sum_right(*tile, i, begin, w, s, room, gradient)
+        for j in range(i, end if matrix else i):
             if not paired(rows, fixed, i, j):
                 continue
-            t = TILE + (j - begin) * depth
-            widths, own = (rows.sight_width[i], rows.sight_width[j]), (i - begin) * COUPLED
-            state_pair(row_count(rows.sight_kind[i]), *widths, i == j, w, s, y, own, (j - begin) * COUPLED)
-            stride = lane_products(rows, i, w, s, products, values + (j - begin) * room, fours(rows.sight_terms[j]))
-            for k in range(count):
-                first, last, place = segments[k, BEGIN], segments[k, END], at if count == 1 else aside
-                sum_pair(rows, i, j, first, last, w, products, stride, sums, place, spare)
-                if rows.sight_shared[i] > 0 or rows.sight_shared[j] > 0:
-                    sum_singles(rows, i, j, first, last, w, s, t, sums, place + term_sums(rows, i, j))
-                if count > 1:
-                    pattern = segments[k, PATTERN]
-                    spread_pair(rows, groups, target, pattern, i - begin, j - begin, sums, place, blocks)
-            at += pair_sums(rows, i, j)
-
-
-def room_for_sums(rows: Rows) -> tuple[int, int, int, int]:
-    """Numbers of all sums of any pattern, of those of any pair, of a tile's products of two sights' basis values, and
-    of the values of one.
-    """
-    terms, columns = rows.sight_terms, np.where(rows.sight_width < 6, 3, 6)
-    fourfold = FOUR * ((terms + FOUR - 1) // FOUR)
-    widest = columns * fourfold + rows.sight_shared
-    ends = np.concatenate([[0], np.cumsum(widest)])[rows.pattern_sight]
-    pair = max(int(widest.max(initial=0)) ** 2, 4 * FOUR * int(fourfold.max(initial=0)))
-    products = LANES * int((terms * fourfold).max(initial=0)), LANES * int(fourfold.max(initial=0))
-    return int(np.diff(ends).max(initial=0)) ** 2, pair, *products
+            t, widths = TILE + (j - begin) * depth, (rows.sight_width[i], rows.sight_width[j])
+            own, other = (i - begin) * COUPLED, (j - begin) * COUPLED
+            state_pair(row_count(rows.sight_kind[i]), *widths, i == j, w, s, y, own, other)
+            if rows.sight_terms[i] * rows.sight_terms[j] > 0:
+                sum_terms(*tile, i, j, begin, w, s, t, room, blocks)
+            if rows.sight_shared[i] + rows.sight_shared[j] > 0:
+                sum_singles(*tile, i, j, begin, w, s, t, blocks)

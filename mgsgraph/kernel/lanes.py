@@ -49,9 +49,9 @@ def _view(kind: Registers) -> Any:
     return intrinsic(made)
 
 
-_APART = ("tile", "sums", "products", "coupling")
-registers, sums_of, products_of, coupling_of = (_view(Registers(name)) for name in _APART)
-"""Registers in a contiguous array of float64, which the caller keeps alive; sums over lanes; products of basis values,
+_APART = ("tile", "blocks", "turned", "coupling")
+registers, blocks_of, turned_of, coupling_of = (_view(Registers(name)) for name in _APART)
+"""Registers in a contiguous array of float64, which the caller keeps alive; the blocks of the normal matrix; numbers
 lane by lane; the sights' coupling to their points.
 """
 
@@ -94,7 +94,7 @@ def _store(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
 
 
 FOUR = 4
-"""Products of basis values are kept in fours, which the processor takes at once."""
+"""What is summed over lanes is kept lane by lane, in fours that the processor takes at once."""
 
 
 _intrinsic: Any = intrinsic
@@ -143,20 +143,42 @@ def put_four(typing: Any, array: Any, index: Any, value: Any) -> Any:
     return types.none(array, types.int64, _FOUR), generate
 
 
+@_intrinsic
+def turn_four(typing: Any, array: Any, a: Any, b: Any, c: Any, d: Any, sink: Any, index: Any, step: Any) -> Any:
+    """Four numbers from a, b, c and d on, put side by side: the first of each at an index of `sink`, the second ones a
+    step beyond, ..
+    """
+
+    def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        source, *places, sink, index, step = arguments
+        rows = [
+            _apart(builder, builder.load(_address(builder, source, place), align=8), call.args[0]) for place in places
+        ]
+        for one, column in enumerate(_transposed(builder, rows)):
+            there = builder.add(index, builder.mul(step, ir.Constant(step.type, one)))
+            _apart(builder, builder.store(column, _address(builder, sink, there), align=8), call.args[5])
+        return context.get_dummy_value()
+
+    return types.none(array, *4 * (types.int64,), sink, types.int64, types.int64), generate
+
+
+def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
+    """Columns of a matrix of four rows."""
+
+    def mixed(one: Any, other: Any, order: list[int]) -> Any:
+        return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(ir.IntType(32), FOUR), order))
+
+    a, b, c, d = rows
+    even, odd = [0, 4, 2, 6], [1, 5, 3, 7]  # of pairs of rows
+    ab, cd, ba, dc = mixed(a, b, even), mixed(c, d, even), mixed(a, b, odd), mixed(c, d, odd)
+    low, high = [0, 1, 4, 5], [2, 3, 6, 7]
+    return [mixed(ab, cd, low), mixed(ba, dc, low), mixed(ab, cd, high), mixed(ba, dc, high)]
+
+
 def _spread(builder: Any, number: Any) -> Any:
     """Four times the same number."""
     lonely = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.IntType(32)(0))
     return builder.shuffle_vector(lonely, lonely, ir.Constant(ir.VectorType(ir.IntType(32), FOUR), [0] * FOUR))
-
-
-@_intrinsic
-def times(typing: Any, factor: Any, value: Any) -> Any:
-    """A number times four numbers."""
-
-    def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
-        return builder.fmul(_spread(builder, arguments[0]), arguments[1])
-
-    return _FOUR(types.float64, _FOUR), generate
 
 
 @_intrinsic
@@ -170,16 +192,83 @@ def multiply_add(typing: Any, factor: Any, value: Any, total: Any) -> Any:
     return _FOUR(types.float64, _FOUR, _FOUR), generate
 
 
+def _accumulating(fours: int, weights: int) -> Any:
+    """Sums of so many fours with so many weights at once: as many additions wait for one another."""
+
+    def accumulate(
+        typing: Any, array: Any, weight: Any, first: Any, last: Any, turned: Any, at: Any, step: Any, sums: Any, to: Any
+    ) -> Any:
+        def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+            array, weight, first, last, turned, at, step, sums, to = arguments
+            zero, kinds = ir.Constant(_VECTOR, FOUR * [0.0]), call.args
+            totals = [[cgutils.alloca_once_value(builder, zero) for _ in range(fours)] for _ in range(weights)]
+
+            def place(index: Any, constant: int) -> Any:
+                return builder.add(index, ir.Constant(index.type, constant))
+
+            def load(pointer: Any, kind: Any) -> Any:
+                return _apart(builder, builder.load(pointer, align=8), kind)
+
+            with cgutils.for_range_slice(builder, first, last, ir.Constant(first.type, 1)) as (lane, _):
+                own, here = builder.add(weight, lane), builder.add(at, builder.mul(lane, step))
+                factors = [
+                    _spread(builder, load(cgutils.gep_inbounds(builder, array, place(own, k * LANES)), kinds[0]))
+                    for k in range(weights)
+                ]
+                for f in range(fours):
+                    values = load(_address(builder, turned, place(here, f * FOUR)), kinds[4])
+                    for factor, row in zip(factors, totals, strict=True):
+                        product = builder.fmul(factor, values, ("contract",))
+                        builder.store(builder.fadd(product, builder.load(row[f]), ("contract",)), row[f])
+            for k, row in enumerate(totals):
+                for f, total in enumerate(row):
+                    address = _address(builder, sums, place(to, k * MOST_SUMS + f * FOUR))
+                    _apart(builder, builder.store(builder.load(total), address, align=8), kinds[7])
+            return context.get_dummy_value()
+
+        whole = types.int64
+        return types.none(array, whole, whole, whole, turned, whole, whole, sums, whole), generate
+
+    return _intrinsic(accumulate)
+
+
+MOST_SUMS = 36
+"""Numbers of a pair of poses, in fours."""
+accumulate_nine, accumulate_two, accumulate_one = (_accumulating(fours, 1) for fours in (9, 2, 1))
+accumulate_nine_twice, accumulate_two_twice, accumulate_one_twice = (_accumulating(fours, 2) for fours in (9, 2, 1))
+"""Of nine, two or one four(s) of each lane in `turned`, `step` apart from `at` on: their sums over lanes first .. last,
+times a register, or, twice, times it and the next one; to `sums` from `to` on, and from MOST_SUMS beyond.
+"""
+
 _config: Any = config
 if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what they are
-    registers = sums_of = products_of = coupling_of = lambda array: array.reshape(-1)
+    registers = blocks_of = turned_of = coupling_of = lambda array: array.reshape(-1)
     four = lambda array, index: array[index : index + FOUR].copy()  # noqa: E731
-    times = lambda factor, value: factor * value  # noqa: E731
     multiply_add = lambda factor, value, total: factor * value + total  # noqa: E731
 
     def put_four(array: Any, index: int, value: Any) -> None:
         """Put four numbers into an array from an index on."""
         array[index : index + FOUR] = value
+
+    def _plainly(fours: int, weights: int) -> Any:
+        def accumulate(
+            array: Any, weight: int, first: int, last: int, turned: Any, at: int, step: int, sums: Any, to: int
+        ) -> None:
+            for k in range(weights):
+                for f in range(fours * FOUR):
+                    values = turned[at + f + first * step : at + f + last * step : step]
+                    factors = array[weight + k * LANES + first : weight + k * LANES + last]
+                    sums[to + k * MOST_SUMS + f] = factors @ values
+
+        return accumulate
+
+    accumulate_nine, accumulate_two, accumulate_one = (_plainly(fours, 1) for fours in (9, 2, 1))
+    accumulate_nine_twice, accumulate_two_twice, accumulate_one_twice = (_plainly(fours, 2) for fours in (9, 2, 1))
+
+    def turn_four(array: Any, a: int, b: int, c: int, d: int, sink: Any, index: int, step: int) -> None:
+        """Four numbers from a, b, c and d on, put side by side."""
+        for one in range(FOUR):
+            sink[index + one * step : index + one * step + FOUR] = [array[place + one] for place in (a, b, c, d)]
 
 
 _INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -192,7 +281,9 @@ Not cached: the sweep is, with everything in it.
 """
 
 inlined = njit(fastmath={"contract", "nsz"}, forceinline=True, **_INSIDE)
-"""The same for what is called lane by lane: taken in by its caller."""
+"""The same for what is taken in by its caller: what is called lane by lane; and what is given all rows, whose arrays a
+call copies to the stack, below the stages of a tile.
+"""
 
 summing = njit(fastmath={"contract", "nsz", "reassoc"}, **_INSIDE)
 """The same for sums over lanes, whose order is free."""

@@ -169,7 +169,7 @@ def next_line(w):
     return moved
 
 
-@lane
+@inlined
 def image_rows(rows, model, segments, count, i, x, w, s):
     """Rows of image sight i: at the predicted line by Newton's method, or at the measured one."""
     predicted = model.line == PREDICTED
@@ -224,7 +224,7 @@ def ground_rows(w):
             put(w, _STATE + row * ROW, l, (-of_point[0], -of_point[1], -of_point[2]), used)
 
 
-@lane
+@inlined
 def surface_rows(rows, segments, count, w):
     """Row of a height above the terrain model; its state is where the model is. Nothing where there is no patch."""
     frame, posts = rows.terrain_frame, rows.terrain
@@ -249,7 +249,7 @@ def surface_rows(rows, segments, count, w):
         w[_STATE + r] = -w[_LINE + r]
 
 
-@lane
+@inlined
 def row_count(kind):
     """Rows of a sight."""
     return 2 if kind == IMAGE else 3 if kind == GROUND else 1
@@ -315,7 +315,7 @@ def add_rows(model, robust, kind, width, w):
             w[GRADIENT + 2 * LANES + l] += c * value
 
 
-@lane
+@inlined
 def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
     """Rows of all sights at PLACE, their COST and normal equations; if `kept` they go to the sights' own registers."""
     for l in range(LANES):

@@ -13,6 +13,7 @@ from mgsgraph.kernel.lanes import (
     PLACE,
     SQUARE,
     STATE,
+    inlined,
     lane,
     summing,
 )
@@ -84,7 +85,7 @@ def largest_step(w):
     return value
 
 
-@lane
+@inlined
 def solve_tile(rows, model, segments, count, x, places, move, everything, w, depth, kept):
     """Best places of a tile's points with the orientation held: PLACE, COST and STATE, and, if `kept`, rows there.
 

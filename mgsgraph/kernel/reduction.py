@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mgsgraph.kernel.design import most_columns
 from mgsgraph.kernel.reliability import NUMBERS
 from mgsgraph.kernel.rows import NO_LOSS, Groups, Model, Rows, Target
-from mgsgraph.kernel.sweep import COSTS, COVARIANCES, DESIGN, RELIABILITY, RESIDUALS, SYSTEM, sweep_all
+from mgsgraph.kernel.sweep import COVARIANCES, DESIGN, RELIABILITY, RESIDUALS, SYSTEM, sweep_all
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 class Reduction:
     """All points solved and eliminated at one orientation."""
 
+    task: int
+    """What was asked for: sweep.COSTS, GRADIENT or SYSTEM."""
     orientation: Array
     """(columns,) orientation vector it was made at."""
     cost: float
@@ -28,17 +30,17 @@ class Reduction:
     piece_cost: Array
     """(m,) the same by piece."""
     blocks: Array | None
-    """Reduced normal matrix in the blocks of a `Target`; None unless asked for."""
+    """Reduced normal matrix in the blocks of a `Target`; None unless it was asked for."""
     gradient: Array
-    """Reduced gradient, likewise."""
+    """(columns,) reduced gradient; empty unless it was asked for."""
     points: Array
     """(n, 3) m, solved places in the layout's order."""
     states: NDArray[np.int8]
     """(n,) rows.GOOD, BEHIND or WEAK."""
 
-    def serves(self, orientation: Array, system: bool) -> bool:
-        """Whether it is of this orientation, and eliminated if that is wanted: then it needs no other."""
-        return (self.blocks is not None or not system) and np.array_equal(self.orientation, orientation)
+    def serves(self, orientation: Array, task: int) -> bool:
+        """Whether it is of this orientation and has what a task asks for: then it needs no other."""
+        return self.task >= task and np.array_equal(self.orientation, orientation)
 
 
 def reduce(
@@ -47,21 +49,19 @@ def reduce(
     target: Target,
     model: Model,
     orientation: Array,
-    system: bool = True,
+    task: int = SYSTEM,
     points: Array | None = None,
 ) -> Reduction:
-    """Solve all points for an orientation and, if `system`, eliminate them: one pass of the kernel.
+    """Solve all points for an orientation (sweep.COSTS) and eliminate them (GRADIENT, SYSTEM): one pass of the kernel.
 
     The inner solve begins at `points` (n, 3), where an earlier call ended (with a robust loss, and without them, at
     `rows.start`): that saves steps; the result is the same to the tolerance of that solve.
     """
     places = (rows.start if points is None else points).copy()
     states, costs = np.empty(rows.kind.size, dtype=np.int8), np.empty(rows.piece.shape[0])
-    task = SYSTEM if system else COSTS
     blocks, gradient = sweep_all(rows, groups, target, model, orientation, task, places, states, costs)
-    return Reduction(
-        orientation.copy(), float(costs.sum()), costs, blocks if system else None, gradient, places, states
-    )
+    own, cost = blocks if task == SYSTEM else None, float(costs.sum())
+    return Reduction(task, orientation.copy(), cost, costs, own, gradient, places, states)
 
 
 def point_covariances(

@@ -31,6 +31,7 @@ from mgsgraph.kernel.lanes import (
     STATE,
     TILE,
     WIDTH,
+    inlined,
     lane,
 )
 from mgsgraph.kernel.measurements import row_count
@@ -127,7 +128,7 @@ def share(row, other, l, w):
     return total
 
 
-@lane
+@inlined
 def store_sight(rows, count, felt, at, point, first, last, w, s, values):
     """`NUMBERS` of each row of a sight, lanes first .. last; NaN where the point is out or weak."""
     for l in range(first, last):

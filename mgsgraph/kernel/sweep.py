@@ -15,45 +15,47 @@ from numpy.typing import NDArray
 
 from mgsgraph.compiled import digest_of
 from mgsgraph.factors import collinearity
-from mgsgraph.kernel.blocks import spread
 from mgsgraph.kernel.covariance import covariance_tile
 from mgsgraph.kernel.design import design_tile
-from mgsgraph.kernel.elimination import eliminate_tile, room_for_sums
+from mgsgraph.kernel.elimination import eliminate_tile
 from mgsgraph.kernel.lanes import (
     COST,
     COUPLED,
     FRONT,
     LANES,
+    MOST_SUMS,
     PLACE,
     RESIDUAL,
     RESULT,
     ROW,
     STATE,
     TILE,
+    blocks_of,
     coupling_of,
+    inlined,
     lane,
-    products_of,
     registers,
-    sums_of,
+    turned_of,
 )
 from mgsgraph.kernel.points import solve_tile
 from mgsgraph.kernel.reliability import reliability_tile
 from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, SURFACE, Groups, Model, Rows, Target
-from mgsgraph.kernel.tile import BEGIN, END, PATTERN, PIECE_OF, fill, point_of, sight_place, sights_of, workspace
+from mgsgraph.kernel.tile import BEGIN, END, PIECE_OF, fill, point_of, sight_place, sights_of, workspace
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-COSTS, SYSTEM, COVARIANCES, RESIDUALS, RELIABILITY, DESIGN = 0, 1, 2, 3, 4, 5
-"""What a sweep is for: costs of the best places; the reduced system there, too; covariances, or residuals of all rows,
-taking part or not, or reliability or design of those that take part, at given places.
+COSTS, GRADIENT, SYSTEM, COVARIANCES, RESIDUALS, RELIABILITY, DESIGN = 0, 1, 2, 3, 4, 5, 6
+"""What a sweep is for: costs of the best places; the reduced gradient there, too; that and the reduced normal matrix;
+covariances, or residuals of all rows, taking part or not, or reliability or design of those that take part, at given
+places.
 """
 
 _WORTHWHILE = 5000.0
 """Sights below which a second thread costs more than it saves."""
 
 
-@lane
+@inlined
 def store_places(rows, segments, count, w, places, states, costs):
     """Places (n, 3) and states (n,) of a tile; its costs are added to those of its pieces, infinite where a point is
     behind a camera.
@@ -97,27 +99,22 @@ class Scratch(NamedTuple):
     """Numbers per sight among them."""
     segments: Index
     """(LANES, 5) of a tile."""
+    turned: Array
+    """Numbers to be summed, lane by lane."""
+    weights: Array
+    """Products of two sights' basis values."""
     sums: Array
-    """Sums over the points of a pattern, from `aside` on those of a segment, from `spare` on what nobody wants."""
-    aside: int
-    spare: int
-    products: Array
-    """Products of two sights' basis values, lane by lane, and from `values` on those of each sight, `room` apart."""
-    values: int
-    room: int
+    """Of a segment's lanes, for each product."""
     coupling: Array
     """Of the sights to their points."""
 
 
 def scratch_for(rows: Rows) -> Scratch:
     """Room for a thread."""
-    (size, depth), (sums, pair, products, values) = workspace(rows), room_for_sums(rows)
-    most = int(np.diff(rows.pattern_sight).max(initial=0))
-    every, coupling = np.zeros(products + most * values), np.zeros(most * COUPLED)
-    segments = np.zeros((LANES, 5), dtype=np.int64)
-    return Scratch(
-        np.zeros(size), depth, segments, np.zeros(sums + 2 * pair), sums, sums + pair, every, products, values, coupling
-    )
+    (size, depth), most = workspace(rows), int(np.diff(rows.pattern_sight).max(initial=0))
+    pairs = max(2, int(rows.sight_terms.max(initial=0)) ** 2)
+    sums = np.zeros(LANES * MOST_SUMS), np.zeros(pairs * LANES), np.zeros((pairs + 1) * MOST_SUMS)
+    return Scratch(np.zeros(size), depth, np.zeros((LANES, 5), dtype=np.int64), *sums, np.zeros(most * COUPLED))
 
 
 def _compiled(sources: str) -> Any:
@@ -145,18 +142,19 @@ def _compiled(sources: str) -> Any:
     ):
         """One sweep over the pieces first_piece .. last_piece.
 
-        COSTS and SYSTEM begin at `places` (n, 3) and leave the best ones there, with states (n,) and the cost of each
-        piece in costs (m,); SYSTEM adds the reduced normal matrix to `blocks` and the gradient to `gradient`.
+        COSTS, GRADIENT and SYSTEM begin at `places` (n, 3) and leave the best ones there, with states (n,) and the cost
+        of each piece in costs (m,); the latter two add the reduced gradient to `gradient`, SYSTEM the normal matrix to
+        `blocks`.
         COVARIANCES and RELIABILITY take the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3)
         covariances, (t, 2, 1) residuals, (t, 3, 7) `reliability.NUMBERS` or (t, 3, c) rows as in `design`.
         """
         if len(sources) == 0:
             return
-        flat = sums_of(blocks)
-        w, sums, products = registers(scratch.work), sums_of(scratch.sums), products_of(scratch.products)
-        y, segments, depth = coupling_of(scratch.coupling), scratch.segments, scratch.depth
+        w, flat, y = registers(scratch.work), blocks_of(blocks), coupling_of(scratch.coupling)
+        room = turned_of(scratch.turned), turned_of(scratch.weights), turned_of(scratch.sums)
+        segments, depth = scratch.segments, scratch.depth
         costs[first_piece:last_piece] = 0.0
-        piece, first, open_pattern = first_piece, 0, -1
+        piece, first = first_piece, 0
         while piece < last_piece:
             count, piece, first = fill(rows, piece, first, last_piece, segments)
             solve_tile(
@@ -164,15 +162,9 @@ def _compiled(sources: str) -> Any:
             )
             if task <= SYSTEM:
                 store_places(rows, segments, count, w, places, states, costs)
-            if task == SYSTEM:
-                pattern = segments[0, PATTERN] if count == 1 else -1
-                if open_pattern >= 0 and pattern != open_pattern:
-                    spread(rows, groups, target, open_pattern, sums, flat)
-                open_pattern = pattern
-                room = scratch.values, scratch.room, sums, scratch.aside, scratch.spare
-                eliminate_tile(
-                    rows, groups, target, model, segments, count, w, depth, y, products, *room, flat, gradient
-                )
+            if task == GRADIENT or task == SYSTEM:
+                whole = task == SYSTEM
+                eliminate_tile(rows, groups, target, model, segments, count, whole, w, depth, y, room, flat, gradient)
             elif task == COVARIANCES:
                 covariance_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
             elif task == RESIDUALS:
@@ -181,8 +173,6 @@ def _compiled(sources: str) -> Any:
                 reliability_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
             elif task == DESIGN:
                 design_tile(rows, model, segments, count, w, depth, values)
-        if open_pattern >= 0:
-            spread(rows, groups, target, open_pattern, sums, flat)
 
     return sweep
 
@@ -237,7 +227,7 @@ def sweep_all(
     """
     count = min(numba.get_num_threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
     edges = even_parts(rows, count) if count > 1 else np.array([0, rows.piece.shape[0]])
-    system = task == SYSTEM
+    system, sloping = task == SYSTEM, task in (GRADIENT, SYSTEM)
     states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states
     costs = np.empty(rows.piece.shape[0]) if costs is None else costs
     values = np.empty((0, 0, 0)) if values is None else values
@@ -246,7 +236,8 @@ def sweep_all(
     rows = with_frozen_terrain(rows)
 
     def part(k: int) -> tuple[Array, Array]:
-        blocks, gradient = (np.zeros(target.size), np.zeros(target.columns)) if system else (none, none)
+        blocks = np.zeros(target.size) if system else none
+        gradient = np.zeros(target.columns) if sloping else none
         results = (scratch_for(rows), places, states, costs, blocks, gradient, values)
         sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
         return blocks, gradient
@@ -258,5 +249,6 @@ def sweep_all(
     for more, slope in running:
         if system:
             blocks += more
+        if sloping:
             gradient += slope
     return blocks, gradient

@@ -31,6 +31,7 @@ from mgsgraph.kernel.lanes import (
     VELOCITY,
     WEIGHT,
     WIDTH,
+    inlined,
     lane,
     registers,
 )
@@ -48,7 +49,7 @@ def workspace(rows: Rows) -> tuple[int, int]:
     return TILE + most * depth, depth
 
 
-@lane
+@inlined
 def fill(rows, piece, first, last_piece, segments):
     """Segments of the next tile, from a point of a piece on; their number, and piece and point at which it ends."""
     shape, count, n = rows.pattern_shape[rows.piece[piece, 0]], 0, 0
@@ -63,27 +64,27 @@ def fill(rows, piece, first, last_piece, segments):
     return count, piece, first
 
 
-@lane
+@inlined
 def sights_of(rows, segments):
     """First sight of the tile's first pattern, which stands for its shape, and the one after its last."""
     pattern = segments[0, PATTERN]
     return rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1]
 
 
-@lane
+@inlined
 def point_of(rows, segments, k):
     """Point of the lane before a segment's first, were they counted on: point + l is that of lane l."""
     return rows.piece[segments[k, PIECE_OF], 1] + segments[k, FIRST] - segments[k, BEGIN]
 
 
-@lane
+@inlined
 def sight_place(rows, segments, k, sight):
     """The same place of a sight, counted within its point, among all sights."""
     piece = segments[k, PIECE_OF]
     return rows.piece[piece, 4] + sight * rows.piece[piece, 2] + segments[k, FIRST] - segments[k, BEGIN]
 
 
-@lane
+@inlined
 def load(rows, model, segments, count, w, depth, places):
     """Load a tile: which points take part, where they are, and their sights' constants; spare lanes do nothing."""
     for l in range(LANES):
@@ -101,7 +102,7 @@ def load(rows, model, segments, count, w, depth, places):
         at = load_sight(rows, model, segments, count, begin, i, at, w, TILE + (i - begin) * depth)
 
 
-@lane
+@inlined
 def copied(rows, segments, count, at, w, register, components):
     """Copy components `at` .. of all points' constants to consecutive registers; which component comes next."""
     data = registers(rows.data)
@@ -115,7 +116,7 @@ def copied(rows, segments, count, at, w, register, components):
     return at + components
 
 
-@lane
+@inlined
 def powers(rows, segments, count, sight, terms, w, basis, rates):
     """Values 1, u, u^2, .. of a polynomial and, if `rates`, theirs per line, of the line u in the second register."""
     for t in range(2, terms):
@@ -132,7 +133,7 @@ def powers(rows, segments, count, sight, terms, w, basis, rates):
                 w[basis + (terms + t) * LANES + l] = t * rate * w[basis + (t - 1) * LANES + l]
 
 
-@lane
+@inlined
 def load_sight(rows, model, segments, count, begin, i, at, w, s):
     """Constants of sight i in the order of `Rows.data`: its own, then basis values, then directions."""
     kind, rates = rows.sight_kind[i], False
@@ -181,7 +182,7 @@ def copy_block(w, source, sink, size):
         w[sink + r] = w[source + r]
 
 
-@lane
+@inlined
 def pose_components(width):
     """Components of a state that a basis term moves: place and rotation, or the place alone; never focal length or
     range bias, which are single columns.
@@ -189,7 +190,7 @@ def pose_components(width):
     return 6 if width >= 6 else 3
 
 
-@lane
+@inlined
 def correct(rows, segments, count, i, x, w, s, rates):
     """DELTA and, if `rates`, RATE: what the unknowns x do to sight i, CARRY lines from the line of its constants."""
     for r in range(STATE_WIDTH * LANES):

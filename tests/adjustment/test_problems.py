@@ -1,6 +1,7 @@
 """The optimisers: GTSAM's by name beside our own, what a rejected step costs, and the linear system itself."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -14,7 +15,7 @@ from mgsgraph.adjustment.posterior import orientation_covariance, shared_margina
 from mgsgraph.adjustment.problems import FactorEquations
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.kernel.sweep import sweep
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, sweep
 
 
 @pytest.mark.parametrize("form", ["bundle", "explicit"])
@@ -66,17 +67,17 @@ class Parabola:
 
     def __init__(self, lies: Iterator[float]) -> None:
         self.adjusts = True
-        self.lies, self.asked, self.exactly = lies, list[bool](), 0
+        self.lies, self.asked, self.exactly = lies, list[int](), 0
 
-    def cost(self, state: np.ndarray, system: bool) -> float:
-        self.asked.append(system)
+    def cost(self, state: np.ndarray, task: int) -> float:
+        self.asked.append(task)
         return (1.0 + 0.5 * float((state[0] - 3.0) ** 2)) * (1.0 + next(self.lies))
 
     def exact_cost(self, state: np.ndarray) -> float:
         self.exactly += 1
         return 1.0 + 0.5 * float((state[0] - 3.0) ** 2)
 
-    def linear(self, state: np.ndarray) -> FactorEquations:
+    def linear(self, state: np.ndarray, kept: FactorEquations | None = None) -> FactorEquations:
         graph = gtsam.GaussianFactorGraph()
         graph.push_back(gtsam.HessianFactor(0, np.eye(1), np.array([3.0 - state[0]]), 0.0))
         return FactorEquations(graph, {0: np.ones(1)})
@@ -105,8 +106,66 @@ def test_after_a_rejected_step_the_cost_alone_is_asked_for() -> None:
     problem = Parabola(iter([0.0, 10.0, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     history = minimise(problem, 1.0)
     assert [now.accepted for now in history[:3]] == [False, False, True]
-    assert problem.asked[:5] == [True, True, False, False, True]
+    assert problem.asked[:4] == [SYSTEM, SYSTEM, COSTS, COSTS]
+    assert problem.asked[4] != COSTS
     assert problem.exactly == 0
+
+
+class Bent:
+    """A cost of 1000 plus x^2 / 2 + bend x^4 / 4, whose curvature is 1 + 3 bend x^2 and changes as one likes."""
+
+    def __init__(self, bend: float) -> None:
+        self.adjusts, self.bend = True, bend
+        self.asked, self.kept = list[int](), list[bool]()
+
+    def cost(self, state: float, task: int) -> float:
+        self.asked.append(task)
+        return self.exact_cost(state)
+
+    def exact_cost(self, state: float) -> float:
+        return 1000.0 + 0.5 * state**2 + 0.25 * self.bend * state**4
+
+    def linear(self, state: float, kept: "Curvature | None" = None) -> "Curvature":
+        self.kept.append(kept is not None)
+        curvature = kept.curvature if kept else 1.0 + 3.0 * self.bend * state**2
+        return Curvature(state + self.bend * state**3, curvature)
+
+    def moved(self, state: float, step: float) -> float:
+        return state + step
+
+
+class Curvature(NamedTuple):
+    """Normal equation of one unknown."""
+
+    gradient: float
+    curvature: float
+
+    def step(self, damping: float) -> float:
+        return -self.gradient / self.curvature
+
+    def slope(self, step: float) -> float:
+        return -self.gradient * step
+
+    def gain(self, step: float) -> float:
+        return 0.5 * self.slope(step)
+
+
+@pytest.mark.parametrize("bend", [1.0, 300.0, 1e5])
+def test_a_kept_matrix_is_renewed_where_it_no_longer_fits(bend: float) -> None:
+    """Whether the curvature changes hardly or a thousandfold: the optimum is found, and with one that hardly changes
+    only the gradient is asked for.
+    """
+    problem = Bent(bend)
+    settings = SolverSettings(cost_tolerance=1e-15)
+    outcome = levenberg_marquardt(problem, 0.1, settings, lambda _: None)
+    assert outcome.converged
+    assert abs(outcome.state) < 1e-5
+    assert len(outcome.history) < 20
+    assert GRADIENT in problem.asked
+    assert any(problem.kept)
+    if bend > 1.0:
+        assert sum(not kept for kept in problem.kept) > 1
+
 
 
 def test_the_kernel_is_compiled_for_one_signature() -> None:

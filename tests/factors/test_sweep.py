@@ -18,6 +18,7 @@ from mgsgraph.adjustment.graph import lay_out, patterns
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.kernel import sweep
 from mgsgraph.kernel.rows import Rows
+from mgsgraph.kernel.sweep import COSTS
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -103,7 +104,7 @@ def test_a_warm_start_saves_steps_and_changes_nothing(seed: int) -> None:
     np.testing.assert_allclose(warm.points, cold.points, rtol=0.0, atol=1e-5)
     scaled = cold.gradient * system.sigmas
     np.testing.assert_allclose(warm.gradient * system.sigmas, scaled, rtol=0.0, atol=1e-6 * np.abs(scaled).max())
-    assert system.reduce(x, near, system=False).cost == warm.cost
+    assert system.reduce(x, near, COSTS).cost == warm.cost
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])

@@ -26,6 +26,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.square_root import SquareRoot, in_cliques, is_indeterminate
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
 
 
@@ -77,7 +78,7 @@ class RaysAlone:
         """Points (n, 3) where the unknowns put them, and the layout in whose order they are."""
 
         def again(layout: Layout) -> Reduction:
-            return BundleGraph(layout, self._selection.rows(layout)).reduction(orientation, system=False)
+            return BundleGraph(layout, self._selection.rows(layout)).reduction(orientation, COSTS)
 
         layout, found = settled(self._layout, again(self._layout), again)
         return layout, found.points

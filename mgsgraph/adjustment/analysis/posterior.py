@@ -25,6 +25,7 @@ from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import point_covariances, reduce
 from mgsgraph.kernel.rows import FIXED, GOOD, OUT
+from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import ImageRays
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
 
@@ -260,7 +261,7 @@ class Posterior:
     def _meet(self, layout: Layout) -> tuple[Array, Mask]:
         """Places (m, 3), layout order, at which new rays meet, and which of them do."""
         target, orientation = layout.blocks.target, self.linearised.orientation
-        found = reduce(layout.rows, layout.groups, target, layout.model, orientation, system=False)
+        found = reduce(layout.rows, layout.groups, target, layout.model, orientation, COSTS)
         return found.points, (found.states == GOOD) & (layout.rows.kind != OUT)
 
     @cached_property

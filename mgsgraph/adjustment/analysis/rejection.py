@@ -14,6 +14,7 @@ from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.rows import GROUND, OUT, SURFACE
+from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
@@ -188,7 +189,7 @@ def readmissible(
         return []
     layout = lay_out(network, solution.settings, solution.places)
     determined = solution.determined[layout.point_order]
-    by_all = BundleGraph(layout, layout.rows).reduction(at.orientation, system=False).points
+    by_all = BundleGraph(layout, layout.rows).reduction(at.orientation, COSTS).points
     points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
     layout, points = exactly(layout.following(points, at.orientation), at.orientation, points)
     whole = Linearised(layout, at.settings, layout.rows, at.orientation, points, at.joint)

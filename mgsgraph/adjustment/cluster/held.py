@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Groups, Model, Rows, Target
-from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, own
+from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RESIDUALS, SYSTEM, own
 
 HOLD, PLACES = -1, -2
 """Orders beside the kernel's sweeps: take a partition in; tell where the points of an earlier sweep ended."""
@@ -91,14 +91,14 @@ def carry_out(order: Order) -> Answer:
     Returns
     -------
     tuple
-        NOT_HELD, or: COSTS and SYSTEM: cost of each piece, blocks (None for COSTS), gradient; COVARIANCES: (n, 3, 3)
-        m^2; RESIDUALS: (t, 2); PLACES: (n, 3) m, and states (n,); HOLD: its number of bytes.
+        NOT_HELD, or: COSTS, GRADIENT and SYSTEM: cost of each piece, blocks (SYSTEM) or None, gradient; COVARIANCES:
+        (n, 3, 3) m^2; RESIDUALS: (t, 2); PLACES: (n, 3) m, and states (n,); HOLD: its number of bytes.
     """
     held = _find(order)
     if held is None:
         return NOT_HELD
     constants, x, points = held.source, order.orientation, order.points
-    if order.task in (COSTS, SYSTEM):
+    if order.task in (COSTS, GRADIENT, SYSTEM):
         return _reduce(held, order)
     if order.task == PLACES:
         if order.number not in held.ends:
@@ -135,7 +135,7 @@ def _reduce(held: _Held, order: Order) -> Answer:
     begin = order.points
     if order.after in held.ends:
         begin = held.ends[order.after][0]
-    found = reduce(*held.source, order.orientation, order.task == SYSTEM, begin)
+    found = reduce(*held.source, order.orientation, COSTS if order.task == PLACES else order.task, begin)
     held.ends = {number: end for number, end in held.ends.items() if number in order.kept}
     held.ends[order.number] = found.points, found.states
     return found.piece_cost, found.blocks, found.gradient

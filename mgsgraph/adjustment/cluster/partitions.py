@@ -38,7 +38,7 @@ from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Groups, Rows, Target, partition
-from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, SYSTEM, even_parts
+from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, even_parts
 
 _COPIES = 2.0
 """Memory for a partition over its own size: what it is unpacked from, or scratch and results."""
@@ -94,11 +94,11 @@ class PartedReduction(Reduction):
     """A reduction whose points stay with the workers until they are asked for."""
 
     def __init__(
-        self, sweep: "Partitions", rows: Rows, number: int, orientation: Array, system: bool, parts: list[Answer]
+        self, sweep: "Partitions", rows: Rows, number: int, orientation: Array, task: int, parts: list[Answer]
     ) -> None:
         costs = joined(parts, 0)
-        whole = {"orientation": orientation.copy(), "cost": float(costs.sum()), "piece_cost": costs}
-        blocks, gradient = sweep.summed(parts) if system else (None, np.empty(0))
+        whole = {"task": task, "orientation": orientation.copy(), "cost": float(costs.sum()), "piece_cost": costs}
+        blocks, gradient = (None, np.empty(0)) if task == COSTS else sweep.summed(parts)
         own = {"rows": rows, "number": number, "_sweep": sweep, "_ends": None}
         for name, value in (whole | {"blocks": blocks, "gradient": gradient} | own).items():
             object.__setattr__(self, name, value)  # frozen, like its parent
@@ -177,7 +177,7 @@ class Partitions:
     # --- what a Sweeper does
 
     def reduction(
-        self, layout: Layout, rows: Rows, orientation: Array, system: bool, points: Array | Reduction | None
+        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
     ) -> Reduction:
         """All points solved (and eliminated)."""
         self._take(layout)
@@ -187,10 +187,9 @@ class Partitions:
 
         def order(part: _Part) -> Order:
             begin = None if given is None else given[part.points]
-            task = SYSTEM if system else COSTS
             return Order(part.token, task, orientation, number=number, after=after, kept=kept, points=begin)
 
-        made = PartedReduction(self, rows, number, orientation, system, self._sweep(rows, order))
+        made = PartedReduction(self, rows, number, orientation, task, self._sweep(rows, order))
         self._living.add(made)
         return made
 
@@ -225,15 +224,16 @@ class Partitions:
         ends = self._sweep(reduction.rows, order)
         return joined(ends, 0), joined(ends, 1)
 
-    def summed(self, parts: list[Answer]) -> tuple[Array, Array]:
-        """Blocks of the whole, and its gradient."""
+    def summed(self, parts: list[Answer]) -> tuple[Array | None, Array]:
+        """Blocks of the whole, where the parts have theirs, and its gradient."""
         target = self._layout.blocks.target
-        blocks, gradient = np.zeros(target.size), np.zeros(target.columns)
+        blocks, gradient = None, np.zeros(target.columns)
         for part, (_, some, slope) in zip(self._parts, parts, strict=True):
-            assert some is not None
             assert slope is not None
-            blocks[part.blocks] += some
             gradient += slope
+            if some is not None:
+                blocks = np.zeros(target.size) if blocks is None else blocks
+                blocks[part.blocks] += some
         return blocks, gradient
 
     # --- who does it

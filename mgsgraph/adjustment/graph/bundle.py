@@ -19,6 +19,7 @@ from mgsgraph.factors.priors import linear_prior, zero_prior
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction, all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Rows
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
 
 
 def orientation_key(image: int) -> int:
@@ -72,7 +73,7 @@ class Sweeper(Protocol):
     """Who goes over all points: this process, or the workers of a cluster. Rows are a layout's, or made of them."""
 
     def reduction(
-        self, layout: Layout, rows: Rows, orientation: Array, system: bool, points: Array | Reduction | None
+        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
     ) -> Reduction:
         """All points solved (and eliminated), see `kernel.reduction.reduce`; `points` as in `BundleGraph.reduction`."""
         ...
@@ -90,11 +91,11 @@ class InProcess:
     """Sweeps by this process's threads."""
 
     def reduction(
-        self, layout: Layout, rows: Rows, orientation: Array, system: bool, points: Array | Reduction | None
+        self, layout: Layout, rows: Rows, orientation: Array, task: int, points: Array | Reduction | None
     ) -> Reduction:
         """All points solved (and eliminated)."""
         begin = points.points if isinstance(points, Reduction) else points
-        return reduce(rows, layout.groups, layout.blocks.target, layout.model, orientation, system, begin)
+        return reduce(rows, layout.groups, layout.blocks.target, layout.model, orientation, task, begin)
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """(n, 3, 3) m^2."""
@@ -125,11 +126,11 @@ class BundleGraph:
         self.rows = layout.rows if rows is None else rows
         self._keys = {v: variable_key(layout, v) for v in layout.variables.adjusted()}
 
-    def reduction(self, orientation: Array, system: bool = True, points: Array | Reduction | None = None) -> Reduction:
+    def reduction(self, orientation: Array, task: int = SYSTEM, points: Array | Reduction | None = None) -> Reduction:
         """All points solved (and eliminated) at an orientation vector (columns,), beginning at `points` (n, 3), or
         where an earlier reduction ended.
         """
-        return self.sweeper.reduction(self.layout, self.rows, orientation, system, points)
+        return self.sweeper.reduction(self.layout, self.rows, orientation, task, points)
 
     def cost(self, reduction: Reduction) -> float:
         """Full cost: of all points, and of the priors on the shared unknowns."""
@@ -206,7 +207,7 @@ class BundleGraph:
     @property
     def constant_cost(self) -> float:
         """Cost of points that only held images see: no variable, so no bundle factor carries it."""
-        reduction = self.reduction(np.zeros(self.layout.columns), system=False)
+        reduction = self.reduction(np.zeros(self.layout.columns), COSTS)
         alone = [group for group, members in enumerate(self.layout.group_variables) if not members]
         owner = self.rows.pattern_group[self.rows.piece[:, 0]]
         return float(reduction.piece_cost[np.isin(owner, alone)].sum())

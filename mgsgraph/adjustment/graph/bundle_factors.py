@@ -13,6 +13,7 @@ import numpy as np
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction, dense, reduce
 from mgsgraph.kernel.rows import Groups, Model, Rows, Target
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
 
 _ROUNDING = tuple(10.0**k for k in range(-15, -7))
 """Shares of a system's largest curvature that rounding may have put wrong, and taken below zero: the least one that
@@ -96,12 +97,12 @@ class Bundles:
         self._of_key = dict(pairs)
         self._last: Reduction | None = None
 
-    def at(self, orientation: Array, system: bool = True) -> Reduction:
+    def at(self, orientation: Array, task: int = SYSTEM) -> Reduction:
         """Reduction at an orientation; the last one is kept, so that the factors of one iteration share it."""
         last = self._last
-        if last is None or not last.serves(orientation, system):
+        if last is None or not last.serves(orientation, task):
             points = None if last is None or not np.isfinite(last.cost) else last.points
-            self._last = last = reduce(self.rows, self.groups, self.target, self.model, orientation, system, points)
+            self._last = last = reduce(self.rows, self.groups, self.target, self.model, orientation, task, points)
         return last
 
     def group_cost(self, reduction: Reduction) -> Array:
@@ -116,7 +117,7 @@ class Bundles:
         d = own.size
 
         def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-            reduction = self.at(self._orientation(values), system=jacobians is not None)
+            reduction = self.at(self._orientation(values), COSTS if jacobians is None else SYSTEM)
             cost = float(self.group_cost(reduction)[group])
             if jacobians is None:
                 return np.append(np.zeros(d), np.sqrt(2.0 * cost))

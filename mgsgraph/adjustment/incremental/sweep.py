@@ -14,6 +14,7 @@ from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import Reduction, dense, point_covariances, reduce, sparse
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
 
@@ -85,28 +86,28 @@ class Sweep:
         self._last: Reduction | None = None
         self._spread: Array | None = None
 
-    def reduce(self, values: Mapping[Unknown, Array], system: bool = True) -> Reduction:
+    def reduce(self, values: Mapping[Unknown, Array], task: int = SYSTEM) -> Reduction:
         """All points solved and eliminated at values of the unknowns; points that nothing determines are left out.
 
         Raises PointBehindCamera. Terrain patches follow their points.
         """
         shared, last = self._vector(values), self._last
-        if last is not None and last.serves(shared, system):
+        if last is not None and last.serves(shared, task):
             return last
-        found = self._reduced(shared, system)
+        found = self._reduced(shared, task)
         strong = without_weak(self._layout, found, self._selection)
         if not np.array_equal(strong.out, self._selection.out):
             self._select(self._layout, strong)
-            found = self._reduced(shared, system)
+            found = self._reduced(shared, task)
         followed = self._layout.following(found.points, shared)
         if followed is not self._layout:
             self._select(followed, self._selection)
-            found = self._reduced(shared, system)
+            found = self._reduced(shared, task)
         exact = about_predicted_lines(self._layout, shared, found.points)
         if exact is not self._layout:
             self._select(exact, self._selection)
             self._last = None  # its points are in another order
-            found = self._reduced(shared, system)
+            found = self._reduced(shared, task)
         self._last = found
         return found
 
@@ -127,7 +128,7 @@ class Sweep:
         """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of the unknowns in
         the order of the system, absent where it has none.
         """
-        found = self.reduce(values, system=False)
+        found = self.reduce(values, COSTS)
         return Bundle(self.network, system, self._ordered(found.points), self._covariances(found, joint))
 
     def _covariances(self, found: Reduction, joint: Array | None) -> Array:
@@ -142,16 +143,16 @@ class Sweep:
 
     def places(self, values: Mapping[Unknown, Array]) -> Array:
         """(n, 3) m, where the unknowns put the points; NaN for undetermined ones."""
-        return self._ordered(self.reduce(values, system=False).points)
+        return self._ordered(self.reduce(values, COSTS).points)
 
     def _select(self, layout: Layout, selection: Selection) -> None:
         """Which points take part, in which patches of the terrain."""
         self._layout, self._selection, self._rows = layout, selection, selection.rows(layout)
         self._blocks = group_blocks(layout.groups)
 
-    def _reduced(self, shared: Array, system: bool) -> Reduction:
+    def _reduced(self, shared: Array, task: int) -> Reduction:
         layout, begin = self._layout, None if self._last is None else self._last.points
-        return reduce(self._rows, layout.groups, self._blocks, layout.model, shared, system, begin)
+        return reduce(self._rows, layout.groups, self._blocks, layout.model, shared, task, begin)
 
     def _vector(self, values: Mapping[Unknown, Array]) -> Array:
         vector, layout = np.zeros(self._layout.columns), self._layout
