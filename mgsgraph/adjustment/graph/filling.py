@@ -11,6 +11,7 @@ from mgsgraph.factors import algebra
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
 from mgsgraph.factors.rotation import matrix_quaternion, opk_angles
+from mgsgraph.geometry.compiled_pose import vector
 from mgsgraph.kernel.rows import CAMERA, OPK_PAPER
 
 make_equations_compilable()
@@ -45,12 +46,6 @@ def rows_of(matrix):
         (matrix[1, 0], matrix[1, 1], matrix[1, 2]),
         (matrix[2, 0], matrix[2, 1], matrix[2, 2]),
     )
-
-
-@_compiled
-def vector(values, k):
-    """Row k of an array (n, 3)."""
-    return values[k, 0], values[k, 1], values[k, 2]
 
 
 @_compiled
