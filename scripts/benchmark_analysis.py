@@ -33,7 +33,7 @@ from mgsgraph.adjustment.analysis.reliability import reliability
 from mgsgraph.adjustment.analysis.suspects import suspects
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.network import Network
-from mgsgraph.products.reliability import reliability_csv
+from mgsgraph.reports.reliability import reliability_csv
 
 OUT = Path(__file__).resolve().parents[1] / "docs"
 PAGE = "analysis_cost.md"

@@ -40,15 +40,15 @@ print(matches.losses)
 
 # %%
 # Where they are, how far the nominal orientations were apart, and what sigmas they have.
-from mgsgraph.products.figures.matches import matches_sheet
+from mgsgraph.figures.matches import matches_sheet
 
 sheet = matches_sheet(matches, scene, "Gusev, 640 lines")
 
 # %%
 # Some of them as chips: the same ground in the one image and in the other, both turned and stretched to the ground's
 # directions.
+from mgsgraph.figures.sheet import new_sheet, panels
 from mgsgraph.matching.chips import chip_frames, chips, stretched
-from mgsgraph.products.figures.sheet import new_sheet, panels
 
 ties = matches.ties
 frames = chip_frames([picture.image for picture in pictures], ties)

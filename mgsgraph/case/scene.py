@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.case import picture_of, read_mola, terrain_shots
 from mgsgraph.case.images import read_images
+from mgsgraph.case.reading import picture_of, read_mola, terrain_shots
 from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.case.strips import members
 from mgsgraph.case.terrain import read_terrain_model

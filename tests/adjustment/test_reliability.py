@@ -33,7 +33,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.network import Network
-from mgsgraph.products.reliability import reliability_csv
+from mgsgraph.reports.reliability import reliability_csv
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)
 

@@ -1,0 +1,333 @@
+"""What the covariance knows, section by section: text for the terminal, records for analysis.json, tables, figures."""
+
+import json
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.components import Components, components_of, honest_sigmas
+from mgsgraph.adjustment.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
+from mgsgraph.adjustment.analysis.levels import Levels
+from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.adjustment.analysis.posterior import Posterior
+from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
+from mgsgraph.adjustment.analysis.snooping import snoop
+from mgsgraph.adjustment.analysis.suspects import suspects
+from mgsgraph.adjustment.analysis.weak import weakest
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.errors import InputError
+from mgsgraph.output.csv_json import plain, quoted, write_csv
+from mgsgraph.output.folders import ANALYSIS, PROGRAM, fresh_folder
+from mgsgraph.reports.answers import Answer, Questions, answered
+from mgsgraph.reports.reliability import (
+    reliability_csv,
+    reliability_record,
+    reliability_text,
+    snooping_record,
+    snooping_text,
+)
+from mgsgraph.reports.sigma_raster import write_sigma_raster
+from mgsgraph.units import MRAD
+from mgsgraph.wording import short
+
+_RESIDUALS = (
+    f"{'Normalised residuals':<28} {'number':>9} {'worth':>8} {'mean':>6} {'rms':>6} {'skew':>6} {'kurt.':>6} "
+    f"{'>1 %':>6} {'>2 %':>6} {'>3 %':>6} {'p':>8}\n"
+    f"{'  (a normal law promises)':<28} {'':>9} {'':>8} {0:>6} {1:>6} {0:>6} {0:>6} "
+    + " ".join(f"{100.0 * share:>6.3g}" for share in PROMISED)
+)
+
+
+def _nothing(folder: Path, figures: bool) -> list[str]:
+    return []
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One part of an analysis."""
+
+    key: str
+    """Its key in analysis.json."""
+    text: str
+    """Lines for a person."""
+    record: Any
+    """The same for a program, units in the keys."""
+    write: Callable[[Path, bool], list[str]] = _nothing
+    """Writes its own files into a folder, with figures or without; their names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What an analysis is to hold."""
+
+    questions: Questions = field(default_factory=Questions)
+    """Asked of the posterior."""
+    curves: tuple[str, ...] = ()
+    """Images along whose lines sigmas are wanted."""
+    raster: tuple[str, ...] | None = None
+    """Images over whose overlap sigmas are wanted, empty for all; None for no raster."""
+    cell: float | None = None
+    """m, side of the raster's cells."""
+    sigma: float = 1.0
+    """px, of the measures of the raster's points."""
+    honesty: bool = False
+    """Global test, variance components, statistics of residuals."""
+    iterated: bool = False
+    """Variance components by adjusting again and again."""
+    suspects: int = 0
+    """Rows of the table by suspicion; 0 for no reliability."""
+    snooped: bool = False
+    """Adjust again without what data snooping finds."""
+    weak: int = 0
+    """Weak directions to be named."""
+    levels: Levels = field(default_factory=Levels)
+    """Sizes of tests."""
+
+    def __post_init__(self) -> None:
+        for what, value in (("--sigma-px", self.sigma), ("--cell-m", 1.0 if self.cell is None else self.cell)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(what, f"{value}", "a positive number")
+
+
+def require_used(option: str, given: bool, useful: bool, wanted: str) -> None:
+    """Raise InputError for an option that would do nothing."""
+    if given and not useful:
+        raise InputError(option, f"no {wanted}", "both", "add it, or leave the option out")
+
+
+def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Section]:
+    """Sections in the order in which they are read, each when it is ready.
+
+    Raises InputError where something asked about isn't in the solution.
+    """
+    if wanted.questions:
+        yield _answers(list(answered(posterior, wanted.questions)))
+    for image in dict.fromkeys(wanted.curves):
+        yield _curve(posterior, image)
+    if wanted.raster is not None:
+        yield _raster(posterior, wanted)
+    if wanted.honesty:
+        yield _honesty(posterior, name)
+    if wanted.iterated:
+        yield _iterated(posterior)
+    if wanted.suspects:
+        yield _reliability(reliability(posterior.linearised, wanted.levels), wanted.suspects)
+    if wanted.snooped:
+        yield _snooped(posterior, wanted.levels)
+    if wanted.weak:
+        yield _weak(posterior, wanted.weak)
+
+
+def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures: bool = True) -> list[str]:
+    """Write analysis.json and the sections' tables and figures to a folder that appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else than an earlier analysis, or can't be written.
+    """
+    with fresh_folder(folder, ANALYSIS) as aside:
+        record: dict[str, Any] = {"program": PROGRAM, "format": 1, "name": name}
+        names = [ANALYSIS]
+        for section in sections:
+            record.setdefault(section.key, []).append(section.record)
+            names += section.write(aside, figures)
+        text = json.dumps(plain(record), indent=1, allow_nan=False, ensure_ascii=False)
+        (aside / ANALYSIS).write_text(text + "\n", encoding="utf-8", newline="\n")
+    return names
+
+
+def _answers(found: Sequence[Answer]) -> Section:
+    return Section("answers", "\n".join(one.text for one in found), [one.record for one in found])
+
+
+def _file_of(posterior: Posterior, image: str) -> str:
+    """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
+    plainly = re.sub(r"[^A-Za-z0-9.-]+", "_", image)
+    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.image_number(image) + 1}"
+
+
+def _curve(posterior: Posterior, image: str) -> Section:
+    picture = posterior.network.images[posterior.image_number(image)]
+    poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
+    lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
+    shown = sigmas / np.repeat([1.0, MRAD], 3)
+    names = [f"sigma_{axis}_{unit}" for axis, unit in zip(FLIGHT_NAMES, ("m",) * 3 + ("mrad",) * 3, strict=True)]
+    file = _file_of(posterior, image)
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        write_csv(
+            folder / f"{file}.csv", {"image": [quoted(image)] * lines.size},
+            {"line": lines, **dict(zip(names, shown.T, strict=True))},
+        )  # fmt: skip
+        if not figures:
+            return [f"{file}.csv"]
+        from mgsgraph.figures.sheet import plain_style, save  # matplotlib takes its time
+        from mgsgraph.figures.sigmas import curve_sheet
+
+        with plain_style():
+            return [f"{file}.csv", *save(curve_sheet(poses, file), folder)]
+
+    head = " ".join(f"{axis:>9}" for axis in FLIGHT_NAMES)
+    rows = [f"{lines[k]:>9.0f} " + " ".join(f"{value:9.4g}" for value in shown[k]) for k in range(0, lines.size, 10)]
+    text = f"Sigmas along image {image} (m; mrad)\n{'line':>9} {head}\n" + "\n".join(rows)
+    return Section("curves", text, {"image": image, "lines": lines, **dict(zip(names, shown.T, strict=True))}, write)
+
+
+def _raster(posterior: Posterior, wanted: Wanted) -> Section:
+    grid = sigma_grid(posterior, wanted.raster or (), wanted.cell, wanted.sigma)
+    body = posterior.network.images[0].body
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        write_sigma_raster(grid, body, folder / "sigmas.tif")
+        if not figures:
+            return ["sigmas.tif"]
+        from mgsgraph.figures.sheet import plain_style, save
+        from mgsgraph.figures.sigmas import raster_sheet
+
+        with plain_style():
+            return ["sigmas.tif", *save(raster_sheet(grid, "sigma_map"), folder)]
+
+    _, rows, columns = grid.values.shape
+    record = {
+        "images": list(grid.images), "measure_sigma_px": grid.sigma, "cell_m": grid.steps[1] * body.equatorial,
+        "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
+        "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
+    }  # fmt: skip
+    return Section("raster", f"{grid.statement[0].upper()}{grid.statement[1:]}.", record, write)
+
+
+def _honesty(posterior: Posterior, name: str) -> Section:
+    at, fit = posterior.linearised, posterior.linearised.fit()
+    if fit.degrees_of_freedom < 1:
+        counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
+        text = f"No redundancy ({counts}): nothing tells whether the sigmas are honest."
+        return Section("honesty", text, {"degrees_of_freedom": fit.degrees_of_freedom})
+    test, components = chi_square_test(fit), components_of(at)
+    statistics = residual_statistics(at)
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        _components_csv(components, folder / "components.csv")
+        if not figures:
+            return ["components.csv"]
+        from mgsgraph.figures.quantiles import write_quantile_figure
+
+        return ["components.csv", *write_quantile_figure(statistics, name, folder)]
+
+    lines = [f"{test.words()}.", "By what factor the sigmas of each group are wrong:", components.words()]
+    lines += [_RESIDUALS, *(_residuals_line(one) for one in statistics)]
+    record = {
+        "global_test": {
+            "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
+            "p_larger": test.larger, "passed": test.passed, "alpha": test.alpha,
+        },
+        "components": _components_record(components),
+        "residuals": [
+            {
+                "group": one.name, "residuals": one.values.size, "independent": one.effective, "mean": one.mean,
+                "rms": one.rms, "skewness": one.skewness, "excess_kurtosis": one.kurtosis,
+                "beyond_1_2_3_sigma": one.beyond, "p": one.p_value,
+            }
+            for one in statistics
+        ],
+    }  # fmt: skip
+    return Section("honesty", "\n".join(lines), record, write)
+
+
+def _residuals_line(one: ResidualStatistics) -> str:
+    """A row of the table of normalised residuals."""
+    figures = (
+        f"{one.values.size:>9}", f"{one.effective:>8.4g}", f"{one.mean:>6.2f}", f"{one.rms:>6.2f}",
+        f"{one.skewness:>6.2f}", f"{one.kurtosis:>6.2f}", *(f"{100.0 * share:>6.3g}" for share in one.beyond),
+    )  # fmt: skip
+    found = "few" if not np.isfinite(one.p_value) else f"{one.p_value:.2g}"
+    odd = "  not as promised" if one.as_promised is False else ""
+    return f"{short(one.name, 28):<28} {' '.join(figures)} {found:>8}{odd}"
+
+
+def _components_record(found: Components) -> dict[str, Any]:
+    return {
+        "exact": found.exact,
+        "groups": [
+            {
+                "group": one.name, "judgement": str(one.judgement), "rows": one.rows, "redundancy": one.redundancy,
+                "squares": one.squares, "factor": one.factor, "sigma_of_factor": one.sigma,
+                "interval_99": one.interval(),
+            }
+            for one in found.groups
+        ],
+        "correlation_of_squared_factors": found.correlation,
+    }  # fmt: skip
+
+
+def _components_csv(found: Components, path: Path) -> None:
+    text = {
+        "group": [quoted(one.name) for one in found.groups],
+        "judgement": [str(one.judgement) for one in found.groups],
+    }
+    low, high = np.array([one.interval() for one in found.groups]).T
+    numbers = {
+        name: np.array([float(getattr(one, name)) for one in found.groups])
+        for name in ("rows", "redundancy", "squares", "factor", "sigma", "foerstner")
+    }
+    write_csv(path, text, {**numbers, "factor_low_99": low, "factor_high_99": high})
+
+
+def _iterated(posterior: Posterior) -> Section:
+    found = honest_sigmas(posterior.network, posterior.linearised.settings)
+    record = {
+        "converged": found.converged, "passes": len(found.history), **_components_record(found.components),
+        "sigma0": found.solution.sigma0,
+    }  # fmt: skip
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        _components_csv(found.components, folder / "components_iterated.csv")
+        return ["components_iterated.csv"]
+
+    text = f"Scaled and adjusted again, until all factors were one:\n{found.words()}"
+    return Section("iterated", text, record, write)
+
+
+def _reliability(found: Reliability, most: int) -> Section:
+    worst = suspects(found, most)
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        reliability_csv(found, folder / "reliability.csv")
+        return ["reliability.csv"]
+
+    return Section("reliability", reliability_text(found, worst), reliability_record(found, worst), write)
+
+
+def _snooped(posterior: Posterior, levels: Levels) -> Section:
+    """Always by plain least squares, and beginning with all measures: that is what the tests presume."""
+    settings = posterior.linearised.settings
+    found = snoop(posterior.network, replace(settings, loss="none", reject=0.0), levels)
+    changed = settings.loss != "none" or settings.reject > 0.0
+    said = "By plain least squares, without the loss and the blunder limit of this solution:\n" if changed else ""
+    return Section("snooping", said + snooping_text(found), snooping_record(found))
+
+
+def _weak(posterior: Posterior, count: int) -> Section:
+    if posterior.linearised.joint.columns == 0:
+        return Section("weak", "All orientation was held: nothing of it is weak.", [])
+    found = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
+    lines = ["Of what least was learnt (sigma after over sigma before):"]
+    lines += [f"{one.ratio:8.3f}  {one.words}" for one in found]
+    record = [
+        {
+            "ratio": one.ratio, "sigma": one.sigma, "unit": one.unit, "words": one.words, "equals": one.equals,
+            "parts": [
+                {
+                    "of": part.axis.owner, "axis": str(part.axis), "share": part.share,
+                    f"amount_{part.axis.unit}": part.amount,
+                }
+                for part in one.parts
+            ],
+        }
+        for one in found
+    ]  # fmt: skip
+    return Section("weak", "\n".join(lines), record)
