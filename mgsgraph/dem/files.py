@@ -1,6 +1,5 @@
 """A terrain model in words and as files: rasters, the record, the table of check shots, the figure."""
 
-import json
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -16,9 +15,10 @@ from mgsgraph.dem.ortho import ortho_tiles
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.matching.scene import Ground, Picture, Scene
-from mgsgraph.output.csv_json import picked, plain, quoted, write_csv
+from mgsgraph.output.csv_json import picked, write_json
 from mgsgraph.output.folders import DEM, PROGRAM
 from mgsgraph.output.geotiff import geotiff
+from mgsgraph.output.table import Column, Table
 from mgsgraph.units import DEG, KM
 from mgsgraph.wording import many, some
 
@@ -42,9 +42,8 @@ def write_dem(
         scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif",
         lambda done, most: progress("ortho image", done, most),
     )  # fmt: skip
-    _table(dem, folder / "shots.csv")
-    text = json.dumps(plain(_record(dem, settings, grid.post)), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / DEM).write_text(text + "\n", encoding="utf-8", newline="\n")
+    shots_table(dem).write_csv(folder / "shots.csv")
+    write_json(folder / DEM, _record(dem, settings, grid.post))
     if figures:
         from mgsgraph.figures.dem import write_dem_figure  # matplotlib takes its time to load
 
@@ -157,25 +156,22 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _table(dem: Dem, path: Path) -> None:
+def shots_table(dem: Dem) -> Table:
     """One row per check shot."""
     checks = dem.checks
     longitude, latitude, radius = planetocentric(checks.places).T
-    write_csv(
-        path,
-        {"profile": [quoted(name) for name in picked(checks.profiles, checks.profile)], "shot": list(checks.ids)},
-        {
-            "east_longitude_deg": np.mod(longitude / DEG, 360.0),
-            "planetocentric_latitude_deg": latitude / DEG,
-            "x_m": checks.plane[:, 0],
-            "y_m": checks.plane[:, 1],
-            "shot_above_sphere_m": radius - dem.model.map.radius,
-            "model_above_sphere_m": checks.heights,
-            "model_minus_shot_m": checks.differences,
-            "sigma_m": checks.sigmas,
-            "sigma_without_orientation_m": checks.independent,
-        },
-    )
+    return Table("shots", "Check shots", (
+        Column("profile", picked(checks.profiles, checks.profile)),
+        Column("shot", checks.ids),
+        Column("east_longitude", np.mod(longitude / DEG, 360.0), "deg", "planetocentric", scale=1.0),
+        Column("planetocentric_latitude", latitude, "deg"),
+        Column("{}", checks.plane, "m", "on the map", ("x", "y")),
+        Column("shot_above_sphere", radius - dem.model.map.radius, "m"),
+        Column("model_above_sphere", checks.heights, "m"),
+        Column("model_minus_shot", checks.differences, "m"),
+        Column("sigma", checks.sigmas, "m", "of the difference, for sigma0 = 1"),
+        Column("sigma_without_orientation", checks.independent, "m", "its part that neighbours don't share"),
+    ))  # fmt: skip
 
 
 # --- rasters

@@ -1,6 +1,5 @@
 """What a demo has shown: in plain words, and as summary.json. Sigmas are predicted ones, for sigma0 = 1."""
 
-import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import PointClass
-from mgsgraph.output.csv_json import plain
+from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.registration.case import root_mean_square
 from mgsgraph.registration.footprints import Misregistration
@@ -69,8 +68,7 @@ def write_demo(
         write_into(demo.solution, folder, figures)
         write_registration_into(demo.registration, folder, figures)
     record = summary_json(demo)
-    text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False)
-    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8", newline="\n")
+    write_json(folder / SUMMARY, record)
     return demo.solution, record["statements"]
 
 

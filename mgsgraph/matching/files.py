@@ -3,7 +3,6 @@ folder in which an interrupted run is kept.
 """
 
 import errno
-import json
 import os
 import shutil
 import zipfile
@@ -23,16 +22,15 @@ from mgsgraph.matching.match import Progress, digest, match_scene
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.output.csv_json import plain, quoted, truths, write_csv
+from mgsgraph.output.csv_json import picked, plain, write_json
 from mgsgraph.output.folders import MATCH, PROGRAM, fresh_folder
+from mgsgraph.output.table import ISIS, Column, Table
 from mgsgraph.wording import many
 
 FORMAT = 1
 """Version of match.json's layout."""
 _SURPRISING = 3.0
 """A-priori sigmas of an orientation beyond which a correction is worth a word."""
-_ISIS = 0.5
-"""pixels from our count of lines and samples to that of ISIS."""
 
 
 class KeptTiles:
@@ -117,12 +115,11 @@ def write_matches(
 ) -> list[str]:
     """Write networks, table, record and figure; the names of the files."""
     with fresh_folder(folder, MATCH) as aside:
-        text = json.dumps(_record(matches, scene, name, settings), indent=1, allow_nan=False, ensure_ascii=False)
-        (aside / MATCH).write_text(text + "\n", encoding="utf-8", newline="\n")
+        write_json(aside / MATCH, _record(matches, scene, name, settings))
         network = control_network(matches.ties, "mgsgraph", target_name(scene.ground.body), name)
         write_pvl_network(network, aside / "network.pvl")
         write_binary_network(network, aside / "network.net")
-        _table(matches, aside / "matches.csv")
+        matches_table(matches).write_csv(aside / "matches.csv")
         names = [MATCH, "network.pvl", "network.net", "matches.csv"]
         if not figures:
             return names
@@ -131,29 +128,21 @@ def write_matches(
         return names + write_matches_figure(matches, scene, name, aside)
 
 
-def _table(matches: Matches, path: Path) -> None:
+def matches_table(matches: Matches) -> Table:
     """One row per measure."""
-    ties = matches.ties
-    covariances = matches.covariances
-    write_csv(
-        path,
-        {
-            "id": [quoted(ties.ids[i]) for i in ties.measure_point.tolist()],
-            "image": [quoted(name) for name in ties.measure_image],
-            "reference": truths(matches.reference),
-        },
-        {
-            "isis_line": ties.measures[:, 0] + _ISIS,
-            "isis_sample": ties.measures[:, 1] + _ISIS,
-            "sigma_line_px": ties.measure_sigmas[:, 0],
-            "sigma_sample_px": ties.measure_sigmas[:, 1],
-            "against_reference_line_line_px2": covariances[:, 0, 0],
-            "against_reference_line_sample_px2": covariances[:, 0, 1],
-            "against_reference_sample_sample_px2": covariances[:, 1, 1],
-            "correlation": matches.correlation,
-            "coplanarity_m": matches.misfit,
-        },
-    )
+    ties, covariances = matches.ties, matches.covariances
+    ways = ("line", "sample")
+    return Table("matches", "Measures", (
+        Column("id", picked(ties.ids, ties.measure_point)),
+        Column("image", ties.measure_image),
+        Column("reference", matches.reference, meaning="the measure that the others are compared with"),
+        Column("isis_{}", ties.measures + ISIS, meaning="the first pixel's centre is (1, 1)", parts=ways),
+        Column("sigma_{}", ties.measure_sigmas, "px", parts=ways),
+        Column("against_reference_{}", covariances[:, [0, 0, 1], [0, 1, 1]], "px2", "covariance of the difference",
+               ("line_line", "line_sample", "sample_sample")),
+        Column("correlation", matches.correlation),
+        Column("coplanarity", matches.misfit, "m", "by which the rays miss each other"),
+    ))  # fmt: skip
 
 
 def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> dict[str, Any]:

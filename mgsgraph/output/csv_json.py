@@ -1,5 +1,6 @@
 """Arrays and names as JSON and CSV: no NaN in JSON, numbers of CSV read back bit for bit."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,6 +25,12 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_json(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a record as strict JSON, as `plain` makes it."""
+    text = json.dumps(plain(record), indent=1, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8", newline="\n")
 
 
 def columns(names: Sequence[str], values: Array) -> dict[str, Array]:

@@ -4,8 +4,8 @@ footprint that two images see.
 Lines and samples in the files are counted as ISIS does, the first pixel's centre at (1, 1).
 """
 
-import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ import numpy as np
 
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.output.csv_json import columns, plain, quoted, truths, write_csv
+from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM, REGISTRATION, fresh_folder
+from mgsgraph.output.table import ISIS, Column, Table
 from mgsgraph.registration.case import (
     CaseRegistration,
     ProfileRegistration,
@@ -28,8 +29,6 @@ from mgsgraph.units import DEG
 FORMAT = 1
 """Version of registration.json's layout."""
 
-_ISIS = 0.5
-"""pixels from our count of lines and samples to that of ISIS."""
 _COUNTING = "lines and samples are counted as ISIS does: the centre of the first pixel is (1, 1)"
 
 
@@ -56,10 +55,9 @@ def write_registration(registration: CaseRegistration, folder: str | Path, figur
 
 def write_registration_into(registration: CaseRegistration, folder: Path, figures: bool = True) -> list[str]:
     """The same into a folder that exists, file by file."""
-    text = json.dumps(registration_json(registration), indent=1, allow_nan=False, ensure_ascii=False)
-    (folder / REGISTRATION).write_text(text + "\n", encoding="utf-8", newline="\n")
-    registration_csv(registration, folder / "registration.csv")
-    discrepancy_csv(registration, folder / "discrepancy.csv")
+    write_json(folder / REGISTRATION, registration_json(registration))
+    registration_table(registration).write_csv(folder / "registration.csv")
+    discrepancy_table(registration).write_csv(folder / "discrepancy.csv")
     names = [REGISTRATION, "registration.csv", "discrepancy.csv"]
     if not figures:
         return names
@@ -128,79 +126,67 @@ def discrepancy_json(one: Misregistration) -> dict[str, Any]:
     return record
 
 
-def registration_csv(registration: CaseRegistration, path: Path) -> None:
-    """Write one row per shot and image: where it falls by Newton's method and by the five steps; empty where unseen."""
-    text: dict[str, list[str]] = {name: [] for name in ("profile", "number", "shot", "image", "simultaneous")}
-    numbers: list[dict[str, Array]] = []
+def registration_table(registration: CaseRegistration) -> Table:
+    """One row per shot and image: where it falls by Newton's method and by the five steps; unknown where unseen."""
+    rows = [(p, j) for p in range(len(registration.before)) for j in range(len(registration.images))]
+    found = [registration.before[p].found for p, _ in rows]
+    sizes = [one.shots.times.size for one in found]
+    longitude, latitude, radius = planetocentric(np.concatenate([one.shots.footprints for one in found])).T
     states = list(registration.states())
-    for state, _ in states:
-        text[f"{state}_inside"] = []
-    for p, profile in enumerate(registration.before):
-        shots, n = profile.found.shots, profile.found.shots.times.size
-        ground = _ground_columns(profile)
-        for j, image in enumerate(registration.images):
-            text["profile"] += [quoted(profile.name)] * n
-            text["number"] += [str(k + 1) for k in range(n)]
-            text["shot"] += list(shots.ids)
-            text["image"] += [quoted(image.name)] * n
-            text["simultaneous"] += truths(profile.found.simultaneous[j])
-            row = dict(ground)
-            for state, profiles in states:
-                found = profiles[p].found
-                text[f"{state}_inside"] += truths(found.inside[j])
-                for method, places in (("", found.places[j]), ("five_steps_", found.linear[j])):
-                    row |= columns([f"{state}_{method}isis_{one}" for one in ("line", "sample")], places + _ISIS)
-            numbers.append(row)
-    write_csv(path, text, {name: np.concatenate([row[name] for row in numbers]) for name in numbers[0]})
+
+    def of_state(profiles: tuple[ProfileRegistration, ...], name: str) -> np.ndarray:
+        return np.concatenate([getattr(profiles[p].found, name)[j] for p, j in rows])
+
+    def repeated(names: list[str]) -> list[str]:
+        return [name for name, n in zip(names, sizes, strict=True) for _ in range(n)]
+
+    places = [
+        Column(f"{state}_{method}isis_{{}}", of_state(profiles, name) + ISIS, parts=("line", "sample"))
+        for state, profiles in states for method, name in (("", "places"), ("five_steps_", "linear"))
+    ]  # fmt: skip
+    return Table("registration", "Footprints in images", (
+        Column("profile", repeated([registration.before[p].name for p, _ in rows])),
+        Column("number", np.concatenate([np.arange(1, n + 1) for n in sizes])),
+        Column("shot", [shot for one in found for shot in one.shots.ids]),
+        Column("image", repeated([registration.images[j].name for _, j in rows])),
+        Column("simultaneous", of_state(registration.before, "simultaneous")),
+        *(Column(f"{state}_inside", of_state(profiles, "inside")) for state, profiles in states),
+        Column("time_et", np.concatenate([one.shots.times for one in found]), "s", "TDB past J2000"),
+        Column("lon", longitude / DEG % 360.0, "deg", "planetocentric, east, as archived", scale=1.0),
+        Column("lat", latitude, "deg", "planetocentric"),
+        Column("radius", radius, "m"),
+        Column("height_above_areoid", radius - np.concatenate([one.shots.areoid_radii for one in found]), "m"),
+        *places,
+    ))  # fmt: skip
 
 
-def _ground_columns(profile: ProfileRegistration) -> dict[str, Array]:
-    """Archived footprints of a profile."""
-    shots = profile.found.shots
-    longitude, latitude, radius = planetocentric(shots.footprints).T
-    return {
-        "time_et_s": shots.times,
-        "lon_deg": longitude / DEG % 360.0,
-        "lat_deg": latitude / DEG,
-        "radius_m": radius,
-        "height_above_areoid_m": radius - shots.areoid_radii,
-    }
+def discrepancy_table(registration: CaseRegistration) -> Table:
+    """One row per orientation, pair of images and footprint that both see: by how much they contradict."""
+    found = [
+        (state, profile, one)
+        for state, profiles in registration.states() for profile in profiles for one in profile.discrepancies
+    ]  # fmt: skip
 
+    def words(of: Callable[[str, ProfileRegistration, Misregistration], str]) -> list[str]:
+        return [of(*row) for row in found for _ in range(row[2].shots.size)]
 
-def discrepancy_csv(registration: CaseRegistration, path: Path) -> None:
-    """Write one row per orientation, pair of images and footprint that both see: by how much they contradict."""
-    text: dict[str, list[str]] = {
-        name: [] for name in ("orientation", "profile", "number", "shot", "image", "against")
-    }
-    numbers: list[dict[str, Array]] = [_discrepancy_columns(None)]
-    for state, profiles in registration.states():
-        for profile in profiles:
-            names = profile.found.shots.ids
-            for one in profile.discrepancies:
-                n = one.shots.size
-                text["orientation"] += [state] * n
-                text["profile"] += [quoted(profile.name)] * n
-                text["number"] += [str(k + 1) for k in one.shots.tolist()]
-                text["shot"] += [names[k] for k in one.shots.tolist()]
-                text["image"] += [quoted(one.image)] * n
-                text["against"] += [quoted(one.against)] * n
-                numbers.append(_discrepancy_columns(one))
-    write_csv(path, text, {name: np.concatenate([row[name] for row in numbers]) for name in numbers[0]})
+    def numbers(of: Callable[[Misregistration], Array], width: int = 2) -> Array:
+        nothing = np.zeros((0, 2)) if width == 2 else np.zeros(0)
+        return np.concatenate([nothing, *(of(one) for _, _, one in found)])
 
-
-def _discrepancy_columns(one: Misregistration | None) -> dict[str, Array]:
-    """Columns of a discrepancy; of none, empty ones."""
-    nothing = np.zeros((0, 2))
-    pixels, pixel_sigmas, metres, metre_sigmas, lines, spacing = (
-        (nothing, nothing, nothing, nothing, np.zeros(0), math.nan) if one is None else
-        (one.pixels, one.pixel_sigmas, one.metres, one.metre_sigmas, one.lines, one.spacing)
-    )
-    return {
-        "isis_line": lines + _ISIS,
-        **columns(["along_px", "across_px"], pixels),
-        **columns(["sigma_along_px", "sigma_across_px"], pixel_sigmas),
-        **columns(["along_m", "across_m"], metres),
-        **columns(["sigma_along_m", "sigma_across_m"], metre_sigmas),
-        **columns(["along_spacings", "across_spacings"], metres / spacing),
-        **columns(["sigma_along_spacings", "sigma_across_spacings"], metre_sigmas / spacing),
-    }
+    ways = ("along", "across")
+    return Table("discrepancy", "Contradictions of images", (
+        Column("orientation", words(lambda state, _, one: state)),
+        Column("profile", words(lambda _, profile, one: profile.name)),
+        Column("number", np.array([k + 1 for _, _, one in found for k in one.shots.tolist()], dtype=np.int64)),
+        Column("shot", [profile.found.shots.ids[k] for _, profile, one in found for k in one.shots.tolist()]),
+        Column("image", words(lambda _, profile, one: one.image)),
+        Column("against", words(lambda _, profile, one: one.against)),
+        Column("isis_line", numbers(lambda one: one.lines, 1) + ISIS),
+        Column("{}", numbers(lambda one: one.pixels), "px", "of the flight, in the image minus transferred", ways),
+        Column("sigma_{}", numbers(lambda one: one.pixel_sigmas), "px", "predicted", ways),
+        Column("{}", numbers(lambda one: one.metres), "m", "the same on the ground", ways),
+        Column("sigma_{}", numbers(lambda one: one.metre_sigmas), "m", "predicted", ways),
+        Column("{}", numbers(lambda one: one.metres / one.spacing), "spacings", "the same in shots", ways),
+        Column("sigma_{}", numbers(lambda one: one.metre_sigmas / one.spacing), "spacings", "predicted", ways),
+    ))  # fmt: skip

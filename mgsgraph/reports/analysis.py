@@ -1,6 +1,5 @@
 """What the covariance knows, section by section: text for the terminal, records for analysis.json, tables, figures."""
 
-import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,23 +19,21 @@ from mgsgraph.adjustment.analysis.suspects import suspects
 from mgsgraph.adjustment.analysis.weak import weakest
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.errors import InputError
-from mgsgraph.output.csv_json import plain, quoted, write_csv
+from mgsgraph.geometry.records import Array
+from mgsgraph.output.csv_json import write_json
 from mgsgraph.output.folders import ANALYSIS, PROGRAM, fresh_folder
+from mgsgraph.output.table import Column, Table
 from mgsgraph.reports.answers import Answer, Questions, answered
 from mgsgraph.reports.reliability import (
-    reliability_csv,
     reliability_record,
+    reliability_table,
     reliability_text,
     snooping_record,
     snooping_text,
 )
 from mgsgraph.reports.sigma_raster import write_sigma_raster
-from mgsgraph.units import MRAD
-from mgsgraph.wording import short
 
-_RESIDUALS = (
-    f"{'Normalised residuals':<28} {'number':>9} {'worth':>8} {'mean':>6} {'rms':>6} {'skew':>6} {'kurt.':>6} "
-    f"{'>1 %':>6} {'>2 %':>6} {'>3 %':>6} {'p':>8}\n"
+_PROMISED = (
     f"{'  (a normal law promises)':<28} {'':>9} {'':>8} {0:>6} {1:>6} {0:>6} {0:>6} "
     + " ".join(f"{100.0 * share:>6.3g}" for share in PROMISED)
 )
@@ -136,8 +133,7 @@ def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures
         for section in sections:
             record.setdefault(section.key, []).append(section.record)
             names += section.write(aside, figures)
-        text = json.dumps(plain(record), indent=1, allow_nan=False, ensure_ascii=False)
-        (aside / ANALYSIS).write_text(text + "\n", encoding="utf-8", newline="\n")
+        write_json(aside / ANALYSIS, record)
     return names
 
 
@@ -155,15 +151,18 @@ def _curve(posterior: Posterior, image: str) -> Section:
     picture = posterior.network.images[posterior.image_number(image)]
     poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
     lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
-    shown = sigmas / np.repeat([1.0, MRAD], 3)
-    names = [f"sigma_{axis}_{unit}" for axis, unit in zip(FLIGHT_NAMES, ("m",) * 3 + ("mrad",) * 3, strict=True)]
+    units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("mrad", sigmas[:, 3:], FLIGHT_NAMES[3:]))
+    parts = [
+        Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
+        for unit, values, axes in units for k, axis in enumerate(axes)
+    ]  # fmt: skip
+    table = Table("sigmas", "Sigmas along an image", (
+        Column("image", [image] * lines.size), Column("line", lines, text=">9.0f"), *parts,
+    ))  # fmt: skip
     file = _file_of(posterior, image)
 
     def write(folder: Path, figures: bool) -> list[str]:
-        write_csv(
-            folder / f"{file}.csv", {"image": [quoted(image)] * lines.size},
-            {"line": lines, **dict(zip(names, shown.T, strict=True))},
-        )  # fmt: skip
+        table.write_csv(folder / f"{file}.csv")
         if not figures:
             return [f"{file}.csv"]
         from mgsgraph.figures.sheet import plain_style, save  # matplotlib takes its time
@@ -172,10 +171,9 @@ def _curve(posterior: Posterior, image: str) -> Section:
         with plain_style():
             return [f"{file}.csv", *save(curve_sheet(poses, file), folder)]
 
-    head = " ".join(f"{axis:>9}" for axis in FLIGHT_NAMES)
-    rows = [f"{lines[k]:>9.0f} " + " ".join(f"{value:9.4g}" for value in shown[k]) for k in range(0, lines.size, 10)]
-    text = f"Sigmas along image {image} (m; mrad)\n{'line':>9} {head}\n" + "\n".join(rows)
-    return Section("curves", text, {"image": image, "lines": lines, **dict(zip(names, shown.T, strict=True))}, write)
+    text = "\n".join([f"Sigmas along image {image} (m; mrad)", *table.take(np.arange(0, lines.size, 10)).text()])
+    record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
+    return Section("curves", text, record, write)
 
 
 def _raster(posterior: Posterior, wanted: Wanted) -> Section:
@@ -211,7 +209,7 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     statistics = residual_statistics(at)
 
     def write(folder: Path, figures: bool) -> list[str]:
-        _components_csv(components, folder / "components.csv")
+        components_table(components).write_csv(folder / "components.csv")
         if not figures:
             return ["components.csv"]
         from mgsgraph.figures.quantiles import write_quantile_figure
@@ -219,34 +217,45 @@ def _honesty(posterior: Posterior, name: str) -> Section:
         return ["components.csv", *write_quantile_figure(statistics, name, folder)]
 
     lines = [f"{test.words()}.", "By what factor the sigmas of each group are wrong:", components.words()]
-    lines += [_RESIDUALS, *(_residuals_line(one) for one in statistics)]
+    residuals = residuals_table(statistics)
+    head, *rows = residuals.text()
+    lines += [head, _PROMISED, *rows]
     record = {
         "global_test": {
             "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
             "p_larger": test.larger, "passed": test.passed, "alpha": test.alpha,
         },
         "components": _components_record(components),
-        "residuals": [
-            {
-                "group": one.name, "residuals": one.values.size, "independent": one.effective, "mean": one.mean,
-                "rms": one.rms, "skewness": one.skewness, "excess_kurtosis": one.kurtosis,
-                "beyond_1_2_3_sigma": one.beyond, "p": one.p_value,
-            }
-            for one in statistics
-        ],
+        "residuals": residuals.records(),
     }  # fmt: skip
     return Section("honesty", "\n".join(lines), record, write)
 
 
-def _residuals_line(one: ResidualStatistics) -> str:
-    """A row of the table of normalised residuals."""
-    figures = (
-        f"{one.values.size:>9}", f"{one.effective:>8.4g}", f"{one.mean:>6.2f}", f"{one.rms:>6.2f}",
-        f"{one.skewness:>6.2f}", f"{one.kurtosis:>6.2f}", *(f"{100.0 * share:>6.3g}" for share in one.beyond),
-    )  # fmt: skip
-    found = "few" if not np.isfinite(one.p_value) else f"{one.p_value:.2g}"
-    odd = "  not as promised" if one.as_promised is False else ""
-    return f"{short(one.name, 28):<28} {' '.join(figures)} {found:>8}{odd}"
+def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
+    """One row per group of normalised residuals: how they are distributed."""
+
+    def numbers(name: str) -> Array:
+        return np.array([getattr(one, name) for one in statistics], dtype=np.float64)
+
+    beyond, p = numbers("beyond").reshape(-1, 3), numbers("p_value")
+    odd = ["" if one.as_promised is not False else " not as promised" for one in statistics]
+    return Table("residuals", "Normalised residuals", (
+        Column("group", [one.name for one in statistics], label="Normalised residuals", text="<28"),
+        Column("residuals", np.array([one.values.size for one in statistics]), label="number", text=">9"),
+        Column("independent", numbers("effective"), meaning="residuals that they are worth", label="worth",
+               text=">8.4g"),
+        Column("mean", numbers("mean"), text=">6.2f"),
+        Column("rms", numbers("rms"), text=">6.2f"),
+        Column("skewness", numbers("skewness"), label="skew", text=">6.2f"),
+        Column("excess_kurtosis", numbers("kurtosis"), label="kurt.", text=">6.2f"),
+        Column("beyond_1_2_3_sigma", beyond),
+        *(Column(f"beyond_{k + 1}", beyond[:, k], "percent", label=f">{k + 1} %", text=">6.3g", files=False)
+          for k in range(3)),
+        Column("p", p, meaning="chance of no less odd ones"),
+        Column("chance", ["few" if not np.isfinite(one) else f"{one:.2g}" for one in p.tolist()], label="p", text=">8",
+               files=False),
+        Column("odd", odd, label="", text="<", files=False),
+    ))  # fmt: skip
 
 
 def _components_record(found: Components) -> dict[str, Any]:
@@ -264,17 +273,25 @@ def _components_record(found: Components) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _components_csv(found: Components, path: Path) -> None:
-    text = {
-        "group": [quoted(one.name) for one in found.groups],
-        "judgement": [str(one.judgement) for one in found.groups],
-    }
-    low, high = np.array([one.interval() for one in found.groups]).T
-    numbers = {
-        name: np.array([float(getattr(one, name)) for one in found.groups])
-        for name in ("rows", "redundancy", "squares", "factor", "sigma", "foerstner")
-    }
-    write_csv(path, text, {**numbers, "factor_low_99": low, "factor_high_99": high})
+def components_table(found: Components) -> Table:
+    """One row per group of measures: by what factor its sigmas are wrong."""
+
+    def numbers(name: str) -> Array:
+        return np.array([float(getattr(one, name)) for one in found.groups])
+
+    interval = np.array([one.interval() for one in found.groups]).reshape(-1, 2)
+    return Table("components", "Variance components", (
+        Column("group", [one.name for one in found.groups]),
+        Column("judgement", [str(one.judgement) for one in found.groups]),
+        Column("rows", numbers("rows")),
+        Column("redundancy", numbers("redundancy")),
+        Column("squares", numbers("squares"), meaning="sum of squares of the normalised residuals"),
+        Column("factor", numbers("factor"), meaning="of the stated sigmas"),
+        Column("sigma", numbers("sigma"), meaning="of the factor"),
+        Column("foerstner", numbers("foerstner"), meaning="the factor by Foerstner's formula"),
+        Column("factor_low_99", interval[:, 0]),
+        Column("factor_high_99", interval[:, 1]),
+    ))  # fmt: skip
 
 
 def _iterated(posterior: Posterior) -> Section:
@@ -285,7 +302,7 @@ def _iterated(posterior: Posterior) -> Section:
     }  # fmt: skip
 
     def write(folder: Path, figures: bool) -> list[str]:
-        _components_csv(found.components, folder / "components_iterated.csv")
+        components_table(found.components).write_csv(folder / "components_iterated.csv")
         return ["components_iterated.csv"]
 
     text = f"Scaled and adjusted again, until all factors were one:\n{found.words()}"
@@ -296,7 +313,7 @@ def _reliability(found: Reliability, most: int) -> Section:
     worst = suspects(found, most)
 
     def write(folder: Path, figures: bool) -> list[str]:
-        reliability_csv(found, folder / "reliability.csv")
+        reliability_table(found).write_csv(folder / "reliability.csv")
         return ["reliability.csv"]
 
     return Section("reliability", reliability_text(found, worst), reliability_record(found, worst), write)

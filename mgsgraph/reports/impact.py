@@ -7,7 +7,7 @@ import numpy as np
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.errors import InputError
 from mgsgraph.io.fresh_file import beside, fresh_file
-from mgsgraph.output.csv_json import columns, quoted, truths, write_csv
+from mgsgraph.output.table import Column, Table
 
 _AXES = ("x", "y", "z")
 
@@ -49,12 +49,13 @@ def write_impact(impact: Impact, path: Path) -> None:
     Raises InputError if the file can't be written.
     """
     points = impact.points
-    numbers = {
-        **columns([f"move_{axis}_m" for axis in _AXES], points.moves),
-        "move_sigmas": points.in_sigmas,
-        **columns([f"sigma_before_{axis}_m" for axis in _AXES], points.sigmas_before),
-        **columns([f"sigma_{axis}_m" for axis in _AXES], points.sigmas_after),
-    }
-    names = {"point": [quoted(name) for name in points.ids], "new": truths(np.asarray(points.new))}
+    table = Table("impact", "Points that moved", (
+        Column("point", points.ids),
+        Column("new", np.asarray(points.new, dtype=np.bool_)),
+        Column("move_{}", points.moves, "m", "after minus before, body-fixed", _AXES),
+        Column("move_sigmas", points.in_sigmas),
+        Column("sigma_before_{}", points.sigmas_before, "m", "for sigma0 = 1", _AXES),
+        Column("sigma_{}", points.sigmas_after, "m", "for sigma0 = 1", _AXES),
+    ))  # fmt: skip
     with fresh_file(path, _WRITABLE) as aside:
-        write_csv(aside, names, numbers)
+        table.write_csv(aside)

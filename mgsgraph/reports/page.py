@@ -13,9 +13,10 @@ from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.io.fresh_file import fresh_file
 from mgsgraph.network import PointClass
+from mgsgraph.output.table import NONE
 from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
 from mgsgraph.reports.page_comparison import compare
-from mgsgraph.reports.page_tables import NONE, inputs_table, settings_table, tables, versions_table
+from mgsgraph.reports.page_tables import inputs_table, settings_table, tables, versions_table
 from mgsgraph.reports.summary import statements
 
 _TEMPLATE = "templates/report.html"

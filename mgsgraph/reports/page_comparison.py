@@ -10,12 +10,13 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
-from mgsgraph.reports.page_tables import MOST_IMAGES, NONE, Table, cells, cut, fixed
-from mgsgraph.units import ARCSEC
+from mgsgraph.output.table import Column, Table, cut
+from mgsgraph.reports.page_tables import MOST_IMAGES
 from mgsgraph.wording import NAMED, many, some
 
 _MOST_POINTS = 200
 """Points listed, those that moved most."""
+_TITLE = "Ground points, against the earlier solution"
 _METHOD = (
     "A difference is this solution minus the earlier one. It is stated in units of the larger of both sigmas "
     "(sigma0 = 1): the solutions share observations and priors, so that the sigma of their difference isn't known "
@@ -50,7 +51,7 @@ def compare(solution: Solution, earlier: Solution) -> Comparison:
         _only([image.name for image in solution.network.images], [image.name for image in earlier.network.images]),
         "" if earlier.converged else "The earlier solution had NOT CONVERGED.",
     ) if sentence]  # fmt: skip
-    tables = [table for table in (_merit(solution, earlier), images, points) if table.rows]
+    tables = [table for table in (_merit(solution, earlier), images, points) if len(table)]
     return Comparison(earlier.name, [_METHOD, *sentences, *about_points, *others], tables)
 
 
@@ -81,19 +82,19 @@ def _only(here: list[str], there: list[str]) -> str:
 
 
 def _merit(solution: Solution, earlier: Solution) -> Table:
-    rows = [
-        ["state", *("converged" if one.converged else "NOT CONVERGED" for one in (earlier, solution)), NONE],
-        *(_row(name, before, after) for name, before, after in (
-            ("cost with the nominal orientation", earlier.cost_initial, solution.cost_initial),
-            ("cost at the solution", earlier.cost_final, solution.cost_final),
-            ("sigma0", earlier.sigma0, solution.sigma0),
-            ("degrees of freedom", earlier.fit.degrees_of_freedom, solution.fit.degrees_of_freedom),
-            ("observations", earlier.fit.observations, solution.fit.observations),
-            ("unknowns", earlier.fit.unknowns, solution.fit.unknowns),
-            ("images", len(earlier.network.images), len(solution.network.images)),
-            ("ground points", len(earlier.network.points), len(solution.network.points)),
-        )),
-    ]  # fmt: skip
+    both = [
+        ("cost with the nominal orientation", earlier.cost_initial, solution.cost_initial),
+        ("cost at the solution", earlier.cost_final, solution.cost_final),
+        ("sigma0", earlier.sigma0, solution.sigma0),
+        ("degrees of freedom", earlier.fit.degrees_of_freedom, solution.fit.degrees_of_freedom),
+        ("observations", earlier.fit.observations, solution.fit.observations),
+        ("unknowns", earlier.fit.unknowns, solution.fit.unknowns),
+        ("images", len(earlier.network.images), len(solution.network.images)),
+        ("ground points", len(earlier.network.points), len(solution.network.points)),
+    ]
+    states = ["converged" if one.converged else "NOT CONVERGED" for one in (earlier, solution)]
+    numbers = np.array([(before, after, after - before) for _, before, after in both])
+    texts = [[f"{value:.6g}" if np.isfinite(value) else "" for value in column] for column in numbers.T]
     note = "" if earlier.fit.observations == solution.fit.observations else (
         "The numbers of observations differ: costs can't be compared, sigma0 can."
     )
@@ -101,16 +102,15 @@ def _merit(solution: Solution, earlier: Solution) -> Table:
     if losses[0] != losses[1]:  # another loss weighs the same residuals otherwise
         words = "; now ".join(_loss(*one) for one in losses)
         note = f"The losses differ ({words}): neither costs nor sigma0 can be compared."
-    columns = (("figure", ""), ("earlier", ""), ("this one", ""), ("difference", ""))
-    return Table("merit_compared", "Figures of merit", columns, rows, note)
+    return Table("merit_compared", "Figures of merit", (
+        Column("figure", ["state", *(name for name, _, _ in both)], page="s"),
+        *(Column(name, [first, *text], page="s")
+          for name, first, text in zip(("earlier", "this one", "difference"), (*states, ""), texts, strict=True)),
+    ), note)  # fmt: skip
 
 
 def _loss(name: str, width: float | None) -> str:
     return name if width is None else f"{name}, width {width:g}"
-
-
-def _row(name: str, before: float, after: float) -> list[str]:
-    return [name, *(f"{v:.6g}" if np.isfinite(v) else NONE for v in (before, after, after - before))]
 
 
 def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int) -> tuple[Array, Array]:
@@ -127,28 +127,27 @@ def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int
 
 
 def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]) -> tuple[list[str], Table]:
-    rows, worst, where = [], 0.0, ""
-    for j, i in shared[:MOST_IMAGES]:
-        moved, sigmas = orientation_difference(solution, j, earlier, i)
-        name = solution.network.images[j].name
-        rms = np.sqrt(np.mean(moved**2, axis=0))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.where(sigmas > 0.0, np.abs(moved) / sigmas, np.nan)
-        most = np.max(off, axis=0)  # NaN of a held image
-        if np.nanmax(most, initial=0.0) > worst:
-            worst, where = float(np.nanmax(most)), name
-        rows.append([name, *cells(rms[:3]), *cells(rms[3:] / ARCSEC), *cells(most)])
+    shown = shared[:MOST_IMAGES]
+    names = [solution.network.images[j].name for j, _ in shown]
+    found = [orientation_difference(solution, j, earlier, i) for j, i in shown]
+    rms = np.array([np.sqrt(np.mean(moved**2, axis=0)) for moved, _ in found])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        most = np.array([np.max(np.where(s > 0.0, np.abs(moved) / s, np.nan), axis=0) for moved, s in found])
+    largest = np.nanmax(np.nan_to_num(most), axis=1)  # NaN of a held image
+    worst, where = (largest.max(), names[int(np.argmax(largest))]) if largest.max(initial=0.0) > 0.0 else (0.0, "")
     sentences = [
-        f"The orientation of {many(len(rows), 'common image')} differs by at most {worst:.2g} sigmas"
+        f"The orientation of {many(len(shown), 'common image')} differs by at most {worst:.2g} sigmas"
         + (f" ({where})." if where else ".")
     ]
     note = f"Over {PLACES} lines: rms of the differences, and the largest one in sigmas; a dash: held. "
-    table = Table(
-        "images_compared", "Orientation of the images, against the earlier solution",
-        (("image", ""), *((f"rms {axis}", "m") for axis in "XYZ"), *((f"rms turn {axis}", "arcsec") for axis in "xyz"),
-         *((f"largest {axis}", "σ") for axis in "XYZ"), *((f"largest turn {axis}", "σ") for axis in "xyz")),
-        rows, note + cut(len(shared), len(rows), "the first ones", "orientation.csv"),
-    )  # fmt: skip
+    axes, turns = ("X", "Y", "Z"), ("x", "y", "z")
+    table = Table("images_compared", "Orientation of the images, against the earlier solution", (
+        Column("image", names, page="s"),
+        Column("rms {}", rms[:, :3], "m", parts=axes, head="rms {}", page=".2f"),
+        Column("rms turn {}", rms[:, 3:], "arcsec", parts=turns, head="rms turn {}", page=".2f"),
+        Column("largest {}", most[:, :3], "σ", parts=axes, head="largest {}", page=".2f"),
+        Column("largest turn {}", most[:, 3:], "σ", parts=turns, head="largest turn {}", page=".2f"),
+    ), note + cut(len(shared), len(shown), "the first ones", "orientation.csv"))  # fmt: skip
     return sentences, table
 
 
@@ -160,23 +159,21 @@ def _points(solution: Solution, earlier: Solution) -> tuple[list[str], Table]:
     here, there = here[sound], there[sound]
     new, gone = len(solution.network.points) - len(pairs), len(earlier.network.points) - len(pairs)
     counts = f"{many(len(pairs), 'point')} of both, {new} new, {gone} gone"
-    columns = (("point", ""), *((way, "m") for way in ("east", "north", "up")), ("distance", "m"), ("over σ", ""))
-    title = "Ground points, against the earlier solution"
     if not here.size:
-        return [f"{counts}: no point has a place in both."], Table("points_compared", title, columns, [])
+        return [f"{counts}: no point has a place in both."], Table("points_compared", _TITLE, (Column("point", []),))
     moved = np.einsum("nij,nj->ni", east_north_up(solution.places[here]), solution.places[here] - earlier.places[there])
     length = np.linalg.norm(moved, axis=1)
     sigma = np.maximum(*(np.linalg.norm(one.sigmas[k], axis=1) for one, k in ((solution, here), (earlier, there))))
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.where(sigma > 0.0, length / sigma, np.nan)
-    listed = np.argsort(-length, kind="stable")[:_MOST_POINTS].tolist()
-    table = Table(
-        "points_compared", title, columns,
-        [[solution.network.points.ids[here[k]], *cells(moved[k]), fixed(float(length[k])), fixed(float(off[k]))]
-         for k in listed],
-        "The last column is the distance over the larger of both 3-D sigmas. "
-        + cut(here.size, len(listed), "those that moved most", "points.csv"),
-    )  # fmt: skip
+    listed = np.argsort(-length, kind="stable")[:_MOST_POINTS]
+    note = "The last column is the distance over the larger of both 3-D sigmas. "
+    table = Table("points_compared", _TITLE, (
+        Column("point", [solution.network.points.ids[k] for k in here[listed].tolist()], page="s"),
+        Column("{}", moved[listed], "m", parts=("east", "north", "up"), head="{}", page=".2f"),
+        Column("distance", length[listed], "m", page=".2f"),
+        Column("over σ", off[listed], page=".2f"),
+    ), note + cut(here.size, len(listed), "those that moved most", "points.csv"))  # fmt: skip
     largest = f", by {np.nanmax(off):.2g} sigmas at the most" if np.any(np.isfinite(off)) else ""
     rms = float(np.sqrt(np.mean(length**2)))
     return [f"{counts}; they moved by {rms:.3g} m (rms), {length.max():.3g} m at the most{largest}."], table

@@ -1,6 +1,5 @@
 """A plan in words, as a table for the terminal, and as files: plan.csv, plan.json and a figure."""
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,15 +9,13 @@ import numpy as np
 
 from mgsgraph.adjustment.planning.plan import Judged, Plan
 from mgsgraph.adjustment.planning.targets import Sigmas
-from mgsgraph.output.csv_json import plain, quoted, write_csv
+from mgsgraph.geometry.records import Array
+from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PLAN, PROGRAM, fresh_folder
+from mgsgraph.output.table import Column, Table
 from mgsgraph.units import KM
-from mgsgraph.wording import many, short
+from mgsgraph.wording import many
 
-_NAME, _KIND = 28, 13
-"""Letters of these columns."""
-_WIDTHS = (8, 8, 8, 8, 8, 7, 9, 8, 6)
-"""Letters of the others."""
 _SHOWN = 30
 """Rows of the ranking that are printed; the files have all."""
 
@@ -27,34 +24,54 @@ def plan_table(plan: Plan) -> str:
     """The ranking, and what is chosen step by step: sigma of the targets before and after, the latter eastward,
     northward and upward, too.
     """
-    shown = plan.ranking[:_SHOWN]
-    lines = ["Each by itself", _head(), *(_row(k + 1, one) for k, one in enumerate(shown))]
-    if len(plan.ranking) > len(shown):
-        lines.append(f"... and {len(plan.ranking) - len(shown)} more")
+    lines = ["Each by itself", *judged_table(plan.ranking[:_SHOWN]).text(units=True)]
+    if len(plan.ranking) > _SHOWN:
+        lines.append(f"... and {len(plan.ranking) - _SHOWN} more")
     if plan.chosen:
-        lines += ["", "Chosen one after the other", _head(), *(_row(k + 1, one) for k, one in enumerate(plan.chosen))]
+        lines += ["", "Chosen one after the other", *judged_table(plan.chosen).text(units=True)]
     return "\n".join(lines)
 
 
-def _head() -> str:
-    titles = ("before", "after", "east", "north", "up", "drop", "gain", "measures", "images")
-    units = ("m", "m", "m", "m", "m", "%", "bits", "", "")
-    lines = (
-        " ".join(f"{word:>{width}}" for word, width in zip(words, _WIDTHS, strict=True)) for words in (titles, units)
-    )
-    first, second = lines
-    blank = " " * (4 + 1 + _NAME + 1 + _KIND + 1)
-    return f"{'':>4} {'candidate':<{_NAME}} {'kind':<{_KIND}} {first}\n{blank}{second}".rstrip()
+def judged_table(judged: Sequence[Judged], ranks: Sequence[int] = (), lists: Sequence[str] = ()) -> Table:
+    """One row per candidate: what it would do to the sigmas of the targets.
 
+    Parameters
+    ----------
+    judged : sequence of Judged
+        Candidates in their order.
+    ranks, lists : sequence, optional
+        Place of each, and the list that it is of; one after the other when absent.
+    """
 
-def _row(number: int, one: Judged) -> str:
-    name = f"{number:>4} {short(one.name, _NAME):<{_NAME}} {one.kind:<{_KIND}} "
-    if one.reason:
-        return f"{name}worthless: {one.reason}"
-    values = (one.before.total, one.after.total, one.after.east, one.after.north, one.after.up)
-    texts = [f"{value:.4g}" for value in values]
-    texts += [f"{100.0 * one.drop:.3g}", f"{one.bits:.3f}", str(one.measures), str(len(one.images))]
-    return name + " ".join(f"{text:>{width}}" for text, width in zip(texts, _WIDTHS, strict=True))
+    def sigmas(when: str, part: str) -> Array:
+        return np.array([getattr(getattr(one, when), part) for one in judged], dtype=np.float64)
+
+    ways = ("total", "east", "north", "up")
+    pairs = [
+        Column(f"{'sigma' if way == 'total' else way}_{when}", sigmas(when, way), "m", label=label, text=text)
+        for way in ways
+        for when, label, text in (
+            ("before", "before", ">8.4g" if way == "total" else ""),
+            ("after", "after" if way == "total" else way, ">8.4g"),
+        )
+    ]  # fmt: skip
+    return Table("plan", "Candidates", (
+        Column("list", list(lists) or [""] * len(judged)),
+        Column("rank", np.array(ranks or range(1, len(judged) + 1)), label="", text=">4"),
+        Column("candidate", [one.name for one in judged], text="<28"),
+        Column("kind", [one.kind for one in judged], text="<13"),
+        Column("reason", [one.reason for one in judged], meaning="why it is worth nothing"),
+        *pairs,
+        Column("drop", np.array([one.drop for one in judged]), "percent", "of the sigma", text=">7.3g"),
+        Column("bits", np.array([one.bits for one in judged]), "bits", label="gain", text=">9.3f"),
+        Column("measures", np.array([one.measures for one in judged]), text=">8", files=False),
+        Column("image_measures", np.array([float(one.rays) for one in judged])),
+        Column("ranges", np.array([float(one.ranges) for one in judged])),
+        Column("images", np.array([float(len(one.images)) for one in judged]), text=">6.0f"),
+        Column("overlap", np.array([one.overlap if math.isfinite(one.overlap) else math.nan for one in judged]), "km2"),
+    ), instead={
+        k: ("sigma_before", f"worthless: {one.reason}") for k, one in enumerate(judged) if one.reason
+    })  # fmt: skip
 
 
 def statements(plan: Plan) -> list[str]:
@@ -100,8 +117,7 @@ def write_plan(plan: Plan, folder: str | Path, figures: bool = True) -> list[str
         If the folder holds anything but an earlier plan, or can't be written.
     """
     with fresh_folder(folder, PLAN) as aside:
-        text = json.dumps(plan_json(plan), indent=1, allow_nan=False, ensure_ascii=False)
-        (aside / PLAN).write_text(text + "\n", encoding="utf-8", newline="\n")
+        write_json(aside / PLAN, plan_json(plan))
         _csv(plan, aside / "plan.csv")
         names = [PLAN, "plan.csv"]
         if figures:
@@ -150,25 +166,5 @@ def _csv(plan: Plan, path: Path) -> None:
         ("ranking", plan.ranking), ("chosen", plan.chosen), ("first of ranking", [plan.plain] if plan.plain else []),
     )  # fmt: skip
     rows = [(which, k + 1, one) for which, some in lists for k, one in enumerate(some)]
-    text: dict[str, Sequence[str]] = {
-        "list": [which for which, _, _ in rows],
-        "rank": [str(k) for _, k, _ in rows],
-        "candidate": [quoted(one.name) for _, _, one in rows],
-        "kind": [one.kind for _, _, one in rows],
-        "reason": [quoted(one.reason) for _, _, one in rows],
-    }
-    table = np.array([_numbers(one) for _, _, one in rows], dtype=np.float64)
-    names = [
-        "sigma_before_m", "sigma_after_m", "east_before_m", "east_after_m", "north_before_m", "north_after_m",
-        "up_before_m", "up_after_m", "drop_percent", "bits", "image_measures", "ranges", "images", "overlap_km2",
-    ]  # fmt: skip
-    write_csv(path, text, dict(zip(names, table.T, strict=True)))
-
-
-def _numbers(one: Judged) -> list[float]:
-    before, after = one.before, one.after
-    sigmas = [
-        before.total, after.total, before.east, after.east, before.north, after.north, before.up, after.up,
-    ]  # fmt: skip
-    area = one.overlap / KM**2 if math.isfinite(one.overlap) else math.nan
-    return [*sigmas, 100.0 * one.drop, one.bits, one.rays, one.ranges, len(one.images), area]
+    which, ranks, judged = zip(*rows, strict=True)
+    judged_table(judged, ranks, which).write_csv(path)

@@ -1,7 +1,6 @@
 """Reliability and data snooping as people and programs read them: the table by suspicion, and all measures as CSV."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,8 @@ import numpy as np
 from mgsgraph.adjustment.analysis.reliability import Reliability
 from mgsgraph.adjustment.analysis.snooping import Snooping
 from mgsgraph.adjustment.analysis.suspects import Suspect
-from mgsgraph.output.csv_json import all_quoted, picked, write_csv
+from mgsgraph.output.csv_json import picked
+from mgsgraph.output.table import Column, Table
 from mgsgraph.units import MRAD
 from mgsgraph.wording import many, some
 
@@ -69,25 +69,31 @@ def reliability_record(found: Reliability, worst: Sequence[Suspect]) -> dict[str
     }  # fmt: skip
 
 
-def reliability_csv(found: Reliability, path: Path) -> None:
-    """Write one row per scalar measure, the largest test first; units in `unit`, effect in m."""
+def reliability_table(found: Reliability) -> Table:
+    """One row per scalar measure, the largest test first; units in `unit`, effect in m."""
     table, order = found.measures, found.order(len(found))
-    points = all_quoted([*found.at.network.points.ids, ""])  # the last one is that of row -1
-    images = all_quoted([*(image.name for image in found.at.network.images), ""])
-    names = {
-        "measure": all_quoted(found.names(order)),
-        "kind": picked(_KINDS, table.kind[order]),
-        "point": picked(points, table.point[order]),
-        "image": picked(images, table.image[order]),
-        "unit": found.units(order),
-    }
-    numbers: dict[str, np.ndarray] = {
-        "w": table.test, "residual": table.residual, "sigma": table.sigma, "redundancy": table.redundancy,
-        "minimal_detectable_blunder": table.detectable, "effect_m": table.effect, "external": table.external,
-        "joint_test": table.joint, "joint_dimensions": table.dimensions,
-    }  # fmt: skip
-    finite = {name: np.where(np.isfinite(values), values, np.nan)[order] for name, values in numbers.items()}
-    write_csv(path, names, finite)
+    points = [*found.at.network.points.ids, ""]  # the last one is that of row -1
+    images = [*(image.name for image in found.at.network.images), ""]
+
+    def numbers(values: np.ndarray) -> np.ndarray:
+        return np.where(np.isfinite(values), values, np.nan)[order]
+
+    return Table("reliability", "Measures by suspicion", (
+        Column("measure", found.names(order)),
+        Column("kind", picked(_KINDS, table.kind[order])),
+        Column("point", picked(points, table.point[order])),
+        Column("image", picked(images, table.image[order])),
+        Column("unit", found.units(order)),
+        Column("w", numbers(table.test), meaning="normalised residual"),
+        Column("residual", numbers(table.residual)),
+        Column("sigma", numbers(table.sigma), meaning="a priori"),
+        Column("redundancy", numbers(table.redundancy), meaning="0 .. 1"),
+        Column("minimal_detectable_blunder", numbers(table.detectable)),
+        Column("effect", numbers(table.effect), "m", "of one that goes unnoticed, on the point"),
+        Column("external", numbers(table.external), meaning="the same in sigmas"),
+        Column("joint_test", numbers(table.joint)),
+        Column("joint_dimensions", numbers(table.dimensions)),
+    ))  # fmt: skip
 
 
 def snooping_text(found: Snooping) -> str:

@@ -4,14 +4,12 @@
 1 the measures cannot tell them apart, whatever the sigmas are. *Correlation* is the posterior's, priors included.
 """
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 
 from mgsgraph.adjustment.analysis.shared_unknowns import SharedEstimate, shared_estimates
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.output.csv_json import quoted, write_csv
+from mgsgraph.geometry.records import Array
+from mgsgraph.output.table import Column, Table
 from mgsgraph.wording import some
 
 _CORRELATED = 0.9
@@ -20,42 +18,40 @@ _ALIKE = 0.99
 """Likeness from which the measures count as unable to tell two unknowns apart."""
 
 
-# --- reports
+IN_TEXT = ("text", "value", "sigma", "prior_sigma", "unit", "correlation_with_pitch", "likeness_to_pitch")
+ON_PAGE = ("name", "kind", "axis", "unit", "value", "sigma", "prior_sigma", "image", "correlation_with_pitch",
+           "likeness_to_pitch")  # fmt: skip
+"""Columns of the table of shared unknowns for the terminal and on the page."""
 
 
-def shared_json(solution: Solution) -> list[dict[str, Any]]:
-    """For solution.json; units in the keys."""
-    return [
-        {
-            "name": one.name, "kind": str(one.kind), "axis": one.axis or None,
-            f"value_{one.unit}": one.value, f"sigma_{one.unit}": one.sigma, f"prior_sigma_{one.unit}": one.prior_sigma,
-            "image": one.image or None, "correlation_with_pitch": one.correlation, "likeness_to_pitch": one.likeness,
-            "likeness_to_pitches": one.together, f"ground_m_per_{one.unit}": one.ground,
-        }
-        for one in shared_estimates(solution)
-    ]  # fmt: skip
-
-
-def shared_csv(solution: Solution, path: Path) -> None:
-    """Write one row per column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
+def shared_table(solution: Solution) -> Table:
+    """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
     found = shared_estimates(solution)
-    text = {
-        "name": [quoted(one.name) for one in found],
-        "kind": [str(one.kind) for one in found],
-        "axis": [one.axis for one in found],
-        "unit": [one.unit for one in found],
-        "image": [quoted(one.image) for one in found],
-    }
-    numbers = {
-        "value": [one.value for one in found],
-        "sigma": [one.sigma for one in found],
-        "prior_sigma": [one.prior_sigma for one in found],
-        "correlation_with_pitch": [one.correlation for one in found],
-        "likeness_to_pitch": [one.likeness for one in found],
-        "likeness_to_pitches": [one.together for one in found],
-        "ground_m_per_unit": [one.ground for one in found],
-    }
-    write_csv(path, text, {name: np.array(values) for name, values in numbers.items()})
+
+    def numbers(name: str) -> Array:
+        return np.array([getattr(one, name) for one in found], dtype=np.float64)
+
+    units = [one.unit for one in found]
+    return Table("shared", "Unknowns that images share", (
+        Column("text", [f"{one.name[:34]} {one.axis}".strip() for one in found], label="Shared unknowns", text="<38",
+               files=False),
+        Column("name", [one.name for one in found], page="s"),
+        Column("kind", [one.kind.value for one in found], page="s"),
+        Column("axis", [one.axis for one in found], meaning="of the camera, of a boresight", page="s"),
+        Column("unit", units, page="s", text="<5"),
+        Column("image", [one.image for one in found], meaning="whose constant pitch it is most like",
+               head="most like pitch of", page="s"),
+        Column("value", numbers("value"), units, page=".4g", text=">+10.4g"),
+        Column("sigma", numbers("sigma"), units, "for sigma0 = 1", head="σ", page=".4g", label="sigma", text=">9.3g"),
+        Column("prior_sigma", numbers("prior_sigma"), units, "the same beforehand", head="a-priori σ", page=".4g",
+               label="before", text=">9.3g"),
+        Column("correlation_with_pitch", numbers("correlation"), meaning="of the posterior, with that pitch",
+               head="correlation", page=".3f", label="with pitch: corr.", text=">17.2f"),
+        Column("likeness_to_pitch", numbers("likeness"), meaning="cosine of what both do to the measures",
+               head="likeness", page=".3f", label="alike", text=">6.2f"),
+        Column("likeness_to_pitches", numbers("together"), meaning="with the best mixture of all images' pitches"),
+        Column("ground_m_per_{unit}", numbers("ground"), units, "m on the ground, in the middle of that image"),
+    ))  # fmt: skip
 
 
 def shared_statements(solution: Solution) -> list[str]:
@@ -91,24 +87,3 @@ def _warnings(one: SharedEstimate) -> list[str]:
     if one.sigma > _CORRELATED * one.prior_sigma:
         found.append("The measures say hardly anything about it.")
     return found
-
-
-def _share(value: float) -> str:
-    """A dash where no image has a pitch of its own to compare with."""
-    return "-" if np.isnan(value) else f"{value:.2f}"
-
-
-def shared_table(solution: Solution) -> str:
-    """Aligned text for the terminal; empty without shared unknowns."""
-    found = shared_estimates(solution)
-    if not found:
-        return ""
-    heads = f"{'value':>10} {'sigma':>9} {'before':>9} {'unit':<5} {'with pitch: corr.':>17} {'alike':>6}"
-    lines = [f"{'Shared unknowns':<40} {heads}"]
-    for one in found:
-        name = f"{one.name[:34]} {one.axis}".strip()
-        lines.append(
-            f"  {name:<38} {one.value:>+10.4g} {one.sigma:>9.3g} {one.prior_sigma:>9.3g} {one.unit:<5} "
-            f"{_share(one.correlation):>17} {_share(one.likeness):>6}"
-        )
-    return "\n".join(lines)

@@ -1,6 +1,5 @@
 """A study of orientation images in words, and as files: nodes.json, CSV files of all numbers, and figures."""
 
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,16 +13,15 @@ from mgsgraph.adjustment.spacing.densify import Densified
 from mgsgraph.adjustment.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
 from mgsgraph.adjustment.spacing.study import NodeStudy
 from mgsgraph.errors import InputError
-from mgsgraph.output.csv_json import plain, quoted, truths, whole, write_csv
+from mgsgraph.geometry.records import Array
+from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import NODES, PROGRAM, fresh_folder
+from mgsgraph.output.table import Column, Table
 from mgsgraph.units import ARCSEC, MGON
 from mgsgraph.wording import many, some
 
-_HEAD = ("spacing", "nodes", "longest", "rms", "+-", "median", "+-", "worse", "+-", "sigma0")
-_UNITS = ("s", "", "s", "", "", "", "", "", "", "")
 _CONTRADICTED = 3.0
 """Times the prior's sigma that a vibration may have before the prior counts as wrong."""
-_WIDTHS = (9, 6, 8, 8, 7, 8, 7, 9, 8, 8)
 
 
 def seconds_of(text: str) -> list[float]:
@@ -39,24 +37,37 @@ def seconds_of(text: str) -> list[float]:
 
 def spacing_table(choice: Choice) -> str:
     """Candidates and how well they predict rays held out; noise is 1, or what rays do scatter."""
-    lines = [
+    head = (
         "Misfits of rays held out, in sigmas that they have when orientation is known (rms, median; worse: mean square "
         "less that of the best)"
-    ]
-    lines += [" ".join(f"{word:>{w}}" for word, w in zip(row, _WIDTHS, strict=True)).rstrip()
-              for row in (_HEAD, _UNITS)]  # fmt: skip
-    for k, one in enumerate(choice.candidates):
-        if one.refused:
-            lines.append(f"{one.spacing:>9g} {one.nodes:>6}  refused: {one.refused}")
-            continue
-        numbers = (
-            f"{one.spacing:g}", str(one.nodes), f"{one.longest:.4g}", f"{one.rms:.4f}",
-            f"{choice.rms_errors[k]:.4f}", f"{one.median:.4f}", f"{one.median_error:.4f}", f"{choice.worse[k]:.4f}",
-            f"{choice.worse_errors[k]:.4f}", f"{one.sigma0:.4f}",
-        )  # fmt: skip
-        mark = " chosen" if k == choice.chosen else " best" if k == choice.best else ""
-        lines.append(" ".join(f"{text:>{w}}" for text, w in zip(numbers, _WIDTHS, strict=True)) + mark)
-    return "\n".join(lines)
+    )
+    return "\n".join([head, *candidates_table(choice).text(units=True)])
+
+
+def candidates_table(choice: Choice) -> Table:
+    """One row per candidate spacing."""
+    several = choice.candidates
+
+    def numbers(name: str) -> Array:
+        return np.array([getattr(one, name) for one in several], dtype=np.float64)
+
+    state = ["chosen" if k == choice.chosen else "best" if k == choice.best else "" for k in range(len(several))]
+    nodes, refused = [one.nodes for one in several], [one.refused for one in several]
+    return Table("spacings", "Spacings of orientation images", (
+        Column("standing", ["refused" if why else state for why, state in zip(refused, state, strict=True)]),
+        Column("reason", refused),
+        Column("spacing", numbers("spacing"), "s", text=">9g"),
+        Column("nodes", np.array(nodes, dtype=np.float64), text=">6.0f"),
+        Column("longest", numbers("longest"), "s", "largest interval", text=">8.4g"),
+        Column("rms", numbers("rms"), text=">8.4f"),
+        Column("rms_error", np.asarray(choice.rms_errors), label="+-", text=">7.4f"),
+        Column("median", numbers("median"), text=">8.4f"),
+        Column("median_error", numbers("median_error"), label="+-", text=">7.4f"),
+        Column("worse", np.asarray(choice.worse), text=">9.4f"),
+        Column("worse_error", np.asarray(choice.worse_errors), label="+-", text=">8.4f"),
+        Column("sigma0", numbers("sigma0"), text=">8.4f"),
+        Column("mark", state, label="", text="<", files=False),
+    ), instead={k: ("longest", f" refused: {why}") for k, why in enumerate(refused) if why})  # fmt: skip
 
 
 def node_statements(study: NodeStudy) -> list[str]:
@@ -175,13 +186,12 @@ def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> l
         If the folder holds anything but an earlier study of nodes, or can't be written.
     """
     with fresh_folder(folder, NODES) as aside:
-        text = json.dumps(nodes_json(study), indent=1, allow_nan=False, ensure_ascii=False)
-        (aside / NODES).write_text(text + "\n", encoding="utf-8", newline="\n")
-        _spacings_csv(study.choice, aside / "spacings.csv")
-        _course_csv(study, aside / "course.csv")
+        write_json(aside / NODES, nodes_json(study))
+        candidates_table(study.choice).write_csv(aside / "spacings.csv")
+        _course_table(study).write_csv(aside / "course.csv")
         names = [NODES, "spacings.csv", "course.csv"]
         if study.strips:
-            _spectra_csv(study, aside / "spectra.csv")
+            _spectra_table(study).write_csv(aside / "spectra.csv")
             names.append("spectra.csv")
         if figures:
             from mgsgraph.figures.spacing import write_node_figures  # matplotlib takes its time
@@ -241,49 +251,40 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
     return cleaned
 
 
-def _spacings_csv(choice: Choice, path: Path) -> None:
-    some_text = {
-        "standing": [
-            "refused" if one.refused else "chosen" if k == choice.chosen else "best" if k == choice.best else ""
-            for k, one in enumerate(choice.candidates)
-        ],
-        "reason": [quoted(one.refused) for one in choice.candidates],
-    }
-    rows = np.array([
-        (one.spacing, one.nodes, one.longest, one.rms, choice.rms_errors[k], one.median, one.median_error,
-         choice.worse[k], choice.worse_errors[k], one.sigma0)
-        for k, one in enumerate(choice.candidates)
-    ], dtype=np.float64)  # fmt: skip
-    names = ("spacing_s", "nodes", "longest_s", "rms", "rms_error", "median", "median_error", "worse", "worse_error",
-             "sigma0")  # fmt: skip
-    write_csv(path, some_text, dict(zip(names, rows.T, strict=True)))
-
-
-def _course_csv(study: NodeStudy, path: Path) -> None:
+def _course_table(study: NodeStudy) -> Table:
     """Corrections of all strips at the nodes of the spacing chosen."""
-    names = [quoted(one.strip) for one in study.courses for _ in range(one.times.size)]
-    number = np.concatenate([np.arange(1, one.times.size + 1) for one in study.courses])
-    scale = np.array([1.0] * 3 + [MGON] * 3)
-    numbers = {"time_et_s": np.concatenate([one.epoch + one.times for one in study.courses])}
+    found = study.courses
+    columns = [
+        Column("strip", [one.strip for one in found for _ in range(one.times.size)]),
+        Column("node", np.concatenate([np.arange(1, one.times.size + 1) for one in found])),
+        Column("time_et", np.concatenate([one.epoch + one.times for one in found]), "s", "TDB past J2000"),
+    ]
     for k, axis in enumerate(AXES):
-        stem = axis.replace(" position", "").replace("-", "_")
-        unit = "m" if k < 3 else "mgon"
-        numbers[f"{stem}_{unit}"] = np.concatenate([one.values[:, k] for one in study.courses]) / scale[k]
-        numbers[f"{stem}_sigma_{unit}"] = np.concatenate([one.sigmas[:, k] for one in study.courses]) / scale[k]
-    write_csv(path, {"strip": names, "node": whole(number)}, numbers)
+        stem, unit = axis.replace(" position", "").replace("-", "_"), "m" if k < 3 else "mgon"
+        columns += [
+            Column(stem, np.concatenate([one.values[:, k] for one in found]), unit),
+            Column(f"{stem}_sigma", np.concatenate([one.sigmas[:, k] for one in found]), unit),
+        ]
+    return Table("course", "Corrections along the strips", tuple(columns))
 
 
-def _spectra_csv(study: NodeStudy, path: Path) -> None:
+def _spectra_table(study: NodeStudy) -> Table:
+    """One row per frequency of each axis of each strip; amplitudes in `unit`."""
     every = [spectrum for one in study.strips for spectrum in one.spectra]
     sizes = [one.frequencies.size for one in every]
     scale = np.repeat([1.0 if one.unit == "m" else MGON for one in every], sizes)
-    text = {
-        "strip": [quoted(one.strip) for one, n in zip(every, sizes, strict=True) for _ in range(n)],
-        "axis": [one.axis for one, n in zip(every, sizes, strict=True) for _ in range(n)],
-        "unit": ["m" if one.unit == "m" else "mgon" for one, n in zip(every, sizes, strict=True) for _ in range(n)],
-        "above_level": truths(np.concatenate([one.amplitudes > one.level for one in every])),
-    }
-    numbers = {"frequency_hz": np.concatenate([one.frequencies for one in every])}
-    for name in ("amplitudes", "floor", "level", "wander"):
-        numbers[name.removesuffix("s")] = np.concatenate([getattr(one, name) for one in every]) / scale
-    write_csv(path, text, numbers)
+
+    def of(name: str) -> Array:
+        return np.concatenate([getattr(one, name) for one in every])
+
+    def repeated(words: list[str]) -> list[str]:
+        return [word for word, n in zip(words, sizes, strict=True) for _ in range(n)]
+
+    return Table("spectra", "Spectra", (
+        Column("strip", repeated([one.strip for one in every])),
+        Column("axis", repeated([one.axis for one in every])),
+        Column("unit", repeated(["m" if one.unit == "m" else "mgon" for one in every])),
+        Column("above_level", np.concatenate([one.amplitudes > one.level for one in every])),
+        Column("frequency", of("frequencies"), "hz"),
+        *(Column(name.removesuffix("s"), of(name) / scale) for name in ("amplitudes", "floor", "level", "wander")),
+    ))  # fmt: skip

@@ -5,7 +5,6 @@ radial; roll, pitch and yaw. What unknowns that images share do to them on top s
 """
 
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,37 +13,51 @@ from mgsgraph.adjustment.analysis.strip_corrections import StripReport, strip_re
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
+from mgsgraph.geometry.records import Array
 from mgsgraph.network import JointNodePrior, Network, NodePrior
 from mgsgraph.network.support import support
-from mgsgraph.output.csv_json import columns, quoted, whole, write_csv
-from mgsgraph.units import ARCSEC, KM, MGON
-from mgsgraph.wording import cells, many, short, some, span, three
+from mgsgraph.output.table import Column, Table
+from mgsgraph.units import KM, MGON
+from mgsgraph.wording import many, some, span, three
 
 POSITION, ROTATION = FLIGHT_NAMES[:3], FLIGHT_NAMES[3:]
 """Components of corrections along a strip: m, and rad."""
-_SHORT = ("along", "acr.", "rad.")
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 _ROWS = 24
 """Strips that are listed."""
-_NAME = 22
-"""Characters of a strip's name in the table."""
 
 
 # --- tables
 
 
-def strips_json(solution: Solution) -> list[dict[str, Any]]:
-    """For solution.json; units in the keys."""
-    return [
-        {
-            "name": one.name, "basis": one.basis, "images": list(one.images), "nodes": one.nodes,
-            "spacing_s": one.spacing, "spacing_lines": one.lines, "spacing_km": one.ground / KM,
-            "largest_correction_m": one.largest[:3], "largest_roll_pitch_yaw_mgon": one.largest[3:] / MGON,
-            "mean_sigma_m": one.mean_sigmas[:3], "mean_sigma_roll_pitch_yaw_mgon": one.mean_sigmas[3:] / MGON,
-            "trend": [_trend_json(*part) for part in one.trend],
-        }
-        for one in strip_reports(solution)
-    ]  # fmt: skip
+def strips_table(solution: Solution) -> Table:
+    """One row per strip."""
+    found = strip_reports(solution)
+
+    def numbers(name: str) -> Array:
+        return np.array([getattr(one, name) for one in found], dtype=np.float64)
+
+    largest, sigmas = numbers("largest").reshape(-1, 6), numbers("mean_sigmas").reshape(-1, 6)
+    (m, mgon), heads = ((("along", "acr.", "rad."), ROTATION), (POSITION, ROTATION))
+    of_largest, of_sigmas = (
+        [tuple(f"{what} {name}" for name in some) for some in heads] for what in ("largest Δ", "σ")
+    )
+    return Table("strips", "Strips", (
+        Column("name", [one.name for one in found], head="strip", page="s", label="Strips", text="<22"),
+        Column("basis", [one.basis for one in found], page="s"),
+        Column("images", [one.images for one in found]),
+        Column("number", np.array([len(one.images) for one in found]), head="images", page="s", files=False),
+        Column("nodes", np.array([one.nodes for one in found]), page="s", text=">5"),
+        Column("spacing", numbers("spacing"), "s", "on the average", page=".3f", label="every s", text=">8.2f"),
+        Column("spacing_lines", numbers("lines"), label="lines", text=">7.0f"),
+        Column("spacing", numbers("ground"), "km", "over ground", label="km", text=">6.1f"),
+        Column("largest_correction", largest[:, :3], "m", "at a node", m, of_largest[0], ".2f"),
+        Column("largest_roll_pitch_yaw", largest[:, 3:], "mgon", "at a node", mgon, of_largest[1], ".2f"),
+        Column("mean_sigma", sigmas[:, :3], "m", "of the nodes", m, of_sigmas[0], ".2f", "mean sigma [m]", ">5", 3),
+        Column("mean_sigma_roll_pitch_yaw", sigmas[:, 3:], "mgon", "of the nodes", mgon, of_sigmas[1], ".2f",
+               "mean sigma [mgon]", ">7", 2),
+        Column("trend", [[_trend_json(*part) for part in one.trend] for one in found]),
+    ), "Corrections at the orientation images: the largest, and the mean sigma.")  # fmt: skip
 
 
 def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[str, Any]:
@@ -52,24 +65,24 @@ def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[s
     return {"part": part, "component": component, f"value_{unit}": value / scale, f"sigma_{unit}": sigma / scale}
 
 
-def strips_csv(solution: Solution, path: Path) -> None:
-    """Write one row per node within a strip: its time, and corrections with sigmas in m, mgon and arcsec."""
-    found = strip_reports(solution)
-    times = np.concatenate([one.course.times for one in found])
-    values, sigmas = (np.concatenate([getattr(one.course, part) for one in found]) for part in ("values", "sigmas"))
-    count = [one.course.times.size for one in found]
-    text = {
-        "strip": [quoted(one.name) for one, n in zip(found, count, strict=True) for _ in range(n)],
-        "node": whole(np.concatenate([np.arange(1, n + 1) for n in count])),
-        "time_tdb": [calendar(time) for time in times.tolist()],
-    }
-    since = [one.course.times - one.course.times[0] for one in found]
-    numbers = {"time_et_s": times, "time_in_strip_s": np.concatenate(since)}
-    for part, of in (("correction", values), ("sigma", sigmas)):
-        numbers |= columns([f"{part}_{name}_m" for name in POSITION], of[:, :3])
-        for unit, scale in (("mgon", MGON), ("arcsec", ARCSEC)):
-            numbers |= columns([f"{part}_{name}_{unit}" for name in ROTATION], of[:, 3:] / scale)
-    write_csv(path, text, numbers)
+def nodes_table(solution: Solution) -> Table:
+    """One row per node within a strip: its time, and corrections with sigmas in m, mgon and arcsec."""
+    found = [(one.name, one.course) for one in strip_reports(solution)]
+    times = np.concatenate([course.times for _, course in found])
+
+    def amounts(part: str, of: Array) -> list[Column]:
+        turns = [Column(f"{part}_{{}}", of[:, 3:], unit, parts=ROTATION) for unit in ("mgon", "arcsec")]
+        return [Column(f"{part}_{{}}", of[:, :3], "m", parts=POSITION), *turns]
+
+    return Table("nodes", "Orientation images", (
+        Column("strip", [name for name, course in found for _ in range(course.times.size)]),
+        Column("node", np.concatenate([np.arange(1, course.times.size + 1) for _, course in found])),
+        Column("time_tdb", [calendar(time) for time in times.tolist()]),
+        Column("time_et", times, "s", "TDB past J2000"),
+        Column("time_in_strip", np.concatenate([course.times - course.times[0] for _, course in found]), "s"),
+        *amounts("correction", np.concatenate([course.values for _, course in found])),
+        *amounts("sigma", np.concatenate([course.sigmas for _, course in found])),
+    ))  # fmt: skip
 
 
 def calendar(time: float) -> str:
@@ -95,28 +108,6 @@ def _words(one: StripReport) -> str:
         f"{three(one.largest[3:] / MGON)} mgon in roll, pitch and yaw, with mean sigmas of "
         f"{three(one.mean_sigmas[:3])} m and {three(one.mean_sigmas[3:] / MGON)} mgon."
     )
-
-
-def strips_table(solution: Solution) -> str:
-    """Aligned text for the terminal; empty without strips."""
-    found = strip_reports(solution)
-    if not found:
-        return ""
-    lines = [
-        f"{'Strips':<{_NAME + 2}} {'nodes':>5} {'every s':>8} {'lines':>7} {'km':>6}   "
-        f"{'mean sigma [m]':>17}  {'mean sigma [mgon]':>23}",
-        " " * (_NAME + 36) + " ".join(f"{name:>5}" for name in _SHORT)
-        + "  " + " ".join(f"{name:>7}" for name in ROTATION),
-    ]  # fmt: skip
-    for one in found[:_ROWS]:
-        sigmas = one.mean_sigmas
-        lines.append(
-            f"  {short(one.name, _NAME):<{_NAME}} {one.nodes:>5} {one.spacing:>8.2f} {one.lines:>7.0f} "
-            f"{one.ground / KM:>6.1f}   {cells(sigmas[:3], 5)}  {cells(sigmas[3:] / MGON, 7)}"
-        )
-    if len(found) > _ROWS:
-        lines.append(f"  and {many(len(found) - _ROWS, 'more strip')}: see solution.json")
-    return "\n".join([*lines, "  (sigmas for sigma0 = 1; every node: strips.csv)"])
 
 
 def strips_inventory(network: Network) -> str:

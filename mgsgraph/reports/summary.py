@@ -9,7 +9,6 @@ from mgsgraph.adjustment.analysis.merit import (
     PLACES,
     RayStatistics,
     laser_gain,
-    orientation_statistics,
     point_statistics,
     range_statistics,
     ray_statistics,
@@ -22,11 +21,12 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_statements
 from mgsgraph.reports.control import control_statements
-from mgsgraph.reports.shared import shared_statements, shared_table
+from mgsgraph.reports.shared import IN_TEXT, shared_statements, shared_table
 from mgsgraph.reports.strips import strips_statements, strips_table
+from mgsgraph.reports.tables import classes_table, images_table
 from mgsgraph.ties import PointKind
-from mgsgraph.units import ARCSEC, MRAD
-from mgsgraph.wording import NAMED, cells, listed, many, short, some, span, three
+from mgsgraph.units import MRAD
+from mgsgraph.wording import NAMED, listed, many, short, some, span, three
 
 _ODDS = 0.0027
 """Chance (three sigma) of taking mere noise for something worth a sentence, in a whole solution."""
@@ -35,10 +35,7 @@ _PIXELS = 0.5
 _FEW_RAYS = 8
 """Fewer rays don't show how they scatter."""
 _ROWS = 24
-"""Images listed in the table."""
-_NAME = 26
-"""Characters of an image's name in the table."""
-_HEADINGS = (("line", "sample"), ("X", "Y", "Z"), ("x", "y", "z"))
+"""Images, and strips, listed in the table."""
 _ALIKE = 1.05
 """Ratio up to which two mean sigmas count as the same."""
 
@@ -238,9 +235,20 @@ def _some_points(solution: Solution, points: Index) -> str:
 
 def summary_table(solution: Solution) -> str:
     """Images, points, ranges and sigma0 as aligned text of at most 110 columns."""
-    rays = ray_statistics(solution)
-    sections = [_head(solution), _image_table(solution, rays), _point_table(solution), _range_lines(solution)]
-    sections += [strips_table(solution), shared_table(solution)]
+    there = np.array([point_class for point_class, _ in solution.network.of_class()], dtype=np.int64)
+    images = images_table(solution).text(_ROWS, "more image: see solution.json", indent=2)
+    points = classes_table(solution).take(there).text(indent=2)
+    sections = [
+        _head(solution),
+        "\n".join([*images, f"  (residuals: rms; corrections: means over {PLACES} lines)"]),
+        "\n".join([*points, "  (sigmas for sigma0 = 1)"]),
+        _range_lines(solution),
+    ]
+    if solution.network.strips:
+        strips = strips_table(solution).text(_ROWS, "more strip: see solution.json", indent=2)
+        sections.append("\n".join([*strips, "  (sigmas for sigma0 = 1; every node: strips.csv)"]))
+    if solution.network.shared:
+        sections.append("\n".join(shared_table(solution).pick(*IN_TEXT).text(indent=2)))
     seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
     return "\n\n".join([section for section in sections if section] + [f"Seconds: {seconds}"])
 
@@ -254,39 +262,6 @@ def _head(solution: Solution) -> str:
         f"{fit.degrees_of_freedom} degrees of freedom\n"
         f"  cost {solution.cost_initial:.6g} -> {solution.cost_final:.6g}"
     )
-
-
-def _image_table(solution: Solution, rays: RayStatistics) -> str:
-    images = solution.network.images
-    lines = [
-        f"{'Images':<{_NAME + 2}} {'rays':>6} {'used':>6}  {'residuals [px]':>15}  {'mean correction [m]':>23}  "
-        f"{'camera axes [arcsec]':>23}",
-        " " * (_NAME + 18) + "  ".join(" ".join(f"{name:>7}" for name in group) for group in _HEADINGS),
-    ]
-    for j, image in enumerate(images[:_ROWS]):
-        moved = orientation_statistics(solution, j).mean
-        correction = f"{cells(moved[:3], 7)}  {cells(moved[6:] / ARCSEC, 7)}"
-        lines.append(
-            f"  {short(image.name, _NAME):<{_NAME}} {rays.total[j]:>6} {rays.count[j].sum():>6}  "
-            f"{cells(rays.rms_of_images[j], 7)}  {'held'.rjust(23) if solution.network.held[j] else correction}"
-        )
-    if len(images) > _ROWS:
-        lines.append(f"  and {many(len(images) - _ROWS, 'more image')}: see solution.json")
-    return "\n".join([*lines, f"  (residuals: rms; corrections: means over {PLACES} lines)"])
-
-
-def _point_table(solution: Solution) -> str:
-    lines = [
-        f"{'Points':<12} {'count':>8} {'rejected':>9}  {'mean sigma [m]':>29}  {'rms correction [m]':>29}",
-        f"{'':<12} {'':>8} {'':>9}  {'x':>9} {'y':>9} {'z':>9}  {'x':>9} {'y':>9} {'z':>9}",
-    ]
-    for point_class, _ in solution.network.of_class():
-        found = point_statistics(solution, point_class)
-        lines.append(
-            f"  {point_class.name.lower():<10} {found.count:>8} {found.rejected:>9}  {cells(found.mean_sigma, 9)}  "
-            f"{cells(found.rms_correction, 9)}"
-        )
-    return "\n".join([*lines, "  (sigmas for sigma0 = 1)"])
 
 
 def _range_lines(solution: Solution) -> str:

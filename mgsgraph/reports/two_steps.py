@@ -1,6 +1,5 @@
 """An adjustment in two steps as a page of text, tables and a figure."""
 
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +12,9 @@ from mgsgraph.adjustment.analysis.step_merit import POINT_AXES, POSE_AXES, STAGE
 from mgsgraph.adjustment.two_steps import TwoSteps
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.output.csv_json import picked, plain, quoted, truths, write_csv
+from mgsgraph.output.csv_json import picked, write_json
 from mgsgraph.output.folders import PROGRAM, fresh_folder
+from mgsgraph.output.table import Column, Table
 from mgsgraph.reports.results import write_into
 from mgsgraph.units import DEG, MGON
 from mgsgraph.wording import cell, cells, many, short, some, three
@@ -55,16 +55,15 @@ def write_two_steps(merit: StepMerit, folder: str | Path, figures: bool = True) 
 def write_merit_into(merit: StepMerit, folder: Path, figures: bool = True) -> None:
     """What both steps did, alone, into a folder that exists."""
     (folder / "two_steps.txt").write_text(two_steps_page(merit) + "\n", encoding="utf-8", newline="\n")
-    text = json.dumps(plain(two_steps_json(merit)), indent=1, allow_nan=False, ensure_ascii=False)
-    (folder / "two_steps.json").write_text(text + "\n", encoding="utf-8", newline="\n")
-    _merit_csv(merit, folder / "two_steps.csv")
+    write_json(folder / "two_steps.json", two_steps_json(merit))
+    _merit_table(merit).write_csv(folder / "two_steps.csv")
     if not merit.points.size:
         return
-    _heights_csv(merit, folder / "heights.csv")
+    _heights_table(merit).write_csv(folder / "heights.csv")
     if not np.any(merit.used):
         return
     found = cells_of(merit)
-    _cells_csv(found, folder / "height_cells.csv")
+    _cells_table(found).write_csv(folder / "height_cells.csv")
     if figures:
         from mgsgraph.figures.height_maps import write_height_map  # matplotlib takes its time
 
@@ -328,21 +327,18 @@ def _by_stage(axes: tuple[str, ...], values: Array) -> dict[str, dict[str, float
     return {stage: dict(zip(axes, row, strict=True)) for stage, row in zip(STAGES, values, strict=True)}
 
 
-def _merit_csv(merit: StepMerit, path: Path) -> None:
+def _merit_table(merit: StepMerit) -> Table:
     """One row per strip and quantity: before, after step 1, after step 2, and the factors of either."""
-    names, quantities, units, rows = list[str](), list[str](), list[str](), list[Array]()
-    for group in (merit.whole, *merit.groups):
-        for quantity, unit, values in _quantities(group):
-            names.append(quoted(group.name))
-            quantities.append(quantity)
-            units.append(unit)
-            rows.append(values)
-    table = np.array(rows)
+    rows = [(group.name, *row) for group in (merit.whole, *merit.groups) for row in _quantities(group)]
+    names, quantities, units, values = zip(*rows, strict=True)
+    stages = np.array(values)
     with np.errstate(divide="ignore", invalid="ignore"):
-        factors = np.where(table[:, 1:] > 0.0, table[:, :1] / table[:, 1:], np.nan)
+        factors = np.where(stages[:, 1:] > 0.0, stages[:, :1] / stages[:, 1:], np.nan)
     factors[[quantity.endswith("_mean_height") for quantity in quantities]] = np.nan  # a mean has a sign, and no factor
-    columns = dict(zip((*STAGES, "factor_step_1", "factor_step_2"), np.hstack([table, factors]).T, strict=True))
-    write_csv(path, {"strip": names, "quantity": quantities, "unit": units}, columns)
+    return Table("two_steps", "Figures of merit of both steps", (
+        Column("strip", names), Column("quantity", quantities), Column("unit", units),
+        Column("{}", stages, parts=STAGES), Column("factor_{}", factors, parts=("step_1", "step_2")),
+    ))  # fmt: skip
 
 
 def _quantities(group: GroupMerit) -> list[tuple[str, str, Array]]:
@@ -354,24 +350,28 @@ def _quantities(group: GroupMerit) -> list[tuple[str, str, Array]]:
     return [*found, ("terrain_rms_height", "m", group.heights.rms), ("terrain_mean_height", "m", group.heights.mean)]
 
 
-def _heights_csv(merit: StepMerit, path: Path) -> None:
+def _heights_table(merit: StepMerit) -> Table:
+    """One row per point with a height row."""
     network, points = merit.steps.network, merit.points
-    places = planetocentric(merit.steps.fitted.places[points])
-    names = [quoted(name) for name in picked(network.points.ids, points)]
-    numbers = {"longitude_deg": places[:, 0] / DEG % 360.0, "latitude_deg": places[:, 1] / DEG}
-    numbers |= {f"height_{stage}_m": row for stage, row in zip(STAGES, merit.heights, strict=True)}
-    write_csv(path, {"point": names, "used": truths(merit.used)}, numbers)
+    longitude, latitude, _ = planetocentric(merit.steps.fitted.places[points]).T
+    return Table("heights", "Heights above the terrain", (
+        Column("point", picked(network.points.ids, points)),
+        Column("used", merit.used),
+        Column("longitude", longitude / DEG % 360.0, "deg", "planetocentric, east", scale=1.0),
+        Column("latitude", latitude, "deg", "planetocentric"),
+        Column("height_{}", merit.heights.T, "m", "above the terrain model", STAGES),
+    ))  # fmt: skip
 
 
-def _cells_csv(found: HeightCells, path: Path) -> None:
+def _cells_table(found: HeightCells) -> Table:
+    """One row per cell of the map that holds points."""
     rows, columns = np.nonzero(found.count)
-    numbers: dict[str, Array] = {
-        "longitude_deg": np.asarray((found.west + (columns + 0.5) * found.steps[0]) / DEG % 360.0),
-        "latitude_deg": np.asarray((found.south + (rows + 0.5) * found.steps[1]) / DEG),
-        "points": found.count[rows, columns].astype(np.float64),
-    }
-    for k, stage in enumerate(STAGES):
-        numbers[f"rms_{stage}_m"] = found.rms[k, rows, columns]
-        numbers[f"mean_{stage}_m"] = found.mean[k, rows, columns]
-    names = [f"{row}-{column}" for row, column in zip(rows.tolist(), columns.tolist(), strict=True)]
-    write_csv(path, {"cell": names}, numbers)
+    longitude = (found.west + (columns + 0.5) * found.steps[0]) / DEG % 360.0
+    return Table("height_cells", "Heights above the terrain, by cell", (
+        Column("cell", [f"{row}-{column}" for row, column in zip(rows.tolist(), columns.tolist(), strict=True)]),
+        Column("longitude", np.asarray(longitude), "deg", "of the middle, planetocentric, east", scale=1.0),
+        Column("latitude", np.asarray(found.south + (rows + 0.5) * found.steps[1]), "deg", "of the middle"),
+        Column("points", found.count[rows, columns].astype(np.float64)),
+        *(Column(f"{what}_{stage}", values[k, rows, columns], "m")
+          for k, stage in enumerate(STAGES) for what, values in (("rms", found.rms), ("mean", found.mean))),
+    ))  # fmt: skip

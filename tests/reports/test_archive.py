@@ -23,7 +23,7 @@ from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import ImageRays
 from mgsgraph.reports.archive import read_solution, write_archive
-from mgsgraph.reports.tables import solution_json
+from mgsgraph.reports.results import solution_json
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

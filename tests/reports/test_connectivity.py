@@ -31,7 +31,7 @@ from mgsgraph.network.connectivity_words import (
     weakest_joints,
 )
 from mgsgraph.reports.inventory import inventory
-from mgsgraph.reports.tables import connectivity_csv
+from mgsgraph.reports.tables import connectivity_table
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import MARS, PairSettings, simulate_pair
 from mgsgraph.units import DEG, KM
@@ -135,7 +135,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def test_table_of_a_block(tmp_path: Path) -> None:
-    connectivity_csv(block(), tmp_path / "c.csv")
+    connectivity_table(block()).write_csv(tmp_path / "c.csv")
     rows = rows_of(tmp_path / "c.csv")
     assert [(row["image_a"], row["image_b"], row["common_points"]) for row in rows[:3]] == [
         ("I0", "I1", "30"), ("I0", "I2", "20"), ("I1", "I2", "26"),
@@ -148,7 +148,7 @@ def test_table_of_a_block(tmp_path: Path) -> None:
 
 
 def test_table_of_a_solution(solution: Solution, tmp_path: Path) -> None:
-    connectivity_csv(solution_connectivity(solution), tmp_path / "c.csv")
+    connectivity_table(solution_connectivity(solution)).write_csv(tmp_path / "c.csv")
     (row,) = rows_of(tmp_path / "c.csv")
     assert int(row["common_points"]) == common_points(solution.network)[0, 1] == 28
     assert (row["tie_points"], row["laser_points"], row["remark"]) == ("20", "8", "bridge")

@@ -9,7 +9,7 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.reports.control import control_json, control_statements, surface_heights
-from mgsgraph.reports.tables import solution_json
+from mgsgraph.reports.results import solution_json
 
 
 def test_shifts_and_heights_are_told() -> None:

@@ -26,11 +26,12 @@ from mgsgraph.figures import page as report_figures
 from mgsgraph.figures.page import local_corrections
 from mgsgraph.figures.page_scene import Scene, scenes
 from mgsgraph.geometry.body import east_north_up
+from mgsgraph.output.table import NONE, Table, fixed
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.reports import page_tables as report_tables
 from mgsgraph.reports.page import write_report
 from mgsgraph.reports.page_comparison import compare, orientation_difference
-from mgsgraph.reports.page_tables import NONE, Table, fixed, tables
+from mgsgraph.reports.page_tables import tables
 from mgsgraph.simulation.files import write_pair
 
 LINES, SAMPLES = (3000, 3400), (100, 250)
@@ -217,7 +218,7 @@ def test_undetermined_points_have_dashes(solution: Solution) -> None:
 
 def test_every_row_has_every_column(solution: Solution) -> None:
     for table in [*tables(solution), *compare(solution, solution).tables]:
-        assert {len(row) for row in table.rows} == {len(table.columns)}, table.name
+        assert {len(row) for row in table.rows} == {len(table.headings)}, table.name
 
 
 def test_measures_are_those_that_fit_worst(solution: Solution) -> None:
@@ -447,7 +448,7 @@ def test_unknown_numbers_come_last(browser: Any, solution: Solution, tmp_path: P
     held = replace(solution.network, held=np.array([True, False]))
     path = write_report(replace(solution, network=held), tmp_path / "r.html")
     seen = Opened(browser, path)
-    c = next(c for c, (heading, _) in enumerate(named(tables(solution), "images").columns) if heading == "σ X")
+    c = next(c for c, (heading, _) in enumerate(named(tables(solution), "images").headings) if heading == "σ X")
     button = seen.tab.locator("#table-images thead th").nth(c).locator("button")
     for _ in range(2):
         button.click()

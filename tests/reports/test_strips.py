@@ -27,9 +27,9 @@ from mgsgraph.network.passes import seconds
 from mgsgraph.network.strips import as_nodes
 from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.reports.inventory import inventory
-from mgsgraph.reports.strips import bare_nodes, calendar, strips_csv
+from mgsgraph.reports.results import solution_json
+from mgsgraph.reports.strips import bare_nodes, calendar, nodes_table
 from mgsgraph.reports.summary import statements, summary_table
-from mgsgraph.reports.tables import solution_json
 from mgsgraph.units import ARCSEC, MGON
 
 
@@ -140,7 +140,7 @@ def test_report(solution: Solution) -> None:
 
 
 def test_csv_has_a_row_for_each_node(solution: Solution, tmp_path: Path) -> None:
-    strips_csv(solution, tmp_path / "strips.csv")
+    nodes_table(solution).write_csv(tmp_path / "strips.csv")
     with (tmp_path / "strips.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == sum(len(strip.nodes) for strip in solution.network.strips)

@@ -13,8 +13,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.square_root import SquareRoot
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.network import ImageRays, Network, PointClass, Ranges
+from mgsgraph.reports.results import solution_json
 from mgsgraph.reports.summary import statements, summary_table
-from mgsgraph.reports.tables import solution_json
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

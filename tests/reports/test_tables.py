@@ -17,8 +17,9 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.network import ImageRays, PointClass
+from mgsgraph.reports.results import solution_json
 from mgsgraph.reports.summary import statements
-from mgsgraph.reports.tables import orientation_csv, points_csv, residuals_csv, solution_json
+from mgsgraph.reports.tables import orientation_table, points_table, residuals_table
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import ARCSEC, DEG
@@ -50,7 +51,7 @@ def lossy(case: Case) -> Solution:
 
 
 def rows(write: Any, solution: Solution, folder: Path) -> list[dict[str, str]]:
-    write(solution, folder / "table.csv")
+    write(solution).write_csv(folder / "table.csv")
     with (folder / "table.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
@@ -191,7 +192,7 @@ def test_ranges_and_the_effect_of_the_laser(solution: Solution, case: Case) -> N
 
 def test_points_table_reads_back_bit_for_bit(solution: Solution, lossy: Solution, tmp_path: Path) -> None:
     for one in (solution, lossy):
-        table, points = rows(points_csv, one, tmp_path), one.network.points
+        table, points = rows(points_table, one, tmp_path), one.network.points
         assert [row["id"] for row in table] == list(points.ids)
         for c, name in enumerate(XYZ):
             np.testing.assert_array_equal(column(table, f"{name}_m"), one.places[:, c])
@@ -208,7 +209,7 @@ def test_points_table_has_planetocentric_places(solution: Solution, tmp_path: Pa
     # across the prime meridian longitudes stay in 0 .. 360
     turned = replace(solution, places=solution.places * np.array([1.0, -1.0, 1.0]))
     for one in (solution, turned):
-        table = rows(points_csv, one, tmp_path)
+        table = rows(points_table, one, tmp_path)
         longitude, latitude, radius = (column(table, name) for name in ("lon_deg", "lat_deg", "radius_m"))
         assert np.all((longitude >= 0.0) & (longitude < 360.0))
         back = from_planetocentric(np.column_stack([longitude * DEG, latitude * DEG, radius]))
@@ -216,7 +217,7 @@ def test_points_table_has_planetocentric_places(solution: Solution, tmp_path: Pa
 
 
 def test_points_table_marks_what_is_lost(lossy: Solution, tmp_path: Path) -> None:
-    table = rows(points_csv, lossy, tmp_path)
+    table = rows(points_table, lossy, tmp_path)
     assert [row["rejected"] for row in table[:4]] == ["false", "true", "true", "false"]
     assert [(row["rays"], row["rays_used"]) for row in table[:3]] == [("2", "2"), ("1", "0"), ("2", "0")]
     lost = table[1]
@@ -240,7 +241,7 @@ def test_local_sigmas_against_a_rotated_covariance(solution: Solution) -> None:
 
 
 def test_orientation_table(solution: Solution, tmp_path: Path) -> None:
-    table = rows(orientation_csv, solution, tmp_path)
+    table = rows(orientation_table, solution, tmp_path)
     assert [row["image"] for row in table] == ["SIM/A"] * 31 + ["SIM/B"] * 31
     for j in range(2):
         profile, part = orientation_profile(solution, j, 31), table[31 * j : 31 * (j + 1)]
@@ -257,7 +258,7 @@ def test_orientation_table(solution: Solution, tmp_path: Path) -> None:
 
 
 def test_residual_table(lossy: Solution, tmp_path: Path) -> None:
-    network, table = lossy.network, rows(residuals_csv, lossy, tmp_path)
+    network, table = lossy.network, rows(residuals_table, lossy, tmp_path)
     images, ranges = ([row for row in table if row["kind"] == kind] for kind in ("image", "range"))
     assert (len(images), len(ranges)) == (network.rays.point.size, network.ranges.point.size)
     assert [row["point"] for row in images] == [network.points.ids[i] for i in network.rays.point]
