@@ -9,18 +9,8 @@ import numpy as np
 from mgsgraph.adjustment.analysis.merit import PLACES
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case.reading import Case
-from mgsgraph.demo.demo import (
-    DRAWING,
-    INPUTS,
-    PAIR,
-    AgainstTruth,
-    BeforeAfter,
-    Demonstration,
-    demonstrate,
-    demonstrate_pair,
-    true_points,
-)
-from mgsgraph.demo.truth import against_truth, nees, rms_length
+from mgsgraph.demo.demo import DRAWING, INPUTS, PAIR, Demonstration, demonstrate, demonstrate_pair, true_points
+from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, nees, pair_statements, rms_length
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
@@ -62,7 +52,7 @@ def write_demo(
         pair, solution = demonstrate_pair(inputs, seed, adjusting, stages)
         with stages.stage(DRAWING):
             write_into(solution, folder, figures)
-        return solution, against_truth(solution, pair)
+        return solution, pair_statements(solution, pair)
     demo = demonstrate(site, inputs, seed, options, adjusting, stages)
     with stages.stage(DRAWING):
         write_into(demo.solution, folder, figures)

@@ -8,6 +8,7 @@ outputResiduals), BundleControlPoint.cpp (formatBundleOutputSummaryString, ...De
 at the head of bundleout.txt.
 """
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from mgsgraph.adjustment.analysis.merit import rejected_points, used_ray_counts
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_orientation import (
     PARAMETERS,
     OrientationPolynomials,
@@ -22,7 +24,6 @@ from mgsgraph.export.bundle_orientation import (
     orientation_polynomials,
 )
 from mgsgraph.export.bundle_text import Tables, bundle_text
-from mgsgraph.export.scaling import covariance_factor
 from mgsgraph.geometry.body import east_north_up, in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.fresh_file import fresh_file
@@ -221,3 +222,13 @@ def _residuals_csv(solution: Solution) -> str:
     seen = zip(rays.point[order].tolist(), rays.image[order].tolist(), numbers, marks, strict=True)
     rows = [form.format(ids[i], names[j], names[j], *figures, mark) for i, j, figures, mark in seen]
     return "".join([_RESIDUALS_HEAD, *rows])
+
+
+def covariance_factor(solution: Solution, scaled: bool) -> float:
+    """sigma0^2 when `scaled`, else 1; InputError where there is no sigma0."""
+    if not scaled:
+        return 1.0
+    if not math.isfinite(solution.sigma0):
+        found = f"{solution.fit.degrees_of_freedom} degrees of freedom"
+        raise InputError(f"solution {solution.name!r}, sigma0", found, "more than none, to scale by it", "don't scale")
+    return solution.sigma0**2

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.export.measured_places import MeasuredPlaces
+from mgsgraph.export.round_trip import MeasuredPlaces
 
 Numbers = np.ndarray[Any, np.dtype[np.float64]]
 

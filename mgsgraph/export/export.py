@@ -184,7 +184,7 @@ def _csm(solution: Solution, folder: Path, settings: ExportSettings, support: bo
 def _isis(solution: Solution, folder: Path, settings: ExportSettings) -> _Written:
     from mgsgraph.export.control_back import control_differences
     from mgsgraph.export.isis import write_isis
-    from mgsgraph.export.measured_places import measured_places
+    from mgsgraph.export.round_trip import measured_places
 
     def compare(solution: Solution, folder: Path) -> Array:
         found = control_differences(folder, measured_places(solution))

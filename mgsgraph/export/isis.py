@@ -15,9 +15,8 @@ import numpy as np
 from mgsgraph.adjustment.analysis.merit import rejected_points
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.export.bundle_out import write_bundle_out
+from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
 from mgsgraph.export.lidar_out import lidar_text
-from mgsgraph.export.scaling import covariance_factor
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.io.control.binary import write_binary_network

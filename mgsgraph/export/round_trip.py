@@ -1,7 +1,8 @@
 """What a product must say again when it is read back: where the solution itself sees its points.
 
 A reader-back gets a `Reprojection` and the product's folder, projects the points by the product's files alone, and
-returns how far its image places are from the solution's.
+returns how far its image places are from the solution's. A `Reprojection` doesn't name points, by which measures are
+found again in a control network: that gets `MeasuredPlaces`.
 """
 
 from typing import NamedTuple
@@ -48,3 +49,32 @@ def images_of(wanted: Reprojection) -> dict[str, Index]:
     """Which measures, ascending, each image has."""
     names = np.array(wanted.image)
     return {name: np.flatnonzero(names == name) for name in dict.fromkeys(wanted.image)}
+
+
+class MeasuredPlaces(NamedTuple):
+    """Measures of determined points, rejected ones too, one row each."""
+
+    point: tuple[str, ...]
+    """(k,) id of the point."""
+    image: tuple[str, ...]
+    """(k,) name of the image."""
+    measured: Array
+    """(k, 2) line and sample, first pixel's centre at (0.5, 0.5)."""
+    predicted: Array
+    """(k, 2) where the adjusted orientation sees the adjusted point; NaN where it doesn't near the image."""
+    points: Array
+    """(k, 3) m, body-fixed, adjusted."""
+
+
+def measured_places(solution: Solution) -> MeasuredPlaces:
+    """Measures of a solution; where their points are seen is computed anew, not from residuals."""
+    rays, names = solution.network.rays, [image.name for image in solution.network.images]
+    kept = np.flatnonzero(solution.determined[rays.point])
+    point, image, points = rays.point[kept], rays.image[kept], solution.places[rays.point[kept]]
+    predicted = np.full((kept.size, 2), np.nan)
+    for j in np.unique(image).tolist():
+        mine = image == j
+        start = rays.places[kept[mine], 0]
+        predicted[mine], _ = solution.image(j).ground_to_image(points[mine], solution.correction(j), start)
+    ids = tuple(solution.network.points.ids[i] for i in point.tolist())
+    return MeasuredPlaces(ids, tuple(names[j] for j in image.tolist()), rays.places[kept], predicted, points)

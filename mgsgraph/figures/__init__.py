@@ -11,8 +11,6 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.figures.closeups import closeup_sheets
 from mgsgraph.figures.connectivity import connectivity_sheet
-from mgsgraph.figures.content import registration_discrepancy as registration_discrepancy
-from mgsgraph.figures.content import registration_offsets as registration_offsets
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import map_sheet
 from mgsgraph.figures.orientation import orientation_sheets
@@ -24,6 +22,8 @@ from mgsgraph.io.moc_pixels import Pixels
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
+from mgsgraph.registration.measured import registration_discrepancy as registration_discrepancy
+from mgsgraph.registration.measured import registration_offsets as registration_offsets
 
 
 def write_figures(solution: Solution, folder: Path, connected: Connectivity | None = None) -> list[str]:

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.analysis.merit import solution_connectivity
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.figures.content import centre_of, east_north, thinned
+from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.ground_map import frame
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
@@ -33,6 +33,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import WEAKEST, connectivity_statements, worth_tying
+from mgsgraph.registration.measured import thinned
 from mgsgraph.units import DEG, KM
 
 _ISLANDS = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

@@ -6,7 +6,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.figures.content import centre_of, east_north, thinned
+from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_MARKER,
@@ -25,6 +25,7 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.registration.measured import thinned
 from mgsgraph.units import DEG, KM
 
 _OUTLINES = ((INK, "-"), ("#CC79A7", "--"), ("#56B4E9", "-."), (SOFT, ":"))

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.figures.closeups import closeup_sheets
 from mgsgraph.figures.connectivity import connectivity_sheet
-from mgsgraph.figures.content import centre_of, east_north, thinned
+from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import frame, map_sheet
 from mgsgraph.figures.orientation import orientation_sheets
@@ -42,6 +42,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
+from mgsgraph.registration.measured import thinned
 from mgsgraph.units import KM
 
 _MOST_IMAGES = 12

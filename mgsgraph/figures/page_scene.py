@@ -10,13 +10,13 @@ from io import BytesIO
 
 import numpy as np
 
-from mgsgraph.figures.content import thinned
 from mgsgraph.figures.overlay import averaged, footprint_heights, ground_size, pixels_of, stretch
 from mgsgraph.figures.page import data_uri
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.moc_pixels import Pixels
 from mgsgraph.registration.case import CaseRegistration
+from mgsgraph.registration.measured import thinned
 
 MOST_SCENES = 4
 """Images shown, those with most footprints."""

@@ -7,14 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.figures.content import (
-    Discrepancy,
-    Registration,
-    mean,
-    registration_discrepancy,
-    registration_offsets,
-    rms,
-)
+from mgsgraph.figures.content import mean, rms
 from mgsgraph.figures.sheet import (
     AFTER,
     BEFORE,
@@ -35,6 +28,12 @@ from mgsgraph.figures.sheet import (
 )
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
+from mgsgraph.registration.measured import (
+    MeasuredDiscrepancy,
+    MeasuredFootprints,
+    registration_discrepancy,
+    registration_offsets,
+)
 
 _PER_SHEET = 2
 MOST_SHOTS = 1000
@@ -71,7 +70,7 @@ def _richest(solution: Solution, most: int) -> list[int]:
     return sorted(np.argsort(-counts, kind="stable")[:most].tolist())
 
 
-def _sheet(solution: Solution, registrations: Sequence[Registration], name: str, omitted: str) -> Sheet:
+def _sheet(solution: Solution, registrations: Sequence[MeasuredFootprints], name: str, omitted: str) -> Sheet:
     pair = _pair(solution, registrations)
     caption = _caption(solution, registrations, pair) + omitted + "."
     height = 6.4 if pair is None else 8.8
@@ -105,7 +104,7 @@ def _sheet(solution: Solution, registrations: Sequence[Registration], name: str,
     return sheet
 
 
-def _pair(solution: Solution, registrations: Sequence[Registration]) -> Discrepancy | None:
+def _pair(solution: Solution, registrations: Sequence[MeasuredFootprints]) -> MeasuredDiscrepancy | None:
     """The discrepancy of two images that have measures of the same laser points."""
     if len(registrations) != 2:
         return None
@@ -113,7 +112,7 @@ def _pair(solution: Solution, registrations: Sequence[Registration]) -> Discrepa
     return pair if pair.lines.size else None
 
 
-def magnification(registration: Registration) -> float:
+def magnification(registration: MeasuredFootprints) -> float:
     """Factor by which offsets are drawn enlarged: a round figure that leaves marks nearer to their place than the next
     one is; 1 where nothing is measured.
     """
@@ -125,7 +124,7 @@ def magnification(registration: Registration) -> float:
     return max(1.0, round_figure(0.75 * float(np.mean(gaps)) / max(float(np.quantile(sizes, 0.95)), 1e-9)))
 
 
-def _frame(panel: Axes, solution: Solution, one: Registration, factor: float) -> None:
+def _frame(panel: Axes, solution: Solution, one: MeasuredFootprints, factor: float) -> None:
     """The image lying on its side, so that the profile has its offsets right below it."""
     picture = solution.network.images[one.image]
     lines, samples = picture.lines, picture.samples
@@ -153,7 +152,7 @@ def _along(panel: Axes, lines: Array, before: Array, after: Array) -> None:
     panel.locator_params(axis="y", nbins=6)
 
 
-def _contradiction(row: Iterable[Axes], pair: Discrepancy) -> None:
+def _contradiction(row: Iterable[Axes], pair: MeasuredDiscrepancy) -> None:
     """Offsets in the first image minus those in the second, along the first."""
     for k, (panel, what) in enumerate(zip(row, ("line", "sample"), strict=True)):
         _along(panel, pair.lines, pair.before[:, k], pair.after[:, k])
@@ -161,7 +160,7 @@ def _contradiction(row: Iterable[Axes], pair: Discrepancy) -> None:
         words(panel, "line of the left image (px)", f"{what}, left\nminus right (px)", title)
 
 
-def _caption(solution: Solution, registrations: Sequence[Registration], pair: Discrepancy | None) -> str:
+def _caption(solution: Solution, registrations: Sequence[MeasuredFootprints], pair: MeasuredDiscrepancy | None) -> str:
     """What one sees, with figures."""
     sides = ("",) if len(registrations) == 1 else (" left", " right")
     parts = [_offsets(one, side) for one, side in zip(registrations, sides, strict=True)]
@@ -175,7 +174,7 @@ def _caption(solution: Solution, registrations: Sequence[Registration], pair: Di
     return text + (f"; {MOST_SHOTS} of {total} shots are drawn" if total > MOST_SHOTS else "")
 
 
-def _offsets(one: Registration, where: str) -> str:
+def _offsets(one: MeasuredFootprints, where: str) -> str:
     """The offsets of one image in words."""
     if not np.any(np.isfinite(one.offset_after)):
         return f"none is measured in the{where} image, which sees {one.points.size} of them"

@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.quiver import Quiver
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.figures.content import ImageResiduals, image_residuals, rms, thinned
+from mgsgraph.figures.content import ImageResiduals, image_residuals, rms
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_MARKER,
@@ -32,6 +32,7 @@ from mgsgraph.figures.sheet import (
 )
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
+from mgsgraph.registration.measured import thinned
 
 _PER_SHEET = 4
 _LONGEST = {PointClass.TIE: 0.4, PointClass.LASER: 0.18, PointClass.CONTROL: 0.4}

@@ -19,8 +19,7 @@ import numpy as np
 
 from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
-from mgsgraph.export.exchange_head import with_head
-from mgsgraph.export.exchange_setting import ExchangeSetting
+from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
 from mgsgraph.geometry.records import Index
 from mgsgraph.io.control.binary import write_binary_network
 from mgsgraph.io.control.network_file import read_network

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsgraph.demo.demo import PAIR, STAGES, Demonstration, _contradiction, demonstrate, site_options
+from mgsgraph.demo.demo import PAIR, STAGES, Demonstration, demonstrate, site_options
 from mgsgraph.demo.summary import MOST_SIGMAS, demo_statements, largest_sigmas_off, summary_json
+from mgsgraph.demo.truth import contradiction_at
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.network import PointClass
@@ -66,7 +67,7 @@ def test_predicted_sigmas_are_the_spread_of_drawn_orientations(demo: Demonstrati
             OrientationCorrection(solution.coefficients[j] + step[j * size : (j + 1) * size].reshape(-1, 6))
             for j in (0, 1)
         )
-        drawn.append(_contradiction(solution.network.images[:2], corrections, points, places)[0])
+        drawn.append(contradiction_at(solution.network.images[:2], corrections, points, places)[0])
     ratio = np.std(drawn, axis=0) / pair.after.pixel_sigmas
     assert np.median(ratio) == pytest.approx(1.0, abs=0.2)
     assert np.all((ratio > 0.6) & (ratio < 1.5))

@@ -24,7 +24,7 @@ from mgsgraph.export.bundle_orientation import (
 from mgsgraph.export.bundle_out import write_bundle_out
 from mgsgraph.export.control_back import control_differences
 from mgsgraph.export.isis import adjusted_network, write_isis
-from mgsgraph.export.measured_places import measured_places
+from mgsgraph.export.round_trip import measured_places
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up, in_turn, planetocentric
 from mgsgraph.geometry.trajectory import Trajectory

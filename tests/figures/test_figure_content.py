@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mgsgraph.figures.content import east_north, thinned
+from mgsgraph.figures.content import east_north
 from mgsgraph.figures.residuals import cut
 from mgsgraph.figures.sheet import number, round_figure, short
 from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.registration.measured import thinned
 
 MARS = 3.39e6
 

@@ -17,8 +17,8 @@ from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.figures.content import registration_offsets
 from mgsgraph.network import SharedKind
+from mgsgraph.registration.measured import registration_offsets
 from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.reports.results import solution_json, write_results
 from mgsgraph.reports.shared import IN_TEXT, shared_statements, shared_table

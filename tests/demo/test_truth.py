@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from strategies import along
 
+from mgsgraph.demo.truth import place_jacobian, propagated
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
-from mgsgraph.registration.place_sigmas import place_jacobian, propagated
 
 COEFFICIENTS = np.array([
     [40.0, -25.0, 60.0, 3e-4, -5e-4, 2e-3], [5.0, 3.0, -8.0, 1e-4, 2e-5, -3e-4], [1.0, -2.0, 0.5, 1e-5, -3e-5, 8e-5],
