@@ -22,7 +22,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
 from mgsgraph.io.fresh_file import fresh_file
 from mgsgraph.output.folders import PROGRAM
-from mgsgraph.reports.sigma_raster import body_crs, write_sigma_raster
+from mgsgraph.reports.sigmas import body_crs, write_sigma_raster
 
 GEOPACKAGE, RASTER = "solution.gpkg", "sigmas.tif"
 """Names of the files."""

@@ -1,7 +1,6 @@
 """What the covariance knows, section by section: text for the terminal, records for analysis.json, tables, figures."""
 
-import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,11 @@ import numpy as np
 from mgsgraph.adjustment.analysis.components import Components, components_of, honest_sigmas
 from mgsgraph.adjustment.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.adjustment.analysis.levels import Levels
-from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
 from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
 from mgsgraph.adjustment.analysis.snooping import snoop
 from mgsgraph.adjustment.analysis.suspects import suspects
 from mgsgraph.adjustment.analysis.weak import weakest
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import write_json
@@ -31,30 +28,12 @@ from mgsgraph.reports.reliability import (
     snooping_record,
     snooping_text,
 )
-from mgsgraph.reports.sigma_raster import write_sigma_raster
+from mgsgraph.reports.sigmas import Section, curve_section, raster_section
 
 _PROMISED = (
     f"{'  (a normal law promises)':<28} {'':>9} {'':>8} {0:>6} {1:>6} {0:>6} {0:>6} "
     + " ".join(f"{100.0 * share:>6.3g}" for share in PROMISED)
 )
-
-
-def _nothing(folder: Path, figures: bool) -> list[str]:
-    return []
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """One part of an analysis."""
-
-    key: str
-    """Its key in analysis.json."""
-    text: str
-    """Lines for a person."""
-    record: Any
-    """The same for a program, units in the keys."""
-    write: Callable[[Path, bool], list[str]] = _nothing
-    """Writes its own files into a folder, with figures or without; their names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +83,9 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
     if wanted.questions:
         yield _answers(list(answered(posterior, wanted.questions)))
     for image in dict.fromkeys(wanted.curves):
-        yield _curve(posterior, image)
+        yield curve_section(posterior, image)
     if wanted.raster is not None:
-        yield _raster(posterior, wanted)
+        yield raster_section(posterior, wanted.raster, wanted.cell, wanted.sigma)
     if wanted.honesty:
         yield _honesty(posterior, name)
     if wanted.iterated:
@@ -139,64 +118,6 @@ def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures
 
 def _answers(found: Sequence[Answer]) -> Section:
     return Section("answers", "\n".join(one.text for one in found), [one.record for one in found])
-
-
-def _file_of(posterior: Posterior, image: str) -> str:
-    """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
-    plainly = re.sub(r"[^A-Za-z0-9.-]+", "_", image)
-    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.image_number(image) + 1}"
-
-
-def _curve(posterior: Posterior, image: str) -> Section:
-    picture = posterior.network.images[posterior.image_number(image)]
-    poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
-    lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
-    units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("mrad", sigmas[:, 3:], FLIGHT_NAMES[3:]))
-    parts = [
-        Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
-        for unit, values, axes in units for k, axis in enumerate(axes)
-    ]  # fmt: skip
-    table = Table("sigmas", "Sigmas along an image", (
-        Column("image", [image] * lines.size), Column("line", lines, text=">9.0f"), *parts,
-    ))  # fmt: skip
-    file = _file_of(posterior, image)
-
-    def write(folder: Path, figures: bool) -> list[str]:
-        table.write_csv(folder / f"{file}.csv")
-        if not figures:
-            return [f"{file}.csv"]
-        from mgsgraph.figures.sheet import plain_style, save  # matplotlib takes its time
-        from mgsgraph.figures.sigmas import curve_sheet
-
-        with plain_style():
-            return [f"{file}.csv", *save(curve_sheet(poses, file), folder)]
-
-    text = "\n".join([f"Sigmas along image {image} (m; mrad)", *table.take(np.arange(0, lines.size, 10)).text()])
-    record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
-    return Section("curves", text, record, write)
-
-
-def _raster(posterior: Posterior, wanted: Wanted) -> Section:
-    grid = sigma_grid(posterior, wanted.raster or (), wanted.cell, wanted.sigma)
-    body = posterior.network.images[0].body
-
-    def write(folder: Path, figures: bool) -> list[str]:
-        write_sigma_raster(grid, body, folder / "sigmas.tif")
-        if not figures:
-            return ["sigmas.tif"]
-        from mgsgraph.figures.sheet import plain_style, save
-        from mgsgraph.figures.sigmas import raster_sheet
-
-        with plain_style():
-            return ["sigmas.tif", *save(raster_sheet(grid, "sigma_map"), folder)]
-
-    _, rows, columns = grid.values.shape
-    record = {
-        "images": list(grid.images), "measure_sigma_px": grid.sigma, "cell_m": grid.steps[1] * body.equatorial,
-        "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
-        "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
-    }  # fmt: skip
-    return Section("raster", f"{grid.statement[0].upper()}{grid.statement[1:]}.", record, write)
 
 
 def _honesty(posterior: Posterior, name: str) -> Section:
@@ -281,16 +202,16 @@ def components_table(found: Components) -> Table:
 
     interval = np.array([one.interval() for one in found.groups]).reshape(-1, 2)
     return Table("components", "Variance components", (
-        Column("group", [one.name for one in found.groups]),
-        Column("judgement", [str(one.judgement) for one in found.groups]),
-        Column("rows", numbers("rows")),
-        Column("redundancy", numbers("redundancy")),
+        Column("group", [one.name for one in found.groups], meaning="of measures with a sigma of their own"),
+        Column("judgement", [str(one.judgement) for one in found.groups], meaning="whether the data can tell"),
+        Column("rows", numbers("rows"), meaning="how many measures"),
+        Column("redundancy", numbers("redundancy"), meaning="sum of their redundancy numbers"),
         Column("squares", numbers("squares"), meaning="sum of squares of the normalised residuals"),
         Column("factor", numbers("factor"), meaning="of the stated sigmas"),
         Column("sigma", numbers("sigma"), meaning="of the factor"),
-        Column("foerstner", numbers("foerstner"), meaning="the factor by Foerstner's formula"),
-        Column("factor_low_99", interval[:, 0]),
-        Column("factor_high_99", interval[:, 1]),
+        Column("foerstner", numbers("foerstner"), meaning="the factor, if all other groups' sigmas are right"),
+        Column("factor_low_99", interval[:, 0], meaning="lower end of the 99 % interval"),
+        Column("factor_high_99", interval[:, 1], meaning="upper end"),
     ))  # fmt: skip
 
 

@@ -93,7 +93,7 @@ def _measures(solution: Solution) -> Table:
     shown = table.pick("point", "class", "image", "isis_line", "isis_sample", *pairs)
     units = {"isis_line": "px", "isis_sample": "px"}
     columns = (replace(column, unit=units.get(column.key, column.unit)) for column in shown.columns)
-    return replace(table, columns=(*columns, *more), note=note)
+    return replace(table, title="Image measures that fit worst", columns=(*columns, *more), note=note)
 
 
 def _points(solution: Solution) -> Table:

@@ -79,20 +79,20 @@ def reliability_table(found: Reliability) -> Table:
         return np.where(np.isfinite(values), values, np.nan)[order]
 
     return Table("reliability", "Measures by suspicion", (
-        Column("measure", found.names(order)),
-        Column("kind", picked(_KINDS, table.kind[order])),
-        Column("point", picked(points, table.point[order])),
-        Column("image", picked(images, table.image[order])),
-        Column("unit", found.units(order)),
+        Column("measure", found.names(order), meaning="its name"),
+        Column("kind", picked(_KINDS, table.kind[order]), meaning=", ".join(_KINDS)),
+        Column("point", picked(points, table.point[order]), meaning="that it is of"),
+        Column("image", picked(images, table.image[order]), meaning="that it is of"),
+        Column("unit", found.units(order), meaning="of residual, sigma and blunder"),
         Column("w", numbers(table.test), meaning="normalised residual"),
-        Column("residual", numbers(table.residual)),
-        Column("sigma", numbers(table.sigma), meaning="a priori"),
+        Column("residual", numbers(table.residual), meaning="measured minus predicted, in `unit`"),
+        Column("sigma", numbers(table.sigma), meaning="a priori, in `unit`"),
         Column("redundancy", numbers(table.redundancy), meaning="0 .. 1"),
-        Column("minimal_detectable_blunder", numbers(table.detectable)),
+        Column("minimal_detectable_blunder", numbers(table.detectable), meaning="found by the tests, in `unit`"),
         Column("effect", numbers(table.effect), "m", "of one that goes unnoticed, on the point"),
-        Column("external", numbers(table.external), meaning="the same in sigmas"),
-        Column("joint_test", numbers(table.joint)),
-        Column("joint_dimensions", numbers(table.dimensions)),
+        Column("external", numbers(table.external), meaning="the most that it shifts any result, in sigmas of it"),
+        Column("joint_test", numbers(table.joint), meaning="of the whole ray or a-priori place, chi-square"),
+        Column("joint_dimensions", numbers(table.dimensions), meaning="those that something controls"),
     ))  # fmt: skip
 
 

@@ -71,15 +71,17 @@ def nodes_table(solution: Solution) -> Table:
     times = np.concatenate([course.times for _, course in found])
 
     def amounts(part: str, of: Array) -> list[Column]:
-        turns = [Column(f"{part}_{{}}", of[:, 3:], unit, parts=ROTATION) for unit in ("mgon", "arcsec")]
-        return [Column(f"{part}_{{}}", of[:, :3], "m", parts=POSITION), *turns]
+        what = "of the nominal trajectory, in terms of the flight" if part == "correction" else "for sigma0 = 1"
+        turns = [Column(f"{part}_{{}}", of[:, 3:], unit, what, ROTATION) for unit in ("mgon", "arcsec")]
+        return [Column(f"{part}_{{}}", of[:, :3], "m", what, POSITION), *turns]
 
     return Table("nodes", "Orientation images", (
-        Column("strip", [name for name, course in found for _ in range(course.times.size)]),
-        Column("node", np.concatenate([np.arange(1, course.times.size + 1) for _, course in found])),
-        Column("time_tdb", [calendar(time) for time in times.tolist()]),
+        Column("strip", [name for name, course in found for _ in range(course.times.size)], meaning="its name"),
+        Column("node", np.concatenate([np.arange(1, course.times.size + 1) for _, course in found]), meaning="from 1"),
+        Column("time_tdb", [calendar(time) for time in times.tolist()], meaning="calendar date"),
         Column("time_et", times, "s", "TDB past J2000"),
-        Column("time_in_strip", np.concatenate([course.times - course.times[0] for _, course in found]), "s"),
+        Column("time_in_strip", np.concatenate([course.times - course.times[0] for _, course in found]), "s",
+               "since the first node"),
         *amounts("correction", np.concatenate([course.values for _, course in found])),
         *amounts("sigma", np.concatenate([course.sigmas for _, course in found])),
     ))  # fmt: skip

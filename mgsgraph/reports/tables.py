@@ -85,17 +85,18 @@ def points_table(solution: Solution) -> Table:
     longitude, latitude, radius = planetocentric(places).T
     xyz, local = ("x", "y", "z"), ("east", "north", "up")
     a, b = np.triu_indices(3)
-    areoid = (
-        [Column("height_above_areoid", radius - network.areoid.at(places), "m")] if network.areoid is not None else []
-    )
+    areoid = [] if network.areoid is None else [
+        Column("height_above_areoid", radius - network.areoid.at(places), "m", "where the case has topography")
+    ]  # fmt: skip
     return Table("points", "Ground points", (
-        Column("id", network.points.ids, head="point", page="s"),
-        Column("class", _names(PointClass, network.points.classes), head="kind", page="s"),
+        Column("id", network.points.ids, meaning="of the point", head="point", page="s"),
+        Column("class", _names(PointClass, network.points.classes), meaning="tie, laser or control", head="kind",
+               page="s"),
         Column("kind", _names(PointKind, network.points.kinds), meaning="what is known beforehand", head="known",
                page="s"),
         Column("rejected", rejected, meaning="all its rays, as blunders"),
-        Column("rays", network.ray_counts),
-        Column("rays_used", used_ray_counts(solution), head="rays used", page="s"),
+        Column("rays", network.ray_counts, meaning="images in which it is measured"),
+        Column("rays_used", used_ray_counts(solution), meaning="those that took part", head="rays used", page="s"),
         Column("{}", places, "m", "body-fixed", xyz),
         Column("lon", longitude / DEG % 360.0, "deg", "planetocentric, 0 .. 360 east", head="east longitude",
                page=".5f", scale=1.0),
@@ -126,7 +127,7 @@ def orientation_table(solution: Solution) -> Table:
 
     before, after, xyz, angles = of("position_before"), of("position_after"), ("x", "y", "z"), ("omega", "phi", "kappa")
     return Table("orientation", "Exterior orientation along the images", (
-        Column("image", [image.name for image in images for _ in range(PLACES)]),
+        Column("image", [image.name for image in images for _ in range(PLACES)], meaning="31 lines of each"),
         Column("isis_line", of("lines") + ISIS, meaning="the first line's middle is 1"),
         Column("time_et", of("times"), "s", "TDB past J2000"),
         Column("{}_before", before, "m", "position, body-fixed", xyz),
@@ -155,26 +156,34 @@ def residuals_table(solution: Solution) -> Table:
 
     def of_ray(c: int, way: str) -> list[Column]:
         return [
-            Column(f"residual_before_{way}", padded(before[:, c], 0, r), "px", head=f"{way} before", page=".2f"),
-            Column(f"residual_{way}", padded(after[:, c], 0, r), "px", head=f"{way} after", page=".2f"),
+            Column(f"residual_before_{way}", padded(before[:, c], 0, r), "px", "nominal orientation",
+                   head=f"{way} before", page=".2f"),
+            Column(f"residual_{way}", padded(after[:, c], 0, r), "px", "adjusted", head=f"{way} after",
+                   page=".2f"),
             Column(f"sigma_{way}", padded(rays.sigmas[:, c], 0, r), "px", "a priori", head=f"σ {way}", page=".2f"),
-            Column(f"normalised_{way}", padded(after[:, c] / rays.sigmas[:, c], 0, r)),
+            Column(f"normalised_{way}", padded(after[:, c] / rays.sigmas[:, c], 0, r),
+                   meaning="residual over its sigma"),
         ]
 
-    return Table("measures", "Image measures that fit worst", (
-        Column("kind", ["image"] * k + ["range"] * r),
-        Column("point", picked(network.points.ids, point), page="s"),
-        Column("class", _names(PointClass, network.points.classes[point]), head="kind", page="s"),
-        Column("image", picked([one.name for one in network.images], image), page="s"),
-        Column("used", used),
-        Column("isis_line", np.concatenate([rays.places[:, 0], shots]) + ISIS, head="line", page=".2f"),
-        Column("isis_sample", padded(rays.places[:, 1], 0, r) + ISIS, head="sample", page=".2f"),
+    return Table("measures", "Residuals", (
+        Column("kind", ["image"] * k + ["range"] * r, meaning="an image measure, or a range"),
+        Column("point", picked(network.points.ids, point), meaning="its id", page="s"),
+        Column("class", _names(PointClass, network.points.classes[point]), meaning="of the point", head="kind",
+               page="s"),
+        Column("image", picked([one.name for one in network.images], image), meaning="of a range: that carries it",
+               page="s"),
+        Column("used", used, meaning="false for blunders that were rejected"),
+        Column("isis_line", np.concatenate([rays.places[:, 0], shots]) + ISIS,
+               meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
+        Column("isis_sample", padded(rays.places[:, 1], 0, r) + ISIS, meaning="measured, from 1", head="sample",
+               page=".2f"),
         *of_ray(0, "line"), *of_ray(1, "sample"),
-        Column("range", padded(ranges.values, k, 0), "m"),
-        Column("residual_before_range", padded(solution.range_residuals_before, k, 0), "m"),
-        Column("residual_range", padded(solution.range_residuals, k, 0), "m"),
+        Column("range", padded(ranges.values, k, 0), "m", "measured"),
+        Column("residual_before_range", padded(solution.range_residuals_before, k, 0), "m", "nominal orientation"),
+        Column("residual_range", padded(solution.range_residuals, k, 0), "m", "adjusted"),
         Column("sigma_range", padded(ranges.sigmas, k, 0), "m", "a priori"),
-        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, 0)),
+        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, 0),
+               meaning="residual over its sigma"),
     ))  # fmt: skip
 
 
@@ -186,11 +195,11 @@ def connectivity_table(connected: Connectivity) -> Table:
         ", ".join(word for word, there in zip(_REMARKS, row, strict=True) if there) for row in zip(*marks, strict=True)
     ]
     return Table("connectivity", "Pairs of images", (
-        Column("image_a", picked(names, connected.pairs[:, 0])),
-        Column("image_b", picked(names, connected.pairs[:, 1])),
-        Column("common_points", points),
-        *(Column(f"{c.name.lower()}_points", connected.common[:, c]) for c in PointClass),
-        Column("remark", remarks),
+        Column("image_a", picked(names, connected.pairs[:, 0]), meaning="one of the two"),
+        Column("image_b", picked(names, connected.pairs[:, 1]), meaning="the other"),
+        Column("common_points", points, meaning="seen in both"),
+        *(Column(f"{c.name.lower()}_points", connected.common[:, c], meaning="of these") for c in PointClass),
+        Column("remark", remarks, meaning="bridge: the only link between two parts of the block"),
         Column("overlap", connected.areas, "km2", "of the footprints"),
         Column("overlap_share", connected.shares, meaning="of the smaller footprint"),
         Column("gap", connected.gaps, "km", "between the footprints"),

@@ -21,8 +21,8 @@ from mgsgraph.wording import cell, cells, many, short, some, three
 
 _ROWS = 24
 """Strips listed in a table."""
-_NAME, _WIDTH = 18, 6
-"""Characters of a strip's name, and of a number."""
+_NAME = 18
+"""Characters of a strip's name."""
 _HARDLY = 0.05
 """Share by which a figure changes without being worth a factor."""
 
@@ -127,20 +127,16 @@ def _height_rows(steps: TwoSteps) -> np.ndarray:
 
 
 def _stage_table(merit: StepMerit, title: str, axes: tuple[str, ...], values: Callable[[GroupMerit], Array]) -> str:
-    heads = ("before", "step 1", "factor of step 1", "step 2")
-    block = 3 * (_WIDTH + 1) - 1
-    lines = [
-        title,
-        " " * (_NAME + 2) + "".join(f"  {head:>{block}}" for head in heads),
-        " " * (_NAME + 2) + "".join("  " + " ".join(f"{axis:>{_WIDTH}}" for axis in axes) for _ in heads),
-    ]
-    for group in _listed(merit):
-        before, free, fitted = values(group)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            factor = np.where(free > 0.0, before / free, np.nan)
-        columns = "".join("  " + cells(one, _WIDTH) for one in (before, free, factor, fitted))
-        lines.append(f"  {short(group.name, _NAME):<{_NAME}}{columns}")
-    return "\n".join(lines + _unlisted(merit))
+    groups = _listed(merit)
+    before, free, fitted = np.moveaxis(np.array([values(group) for group in groups]), 1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(free > 0.0, before / free, np.nan)
+    stages = {"before": before, "step 1": free, "factor of step 1": factor, "step 2": fitted}
+    table = Table("stages", title, (
+        Column("strip", [group.name for group in groups], label="", text=f"<{_NAME}"),
+        *(Column(stage, of_stage, parts=axes, text=">6", gap=2) for stage, of_stage in stages.items()),
+    ))  # fmt: skip
+    return "\n".join([title, *table.text(indent=2), *_unlisted(merit)])
 
 
 def _height_table(merit: StepMerit) -> str:

@@ -16,7 +16,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.reports.answers import Questions, answered
-from mgsgraph.reports.sigma_raster import write_sigma_raster
+from mgsgraph.reports.sigmas import write_sigma_raster
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 STEP = np.radians(0.01)
