@@ -29,6 +29,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.fresh_file import fresh_file
 from mgsgraph.network import PointClass
 from mgsgraph.output.csv_json import picked, quoted
+from mgsgraph.output.table import ISIS
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MM
 
@@ -53,8 +54,6 @@ _RESIDUALS_HEAD = (
     "Label,Filename,Serial Number,(mm),(mm),(pixels),(pixels),(pixels),(pixels),(pixels),Rejected\n"
 )
 _NUMBER = "{:16.8f}"
-_ISIS = 0.5
-"""pixels from our count of lines and samples to that of ISIS."""
 
 
 class _Measures(NamedTuple):
@@ -214,7 +213,7 @@ def _residuals_csv(solution: Solution) -> str:
         focal[mine], _ = solution.image(j).interior.focal_plane(rays.places[mine, 1])
     residuals = solution.residuals[:, ::-1]
     magnitude = np.hypot(residuals[:, 0], residuals[:, 1])
-    places = np.column_stack([focal / MM, rays.places[:, ::-1] + _ISIS])
+    places = np.column_stack([focal / MM, rays.places[:, ::-1] + ISIS])
     numbers = np.column_stack([places, residuals, magnitude])[order].tolist()
     ids, names = [quoted(name) for name in network.points.ids], [quoted(image.name) for image in network.images]
     form = "{},{},{}," + ",".join([_NUMBER] * 7) + "{}\n"

@@ -25,6 +25,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.output.csv_json import columns, picked
+from mgsgraph.output.table import ISIS
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM
 
@@ -34,8 +35,6 @@ _SCALE = float(np.sqrt(-2.0 * np.log(1.0 - PROBABILITY)))
 """Axes of that ellipse in sigmas: the root of chi-square's quantile for two degrees of freedom."""
 _CORNERS = 48
 """Places on an ellipse."""
-_ISIS = 0.5
-"""pixels from our count of lines and samples to that of ISIS."""
 _SHOWN = 0.05
 """Share of the points' extent that an exaggerated vector or semi-major axis has at most, but for the largest ones."""
 _LARGEST = 0.1
@@ -308,7 +307,7 @@ def _misregistration(solution: Solution) -> Vectors:
     fields = {
         **_point_names(solution, points),
         "image": images,
-        **columns(["isis_line", "isis_sample"], after + _ISIS),
+        **columns(["isis_line", "isis_sample"], after + ISIS),
         **columns(["moved_line_px", "moved_sample_px"], after - before),
     }
     return Vectors(starts, ends - starts, np.ones(points.size, dtype=bool), fields)
@@ -356,7 +355,7 @@ def _residuals(solution: Solution) -> Vectors:
         **_point_names(solution, rays.point[kept]),
         "image": picked(names, rays.image[kept]),
         "used": solution.rays_used[kept],
-        **columns(["isis_line", "isis_sample"], rays.places[kept] + _ISIS),
+        **columns(["isis_line", "isis_sample"], rays.places[kept] + ISIS),
         **columns(["residual_line_px", "residual_sample_px"], solution.residuals[kept]),
         **columns(["normalised_line", "normalised_sample"], solution.residuals[kept] / rays.sigmas[kept]),
     }

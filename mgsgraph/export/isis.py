@@ -32,12 +32,11 @@ from mgsgraph.io.control.record import (
 from mgsgraph.io.fresh_file import fresh_file
 from mgsgraph.network import PointClass
 from mgsgraph.output.folders import PROGRAM
+from mgsgraph.output.table import ISIS
 from mgsgraph.ties import PointKind
 
 NETWORK, NETWORK_TEXT, WITHOUT_LASER, LIDAR = "network.net", "network.pvl", "network_without_laser.net", "lidar.json"
 """Files of the export beside jigsaw's tables (`bundle_out`)."""
-_ISIS = 0.5
-"""pixels from our count of lines and samples to that of ISIS."""
 _TYPES = {
     PointKind.FREE: PointType.FREE, PointKind.CONSTRAINED: PointType.CONSTRAINED, PointKind.FIXED: PointType.FIXED,
 }  # fmt: skip
@@ -157,7 +156,7 @@ def _measures(solution: Solution) -> list[list[ControlMeasure]]:
     rays, images = solution.network.rays, [image.name for image in solution.network.images]
     found = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
     guessed = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=np.bool_)
-    numbers, marks = (rays.places + _ISIS, solution.residuals, rays.sigmas), (rejected_rays(solution), guessed)
+    numbers, marks = (rays.places + ISIS, solution.residuals, rays.sigmas), (rejected_rays(solution), guessed)
     columns = [column.tolist() for column in (rays.point, rays.image, *numbers, *marks)]
     for i, j, place, residual, sigma, rejected, guess in zip(*columns, strict=True):
         known = math.isfinite(residual[0]) and math.isfinite(residual[1])
