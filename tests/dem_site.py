@@ -18,9 +18,8 @@ from mgsgraph.dem.dem import adjusted_scene
 from mgsgraph.dem.map import MapGrid
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.matching.chart import GroundChart
 from mgsgraph.matching.dense import DenseMatches
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.reports.archive import write_archive
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.site_files import write_site

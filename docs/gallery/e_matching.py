@@ -11,9 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph import MatchSettings, OrientationPrior
-from mgsgraph.matching.chart import GroundChart
 from mgsgraph.matching.match import match_scene
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.simulation.imagery import render
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.units import ARCMIN

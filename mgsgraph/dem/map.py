@@ -11,7 +11,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.matching.chart import GroundChart
+from mgsgraph.matching.scene import GroundChart
 from mgsgraph.units import DEG
 
 MOST_POSTS = 50_000_000
