@@ -23,6 +23,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "annotations",
     "case_keys",
+    "table_columns",
     "commands",
     "mathml",
 ]

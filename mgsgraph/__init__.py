@@ -17,48 +17,48 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
     from mgsgraph.adjustment.solution import Solution as Solution
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
-    from mgsgraph.case import Case as Case
-    from mgsgraph.case import adjust as adjust
-    from mgsgraph.case import read_case as read_case
+    from mgsgraph.case.reading import Case as Case
+    from mgsgraph.case.reading import adjust as adjust
+    from mgsgraph.case.reading import read_case as read_case
     from mgsgraph.case.scene import read_scene as read_scene
+    from mgsgraph.dem.dem import make_dem as make_dem
+    from mgsgraph.dem.model import DemSettings as DemSettings
     from mgsgraph.errors import InputError as InputError
     from mgsgraph.errors import MgsgraphError as MgsgraphError
+    from mgsgraph.export.exchange import convert as convert
+    from mgsgraph.export.exchange_setting import ExchangeSetting as ExchangeSetting
+    from mgsgraph.export.export import export_solution as export_solution
     from mgsgraph.fetch.archives import Archives as Archives
     from mgsgraph.fetch.fetch import fetch_images as fetch_images
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
+    from mgsgraph.matching.files import match_into as match_into
     from mgsgraph.matching.settings import MatchSettings as MatchSettings
     from mgsgraph.network import Network as Network
     from mgsgraph.network.parts import KnownImage as KnownImage
-    from mgsgraph.products.archive import read_solution as read_solution
-    from mgsgraph.products.dem.dem import make_dem as make_dem
-    from mgsgraph.products.dem.model import DemSettings as DemSettings
-    from mgsgraph.products.exchange import convert as convert
-    from mgsgraph.products.exchange_setting import ExchangeSetting as ExchangeSetting
-    from mgsgraph.products.export.export import export_solution as export_solution
-    from mgsgraph.products.matching import match_into as match_into
-    from mgsgraph.products.report import write_report as write_report
-    from mgsgraph.products.results import write_results as write_results
+    from mgsgraph.reports.archive import read_solution as read_solution
+    from mgsgraph.reports.page import write_report as write_report
+    from mgsgraph.reports.results import write_results as write_results
     from mgsgraph.ties import TiePoints as TiePoints
 
 _HOME = {
-    "adjust": "mgsgraph.case",
+    "adjust": "mgsgraph.case.reading",
     "adjust_network": "mgsgraph.adjustment.adjust",
     "Adjustment": "mgsgraph.adjustment.adjust",
     "Archives": "mgsgraph.fetch.archives",
-    "Case": "mgsgraph.case",
-    "convert": "mgsgraph.products.exchange",
-    "DemSettings": "mgsgraph.products.dem.model",
-    "export_solution": "mgsgraph.products.export.export",
-    "ExchangeSetting": "mgsgraph.products.exchange_setting",
+    "Case": "mgsgraph.case.reading",
+    "convert": "mgsgraph.export.exchange",
+    "DemSettings": "mgsgraph.dem.model",
+    "export_solution": "mgsgraph.export.export",
+    "ExchangeSetting": "mgsgraph.export.exchange_setting",
     "fetch_images": "mgsgraph.fetch.fetch",
     "Impact": "mgsgraph.adjustment.incremental.impact",
     "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
     "InputError": "mgsgraph.errors",
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
-    "make_dem": "mgsgraph.products.dem.dem",
-    "match_into": "mgsgraph.products.matching",
+    "make_dem": "mgsgraph.dem.dem",
+    "match_into": "mgsgraph.matching.files",
     "MatchSettings": "mgsgraph.matching.settings",
     "MgsgraphError": "mgsgraph.errors",
     "Network": "mgsgraph.network",
@@ -66,14 +66,14 @@ _HOME = {
     "OrientationPrior": "mgsgraph.geometry.orientation",
     "Pixel": "mgsgraph.adjustment.analysis.posterior",
     "Posterior": "mgsgraph.adjustment.analysis.posterior",
-    "read_case": "mgsgraph.case",
+    "read_case": "mgsgraph.case.reading",
     "read_scene": "mgsgraph.case.scene",
-    "read_solution": "mgsgraph.products.archive",
+    "read_solution": "mgsgraph.reports.archive",
     "Solution": "mgsgraph.adjustment.solution",
     "SolverSettings": "mgsgraph.adjustment.settings",
     "TiePoints": "mgsgraph.ties",
-    "write_report": "mgsgraph.products.report",
-    "write_results": "mgsgraph.products.results",
+    "write_report": "mgsgraph.reports.page",
+    "write_results": "mgsgraph.reports.results",
 }
 __all__ = sorted(_HOME)
 

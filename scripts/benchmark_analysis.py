@@ -33,7 +33,7 @@ from mgsgraph.adjustment.analysis.reliability import reliability
 from mgsgraph.adjustment.analysis.suspects import suspects
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.network import Network
-from mgsgraph.products.reliability import reliability_csv
+from mgsgraph.reports.reliability import reliability_table
 
 OUT = Path(__file__).resolve().parents[1] / "docs"
 PAGE = "analysis_cost.md"
@@ -77,7 +77,7 @@ class Asked:
         both = self.seconds["reliability table"][-1] + self.seconds["sorted"][-1]
         self._book("table and sorting", both)
         self._time("suspects", lambda: suspects(found))
-        self._time("file", lambda: reliability_csv(found, self._file))
+        self._time("file", lambda: reliability_table(found).write_csv(self._file))
         self._time("variance components", lambda: components_of(at))
         for name, query in zip(QUERIES, self._single(Posterior(at)), strict=True):
             query(0)  # what it keeps for the next ones

@@ -23,15 +23,15 @@ from benchmark_run import require_writable, write_text
 from benchmark_table import machine, number, table
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.case import read_case
+from mgsgraph.case.reading import read_case
 from mgsgraph.case.scene import read_scene
+from mgsgraph.dem.checking import check_merit
+from mgsgraph.dem.dem import make_dem
+from mgsgraph.dem.model import Dem
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.matching.files import match_into
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.products.dem.dem import make_dem
-from mgsgraph.products.dem.model import Dem
-from mgsgraph.products.dem.record import check_merit
-from mgsgraph.products.matching import match_into
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.site_files import write_site
 from mgsgraph.simulation.sites import SITE_NAMES

@@ -28,15 +28,15 @@ from benchmark_table import machine, number, table
 from nees import Z99
 
 from mgsgraph.adjustment.adjust import versions
+from mgsgraph.adjustment.analysis.step_merit import POINT_AXES, POSE_AXES, STAGES, StepMerit, step_merit
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
+from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.products.step_merit import POINT_AXES, POSE_AXES, STAGES, StepMerit, step_merit
-from mgsgraph.products.truth import nees
-from mgsgraph.products.two_steps import write_two_steps
+from mgsgraph.reports.two_steps import write_two_steps
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.units import KM, MGON
 

@@ -38,10 +38,9 @@ from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.moc_label import MocLabel, read_moc_label
 from mgsgraph.io.moc_pixels import read_moc_pixels
-from mgsgraph.matching.chart import GroundChart
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.matches import Matches
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.units import DEG
 

@@ -24,14 +24,14 @@ from benchmark_table import machine, number, table
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.case import read_case
+from mgsgraph.case.reading import read_case
 from mgsgraph.case.scene import read_scene
+from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
+from mgsgraph.matching.files import match_into
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.settings import MatchSettings, method_of
-from mgsgraph.products.matching import match_into
-from mgsgraph.products.registration import ProfileRegistration, register_case
-from mgsgraph.products.truth import nees
+from mgsgraph.registration.case import ProfileRegistration, register_case
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.site_files import write_site
 from mgsgraph.simulation.sites import SITE_NAMES

@@ -16,13 +16,13 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
 from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case import read_case
+from mgsgraph.case.reading import read_case
+from mgsgraph.demo.truth import nees
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
-from mgsgraph.products.truth import nees
 from mgsgraph.simulation.redraw import Draw, redraw
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.site_files import write_site

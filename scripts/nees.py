@@ -18,10 +18,10 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network, versions
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case import read_case
+from mgsgraph.case.reading import read_case
+from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
-from mgsgraph.products.truth import nees
 from mgsgraph.simulation.redraw import redraw
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.site_files import Weighting, write_site

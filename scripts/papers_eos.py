@@ -13,7 +13,6 @@ OLD_ELLIPSOID = Ellipsoid(3397.0 * KM, 3375.0 * KM)
 """IAU 1994, as SPICE had it in 2002."""
 
 
-
 def eos_orientation(named: list[tuple[str, tuple[PushbroomImage, ...]]]) -> list[str]:
     """ISPRS 2002, Table 1: SPICE orientation at the first and last line. `named`: option, nominal images."""
     rows = []

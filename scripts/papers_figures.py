@@ -8,11 +8,9 @@ import numpy as np
 from PIL import Image
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.case import Case
-from mgsgraph.geometry.records import Array
-from mgsgraph.network import PointClass
-from mgsgraph.products.figures import write_registration_figures
-from mgsgraph.products.figures.sheet import (
+from mgsgraph.case.reading import Case
+from mgsgraph.figures import write_registration_figures
+from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_NAME,
     Sheet,
@@ -24,7 +22,9 @@ from mgsgraph.products.figures.sheet import (
     save,
     words,
 )
-from mgsgraph.products.registration import register_case
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import PointClass
+from mgsgraph.registration.case import register_case
 from mgsgraph.units import ARCMIN
 
 _WIDTH, _COLOURS = 1000, 96

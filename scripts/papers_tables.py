@@ -8,15 +8,15 @@ import published
 from published import Scatter, Sigmas
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.analysis.merit import point_statistics
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.case import Case
+from mgsgraph.case.reading import Case
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
-from mgsgraph.products.merit import point_statistics
 from mgsgraph.simulation.site import SimulatedSite
 from mgsgraph.units import ARCMIN, ARCSEC, DEG
 

@@ -21,7 +21,7 @@ from papers_tables import Result
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.case import adjust, read_case
+from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.network import PointClass
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.site_files import papers_case, write_site

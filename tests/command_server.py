@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-IMPORTED = ("mgsgraph.cli", "mgsgraph.products.demo", "mgsgraph.products.report", "mgsgraph.products.figures")
+IMPORTED = ("mgsgraph.cli", "mgsgraph.demo.demo", "mgsgraph.reports.page", "mgsgraph.figures")
 MOST = 300
 """s that a command may take."""
 
@@ -24,7 +24,7 @@ def load() -> None:
     """What takes a fresh process its first seconds."""
     for name in IMPORTED:
         import_module(name)
-    from mgsgraph.case import adjust, read_case
+    from mgsgraph.case.reading import adjust, read_case
     from mgsgraph.simulation.files import write_pair
     from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

@@ -18,8 +18,8 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
 ]  # fmt: skip
 SOON = (
-    "adjustment/test_adjust", "matching/", "test_docs", "cli/", "products/", "scripts/", "simulation/", "project/",
-    "campaign/", "fetch/",
+    "adjustment/test_adjust", "matching/", "test_docs", "cli/", "reports/", "export/", "figures/", "dem/", "demo/",
+    "review/", "scripts/", "simulation/", "project/", "campaign/", "fetch/",
 )  # fmt: skip
 """What begins soon when processes share the suite: one compiles the adjustment's kernel while another one compiles
 that of matching; and files that take long, so that short ones fill up what is left.

@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.case import read_case
+from mgsgraph.case.reading import read_case
+from mgsgraph.dem.dem import adjusted_scene
+from mgsgraph.dem.map import MapGrid
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.matching.chart import GroundChart
 from mgsgraph.matching.dense import DenseMatches
-from mgsgraph.matching.scene import Ground, Picture, Scene
-from mgsgraph.products.archive import write_archive
-from mgsgraph.products.dem.map import MapGrid
-from mgsgraph.products.dem.scene import adjusted_scene
+from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
+from mgsgraph.reports.archive import write_archive
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.site_files import write_site
 

@@ -12,10 +12,9 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.matching.chart import GroundChart
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.matches import Matches
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings, Method
 from mgsgraph.simulation.imagery import render
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOptions, simulate_site

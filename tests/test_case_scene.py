@@ -9,7 +9,7 @@ import profiles
 import pytest
 from strip_files import write_block
 
-from mgsgraph.case import picture_of
+from mgsgraph.case.reading import picture_of
 from mgsgraph.case.scene import read_scene
 from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError

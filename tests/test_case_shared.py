@@ -9,7 +9,7 @@ import mgsgraph
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
-from mgsgraph.products.inventory import inventory
+from mgsgraph.reports.inventory import inventory
 
 GOOD = """
 [[shared]]

@@ -10,7 +10,7 @@ from strip_files import STRIPS, block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.case import adjust
+from mgsgraph.case.reading import adjust
 from mgsgraph.case.strips import NodesInput, StripPriorInput
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError

@@ -15,8 +15,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import nominal_ground
 from mgsgraph.network.terrain_control import coverage, terrain_ground
-from mgsgraph.products.control import control_json, control_statements
-from mgsgraph.products.inventory import inventory
+from mgsgraph.reports.control import control_json, control_statements
+from mgsgraph.reports.inventory import inventory
 from mgsgraph.simulation.circle import MARS
 from mgsgraph.units import DEG, MRAD
 

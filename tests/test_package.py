@@ -16,7 +16,14 @@ FOLDERS = {"mgsgraph": ROOT / "mgsgraph", "mgsgraph.factors": ROOT / "factors"}
 STOREYS = [
     ("mgsgraph.cli",),
     ("mgsgraph.campaign", "mgsgraph.project"),
-    ("mgsgraph.products",),
+    ("mgsgraph.demo",),
+    ("mgsgraph.export", "mgsgraph.review"),
+    (
+        "mgsgraph.reports", "mgsgraph.dem.dem", "mgsgraph.dem.files", "mgsgraph.matching.files",
+        "mgsgraph.registration.tables",
+    ),
+    ("mgsgraph.figures",),
+    ("mgsgraph.dem", "mgsgraph.registration.case", "mgsgraph.registration.measured"),
     ("mgsgraph.case",),
     (
         "mgsgraph.adjustment.analysis", "mgsgraph.adjustment.incremental", "mgsgraph.adjustment.planning",
@@ -24,23 +31,27 @@ STOREYS = [
     ),
     ("mgsgraph.adjustment",),
     ("mgsgraph.simulation",),
-    ("mgsgraph.matching",),
+    ("mgsgraph.matching", "mgsgraph.output"),
     ("mgsgraph.network", "mgsgraph.registration", "mgsgraph.io", "mgsgraph.fetch"),
     ("mgsgraph.ties",),
     ("mgsgraph.geometry", "mgsgraph.kernel"),
     ("mgsgraph.factors",),
-    ("mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook", "mgsgraph.wording", "mgsgraph.compiled"),
+    (
+        "mgsgraph.units", "mgsgraph.errors", "mgsgraph.notebook", "mgsgraph.wording", "mgsgraph.compiled",
+        "mgsgraph.stages",
+    ),
 ]
+"""Rooms from above to below; of a room whose writers draw, these stand above the figures, and the rest below them."""
 ONLY_IN = {
     "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment"),
-    "matplotlib": ("mgsgraph.products",),
+    "matplotlib": ("mgsgraph.figures",),
     "numba": (
         "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.geometry", "mgsgraph.adjustment.graph",
-        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.matching", "mgsgraph.products.dem",
+        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.matching", "mgsgraph.dem",
     ),
     "llvmlite": ("mgsgraph.kernel.lanes",),
     "cv2": ("mgsgraph.matching",),
-    "jinja2": ("mgsgraph.products",),
+    "jinja2": ("mgsgraph.reports", "mgsgraph.review"),
     "google": ("mgsgraph.io.control",),
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),
@@ -48,10 +59,13 @@ ONLY_IN = {
         "mgsgraph.adjustment.analysis", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.graph.prior",
         "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.track_terrain", "mgsgraph.matching",
     ),
-    "shapely": ("mgsgraph.geometry", "mgsgraph.products.export"),
-    "pyogrio": ("mgsgraph.products.export",),
-    "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.products"),
-    "msgspec": ("mgsgraph.campaign", "mgsgraph.case", "mgsgraph.io.control", "mgsgraph.products", "mgsgraph.project"),
+    "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
+    "pyogrio": ("mgsgraph.export",),
+    "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.export"),
+    "msgspec": (
+        "mgsgraph.campaign", "mgsgraph.case", "mgsgraph.export", "mgsgraph.io.control", "mgsgraph.output",
+        "mgsgraph.project", "mgsgraph.review",
+    ),
     "requests": ("mgsgraph.fetch",),
     "urllib3": ("mgsgraph.fetch",),
     "sqlite3": ("mgsgraph.project",),
@@ -60,9 +74,10 @@ ONLY_IN = {
 }
 
 
-def modules() -> dict[str, Path]:
+def modules(folders: dict[str, Path] = FOLDERS) -> dict[str, Path]:
+    """Every module below some packages: its dotted name, its file."""
     found = {}
-    for package, folder in FOLDERS.items():
+    for package, folder in folders.items():
         for path in folder.rglob("*.py"):
             parts = path.relative_to(folder).with_suffix("").parts
             found[".".join((package, *(part for part in parts if part != "__init__")))] = path
@@ -71,6 +86,7 @@ def modules() -> dict[str, Path]:
 
 @cache
 def imports(path: Path) -> set[str]:
+    """Dotted names that a file imports, in functions and for types, too; of `from a import b` both a and a.b."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -83,10 +99,43 @@ def imports(path: Path) -> set[str]:
 
 
 def storey(name: str) -> int | None:
-    for height, rooms in enumerate(STOREYS):
-        if any(name == room or name.startswith(room + ".") for room in rooms):
-            return height
-    return None
+    """Number of the storey, counted from above, of the longest entry of STOREYS that the name begins with."""
+    rooms = [(len(room), height) for height, rooms in enumerate(STOREYS) for room in rooms if within(name, room)]
+    return max(rooms)[1] if rooms else None
+
+
+def within(name: str, room: str) -> bool:
+    return name == room or name.startswith(room + ".")
+
+
+def upward(found: dict[str, Path]) -> list[str]:
+    """Imports of a room that stands higher; the package itself, a list of public names, may import all."""
+    return [
+        f"{name} imports {target}"
+        for name, path in found.items()
+        if name != "mgsgraph"
+        for target in sorted(imports(path))
+        if (here := storey(name)) is not None and (there := storey(target)) is not None and there < here
+    ]
+
+
+def circles(found: dict[str, Path]) -> list[set[str]]:
+    """Files of which each imports, by way of others of them, all of the others."""
+    below = {
+        name: {target for target in imports(path) if target in found and target != name}
+        for name, path in found.items()
+        if name != "mgsgraph"
+    }
+    reached: dict[str, set[str]] = {}
+    for name in below:
+        seen, open_ones = set[str](), [name]
+        while open_ones:
+            new = below.get(open_ones.pop(), set()) - seen
+            seen |= new
+            open_ones += new
+        reached[name] = seen
+    rings = {frozenset(other for other in reached[name] if name in reached.get(other, ())) for name in below}
+    return sorted((set(ring) for ring in rings if ring), key=sorted)
 
 
 def test_every_package_on_disk_is_declared() -> None:
@@ -101,14 +150,32 @@ def test_no_top_level_factors(tmp_path: Path) -> None:
 
 
 def test_every_import_goes_down() -> None:
-    wrong = [
-        f"{name} imports {target}"
-        for name, path in modules().items()
-        if name != "mgsgraph"
-        for target in imports(path)
-        if (here := storey(name)) is not None and (there := storey(target)) is not None and there < here
-    ]
-    assert not wrong
+    found = modules()
+    assert not [name for name in found if name not in ("mgsgraph", "mgsgraph.__main__") and storey(name) is None]
+    assert not upward(found)
+
+
+def test_no_files_import_one_another_in_a_circle() -> None:
+    assert not circles(modules())
+
+
+@pytest.mark.parametrize(
+    ("files", "up", "ring"),
+    [
+        ({"dem/model.py": "import mgsgraph.figures.dem"}, "mgsgraph.dem.model imports mgsgraph.figures.dem", 0),
+        ({"io/text.py": "def f():\n    import mgsgraph.cli.demo"}, "mgsgraph.io.text imports mgsgraph.cli.demo", 0),
+        ({"dem/files.py": "import mgsgraph.figures.dem", "figures/dem.py": "import mgsgraph.dem.model"}, "", 0),
+        ({"dem/a.py": "from mgsgraph.dem import b", "dem/b.py": "def f():\n    from mgsgraph.dem.a import f"}, "", 2),
+        ({f"dem/{one}.py": f"from mgsgraph.dem.{two} import f" for one, two in ("ab", "bc", "ca")}, "", 3),
+    ],
+)
+def test_planted_imports_are_found(files: dict[str, str], up: str, ring: int, tmp_path: Path) -> None:
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text + "\n", encoding="utf-8")
+    found = modules({"mgsgraph": tmp_path})
+    assert upward(found)[:1] == ([up] if up else [])
+    assert [len(one) for one in circles(found)] == ([ring] if ring else [])
 
 
 @pytest.mark.parametrize("library", ONLY_IN)
@@ -117,7 +184,7 @@ def test_libraries_stay_in_their_rooms(library: str) -> None:
         name
         for name, path in modules().items()
         if any(target.split(".")[0] == library for target in imports(path))
-        and not any(name == room or name.startswith(room + ".") for room in ONLY_IN[library])
+        and not any(within(name, room) for room in ONLY_IN[library])
     ]
     assert not wrong
 

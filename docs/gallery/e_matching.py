@@ -11,9 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph import MatchSettings, OrientationPrior
-from mgsgraph.matching.chart import GroundChart
 from mgsgraph.matching.match import match_scene
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.simulation.imagery import render
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.units import ARCMIN
@@ -40,15 +39,15 @@ print(matches.losses)
 
 # %%
 # Where they are, how far the nominal orientations were apart, and what sigmas they have.
-from mgsgraph.products.figures.matches import matches_sheet
+from mgsgraph.figures.matches import matches_sheet
 
 sheet = matches_sheet(matches, scene, "Gusev, 640 lines")
 
 # %%
 # Some of them as chips: the same ground in the one image and in the other, both turned and stretched to the ground's
 # directions.
+from mgsgraph.figures.sheet import new_sheet, panels
 from mgsgraph.matching.chips import chip_frames, chips, stretched
-from mgsgraph.products.figures.sheet import new_sheet, panels
 
 ties = matches.ties
 frames = chip_frames([picture.image for picture in pictures], ties)

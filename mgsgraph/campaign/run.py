@@ -14,7 +14,7 @@ from mgsgraph.campaign.entry import AS_WRITTEN, Entry, Wishes
 from mgsgraph.campaign.inputs import checksums
 from mgsgraph.campaign.record import Record, open_record
 from mgsgraph.campaign.task import Order, failed, run_case
-from mgsgraph.products.atomic import RECORD as RESULT
+from mgsgraph.output.folders import RECORD as RESULT
 
 Progress = Callable[[int, int, Entry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""

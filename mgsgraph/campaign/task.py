@@ -13,10 +13,10 @@ from typing import Any
 
 from mgsgraph.campaign.entry import Entry, Wishes
 from mgsgraph.campaign.inputs import checksums
-from mgsgraph.case import adjust, read_case
+from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import MgsgraphError
-from mgsgraph.products.atomic import require_replaceable
-from mgsgraph.products.results import write_results
+from mgsgraph.output.folders import require_replaceable
+from mgsgraph.reports.results import write_results
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.observations import nominal_ground, require_inside
 from mgsgraph.network.terrain_control import coverage, terrain_ground
-from mgsgraph.registration import footprints_in_images
+from mgsgraph.registration.footprints import footprints_in_images
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import KM, MRAD
 

@@ -21,8 +21,9 @@ from mgsgraph.adjustment.planning.candidates import (
 )
 from mgsgraph.adjustment.planning.scene import Scene
 from mgsgraph.adjustment.planning.standing import Standing
-from mgsgraph.case import read_image, read_shots
 from mgsgraph.case.decoding import read_table, validated
+from mgsgraph.case.images import read_image
+from mgsgraph.case.reading import read_shots
 from mgsgraph.case.schema import ImageInput, OrientationInput, Positive, Sigma, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
@@ -31,7 +32,7 @@ from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network.parts import KnownImage
-from mgsgraph.registration import footprints_in_images
+from mgsgraph.registration.footprints import footprints_in_images
 from mgsgraph.units import DEG
 
 _MOST_TIES, _MOST_SHOTS = 100_000, 1_000_000

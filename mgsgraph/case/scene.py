@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.case import picture_of, read_mola, terrain_shots
 from mgsgraph.case.images import read_images
+from mgsgraph.case.reading import picture_of, read_mola, terrain_shots
 from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.case.strips import members
 from mgsgraph.case.terrain import read_terrain_model
@@ -19,8 +19,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.io.pictures import read_picture
-from mgsgraph.matching.chart import GroundChart
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 
 _ABOUT_MODEL = 100.0
 """m, by how much the ground may leave a terrain model, of MOLA's kind, between its posts."""

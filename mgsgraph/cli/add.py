@@ -43,11 +43,11 @@ def add(
     from mgsgraph.cli.stages import stage_bar
     from mgsgraph.cli.tell import tell
     from mgsgraph.errors import InputError
-    from mgsgraph.products.impact import require_writable
     from mgsgraph.project.addition import parse_image, read_addition
     from mgsgraph.project.change import add as put
     from mgsgraph.project.change import check as compare
     from mgsgraph.project.project import open_project
+    from mgsgraph.reports.impact import require_writable
 
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster import Connection
     from mgsgraph.adjustment.settings import SolverSettings
     from mgsgraph.campaign import Wishes
-    from mgsgraph.case import Case
+    from mgsgraph.case.reading import Case
 
 
 @click.command(short_help="Adjust a case.")
@@ -46,11 +46,11 @@ def adjust(
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.adjustment.cluster import open_cluster, parse_cluster
-    from mgsgraph.case import read_case
+    from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import iteration_bar
-    from mgsgraph.products.atomic import require_replaceable
-    from mgsgraph.products.results import write_results
-    from mgsgraph.products.summary import statements, summary_table
+    from mgsgraph.output.folders import require_replaceable
+    from mgsgraph.reports.results import write_results
+    from mgsgraph.reports.summary import statements, summary_table
 
     require_replaceable(out)
     if cluster is not None:
@@ -79,12 +79,12 @@ def _in_two_steps(
     verbose: bool,
 ) -> bool:
     """Whether both steps converged."""
+    from mgsgraph.adjustment.analysis.step_merit import step_merit
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.cli.stages import stage_bar
-    from mgsgraph.products.results import write_results
-    from mgsgraph.products.step_merit import step_merit
-    from mgsgraph.products.two_steps import two_steps_page, write_two_steps
+    from mgsgraph.reports.results import write_results
+    from mgsgraph.reports.two_steps import two_steps_page, write_two_steps
 
     require_terrain(read.network, str(read.path))
     with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:

@@ -84,10 +84,10 @@ def analyze(
     """
     from mgsgraph.adjustment.analysis.levels import Levels
     from mgsgraph.adjustment.analysis.posterior import Pixel
-    from mgsgraph.products.analysis import Wanted, analysed, require_used, write_analysis
-    from mgsgraph.products.answers import Questions
-    from mgsgraph.products.atomic import ANALYSIS, require_replaceable
+    from mgsgraph.output.folders import ANALYSIS, require_replaceable
     from mgsgraph.project.standing import read_posterior
+    from mgsgraph.reports.analysis import Wanted, analysed, require_used, write_analysis
+    from mgsgraph.reports.answers import Questions
 
     if out is not None:
         require_replaceable(out, ANALYSIS)

@@ -13,7 +13,7 @@ import click
 )
 def check(case: Path, no_laser: bool, ties: Path | None) -> None:
     """Read and validate CASE and everything that it names; print what is there and where it is weak. Solves nothing."""
-    from mgsgraph.case import read_case
-    from mgsgraph.products.inventory import inventory
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.reports.inventory import inventory
 
     click.echo(inventory(read_case(case, not no_laser, ties)))

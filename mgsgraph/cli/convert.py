@@ -52,9 +52,9 @@ def convert(
 
     Exit status: 0, or 2 for bad input, and with --strict for a format that can't hold all.
     """
-    from mgsgraph.products.exchange import Lossy
-    from mgsgraph.products.exchange import convert as make
-    from mgsgraph.products.exchange_setting import setting_of
+    from mgsgraph.export.exchange import Lossy
+    from mgsgraph.export.exchange import convert as make
+    from mgsgraph.export.exchange_setting import setting_of
 
     setting = setting_of(case, sizes, radii, target, rename, prefix, not nvm_no_shift)
     try:

@@ -36,9 +36,9 @@ def dem(
     from typing import cast
 
     from mgsgraph.cli.progress import counting_bars
-    from mgsgraph.products.dem.dem import make_dem
-    from mgsgraph.products.dem.model import DemSettings, Heights
-    from mgsgraph.products.dem.record import dem_statements
+    from mgsgraph.dem.dem import make_dem
+    from mgsgraph.dem.files import dem_statements
+    from mgsgraph.dem.model import DemSettings, Heights
     from mgsgraph.project.results import results_of
     from mgsgraph.project.standing import read_posterior
 

@@ -28,14 +28,14 @@ def demo(
     against the truth. Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.case import Case
-    from mgsgraph.case import adjust as run
+    from mgsgraph.case.reading import Case
+    from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.cli.stages import stage_bar
-    from mgsgraph.products.atomic import fresh_folder
-    from mgsgraph.products.demo import STAGES, site_options
-    from mgsgraph.products.demo_summary import write_demo
-    from mgsgraph.products.summary import statements, summary_table
+    from mgsgraph.demo.demo import STAGES, site_options
+    from mgsgraph.demo.summary import write_demo
+    from mgsgraph.output.folders import fresh_folder
+    from mgsgraph.reports.summary import statements, summary_table
 
     def adjusting(case: Case) -> Solution:
         with iteration_bar(False, case.settings.max_iterations) as bar:

@@ -76,8 +76,8 @@ def _match(
     """Match the images of a case, write what was found, and say it."""
     from mgsgraph.case.scene import read_scene
     from mgsgraph.cli.progress import counting_bars
-    from mgsgraph.products.atomic import MATCH, require_replaceable
-    from mgsgraph.products.matching import match_into, match_statements
+    from mgsgraph.matching.files import match_into, match_statements
+    from mgsgraph.output.folders import MATCH, require_replaceable
 
     require_replaceable(out, MATCH)
     name, scene = read_scene(case, height, height_sigma)

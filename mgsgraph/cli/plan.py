@@ -32,9 +32,9 @@ def plan(
     from mgsgraph.adjustment.planning.plan import plan as make
     from mgsgraph.case.candidates import read_candidates
     from mgsgraph.cli.progress import counting_bar
-    from mgsgraph.products.atomic import PLAN, require_replaceable
-    from mgsgraph.products.plan import plan_table, statements, write_plan
+    from mgsgraph.output.folders import PLAN, require_replaceable
     from mgsgraph.project.standing import read_standing
+    from mgsgraph.reports.plan import plan_table, statements, write_plan
 
     if out is not None:
         require_replaceable(out, PLAN)

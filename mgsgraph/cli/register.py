@@ -21,11 +21,11 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
     Writes registration.json, registration.csv (each shot in each image), discrepancy.csv (by how much two images
     contradict each other about each footprint) and figures with numbered footprints.
     """
-    from mgsgraph.case import read_case
-    from mgsgraph.products.archive import read_solution
-    from mgsgraph.products.atomic import REGISTRATION, require_replaceable
-    from mgsgraph.products.registration import register_case, registration_statements
-    from mgsgraph.products.registration_tables import write_registration
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.output.folders import REGISTRATION, require_replaceable
+    from mgsgraph.registration.case import register_case, registration_statements
+    from mgsgraph.registration.tables import write_registration
+    from mgsgraph.reports.archive import read_solution
 
     require_replaceable(out, REGISTRATION)
     adjusted = None if solution is None else read_solution(solution)

@@ -20,10 +20,10 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
     """
     from mgsgraph.cli.stages import stage_bar
     from mgsgraph.cli.tell import tell
-    from mgsgraph.products.impact import require_writable
     from mgsgraph.project.change import check as compare
     from mgsgraph.project.change import remove as take_out
     from mgsgraph.project.project import open_project
+    from mgsgraph.reports.impact import require_writable
 
     if table is not None:
         require_writable(table, project)

@@ -22,10 +22,10 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     The page holds everything that it shows and asks nothing of the network. It says from which files it was made, with
     their checksums.
     """
-    from mgsgraph.case import read_case
-    from mgsgraph.products.archive import read_solution
-    from mgsgraph.products.report import require_page, write_report
+    from mgsgraph.case.reading import read_case
     from mgsgraph.project.results import results_of
+    from mgsgraph.reports.archive import read_solution
+    from mgsgraph.reports.page import require_page, write_report
 
     require_page(out)
     solution, own_case, own_ties, warning = results_of(solution)
@@ -46,7 +46,7 @@ def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) 
     """Checksums of the solutions' archives, of the case, and of every file that it names."""
     from mgsgraph.campaign.inputs import checksums
     from mgsgraph.io.checksum import sha256_of
-    from mgsgraph.products.archive import ARCHIVE
+    from mgsgraph.reports.archive import ARCHIVE
 
     given = [path / ARCHIVE if path.is_dir() else path for path in solutions if path is not None]
     own = {str(path): sha256_of(path) for path in [*given, *([] if ties is None else [ties])]}

@@ -47,12 +47,12 @@ def _write_page(
     case: Path, out: Path, ties: Path | None, worst: int | None, points: str | None, solution: Path | None,
     verdicts: Path | None,
 ) -> None:  # fmt: skip
-    from mgsgraph.case import read_case
+    from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
-    from mgsgraph.products.archive import read_solution
-    from mgsgraph.products.review import WORST, review_case
-    from mgsgraph.products.review_page import write_review
-    from mgsgraph.products.verdicts import read_verdicts, reviewed_network
+    from mgsgraph.reports.archive import read_solution
+    from mgsgraph.review.page import write_review
+    from mgsgraph.review.review import WORST, review_case
+    from mgsgraph.review.verdicts import read_verdicts, reviewed_network
 
     if ties is None:
         reviewed_network(case)  # of several, none could be written without the rejected points
@@ -68,8 +68,8 @@ def _write_page(
 
 
 def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> None:
-    from mgsgraph.products.exchange_setting import case_setting
-    from mgsgraph.products.verdicts import read_verdicts, reviewed_network, write_kept
+    from mgsgraph.export.exchange_setting import case_setting
+    from mgsgraph.review.verdicts import read_verdicts, reviewed_network, write_kept
 
     network = reviewed_network(case) if ties is None else ties
     setting = case_setting(case) if network.suffix.lower() == ".csv" else None

@@ -33,7 +33,7 @@ def simulate(
     attitude time bias of 0.95 s makes the 325 m of the papers' text at Gusev.
     """
     from mgsgraph.cli.stages import stage_bar
-    from mgsgraph.products.simulated import simulation_options, strip_options, write_simulation
+    from mgsgraph.demo.simulate import simulation_options, strip_options, write_simulation
 
     options = simulation_options(site, attitude_time_bias, not no_pictures)
     strip = strip_options(site, images, ties, steps)

@@ -16,9 +16,9 @@ def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) ->
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import iteration_bar
-    from mgsgraph.products.summary import statements, summary_table
     from mgsgraph.project.change import solve as solve_all
     from mgsgraph.project.project import open_project
+    from mgsgraph.reports.summary import statements, summary_table
 
     with (
         open_project(project, write=True, thorough=True) as opened,

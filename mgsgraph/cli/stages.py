@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 from tqdm import tqdm
 
-from mgsgraph.products.demo import Stages
+from mgsgraph.stages import Stages
 
 _BEAT = 0.5
 """s between two looks at the clock."""

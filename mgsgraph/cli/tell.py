@@ -18,7 +18,7 @@ def tell(impact: "Impact", closing: "Closing | None", table: Path | None) -> Non
     if moved := impact.points_table():
         click.echo(moved)
     if table is not None:
-        from mgsgraph.products.impact import write_impact
+        from mgsgraph.reports.impact import write_impact
 
         write_impact(impact, table)
         click.echo(f"All points that moved are in {table}")

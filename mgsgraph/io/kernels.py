@@ -42,7 +42,6 @@ _NEAR = 1e-4
 """s: a record of the CK this near to a node is that node."""
 
 
-
 # --- the pool
 
 

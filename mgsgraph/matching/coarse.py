@@ -13,8 +13,7 @@ from mgsgraph.matching.pairs import Pair, box, first_picture, footprints, next_p
 from mgsgraph.matching.relative import Displacements, consensus, corrected, displacements, robust_sigma, units_between
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.store import Store, load_links
-from mgsgraph.matching.tiles import Links, features_on, links_on, saved, tiling, together
+from mgsgraph.matching.tiles import Links, Store, features_on, links_on, load_links, saved, tiling, together
 
 _COARSER = 4.0
 """How much coarser than the ground grid."""

@@ -12,14 +12,12 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.matching.chart import GroundChart
 from mgsgraph.matching.coarse import grid_step, pixel_on_ground
-from mgsgraph.matching.disparity import MOST
 from mgsgraph.matching.measuring import SharpPictures
 from mgsgraph.matching.pairs import Pair, box, footprints, pairs_of
-from mgsgraph.matching.patches import Tile
+from mgsgraph.matching.patches import MOST, Tile
 from mgsgraph.matching.posts import Least, PostMatches, View, matches_on, no_matches
-from mgsgraph.matching.scene import Scene
+from mgsgraph.matching.scene import GroundChart, Scene
 from mgsgraph.matching.tiles import tiling
 
 _SPACING = 5.0

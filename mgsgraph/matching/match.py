@@ -19,13 +19,11 @@ from mgsgraph.matching.least_squares import MatchStatus
 from mgsgraph.matching.matches import Losses, Matches, matches_of
 from mgsgraph.matching.measuring import Measured, SharpPictures, joined_measures, measured
 from mgsgraph.matching.opencv import opencv
-from mgsgraph.matching.pairs import Pair, box, footprints, pairs_of
+from mgsgraph.matching.pairs import Pair, box, footprints, joined, pairs_of
 from mgsgraph.matching.patches import Tile
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.store import Nowhere, Store, load_links
-from mgsgraph.matching.tiles import Links, features_on, links_on, saved, tiling, together
-from mgsgraph.matching.tracks import joined
+from mgsgraph.matching.tiles import Links, Nowhere, Store, features_on, links_on, load_links, saved, tiling, together
 
 _MARGIN = 64
 """pixels of the ground grid that tiles share with their neighbours."""

@@ -10,12 +10,11 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.coarse import pixel_on_ground
 from mgsgraph.matching.least_squares import LeastSquaresMatches, match_least_squares
 from mgsgraph.matching.opencv import opencv
-from mgsgraph.matching.pairs import by_pair
+from mgsgraph.matching.pairs import by_pair, star
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.spline import SplinePicture
 from mgsgraph.matching.tiles import Links
-from mgsgraph.matching.tracks import star
 
 _READY = 8
 """Pictures that stay prepared."""

@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.matching.disparity import disparities
 from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
 from mgsgraph.matching.measuring import FINEST, half_window
 from mgsgraph.matching.opencv import opencv
-from mgsgraph.matching.patches import NODE, Tile, node_places, ortho_patch
+from mgsgraph.matching.patches import NODE, Tile, disparities, node_places, ortho_patch
 from mgsgraph.matching.relative import robust_sigma
 from mgsgraph.matching.scene import Ground, Picture
 from mgsgraph.matching.spline import SplinePicture

@@ -1,7 +1,9 @@
-"""The ground grid in tiles, and the work on one of them: features of every picture, and the links between them."""
+"""The ground grid in tiles, and the work on one of them: features of every picture, and the links between them.
+Work that is done is kept, so that an interrupted run goes on.
+"""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,3 +121,33 @@ def owned(links: Links, tile: Tile) -> Links:
 def saved(links: Links) -> dict[str, NDArray[np.generic]]:
     """Arrays by name, for a file."""
     return dict(links._asdict())
+
+
+class Store(Protocol):
+    """Arrays by name, of one run's inputs and choices."""
+
+    def load(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """What was kept under a name; None where nothing was."""
+        ...
+
+    def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Keep arrays under a name."""
+        ...
+
+
+class Nowhere:
+    """Keeps nothing."""
+
+    def load(self, name: str) -> None:
+        """Nothing."""
+        return
+
+    def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Not at all."""
+        return
+
+
+def load_links(store: Store, name: str) -> Links | None:
+    """Links that were kept under a name; None where none were."""
+    kept = store.load(name)
+    return Links(**kept) if kept is not None and kept.keys() == set(Links._fields) else None

@@ -340,4 +340,3 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
         return None
     left = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
     return part(left, np.flatnonzero(seen))
-

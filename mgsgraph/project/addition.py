@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.incremental.state import ImagesByName
-from mgsgraph.case import picture_of, read_case, read_shots
 from mgsgraph.case.images import read_images
+from mgsgraph.case.reading import picture_of, read_case, read_shots
 from mgsgraph.case.schema import ImageInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
@@ -25,7 +25,7 @@ from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_
 from mgsgraph.network.terrain_control import over_terrain
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.registration import footprints_in_images
+from mgsgraph.registration.footprints import footprints_in_images
 from mgsgraph.ties import PointKind, TiePoints
 
 _ISDS, _LABELS, _CASES = (".json", ".isd"), (".img", ".lbl", ".cub", ".imq"), (".toml",)

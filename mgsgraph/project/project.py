@@ -16,10 +16,10 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.io.checksum import sha256_of
 from mgsgraph.io.fresh_file import beside
-from mgsgraph.products.results import write_results
 from mgsgraph.project.connection import WRITER, connected, made, refusal
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
+from mgsgraph.reports.results import write_results
 
 SOLUTIONS = "solutions"
 """Folder of the results, one folder each, in a project's folder."""
@@ -322,5 +322,3 @@ def _require_free(target: Path, shown: str) -> None:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-

@@ -14,10 +14,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
-from mgsgraph.products.archive import ARCHIVE, read_solution
 from mgsgraph.project.change import is_solved
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import Project, open_project
+from mgsgraph.reports.archive import ARCHIVE, read_solution
 
 _Values = Mapping[Unknown, Array]
 

@@ -16,7 +16,6 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
-from mgsgraph.products.taken_apart import pack, unpack
 from mgsgraph.project.rows import (
     PointRows,
     Run,
@@ -28,6 +27,7 @@ from mgsgraph.project.rows import (
     rays_of,
     renew_points,
 )
+from mgsgraph.reports.archive_arrays import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
 """Columns of a reduced system; NULL in a bundle that has none."""

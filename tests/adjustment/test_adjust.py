@@ -14,11 +14,11 @@ from mgsgraph.adjustment.passes import everything, select, solve_in_passes
 from mgsgraph.adjustment.posterior import explicit_covariances, orientation_covariance, point_covariances
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts
-from mgsgraph.products.truth import nees
 from mgsgraph.ties import PointKind
 
 TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}

@@ -31,9 +31,9 @@ from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
+from mgsgraph.figures.quantiles import quantile_sheet
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
-from mgsgraph.products.figures.quantiles import quantile_sheet
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.redraw import redraw
 

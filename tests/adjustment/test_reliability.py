@@ -33,7 +33,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.network import Network
-from mgsgraph.products.reliability import reliability_csv
+from mgsgraph.reports.reliability import reliability_table
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)
 
@@ -262,7 +262,7 @@ def test_names_and_units_of_all_measures_at_once(held: tuple[bool, bool], tmp_pa
     assert list(zip(found.names(order), found.units(order), strict=True)) == expected
     assert [(found.name(int(k)), found.unit(int(k))) for k in order[::7]] == expected[::7]
     assert (found.names(order[:0]), found.units(order[:0])) == ([], [])
-    reliability_csv(found, tmp_path / "reliability.csv")
+    reliability_table(found).write_csv(tmp_path / "reliability.csv")
     with (tmp_path / "reliability.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [(row["measure"], row["unit"]) for row in rows] == expected

@@ -26,8 +26,8 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.kernel.rows import SURFACE, one_sight
 from mgsgraph.network import GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
-from mgsgraph.products.archive import read_solution, write_archive
-from mgsgraph.products.control import control_json, control_statements, surface_heights
+from mgsgraph.reports.archive import read_solution, write_archive
+from mgsgraph.reports.control import control_json, control_statements, surface_heights
 from mgsgraph.simulation.redraw import redraw
 from mgsgraph.ties import PointKind
 from mgsgraph.units import ARCSEC, DEG, MRAD

@@ -16,7 +16,7 @@ from mgsgraph.campaign import AS_WRITTEN, Campaign, Entry, Wishes, run_campaign,
 from mgsgraph.campaign.record import RECORD
 from mgsgraph.campaign.report import line, summary
 from mgsgraph.errors import InputError, SolverError
-from mgsgraph.products.results import write_results
+from mgsgraph.reports.results import write_results
 
 TABLES = ("points.csv", "orientation.csv", "residuals.csv")
 QUICK = Wishes(figures=False)

@@ -17,10 +17,10 @@ from rasterio.warp import transform
 
 import mgsgraph
 from mgsgraph.cli import group
+from mgsgraph.dem import dem as whole_road
 from mgsgraph.errors import InputError
 from mgsgraph.io.control.pvl_writing import write_pvl_network
 from mgsgraph.io.control.ties import control_network
-from mgsgraph.products.dem import dem as whole_road
 
 
 def call(*arguments: str | Path) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from commands import refused, run, run_afresh
 
-from mgsgraph.products.demo import STAGES
+from mgsgraph.demo.demo import STAGES
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 from commands import run
 
+from mgsgraph.adjustment.analysis import step_merit
 from mgsgraph.cli import group
-from mgsgraph.products import step_merit
 from mgsgraph.units import DEG
 
 REFERENCE = 3_396_190.0

@@ -18,7 +18,7 @@ from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
 from mgsgraph.io.moc import read_moc
-from mgsgraph.products.archive import read_solution, write_archive
+from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.simulation.pair import simulate_pair
 
 ARCSEC = np.pi / 180.0 / 3600.0

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.matching.chart import GroundChart
+from mgsgraph.matching.scene import GroundChart
 
 RADIUS = 3.39e6
 PLACES = ((0.3, 0.2), (np.pi - 1e-4, -0.4), (-np.pi + 1e-4, 0.1), (1.0, np.pi / 2 - 1e-5), (-2.0, -np.pi / 2 + 1e-5))

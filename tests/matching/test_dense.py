@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.matching.dense import DenseMatches, DenseSettings, dense_matches
-from mgsgraph.matching.disparity import disparities
-from mgsgraph.matching.patches import Patch
+from mgsgraph.matching.patches import Patch, disparities
 from mgsgraph.matching.scene import Picture, Scene
 
 SPACING = 50.0

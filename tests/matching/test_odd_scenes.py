@@ -12,13 +12,13 @@ from mgsgraph.case.scene import read_scene
 from mgsgraph.errors import InputError
 from mgsgraph.matching.checks import verdict
 from mgsgraph.matching.coarse import grid_step, search_radius
+from mgsgraph.matching.files import KeptTiles, match_statements
 from mgsgraph.matching.match import _cells, _finest_first, _one_per_window, match_scene
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.pairs import pairs_of
 from mgsgraph.matching.patches import Tile, _blur, ortho_patch
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.tiles import Links
-from mgsgraph.products.matching import KeptTiles, match_statements
 
 STEP = 4.0
 """m, pixel of the ground grid."""

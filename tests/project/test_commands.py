@@ -12,8 +12,8 @@ from projects import digest
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.products.archive import read_solution
 from mgsgraph.project.project import open_project
+from mgsgraph.reports.archive import read_solution
 
 
 def call(*arguments: str | Path) -> int:

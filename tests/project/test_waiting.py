@@ -10,11 +10,11 @@ import pytest
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.products.archive import read_solution
 from mgsgraph.project.begin import take_ties
 from mgsgraph.project.change import check
 from mgsgraph.project.project import open_project
 from mgsgraph.project.results import results_of
+from mgsgraph.reports.archive import read_solution
 
 
 def call(*arguments: str | Path) -> int:

@@ -17,7 +17,7 @@ import papers_tables as tables  # noqa: E402
 import published  # noqa: E402
 import reproduce_papers  # noqa: E402
 
-from mgsgraph.case import read_case  # noqa: E402
+from mgsgraph.case.reading import read_case  # noqa: E402
 from mgsgraph.errors import InputError  # noqa: E402
 from mgsgraph.network import PointClass  # noqa: E402
 from mgsgraph.simulation.site import SimulationOptions, simulate_site  # noqa: E402

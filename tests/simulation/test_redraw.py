@@ -8,10 +8,10 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case import read_case
+from mgsgraph.case.reading import read_case
+from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass
-from mgsgraph.products.truth import nees
 from mgsgraph.simulation.redraw import redraw
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.site_files import write_site

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsgraph.case import adjust, read_case
+from mgsgraph.case.reading import adjust, read_case
+from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
@@ -15,7 +16,6 @@ from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import PointClass
-from mgsgraph.products.truth import nees
 from mgsgraph.simulation.circle import terrain_height
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings
 from mgsgraph.simulation.sighting import sighting

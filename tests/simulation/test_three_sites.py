@@ -5,10 +5,10 @@ import tomllib
 import numpy as np
 import pytest
 
-from mgsgraph.case import Case, adjust, read_case
+from mgsgraph.case.reading import Case, adjust, read_case
+from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.products.truth import nees
 from mgsgraph.simulation.site import SimulationOptions
 from mgsgraph.simulation.three_sites import (
     BRIDGE,

@@ -338,5 +338,3 @@ def _used(at: Linearised, places: Index | Places, points: Index, root: Array | N
 
 def _zeros(like: Index) -> Small:
     return np.zeros(like.size, dtype=np.int8)
-
-

@@ -170,4 +170,3 @@ def probes(bundle: Bundle) -> Index:
     """Some determined points of a bundle, evenly chosen."""
     there = np.flatnonzero(np.isfinite(bundle.places[:, 0]))
     return there[np.unique(np.linspace(0, there.size - 1, min(_PROBES, there.size)).astype(np.int64))]
-

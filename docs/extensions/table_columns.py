@@ -1,0 +1,84 @@
+"""The directive `table-columns`: what is in each column of the files of results, as the tables themselves say."""
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from mgsgraph.adjustment.analysis.components import components_of
+from mgsgraph.adjustment.analysis.merit import solution_connectivity
+from mgsgraph.adjustment.analysis.posterior import Posterior
+from mgsgraph.adjustment.analysis.reliability import reliability
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import adjust, read_case
+from mgsgraph.output.table import Column, Table
+from mgsgraph.reports.analysis import components_table
+from mgsgraph.reports.reliability import reliability_table
+from mgsgraph.reports.shared import shared_table
+from mgsgraph.reports.strips import nodes_table
+from mgsgraph.reports.tables import connectivity_table, orientation_table, points_table, residuals_table
+from mgsgraph.simulation.files import write_pair
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
+
+_MORE = """
+[[shared]]
+kind = "range bias"
+sigma_m = 5.0
+
+[[strips]]
+name = "A"
+images = ["SIM/A"]
+"""
+"""What a small simulated case gets, so that every table has something in it."""
+
+
+class TableColumns(SphinxDirective):
+    """A section for each file."""
+
+    def run(self) -> list[nodes.Node]:
+        """Sections, made of Markdown as the page around them is."""
+        lines = [line for file, table in _tables() for line in _section(file, table)]
+        holder = nodes.container()
+        self.state.nested_parse(StringList(lines, source="mgsgraph.output.table"), 0, holder, match_titles=True)
+        return holder.children
+
+
+def _solution() -> Solution:
+    with tempfile.TemporaryDirectory() as folder:
+        case = write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), Path(folder))
+        case.write_text(case.read_text(encoding="utf-8") + _MORE, encoding="utf-8")
+        return adjust(read_case(case))
+
+
+def _tables() -> Iterator[tuple[str, Table]]:
+    solution = _solution()
+    linearised = Posterior.of(solution).linearised
+    yield "points.csv", points_table(solution)
+    yield "orientation.csv", orientation_table(solution)
+    yield "residuals.csv", residuals_table(solution)
+    yield "connectivity.csv", connectivity_table(solution_connectivity(solution))
+    yield "shared.csv", shared_table(solution)
+    yield "strips.csv", nodes_table(solution)
+    yield "reliability.csv", reliability_table(reliability(linearised))
+    yield "components.csv", components_table(components_of(linearised))
+
+
+def _section(file: str, table: Table) -> list[str]:
+    lines = ["", f"## {file}", "", f"{table.title}. {table.note}".rstrip(), "", "| column | unit | meaning |"]
+    return [*lines, "|---|---|---|", *(_row(column) for column in table.columns if column.files)]
+
+
+def _row(column: Column) -> str:
+    names = ", ".join(f"`{one.name()}`" for one in column.split)
+    unit = column.unit if isinstance(column.unit, str) else "in `unit`"
+    return f"| {names} | {unit} | {column.meaning} |".replace("|  |", "| |")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Sphinx's entry point."""
+    app.add_directive("table-columns", TableColumns)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,206 @@
+"""Figures of merit of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
+
+Tables, words and figures all take their numbers here, so that they can't contradict each other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.geometry.body import planetocentric, planetocentric_jacobian
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
+from mgsgraph.ties import PointKind
+
+CLASSES = len(PointClass)
+PLACES = 31
+"""Lines along an image at which the papers sample its orientation."""
+ORIENTATION = ("X", "Y", "Z", "omega", "phi", "kappa", "rotation x", "rotation y", "rotation z")
+"""Components of `OrientationStatistics`: m, then rad."""
+
+
+def mean_and_rms(values: Array) -> tuple[Array, Array]:
+    """Mean and root mean square along the first axis; NaN where there is nothing."""
+    if values.shape[0] == 0:
+        nothing = np.full(values.shape[1:], np.nan)
+        return nothing, nothing
+    return values.mean(axis=0), np.sqrt(np.mean(values**2, axis=0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayStatistics:
+    """Image residuals of the rays that took part, by image and class; components line and sample."""
+
+    total: Index
+    """(images,) rays measured, used or not."""
+    count: Index
+    """(images, classes) rays used."""
+    mean: Array
+    """(images, classes, 2) pixels."""
+    rms: Array
+    """(images, classes, 2) pixels."""
+
+    @property
+    def rms_of_images(self) -> Array:
+        """(images, 2) pixels, over all classes."""
+        return self._pooled(1)
+
+    @property
+    def rms_of_classes(self) -> Array:
+        """(classes, 2) pixels, over all images."""
+        return self._pooled(0)
+
+    def _pooled(self, axis: int) -> Array:
+        squares = np.nan_to_num(self.rms) ** 2 * self.count[:, :, None]
+        return np.sqrt(_ratio(squares.sum(axis=axis), self.count.sum(axis=axis)))
+
+    @property
+    def standard_errors(self) -> Array:
+        """(images, classes, 2) pixels, of the means; NaN for fewer than two rays."""
+        count = self.count[:, :, None]
+        variance = np.maximum(self.rms**2 - self.mean**2, 0.0)
+        return np.where(count > 1, np.sqrt(variance / np.maximum(count - 1, 1)), np.nan)
+
+
+def ray_statistics(solution: Solution) -> RayStatistics:
+    """Image residuals by image and class, in one pass over the rays."""
+    network, images = solution.network, len(solution.network.images)
+    used = solution.rays_used
+    image, residuals = network.rays.image[used], solution.residuals[used]
+    cell = image * CLASSES + network.points.classes[network.rays.point[used]]
+    count = np.bincount(cell, minlength=images * CLASSES).reshape(images, CLASSES)
+
+    def summed(values: Array) -> Array:
+        parts = [np.bincount(cell, weights=values[:, c], minlength=images * CLASSES) for c in range(2)]
+        return np.stack(parts, axis=1).reshape(images, CLASSES, 2).astype(np.float64)  # no rays: counts, not weights
+
+    return RayStatistics(
+        total=np.bincount(network.rays.image, minlength=images),
+        count=count,
+        mean=_ratio(summed(residuals), count),
+        rms=np.sqrt(_ratio(summed(residuals**2), count)),
+    )
+
+
+def _ratio(sums: Array, count: Index) -> Array:
+    """Sums (..., 2) over counts (...); NaN where there is nothing."""
+    return np.asarray(np.where(count[..., None] > 0, sums / np.maximum(count, 1)[..., None], np.nan))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrientationStatistics:
+    """Corrections of one image's exterior orientation over evenly spaced lines; components as in ORIENTATION."""
+
+    mean: Array
+    """(9,) m and rad, adjusted minus nominal."""
+    rms: Array
+    """(9,) m and rad, the same."""
+    mean_sigma: Array
+    """(9,) m and rad, mean standard deviation of the adjusted orientation, for sigma0 = 1."""
+
+
+def orientation_statistics(solution: Solution, image: int) -> OrientationStatistics:
+    """Corrections of one image over the papers' 31 places."""
+    profile = orientation_profile(solution, image, PLACES)
+    moved = profile.position_after - profile.position_before
+    mean, rms = mean_and_rms(np.concatenate([moved, profile.angle_differences, profile.rotation], axis=1))
+    sigmas = np.concatenate([profile.position_sigma, profile.angles_sigma, profile.rotation_sigma], axis=1)
+    return OrientationStatistics(mean, rms, sigmas.mean(axis=0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointStatistics:
+    """Ground points of one class; sigmas and corrections are of those that were adjusted (fixed ones have none)."""
+
+    count: int
+    """All points of the class."""
+    rejected: int
+    """Points without a place, or none of whose rays took part."""
+    adjusted: int
+    """Points with an adjusted place."""
+    mean_sigma: Array
+    """(3,) m, in x, y, z, for sigma0 = 1."""
+    mean_correction: Array
+    """(3,) m, adjusted minus before."""
+    rms_correction: Array
+    """(3,) m, the same."""
+
+
+def point_statistics(solution: Solution, point_class: PointClass) -> PointStatistics:
+    """Sigmas and corrections of one class of points."""
+    mine = solution.network.points.classes == point_class
+    adjusted = mine & adjusted_points(solution)
+    mean, rms = mean_and_rms((solution.places - solution.places_before)[adjusted])
+    return PointStatistics(
+        count=int(mine.sum()),
+        rejected=int(np.sum(rejected_points(solution) & mine)),
+        adjusted=int(adjusted.sum()),
+        mean_sigma=mean_and_rms(solution.sigmas[adjusted])[0],
+        mean_correction=mean,
+        rms_correction=rms,
+    )
+
+
+def adjusted_points(solution: Solution) -> Mask:
+    """(n,) True for points that have a place and are not fixed."""
+    return np.asarray(solution.determined & (solution.network.points.kinds != PointKind.FIXED))
+
+
+def used_ray_counts(solution: Solution) -> Index:
+    """(n,) number of rays of each point that took part."""
+    return np.bincount(solution.network.rays.point[solution.rays_used], minlength=len(solution.network.points))
+
+
+def rejected_points(solution: Solution) -> Mask:
+    """(n,) True for points without a place and for those that have rays of which none took part."""
+    lost = (solution.network.ray_counts > 0) & (used_ray_counts(solution) == 0)
+    return np.asarray(~solution.determined | lost)
+
+
+@dataclass(frozen=True, slots=True)
+class RangeStatistics:
+    """Laser ranges; residuals, measured minus predicted, of those that took part."""
+
+    count: int
+    """All ranges."""
+    used: int
+    """Ranges that took part."""
+    mean: float
+    """m."""
+    rms: float
+    """m."""
+    mean_before: float
+    """m, with the nominal orientation."""
+    rms_before: float
+    """m, with the nominal orientation."""
+
+
+def range_statistics(solution: Solution) -> RangeStatistics:
+    """Residuals of the ranges before and after."""
+    used = solution.ranges_used
+    after, before = mean_and_rms(solution.range_residuals[used]), mean_and_rms(solution.range_residuals_before[used])
+    numbers = (float(value) for value in (*after, *before))
+    return RangeStatistics(used.size, int(used.sum()), *numbers)
+
+
+def laser_gain(solution: Solution) -> float:
+    """How many times larger the tie points' mean sigmas would be without the laser rows; NaN where that isn't known."""
+    without = solution.sigmas_without_laser
+    if without is None:
+        return float("nan")
+    return float(np.linalg.norm(without) / np.linalg.norm(point_statistics(solution, PointClass.TIE).mean_sigma))
+
+
+def local_sigmas(solution: Solution) -> Array:
+    """(n, 3) m, standard deviations of the points towards east, north and up (radially), for sigma0 = 1."""
+    partials = planetocentric_jacobian(planetocentric(solution.places))
+    axes = partials / np.linalg.norm(partials, axis=1, keepdims=True)
+    return np.asarray(np.sqrt(np.maximum(np.einsum("nia,nij,nja->na", axes, solution.covariances, axes), 0.0)))
+
+
+def solution_connectivity(solution: Solution) -> Connectivity:
+    """By the rays that were used, with the footprints of the adjusted orientation."""
+    footprints = network_footprints(solution.network, solution.places, solution.correction)
+    return connectivity(solution.network, footprints, solution.rays_used)

@@ -1,0 +1,226 @@
+"""A case file (TOML) names the inputs of an adjustment and what is known of them beforehand; here it becomes a network.
+
+Paths are relative to the case file.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from msgspec import structs
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.assembly import Parts
+from mgsgraph.case.groups import merged, with_sigmas
+from mgsgraph.case.images import read_image as read_image
+from mgsgraph.case.images import read_images
+from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, TerrainInput, TiesInput, decode
+from mgsgraph.case.strips import members, strips_of
+from mgsgraph.case.terrain import read_terrain_model
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.io.asp.gcp import read_ground_control
+from mgsgraph.io.control.table import read_tie_points
+from mgsgraph.io.image_label import instrument_of
+from mgsgraph.io.lidar import read_lidar
+from mgsgraph.network import Network, PointClass
+from mgsgraph.ties import TiePoints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """Everything that an adjustment starts from."""
+
+    name: str
+    """What it is called."""
+    path: Path
+    """Where it was read."""
+    network: Network
+    """Who sees what, with what sigma."""
+    settings: SolverSettings
+    """How to solve it."""
+    ties: TiePoints | None = None
+    """Tie points of all control networks, those of the same id made one, a sigma for every measure."""
+    profiles: tuple[AltimeterShots, ...] = ()
+    """Shots of each MOLA profile that take part."""
+    pictures: tuple[Path | None, ...] = ()
+    """File of each image's pixels, where the case names one."""
+    fits: tuple[PolynomialFit, ...] = ()
+    """What the polynomials of the nominal orientation cost, for each image where they are used."""
+
+    def __repr__(self) -> str:
+        return f"Case({self.name!r}: {self.network!r})"
+
+
+def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) -> Case:
+    """Read a case file and everything that it names.
+
+    Parameters
+    ----------
+    path : path
+        TOML file.
+    laser : bool
+        False leaves the laser rows out whatever the file says.
+    ties : Path, optional
+        Control network to use in place of those that the file names.
+
+    Raises
+    ------
+    InputError
+        With the place, the finding and the remedy.
+    """
+    path = Path(path)
+    wanted = decode(path)
+    if ties is not None:
+        wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
+    folder = path.parent
+    orientations = wanted.orientations
+    of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
+    images, fits = read_images(wanted, orientations, of_strips, path)
+    priors = wanted.priors(str(path))
+    parts = Parts(images)
+    tie_points = _read_ties(wanted, parts, folder)
+    if tie_points:
+        parts.add_points(tie_points, PointClass.TIE, 1.0)
+    if wanted.ground_control:
+        control = read_ground_control(folder / wanted.ground_control.file, images[0].body)
+        parts.add_points(control, PointClass.CONTROL, 1.0)
+    profiles = _add_laser(parts, wanted, path) if laser else ()
+    if not parts.ids:
+        raise InputError(str(path), "neither ties nor ground control nor laser", "at least one of them")
+    settings = SolverSettings(**{name: getattr(wanted.solver, name) for name in wanted.solver.__struct_fields__})
+    held = np.array([image.held for image in wanted.images])
+    network = parts.network(priors, held, *_read_terrain(wanted, path, images), wanted.terrain)
+    network = _with_strips(network, wanted, of_strips, path)
+    network = _with_shared(network, wanted, path, laser)
+    _require_seeing_images(network)
+    pictures = tuple(picture_of(image, folder) for image in wanted.images)
+    return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits)
+
+
+def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]], path: Path) -> Network:
+    """The network with the orientation images of its strips."""
+    if not wanted.strips:
+        return network
+
+    def to_et(strip: int, texts: Sequence[str], where: str) -> Array:
+        from mgsgraph.io.kernels import times_of_utc
+
+        named = [wanted.images[j].kernels for j in of_strips[strip] if wanted.images[j].kernels]
+        kernels = named[0] if named else wanted.spice.kernels if wanted.spice else ()
+        return times_of_utc(texts, [path.parent / kernel for kernel in kernels], where)
+
+    strips = strips_of(wanted.strips, of_strips, network.images, to_et, str(path))
+    try:
+        return replace(network, strips=strips)
+    except InputError as error:
+        raise error.within(str(path)) from None
+
+
+def _with_shared(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
+    """The network with the unknowns that its images share; those of the laser go with its rows."""
+    if not wanted.shared:
+        return network
+    names = [image.name for image in network.images]
+    shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
+    if not laser:
+        shared = tuple(one for one in shared if not one.kind.of_laser)
+    try:
+        network = replace(network, shared=shared)
+        network.require_felt()
+        return network
+    except InputError as error:
+        raise error.within(str(path)) from None
+
+
+def _require_seeing_images(network: Network) -> None:
+    for j in np.flatnonzero(np.bincount(network.rays.image, minlength=len(network.images)) == 0)[:1]:
+        raise InputError(
+            f"image {network.images[j].name}",
+            "no point is measured in it",
+            "at least one tie, laser or control point",
+            "take it out of the case or give it measures",
+        )
+
+
+def adjust(case: Case, progress: Callable[[Iteration], None] = lambda _: None) -> Solution:
+    """Adjust a case; see `mgsgraph.adjustment.adjust.adjust_network`."""
+    return adjust_network(case.network, case.settings, case.name, progress)
+
+
+def picture_of(entry: ImageInput, folder: Path) -> Path | None:
+    """Where an image's pixels are: stated, or with the label of those cameras whose pixels can be read."""
+    if entry.pixels is not None:
+        return folder / entry.pixels
+    if entry.cube is not None:
+        from mgsgraph.io.isis_cube import is_map_projected
+
+        return None if is_map_projected(folder / entry.cube) else folder / entry.cube
+    if entry.label is None or not instrument_of(folder / entry.label).startswith("MOC"):
+        return None
+    return folder / entry.label
+
+
+def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> TiePoints | None:
+    """Tie points of all control networks; each file is checked by itself, so that errors name it."""
+    of_images = {
+        image.name: image.measure_sigma_px for image in wanted.images if image.measure_sigma_px is not None
+    }
+    groups = []
+    for entry in wanted.tie_groups:
+        group = with_sigmas(read_tie_points(folder / entry.network, parts.images[0].body), entry.sigma_px, of_images)
+        parts.require_measures(group)
+        groups.append(group)
+    return merged(groups) if groups else None
+
+
+def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
+    """Shots of ISIS lidar files and of MOLA profiles; those of the latter are returned."""
+    if wanted.laser is True:
+        raise InputError(f"{path}, laser", "true", "false, or a table (or several) with the shots' file")
+    for group in wanted.laser_groups:
+        parts.add_profile(read_lidar(path.parent / group.file), group)
+    return tuple(parts.add_mola(read_mola(entry, path.parent), entry) for entry in wanted.mola)
+
+
+def read_mola(entry: MolaInput, folder: Path) -> AltimeterShots:
+    """Shots of a profile as a case states it."""
+    leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
+    return read_shots(folder / entry.pedr, entry.clock_bias_s, entry.version, leap_seconds)
+
+
+def read_shots(
+    path: Path, clock_bias: float = 0.0, version: str | None = None, leap_seconds: Path | None = None
+) -> AltimeterShots:
+    """Shots of MOLA: PEDR binary by its ending (.b), else a table; see `io.pedr` and `io.pedr_text`."""
+    from mgsgraph.io.pedr import read_pedr
+    from mgsgraph.io.pedr_text import read_pedr_text
+
+    if path.suffix.lower() == ".b":
+        return read_pedr(path, clock_bias, version)
+    return read_pedr_text(path, clock_bias, version, leap_seconds)
+
+
+def _read_terrain(
+    wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...]
+) -> tuple[TerrainGrid | None, TerrainGrid | None]:
+    """Radii of the terrain model, where they are control, and the areoid, where it is known."""
+    entry = wanted.terrain
+    if entry is None:
+        return None, None
+    radii, areoid = read_terrain_model(entry, path, images, terrain_shots(entry, path))
+    return radii if entry.control else None, areoid
+
+
+def terrain_shots(entry: TerrainInput, path: Path) -> Callable[[Path], AltimeterShots]:
+    """How the tracks of a case's terrain model are read."""
+    leap_seconds = path.parent / entry.leap_seconds if entry.leap_seconds else None
+    return lambda file: read_shots(file, version=entry.version, leap_seconds=leap_seconds)

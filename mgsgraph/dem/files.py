@@ -1,0 +1,222 @@
+"""A terrain model in words and as files: rasters, the record, the table of check shots, the figure."""
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.dem.checking import HeightChecks, check_merit
+from mgsgraph.dem.gridding import HeightGrid
+from mgsgraph.dem.map import MapGrid
+from mgsgraph.dem.model import Dem, DemSettings, Progress, ortho_grid
+from mgsgraph.dem.ortho import ortho_tiles
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.output.csv_json import picked, write_json
+from mgsgraph.output.folders import DEM, PROGRAM
+from mgsgraph.output.geotiff import geotiff
+from mgsgraph.output.table import Column, Table
+from mgsgraph.units import DEG, KM
+from mgsgraph.wording import many, some
+
+FORMAT = 1
+"""Version of dem.json's layout."""
+_UNEXPLAINED = 1.5
+"""Times what matching explains from which on rays that miss each other are worth a word."""
+BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
+"""Of dem.tif; m but for the last."""
+
+
+def write_dem(
+    dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figures: bool, progress: Progress
+) -> None:
+    """Write everything to a folder that is there."""
+    grid = ortho_grid(dem, scene, settings)
+    progress("ortho image", 0, 1)
+    tags = {"case": dem.name, "images": some(dem.images, len(dem.images), 20), "sigmas": "for sigma0 = 1"}
+    write_model(dem.model, dem.heights, dem.reference, tags, folder / "dem.tif")
+    write_ortho(
+        scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif",
+        lambda done, most: progress("ortho image", done, most),
+    )  # fmt: skip
+    shots_table(dem).write_csv(folder / "shots.csv")
+    write_json(folder / DEM, _record(dem, settings, grid.post))
+    if figures:
+        from mgsgraph.figures.dem import write_dem_figure  # matplotlib takes its time to load
+
+        progress("figure", 0, 1)
+        write_dem_figure(dem, folder)
+
+
+def dem_statements(dem: Dem) -> list[str]:
+    """What the terrain model is and how good, in sentences."""
+    grid, there = dem.model.map, np.isfinite(dem.heights)
+    found = [
+        f"{dem.images[i]} and {dem.images[j]}: {matched} of {posts} posts every {dem.spacing:.3g} m matched "
+        f"({100.0 * matched / max(posts, 1):.0f} %); their rays miss each other by {miss:.2g} m (rms), "
+        f"{_explained(miss, sigma)}."
+        for (i, j), (matched, posts), (miss, sigma) in zip(dem.pairs, dem.matches, dem.misses, strict=True)
+    ]
+    low, high = (float(value) for value in (np.nanmin(dem.heights), np.nanmax(dem.heights)))
+    found.append(
+        f"The terrain model has {grid.rows} x {grid.columns} posts every {grid.post:.3g} m, of which "
+        f"{int(there.sum())} have a height ({dem.covered / KM**2:.4g} km^2): {low:.0f} to {high:.0f} m above "
+        f"{dem.reference}."
+    )
+    whole, matching, orientation = (
+        float(np.median(band[there])) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation)
+    )
+    found.append(
+        f"Sigma of a height (median, for sigma0 = 1): {whole:.3g} m, of which {matching:.3g} m by matching and relief, "
+        f"independent beyond {dem.window:.0f} m, and {orientation:.3g} m by the orientation, common to neighbours."
+    )
+    return [*found, *_check_statements(dem)]
+
+
+def _explained(miss: float, sigma: float) -> str:
+    """What makes rays miss each other."""
+    if miss <= _UNEXPLAINED * sigma:
+        return f"as matching explains ({sigma:.2g} m)"
+    rest = "the rest is the orientation's, by its sigmas or by motion that the adjustment doesn't follow"
+    return f"of which matching explains {sigma:.2g} m; {rest}"
+
+
+def _check_statements(dem: Dem) -> list[str]:
+    """What the laser shots say."""
+    checks, offered = dem.checks, sum(one.shots.times.size for one in dem.profiles)
+    if not dem.profiles:
+        return ["Not checked by laser shots: there are none that took no part in the adjustment."]
+    if not len(checks):
+        return [f"Not checked by laser shots: of {offered} that took no part none lies on the terrain model."]
+    found = [f"{many(len(checks), 'laser shot')} that took no part: {_compared(checks, np.ones(len(checks), bool))}."]
+    for k, one in enumerate(dem.profiles):
+        if len(dem.profiles) > 1 and np.any(mine := checks.profile == k):
+            found.append(f"Of {one.name}, {int(mine.sum())}: {_compared(checks, mine)}.")
+    return found
+
+
+def _compared(checks: HeightChecks, mine: Mask) -> str:
+    merit = check_merit(checks, mine)
+    return (
+        f"model minus shot {merit['mean_m']:+.2g} m on the average, {merit['rms_m']:.3g} m rms, "
+        f"{merit['rms_by_sigma']:.2f} times what is stated; {100.0 * merit['beyond_3_sigma']:.1f} % beyond three sigmas"
+    )
+
+
+def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
+    grid, there, checks = dem.model.map, np.isfinite(dem.heights), dem.checks
+    quantiles = {
+        name: np.quantile(band[there], [0.05, 0.5, 0.95])
+        for name, band in zip(BANDS[1:4], (dem.model.sigmas, dem.model.matching, dem.model.orientation), strict=True)
+    }
+    return {
+        "program": PROGRAM,
+        "format": FORMAT,
+        "name": dem.name,
+        "images": list(dem.images),
+        "ortho_image": dem.images[dem.ortho],
+        "settings": {
+            "post_m": settings.post, "spacing_m": settings.spacing, "heights": settings.heights,
+            "ortho_pixel_m": settings.ortho_pixel, "images": list(settings.images),
+            "mola": [str(path) for path in settings.mola],
+        },
+        "pairs": [
+            {
+                "images": [dem.images[i], dem.images[j]], "matches": matched, "posts": posts, "rays_miss_m": miss,
+                "rays_miss_by_matching_m": sigma,
+            }
+            for (i, j), (matched, posts), (miss, sigma) in zip(dem.pairs, dem.matches, dem.misses, strict=True)
+        ],
+        "coordinate_system": grid.crs,
+        "heights_above": dem.reference,
+        "post_m": grid.post,
+        "spacing_m": dem.spacing,
+        "window_m": dem.window,
+        "ortho_pixel_m": pixel,
+        "rows": grid.rows,
+        "columns": grid.columns,
+        "posts_with_heights": int(there.sum()),
+        "area_m2": dem.covered,
+        "height_m": [np.nanmin(dem.heights), np.nanmax(dem.heights)],
+        "quantiles_5_50_95_m": quantiles,
+        "checks": [
+            {
+                "profile": one.name, "offered": one.shots.times.size, "ground_sigma_m": one.sigma,
+                "shift_adjusted": one.adjusted, "shift_m": one.shift,
+                "shift_sigma_m": np.sqrt(np.diag(one.shift_covariance)),
+                **(check_merit(checks, mine) if np.any(mine := checks.profile == k) else {"shots": 0}),
+            }
+            for k, one in enumerate(dem.profiles)
+        ],
+        "all_checks": check_merit(checks, np.ones(len(checks), dtype=bool)) if len(checks) else {"shots": 0},
+        "statements": dem_statements(dem),
+    }  # fmt: skip
+
+
+def shots_table(dem: Dem) -> Table:
+    """One row per check shot."""
+    checks = dem.checks
+    longitude, latitude, radius = planetocentric(checks.places).T
+    return Table("shots", "Check shots", (
+        Column("profile", picked(checks.profiles, checks.profile)),
+        Column("shot", checks.ids),
+        Column("east_longitude", np.mod(longitude / DEG, 360.0), "deg", "planetocentric", scale=1.0),
+        Column("planetocentric_latitude", latitude, "deg"),
+        Column("{}", checks.plane, "m", "on the map", ("x", "y")),
+        Column("shot_above_sphere", radius - dem.model.map.radius, "m"),
+        Column("model_above_sphere", checks.heights, "m"),
+        Column("model_minus_shot", checks.differences, "m"),
+        Column("sigma", checks.sigmas, "m", "of the difference, for sigma0 = 1"),
+        Column("sigma_without_orientation", checks.independent, "m", "its part that neighbours don't share"),
+    ))  # fmt: skip
+
+
+# --- rasters
+
+
+def write_model(model: HeightGrid, heights: Array, reference: str, tags: Mapping[str, str], path: Path) -> None:
+    """Write dem.tif.
+
+    Parameters
+    ----------
+    model : HeightGrid
+    heights : (rows, columns)
+        m, above `reference`.
+    reference : str
+        What the heights are above.
+    tags : mapping
+        More about it.
+    path : Path
+    """
+    counts = np.where(np.isfinite(heights), model.counts, np.nan)
+    bands = (heights, model.sigmas, model.matching, model.orientation, counts)
+    with _on(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:
+        file.update_tags(program=PROGRAM, heights=f"above {reference}", **tags)
+        for k, (name, values) in enumerate(zip(BANDS, bands, strict=True), start=1):
+            file.write(np.where(np.isfinite(heights), values, np.nan).astype(np.float32), k)
+            file.set_band_description(k, f"{name} above {reference}" if k == 1 else name)
+            file.set_band_unit(k, "m" if k < len(BANDS) else "1")
+
+
+def write_ortho(
+    picture: Picture, model: HeightGrid, ground: Ground, grid: MapGrid, path: Path,
+    progress: Callable[[int, int], None] = lambda done, most: None,
+) -> None:
+    """Write ortho.tif: the picture on the pixels of `grid`, 0 where there is none."""
+    from rasterio.windows import Window
+
+    low, high = picture.levels
+    with _on(grid, path, 1, dtype="uint8", nodata=0) as file:
+        file.update_tags(program=PROGRAM, image=picture.image.name, grey_1=f"{low:g}", grey_255=f"{high:g}")
+        file.set_band_description(1, picture.image.name)
+        for row, column, grey in ortho_tiles(picture, model, ground, grid, progress):
+            file.write(grey, 1, window=Window(column, row, grey.shape[1], grey.shape[0]))
+
+
+def _on(grid: MapGrid, path: Path, bands: int, **kind: Any) -> AbstractContextManager[Any]:
+    """A GeoTIFF on the posts of a map."""
+    corner, steps = (grid.west, grid.north), (grid.post, grid.post)
+    return geotiff(path, (bands, grid.rows, grid.columns), grid.crs, corner, steps, **kind)

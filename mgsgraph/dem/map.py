@@ -1,0 +1,126 @@
+"""The map of a terrain model: Lambert's equal-area plane about its middle, north up, and regular posts on it.
+
+It is PROJ's `+proj=laea` on the IAU's sphere of the body with planetocentric latitudes, as `matching.chart` lays out
+(Snyder 1987, p. 182): no zones, poles like any place, metres true to 1e-4 within a hundred kilometres.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.matching.scene import GroundChart
+from mgsgraph.units import DEG
+
+MOST_POSTS = 50_000_000
+"""Of a terrain model: 0.2 GB for each band."""
+MOST_PIXELS = 1_000_000_000
+"""Of an ortho image."""
+_DIGITS = 6
+"""Of the middle's longitude and latitude, degrees, so that the coordinate system is written as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapGrid:
+    """Posts of a map; rows go south, columns go east, and a post is the middle of its cell."""
+
+    longitude: float
+    """deg, east, of the middle of the projection."""
+    latitude: float
+    """deg, planetocentric."""
+    radius: float
+    """m, of the sphere, above which heights count."""
+    west: float
+    """m, x of the western edge of the first column."""
+    north: float
+    """m, y of the northern edge of the first row."""
+    post: float
+    """m between posts."""
+    rows: int
+    """Number of rows."""
+    columns: int
+    """Number of columns."""
+
+    @classmethod
+    def around(cls, points: Array, body: Ellipsoid, post: float) -> "MapGrid":
+        """The map of points (n, 3) in m, body-fixed, with posts at whole multiples of `post` in m.
+
+        Raises
+        ------
+        InputError
+            Where it would have too many posts.
+        """
+        longitude, latitude = (round(float(angle) / DEG, _DIGITS) for angle in planetocentric(points.mean(axis=0))[:2])
+        bare = cls(longitude, latitude, body.equatorial, 0.0, 0.0, post, 1, 1)
+        plane = bare.chart.plane(points)
+        low, high = np.round(plane.min(axis=0) / post), np.round(plane.max(axis=0) / post)
+        columns, rows = (int(count) + 1 for count in high - low)
+        _require_few(rows, columns, post, MOST_POSTS, "terrain model", "--post")
+        west, north = (low[0] - 0.5) * post, (high[1] + 0.5) * post
+        return cls(longitude, latitude, body.equatorial, float(west), float(north), post, rows, columns)
+
+    @property
+    def chart(self) -> GroundChart:
+        """The plane, x eastward and y northward in its middle."""
+        place = from_planetocentric(np.array([[self.longitude * DEG, self.latitude * DEG, 1.0]]))
+        return GroundChart(east_north_up(place)[0], self.radius)
+
+    @property
+    def crs(self) -> str:
+        """The coordinate system in PROJ's words."""
+        return (
+            f"+proj=laea +lat_0={self.latitude:.{_DIGITS}f} +lon_0={self.longitude:.{_DIGITS}f} +x_0=0 +y_0=0 "
+            f"+R={self.radius:.3f} +units=m +no_defs"
+        )
+
+    def resampled(self, post: float) -> "MapGrid":
+        """The same ground with other posts; InputError where there would be too many."""
+        rows, columns = (max(1, round(count * self.post / post)) for count in (self.rows, self.columns))
+        _require_few(rows, columns, post, MOST_PIXELS, "ortho image", "--ortho-pixel")
+        return MapGrid(
+            self.longitude, self.latitude, self.radius, self.west, self.north, post, int(rows), int(columns)
+        )
+
+    def posts(self) -> Array:
+        """(rows * columns, 2) m, x and y of all posts, row after row."""
+        x = self.west + (np.arange(self.columns) + 0.5) * self.post
+        y = self.north - (np.arange(self.rows) + 0.5) * self.post
+        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+    def pixels(self, plane: Array) -> Array:
+        """(n, 2) row and column of places (n, 2) in m, the first post at (0, 0)."""
+        return np.column_stack([(self.north - plane[:, 1]) / self.post, (plane[:, 0] - self.west) / self.post]) - 0.5
+
+    def points(self, plane: Array, heights: Array) -> Array:
+        """(n, 3) m, body-fixed, at heights (n,) in m above the sphere over places (n, 2)."""
+        return np.asarray(self.chart.directions(plane) * (self.radius + heights)[:, None])
+
+    def frames(self, points: Array) -> Array:
+        """(n, 3, 3) unit vectors along x, along y and upward at points (n, 3) in m, body-fixed."""
+        up = points / np.linalg.norm(points, axis=1, keepdims=True)
+        x = self.chart.axes[0] - (up @ self.chart.axes[0])[:, None] * up
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        return np.stack([x, np.cross(up, x), up], axis=1)
+
+
+def _require_few(rows: int, columns: int, post: float, most: int, what: str, option: str) -> None:
+    if rows * columns > most:
+        found = f"{rows} x {columns} posts every {post:g} m"
+        raise InputError(what, found, f"{most} at most", f"give a larger {option}")
+
+
+def bilinear(values: Array, pixels: Array) -> Array:
+    """(n, ...) values (rows, columns, ...) of posts read between them at pixels (n, 2), row and column; NaN outside and
+    beside posts that are NaN.
+    """
+    size = np.array(values.shape[:2])
+    inside = np.all((pixels >= 0.0) & (pixels <= size - 1.0), axis=1)
+    row, column = np.clip(np.floor(np.where(inside[:, None], pixels, 0.0)), 0, np.maximum(size - 2, 0)).astype(int).T
+    shape = (-1,) + (1,) * (values.ndim - 2)
+    s, e = (part.reshape(shape) for part in (pixels[:, 0] - row, pixels[:, 1] - column))
+    below, right = np.minimum(row + 1, size[0] - 1), np.minimum(column + 1, size[1] - 1)
+    upper = (1.0 - e) * values[row, column] + e * values[row, right]
+    lower = (1.0 - e) * values[below, column] + e * values[below, right]
+    return np.where(inside.reshape(shape), (1.0 - s) * upper + s * lower, np.nan)

@@ -1,0 +1,161 @@
+"""The main job on a simulated study site: simulate, register, adjust, register again, and compare with the truth."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import Case, adjust, read_case
+from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, against_truth, true_places_of
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.simulation.files import write_pair
+from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
+from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
+from mgsgraph.simulation.site_files import write_site
+from mgsgraph.simulation.sites import SITE_NAMES
+from mgsgraph.stages import Stages
+
+PAIR = "pair"
+"""The small pair of synthetic images, beside the study sites."""
+INPUTS = "inputs"
+"""Folder of the simulated files in the demo's results."""
+
+
+def site_options(site: str, attitude_time_bias: float | None = None, pictures: bool = True) -> SimulationOptions:
+    """Options of a simulation; raise InputError unless there is such a site, and it can have them."""
+    if site not in (*SITE_NAMES, PAIR):
+        raise InputError("site", repr(site), f"{', '.join(SITE_NAMES)} or {PAIR}")
+    if site == PAIR and attitude_time_bias is not None:
+        raise InputError("attitude time bias", f"given for {PAIR}", "a study site", f"take {' or '.join(SITE_NAMES)}")
+    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
+
+
+DRAWING = "tables and figures"
+"""The last stage."""
+STAGES = ("simulating", "writing", "reading", "adjusting", "registering", DRAWING)
+"""Of a demo, in their order."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Demonstration:
+    """A simulated site, adjusted, and how it compares with the truth."""
+
+    simulated: SimulatedSite
+    """Inputs and truth."""
+    case: Case
+    """The inputs as read from their files."""
+    solution: Solution
+    """What the adjustment made of them."""
+    registration: CaseRegistration
+    """Footprints in images before and after."""
+    truth: AgainstTruth
+    """What is left of the errors."""
+    stages: Stages
+    """Seconds that it took."""
+
+    @property
+    def discrepancies(self) -> tuple[BeforeAfter, ...]:
+        """By how much the images contradict each other about footprints, as their tie points tell, for each profile."""
+        return tuple(
+            BeforeAfter(before.name, one, two)
+            for before, after in zip(self.registration.before, self.registration.after, strict=True)
+            for one, two in zip(before.discrepancies, after.discrepancies, strict=True)
+        )
+
+    def __repr__(self) -> str:
+        return f"Demonstration({self.simulated!r}; {self.solution!r})"
+
+
+def _write_pair(folder: Path, seed: int, stages: Stages) -> tuple[SimulatedPair, Path]:
+    with stages.stage("simulating"):
+        pair = simulate_pair(seed=seed)
+    with stages.stage("writing"):
+        return pair, write_pair(pair, folder)
+
+
+def _write_site(
+    site: str, folder: Path, seed: int, options: SimulationOptions | None, stages: Stages
+) -> tuple[SimulatedSite, Path]:
+    with stages.stage("simulating"):
+        simulated = simulate_site(site, seed, options)
+    with stages.stage("writing"):
+        return simulated, write_site(simulated, folder)
+
+
+def demonstrate_pair(
+    folder: Path, seed: int = 1, adjusting: Callable[[Case], Solution] = adjust, stages: Stages | None = None
+) -> tuple[SimulatedPair, Solution]:
+    """Simulate the pair, write its files to `folder`, read them back and adjust them."""
+    stages = stages or Stages()
+    pair, path = _write_pair(folder, seed, stages)
+    with stages.stage("reading"):
+        case = read_case(path)
+    with stages.stage("adjusting"):
+        return pair, adjusting(case)
+
+
+def demonstrate(
+    site: str,
+    folder: Path,
+    seed: int = 1,
+    options: SimulationOptions | None = None,
+    adjusting: Callable[[Case], Solution] = adjust,
+    stages: Stages | None = None,
+) -> Demonstration:
+    """Simulate a study site, write its files to `folder`, read them back, register, adjust and register again.
+
+    Parameters
+    ----------
+    site : str
+        ``eos``, ``gusev`` or ``isidis``.
+    folder : Path
+        For the simulated files.
+    seed : int
+        Of the simulation.
+    options : SimulationOptions, optional
+        What differs from the published site.
+    adjusting : callable
+        Solution of a case; shows its progress, where wanted.
+    stages : Stages, optional
+        Books the seconds.
+    """
+    stages = stages or Stages()
+    simulated, path = _write_site(site, folder, seed, options, stages)
+    with stages.stage("reading"):
+        case = _named_from(read_case(path), folder)
+    with stages.stage("adjusting"):
+        solution = adjusting(case)
+    with stages.stage("registering"):
+        registration = register_case(case, solution)
+        truth = against_truth(simulated, case, solution, registration)
+    return Demonstration(simulated, case, solution, registration, truth, stages)
+
+
+def _named_from(case: Case, folder: Path) -> Case:
+    """The case with its sources named from the folder that holds `folder`, which may not have its name for good yet."""
+
+    def short(source: str) -> str:
+        return source.replace(str(folder / "x")[:-1], str(Path(folder.name) / "x")[:-1])
+
+    network = case.network
+    surface = network.surface and replace(
+        network.surface, grid=replace(network.surface.grid, source=short(network.surface.grid.source))
+    )
+    areoid = network.areoid and replace(network.areoid, source=short(network.areoid.source))
+    profiles = tuple(replace(shots, source=short(shots.source)) for shots in case.profiles)
+    return replace(case, network=replace(network, surface=surface, areoid=areoid), profiles=profiles)
+
+
+def true_points(demo: Demonstration) -> dict[str, Array]:
+    """True place (3,) in m, body-fixed, of each ground point of the network by its id."""
+    simulated = demo.simulated
+    ties = dict(zip(simulated.ties.ids, simulated.true_ties, strict=True))
+    known = true_places_of(simulated)
+    shots = {
+        f"{registered.name}:{name}": known[name][0]
+        for registered, profile in zip(demo.registration.before, demo.case.profiles, strict=True)
+        for name in profile.ids
+    }
+    return ties | shots

@@ -1,0 +1,244 @@
+"""How a solution compares with the truth of a simulation: errors before and after, their NEES, and misregistrations
+that only a simulation knows, with the sigmas that the law of error propagation predicts for them.
+
+Turning the camera by w about its own axes moves the image of a point P like moving P by M' (r x w), where r = M (P - C)
+is its ray in the camera; moving the camera by dC, like moving P by -dC. So everything follows from the derivative of
+the image place by the ground point, at the basis values of the line where the point is seen.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import Case
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import PointClass
+from mgsgraph.registration.case import CaseRegistration
+from mgsgraph.registration.footprints import Misregistration, misregistration, on_ground
+from mgsgraph.simulation.pair import SimulatedPair
+from mgsgraph.simulation.site import SimulatedSite
+from mgsgraph.simulation.site_files import shot_names
+
+
+def nees(errors: Array, covariances: Array) -> Array:
+    """Normalised estimation error squared e' C^-1 e of errors (n, d) with covariances (n, d, d); expectation d."""
+    return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]))
+
+
+def pair_statements(solution: Solution, pair: SimulatedPair) -> list[str]:
+    """Sentences with the true errors of points and orientation before and after the adjustment."""
+    truth = dict(zip(pair.ties.ids, pair.true_ties, strict=True)) | dict(
+        zip(pair.laser.ids, pair.true_footprints, strict=True)
+    )
+    true_places = np.array([truth[name] for name in solution.network.points.ids])
+    sentences = []
+    for point_class in (PointClass.TIE, PointClass.LASER):
+        members = solution.members(point_class)
+        if members.size == 0:
+            continue
+        after, before = (places[members] - true_places[members] for places in (solution.places, solution.places_before))
+        mean = nees(after, solution.covariances[members]).mean() / 3.0
+        sentences.append(
+            f"Truth, {point_class.name.lower()} points: error {rms_length(before):.1f} m rms before, "
+            f"{rms_length(after):.1f} m after; "
+            f"mean NEES per degree of freedom {mean:.2f} (1 if the stated sigmas are honest; "
+            "all points share one orientation, so one draw scatters)."
+        )
+    errors = np.concatenate(
+        [
+            (estimate - true.coefficients).ravel()
+            for estimate, true in zip(solution.coefficients, pair.true_corrections, strict=True)
+        ]
+    )
+    whitened = nees(errors[None], solution.joint_covariance.of(range(len(solution.coefficients)))[None])[0]
+    sentences.append(
+        f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size})."
+    )
+    return sentences
+
+
+def rms_length(errors: Array) -> float:
+    """Root mean square length, m."""
+    return float(np.sqrt(np.mean(np.einsum("ni,ni->n", errors, errors))))
+
+
+# --- places of footprints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeforeAfter:
+    """A misregistration about the footprints of one profile, with the nominal and with the adjusted orientation."""
+
+    profile: str
+    """Its file's name without ending."""
+    before: Misregistration
+    """Nominal orientation."""
+    after: Misregistration
+    """Adjusted orientation; its sigmas are the predicted ones, zero where nothing is predicted."""
+
+    @property
+    def sigmas_off(self) -> Array:
+        """(k, 2) what is left along and across the flight, in units of the predicted sigmas."""
+        return self.after.pixels / self.after.pixel_sigmas
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AgainstTruth:
+    """Misregistrations as only a simulation knows them."""
+
+    between: tuple[BeforeAfter, ...]
+    """Of the true ground under each profile that both images see: error of its place in the second image minus that in
+    the first, carried over level ground. What both images share cancels. Sigmas from the joint covariance."""
+    orientation: tuple[BeforeAfter, ...]
+    """Of the true ground under each profile in each image; it is the orientation alone that is off."""
+    footprints: tuple[BeforeAfter, ...]
+    """Of the footprints themselves in each image, archived and adjusted: with their own errors, above all the
+    horizontal one which the shots of a profile share. Nothing is predicted."""
+
+
+def against_truth(
+    simulated: SimulatedSite, case: Case, solution: Solution, registration: CaseRegistration
+) -> AgainstTruth:
+    """Compare places of footprints, and of the true ground under them, with their true places in the images."""
+    between, orientation, footprints = list[BeforeAfter](), list[BeforeAfter](), list[BeforeAfter]()
+    known, images = true_places_of(simulated), solution.network.images
+    for shots, registered in zip(case.profiles, registration.after, strict=True):
+        rows = [known[name] for name in shots.ids]
+        points, places = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+        seen = np.stack([_inside(image, places[:, j]) for j, image in enumerate(images)])
+        for j, image in enumerate(images):
+            if not np.any(seen[j]):
+                continue
+            adjusted, correction = solution.image(j), solution.correction(j)
+            inside = np.where(seen[j, :, None], places[:, j], np.nan)
+            orientation.append(BeforeAfter(
+                registered.name,
+                misregistration(image, shots, inside, None, points),
+                _predicted(misregistration(adjusted, shots, inside, correction, points), points, solution, j),
+            ))
+            footprints.append(BeforeAfter(
+                registered.name,
+                misregistration(image, shots, inside),
+                misregistration(adjusted, shots, inside, correction, registered.points),
+            ))
+        both = np.flatnonzero(np.all(seen, axis=0))
+        if both.size:
+            between.append(_between(registered.name, shots, both, points[both], places[both], solution))
+    return AgainstTruth(tuple(between), tuple(orientation), tuple(footprints))
+
+
+def true_places_of(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
+    """True ground point (3,) and places (2, 2) in both images, of each shot by its name."""
+    return {
+        name: (point, places)
+        for image in simulated.images
+        for name, point, places in zip(
+            shot_names(image), image.profile.true_footprints, image.profile.true_places, strict=True
+        )
+    }
+
+
+def _inside(image: PushbroomImage, places: Array) -> Mask:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.all((places >= 0.0) & (places <= [image.lines, image.samples]), axis=1))
+
+
+def _predicted(found: Misregistration, points: Array, solution: Solution, image: int) -> Misregistration:
+    """The same with the sigmas that the orientation's covariance predicts for the places of the points (n, 3)."""
+    picture, correction = solution.image(image), solution.correction(image)
+    places, jacobian = place_jacobian(picture, points[found.shots], correction)
+    return _with_sigmas(found, jacobian, solution.correction_covariance(image), on_ground(
+        picture, places, points[found.shots], correction
+    ))
+
+
+def _between(
+    profile: str, shots: AltimeterShots, which: Index, points: Array, places: Array, solution: Solution
+) -> BeforeAfter:
+    """Of the true points (k, 3) and places (k, 2, 2) under the shots `which` (k,), which both images see."""
+    first, second = solution.network.images
+    corrections = (solution.correction(0), solution.correction(1))
+    unseen = np.zeros((which.size, 2))
+
+    def contradiction(pair: tuple[OrientationCorrection, ...]) -> tuple[Misregistration, Array, Array]:
+        off, jacobian, metres = contradiction_at((first, second), pair, points, places)
+        return Misregistration(
+            second.name, first.name, which, places[:, 1, 0], off, unseen,
+            np.einsum("nij,nj->ni", metres, off), unseen, shots.spacing,
+        ), jacobian, metres
+
+    nominal = OrientationCorrection(np.zeros((1, 6)))
+    before, _, _ = contradiction((nominal, nominal))
+    after, jacobian, metres = contradiction(corrections)
+    return BeforeAfter(profile, before, _with_sigmas(after, jacobian, solution.correction_covariance(0, 1), metres))
+
+
+def contradiction_at(
+    pair: tuple[PushbroomImage, PushbroomImage],
+    corrections: tuple[OrientationCorrection, ...],
+    points: Array,
+    places: Array,
+) -> tuple[Array, Array, Array]:
+    """Error of the points' places in the second image minus that in the first, carried over ground of the points'
+    heights (n, 2), in pixels of the second; how that follows the coefficients of both; and metres per pixel (n, 2, 2).
+    """
+    (first, second), height = pair, geodetic(points, pair[0].body)[:, 2]
+    here, by_first = place_jacobian(first, points, corrections[0])
+    there, by_second = place_jacobian(second, points, corrections[1])
+    _, to_ground = first.image_to_ground(here[:, 0], here[:, 1], height, corrections[0])
+    _, to_image = second.ground_to_image(points, corrections[1])
+    carried = to_image @ to_ground
+    off = there - places[:, 1] - np.einsum("nij,nj->ni", carried, here - places[:, 0])
+    jacobian = np.concatenate([-carried @ by_first, by_second], axis=2)
+    return off, jacobian, on_ground(second, there, points, corrections[1])
+
+
+def _with_sigmas(found: Misregistration, jacobian: Array, covariance: Array, metres: Array) -> Misregistration:
+    """The same with sigmas by the law of error propagation, in pixels and, by metres per pixel (n, 2, 2), in metres."""
+    return replace(
+        found, pixel_sigmas=propagated(jacobian, covariance), metre_sigmas=propagated(metres @ jacobian, covariance)
+    )
+
+
+# --- sigmas of image places
+
+
+def place_jacobian(image: PushbroomImage, points: Array, correction: OrientationCorrection) -> tuple[Array, Array]:
+    """Image places of ground points, and how they follow the orientation coefficients.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        With its nominal orientation.
+    points : (n, 3)
+        m, body-fixed.
+    correction : OrientationCorrection
+        Of the nominal orientation; m coefficients (6-vectors).
+
+    Returns
+    -------
+    places : (n, 2)
+        line and sample; NaN where unseen.
+    jacobian : (n, 2, 6 m)
+        pixels per m and per rad, in the order of `coefficients.ravel()`.
+    """
+    places, by_point = image.ground_to_image(points, correction)
+    lines = np.nan_to_num(places[:, 0])  # the Jacobian of an unseen point is NaN by `by_point`
+    moments = image.moments(lines)
+    pose = image.pose(lines, correction)
+    ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
+    turned = np.swapaxes(pose.matrix, 1, 2) @ rotation.skew(ray) @ correction.axes(image.pose(lines), moments)
+    moved = np.concatenate([np.broadcast_to(-np.eye(3), turned.shape), turned], axis=2)
+    jacobian = np.einsum("nk,nij->nikj", correction.basis(moments), by_point @ moved)
+    return places, jacobian.reshape(points.shape[0], 2, -1)
+
+
+def propagated(jacobian: Array, covariance: Array) -> Array:
+    """Standard deviations (n, 2) of n functions' two components by Jacobian (n, 2, c) and covariance (c, c)."""
+    return np.asarray(np.sqrt(np.einsum("nic,cd,nid->ni", jacobian, covariance, jacobian)))

@@ -1,0 +1,265 @@
+"""Networks from one program to another: read in any format, written in any, and what gets lost on the way said."""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from msgspec import structs
+
+from mgsgraph.errors import InputError
+from mgsgraph.export.exchange_losses import Format, losses
+from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
+from mgsgraph.io.asp.gcp import ground_control_text, read_ground_control_network
+from mgsgraph.io.asp.match import Matches, match_files, read_match, read_match_text
+from mgsgraph.io.asp.match_names import images_of, prefix_of
+from mgsgraph.io.asp.nvm import half_sizes, nvm_files, read_nvm
+from mgsgraph.io.asp.tracks import joined
+from mgsgraph.io.control.binary import binary_network
+from mgsgraph.io.control.network_file import read_network
+from mgsgraph.io.control.pvl_writing import network_text
+from mgsgraph.io.control.record import ControlNetwork, ControlPoint
+from mgsgraph.io.control.table import read_table, table_text
+from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.wording import many, some
+
+Paths = str | Path | Iterable[str | Path]
+"""One file or several."""
+_ENDINGS = {f".{form}": form for form in Format if form != Format.MATCH_TEXT} | {".txt": Format.MATCH_TEXT}
+_MATCHES = (Format.MATCH, Format.MATCH_TEXT)
+_ISIS = (Format.PVL, Format.NET)
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """What was read, written and lost."""
+
+    network: ControlNetwork
+    written: tuple[Path, ...]
+    """Files, in the order in which they took their places."""
+    notes: tuple[str, ...]
+    """What happened to the input when it was read."""
+    lost: tuple[str, ...]
+    """What the format can't hold, a line for each kind of thing."""
+
+
+class Lossy(InputError):
+    """A format that can't hold all of a network, where all was asked for; `lost` says of what."""
+
+    def __init__(self, output: Path, lost: Sequence[str]) -> None:
+        found = f"it can't hold {many(len(lost), 'kind')} of things ({lost[0]}{'; ...' if len(lost) > 1 else ''})"
+        super().__init__(str(output), found, "a format that holds all", "leave --strict out to write it nevertheless")
+        self.lost = tuple(lost)
+
+
+def format_of(path: Path, named: str | None = None, option: str = "--from") -> Format:
+    """A file's format by its ending, or as named; InputError for an unknown one."""
+    if named is not None:
+        if named not in list(Format):
+            raise InputError(option, repr(named), ", ".join(Format))
+        return Format(named)
+    if (form := _ENDINGS.get(path.suffix.lower())) is None:
+        remedy = f"or say the format with {option}"
+        found = "a folder" if os.path.isdir(path) else f"the ending {path.suffix!r}"
+        raise InputError(str(path), found, ", ".join(_ENDINGS), remedy)
+    return form
+
+
+def read_networks(
+    paths: Paths, setting: ExchangeSetting | None = None, named: str | None = None
+) -> tuple[ControlNetwork, tuple[str, ...]]:
+    """Read one or more files as one network, in any format.
+
+    Parameters
+    ----------
+    paths : path or paths
+        Match files are joined to points of many images; other files must not have points of the same id.
+    setting : ExchangeSetting, optional
+        What they don't say of themselves.
+    named : str, optional
+        Format of all of them; by their endings when absent.
+
+    Returns
+    -------
+    network : ControlNetwork
+    notes : tuple of str
+        What happened to it, in sentences.
+
+    Raises
+    ------
+    InputError
+        As the readers do; and for a file twice, an id in two files, networks of two bodies, or a new name for an image
+        that is none.
+    """
+    setting = setting or ExchangeSetting()
+    forms = [(path, format_of(path, named)) for path in _listed(paths)]
+    matches = [_match(path, form, setting) for path, form in forms if form in _MATCHES]
+    networks, notes = list[ControlNetwork](), list[str]()
+    if matches:
+        tracks = joined(matches)
+        networks.append(tracks.network)
+        if tracks.contradictory:
+            dropped = many(tracks.contradictory, "point")
+            notes.append(f"Left out, having two places in one image, as the Ames Stereo Pipeline does: {dropped}")
+        if setting.prefix is None and not setting.old_names():
+            names = dict.fromkeys(name for one in matches for name in one.images)
+            notes.append(f"Images, by the names of the match files: {some(list(names), len(names))}")
+    networks += [_read(path, form, setting) for path, form in forms if form not in _MATCHES]
+    require_one_body(networks, setting)
+    notes += _other_heads(networks)
+    return _renamed(_merged(networks), setting.renamed), tuple(notes)
+
+
+def _listed(paths: Paths) -> list[Path]:
+    """One path or several, as a list; InputError for none, or one twice."""
+    found = [Path(one) for one in ([paths] if isinstance(paths, str | Path) else paths)]
+    if not found:
+        raise InputError("convert", "nothing to read", "one file or more")
+    seen = set[Path]()
+    for path in found:
+        if path.resolve() in seen:
+            raise InputError(str(path), "given twice", "each file once")
+        seen.add(path.resolve())
+    return found
+
+
+def _match(path: Path, form: Format, setting: ExchangeSetting) -> Matches:
+    """One match file; its images by the names that are known, unless a prefix is."""
+    if not os.path.exists(path):  # said before its name is taken apart, which may be a pattern that met nothing
+        raise InputError(str(path), "no such file", remedy="check the path")
+    known = () if setting.prefix is not None else setting.old_names()
+    return (read_match if form == Format.MATCH else read_match_text)(path, images_of(path, known, setting.prefix))
+
+
+def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
+    if form == Format.GCP:
+        if setting.ellipsoid is None:
+            raise InputError(str(path), "heights above an unknown ellipsoid", "its radii", "say --radii, or --case")
+        return read_ground_control_network(path, setting.ellipsoid)
+    if form == Format.NVM:
+        return read_nvm(path, half_sizes(setting.old_sizes()), setting.shifted)
+    return read_table(path, setting.ellipsoid) if form == Format.CSV else read_network(path)
+
+
+def _merged(networks: Sequence[ControlNetwork]) -> ControlNetwork:
+    """All points, with the head of the first network that names its body."""
+    if len(networks) == 1:
+        return networks[0]
+    files: dict[str, str] = {}
+    for network in networks:
+        for point in network.points:
+            if (first := files.setdefault(point.id, network.source)) != network.source:
+                where = f"{network.source}, point {point.id}"
+                raise InputError(where, f"an id that {first} has, too", "each id in one file", "rename one of the two")
+    points = tuple(point for network in networks for point in network.points)
+    return structs.replace(leading(networks), points=points, source=", ".join(one.source for one in networks))
+
+
+def _other_heads(networks: Sequence[ControlNetwork]) -> list[str]:
+    """A note, where networks have heads that several can't have together."""
+    first = leading(networks)
+    bare = structs.replace(first, points=(), source="")
+    others = [one.source for one in networks if one.network_id and structs.replace(one, points=(), source="") != bare]
+    return [f"NetworkId, Description and dates are those of {first.source}"] if others else []
+
+
+def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwork:
+    if not names:
+        return network
+    present = {measure.serial_number for point in network.points for measure in point.measures}
+    for old in names:
+        if old not in present:
+            raise InputError(network.source, f"no image {old!r} to rename", some(sorted(present), len(present)))
+    after = [names.get(name, name) for name in present]
+    if len(set(after)) < len(after):
+        twice = next(name for name in after if after.count(name) > 1)
+        raise InputError("--rename", f"two images that would be called {twice!r}", "names of their own")
+
+    def of_point(point: ControlPoint) -> ControlPoint:
+        measures = tuple(
+            structs.replace(one, serial_number=names.get(one.serial_number, one.serial_number))
+            for one in point.measures
+        )
+        return structs.replace(point, measures=measures)
+
+    return structs.replace(network, points=tuple(map(of_point, network.points)))
+
+
+def contents(network: ControlNetwork, output: Path, form: Format, setting: ExchangeSetting) -> dict[Path, bytes]:
+    """Contents of the files that a network becomes, by their paths; InputError where it can't."""
+    if form in _MATCHES:
+        images = dict.fromkeys(one.serial_number for point in network.points for one in point.measures)
+        return match_files(network, prefix_of(output, list(images)), form == Format.MATCH_TEXT)
+    if form == Format.GCP:
+        return {output: ground_control_text(network, ellipsoid_of(network, output, setting)).encode()}
+    if form == Format.NVM:
+        names = {one.serial_number for point in network.points for one in point.measures}
+        centres = half_sizes(setting.sizes) if setting.shifted else dict.fromkeys(names, (0.0, 0.0))
+        return nvm_files(network, output, centres)
+    if form == Format.CSV:
+        return {output: table_text(network).encode()}
+    complete = with_head(network, output, setting)
+    return {output: binary_network(complete) if form == Format.NET else network_text(complete).encode()}
+
+
+def convert(
+    inputs: Paths,
+    output: str | Path,
+    setting: ExchangeSetting | None = None,
+    *,
+    read_as: str | None = None,
+    write_as: str | None = None,
+    strict: bool = False,
+    replace: bool = True,
+) -> Conversion:
+    """Read networks and write them as one, in another format.
+
+    Parameters
+    ----------
+    inputs : path or paths
+        What to read; several are made one network (`read_networks`).
+    output : path
+        What to write; match files get names of their own, which begin with this one's without its ending.
+    setting : ExchangeSetting, optional
+        What the files don't say of themselves.
+    read_as, write_as : str, optional
+        Formats, by name; by the endings when absent.
+    strict : bool
+        Raise `Lossy`, and write nothing, where the format can't hold all.
+    replace : bool
+        False refuses to overwrite a file of one of the formats that are read: it may be one that was to be read, too.
+
+    Raises
+    ------
+    InputError
+        With the place, the finding and the remedy; nothing is written then.
+    """
+    setting = setting or ExchangeSetting()
+    paths, output = _listed(inputs), Path(output)
+    form = format_of(output, write_as, "--to")
+    if not replace and os.path.exists(output) and form in {format_of(path, read_as) for path in paths}:
+        remedy = "name what is written last; or say --replace"
+        raise InputError(str(output), "exists, and is of a format that is read", "a new file", remedy)
+    network, notes = read_networks(paths, setting, read_as)
+    files, lost = contents(network, output, form, setting), losses(network, form)
+    _require_others(paths, files)
+    if strict and lost:
+        raise Lossy(output, lost)
+    _write(files)
+    return Conversion(network, tuple(files), notes, tuple(lost))
+
+
+def _require_others(inputs: Sequence[Path], files: Mapping[Path, bytes]) -> None:
+    read = {path.resolve() for path in inputs}
+    for path in files:
+        if path.resolve() in read:
+            raise InputError(str(path), "one of the files that are read", "another name for what is written")
+
+
+def _write(files: Mapping[Path, bytes]) -> None:
+    """All of them, or none: each is written aside before the first takes its place."""
+    with ExitStack() as stack:
+        asides = [stack.enter_context(fresh_file(path, "a file that may be written")) for path in files]
+        for aside, content in zip(asides, files.values(), strict=True):
+            aside.write_bytes(content)

@@ -1,0 +1,199 @@
+"""For ISIS: the control network with adjusted points, lidar data, and tables as jigsaw writes them.
+
+The network says what jigsaw says after its adjustment: adjusted places and covariances beside the a-priori ones,
+residuals of measures (measured minus predicted, as jigsaw's; of image pixels, where jigsaw takes undistorted detector
+pixels) and what was rejected. Images go by the names that the solution has for them: serial numbers, if ISIS is to find
+its cubes.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.merit import rejected_points
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
+from mgsgraph.export.lidar_out import lidar_text
+from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.io.control.binary import write_binary_network
+from mgsgraph.io.control.pvl_writing import write_pvl_network
+from mgsgraph.io.control.record import (
+    AprioriSource,
+    ControlMeasure,
+    ControlNetwork,
+    ControlPoint,
+    MeasureType,
+    PointType,
+)
+from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.network import PointClass
+from mgsgraph.output.folders import PROGRAM
+from mgsgraph.output.table import ISIS
+from mgsgraph.ties import PointKind
+
+NETWORK, NETWORK_TEXT, WITHOUT_LASER, LIDAR = "network.net", "network.pvl", "network_without_laser.net", "lidar.json"
+"""Files of the export beside jigsaw's tables (`bundle_out`)."""
+_TYPES = {
+    PointKind.FREE: PointType.FREE, PointKind.CONSTRAINED: PointType.CONSTRAINED, PointKind.FIXED: PointType.FIXED,
+}  # fmt: skip
+_UPPER = np.triu_indices(3)
+
+
+def write_isis(solution: Solution, folder: Path, scaled: bool = False, target: str = "") -> list[Path]:
+    """Write the control network, lidar data and jigsaw's tables into an existing folder.
+
+    Parameters
+    ----------
+    solution : Solution
+        What was adjusted.
+    folder : Path
+        Where to.
+    scaled : bool
+        Whether adjusted covariances are times sigma0^2, as jigsaw's are; else they are for sigma0 = 1, as everywhere
+        here. The network's description says which.
+    target : str
+        The body as ISIS calls it; by its radius when absent.
+
+    Returns
+    -------
+    list of Path
+        network.net and network.pvl, the same in both forms, with laser footprints that are measured in an image as
+        constrained points; where there are ranges lidar.json; where such footprints are in both, to go with lidar.json
+        (jigsaw's LIDARDATA) network_without_laser.net, or else they would count twice; then the tables of
+        `write_bundle_out`.
+
+    Raises
+    ------
+    InputError
+        No point with a measure; what a format can't hold, which is named; a file that can't be written.
+    """
+    network = adjusted_network(solution, scaled=scaled, target=target)
+    paths = [folder / NETWORK, folder / NETWORK_TEXT]
+    write_binary_network(network, paths[0])
+    write_pvl_network(network, paths[1])
+    if lidar := lidar_text(solution, covariance_factor(solution, scaled)):
+        with fresh_file(folder / LIDAR) as aside:
+            aside.write_text(lidar, encoding="utf-8", newline="\n")
+        paths.append(folder / LIDAR)
+        laser = solution.network.points.classes[solution.network.rays.point] == PointClass.LASER
+        if np.any(laser) and not np.all(laser):
+            without = adjusted_network(solution, scaled=scaled, laser=False, target=target)
+            write_binary_network(without, folder / WITHOUT_LASER)
+            paths.append(folder / WITHOUT_LASER)
+    return [*paths, *write_bundle_out(solution, folder, scaled)]
+
+
+def adjusted_network(
+    solution: Solution, *, scaled: bool = False, laser: bool = True, target: str = ""
+) -> ControlNetwork:
+    """The control network of a solution: points that have a measure, in the solution's order.
+
+    A point that nothing determines has no adjusted place; it and one whose measures were all rejected are marked
+    rejected. A free point without a-priori place gets the nominal intersection of its rays.
+
+    Parameters
+    ----------
+    solution : Solution
+        Images are called as in its network.
+    scaled : bool
+        Whether adjusted covariances are times sigma0^2.
+    laser : bool
+        Whether laser footprints are among the points.
+    target : str
+        The body as ISIS calls it; by its radius when absent.
+
+    Raises
+    ------
+    InputError
+        If no point is left, or sigma0 is asked for and there is none.
+    """
+    network = solution.network
+    wanted = (network.ray_counts > 0) & (laser | (network.points.classes != PointClass.LASER))
+    indices = np.flatnonzero(wanted).tolist()
+    if not indices:
+        raise InputError(f"solution {solution.name!r}", "no point that is measured in an image", "some for a network")
+    factor, rejected = covariance_factor(solution, scaled), rejected_points(solution).tolist()
+    measures, body = _measures(solution), network.images[0].body
+    prior = _triangles(network.points.covariances, network.points.kinds == PointKind.CONSTRAINED)
+    free = network.points.kinds != PointKind.FIXED
+    adjusted = _triangles(solution.covariances * factor, solution.determined & free)
+    known, first, after = (_places(one) for one in (network.points.places, solution.places_before, solution.places))
+    points = []
+    for i in indices:
+        kind = PointKind(int(network.points.kinds[i]))
+        constrained, intersected = kind == PointKind.CONSTRAINED, known[i] is None and first[i] is not None
+        points.append(ControlPoint(
+            id=network.points.ids[i], type=_TYPES[kind], measures=tuple(measures[i]), chooser_name=PROGRAM,
+            jigsaw_rejected=rejected[i], reference=_reference(measures[i]),
+            apriori_source=AprioriSource.AVERAGE_OF_MEASURES if intersected else AprioriSource.NONE,
+            latitude_constrained=constrained, longitude_constrained=constrained, radius_constrained=constrained,
+            apriori=known[i] or first[i], apriori_covariance=prior[i],
+            adjusted=after[i], adjusted_covariance=adjusted[i],
+        ))  # fmt: skip
+    return ControlNetwork(
+        network_id=_one_line(solution.name), target_name=target or target_name(body), points=tuple(points),
+        user_name=PROGRAM, description=_description(solution, scaled),
+        target_radii=(body.equatorial, body.equatorial, body.polar),
+    )  # fmt: skip
+
+
+def rejected_rays(solution: Solution) -> Mask:
+    """(k,) True for measures judged blunders, which those of points that were never determined are not; an older
+    solution doesn't tell those of points lost by rejection.
+    """
+    network, judged = solution.network, solution.rays_rejected
+    if judged is None:
+        return np.asarray(~solution.rays_used & solution.determined[network.rays.point])
+    return np.asarray(judged & ~network.undetermined[network.rays.point])
+
+
+def _measures(solution: Solution) -> list[list[ControlMeasure]]:
+    """Of each point, in the order of the rays; those that are back-projections are candidates, nobody measured them."""
+    rays, images = solution.network.rays, [image.name for image in solution.network.images]
+    found = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
+    guessed = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=np.bool_)
+    numbers, marks = (rays.places + ISIS, solution.residuals, rays.sigmas), (rejected_rays(solution), guessed)
+    columns = [column.tolist() for column in (rays.point, rays.image, *numbers, *marks)]
+    for i, j, place, residual, sigma, rejected, guess in zip(*columns, strict=True):
+        known = math.isfinite(residual[0]) and math.isfinite(residual[1])
+        found[i].append(ControlMeasure(
+            serial_number=images[j], type=MeasureType.CANDIDATE if guess else MeasureType.REGISTERED_SUBPIXEL,
+            line=place[0], sample=place[1], line_residual=residual[0] if known else None,
+            sample_residual=residual[1] if known else None, jigsaw_rejected=rejected,
+            line_sigma=sigma[0], sample_sigma=sigma[1],
+        ))  # fmt: skip
+    return found
+
+
+def _reference(measures: Sequence[ControlMeasure]) -> int:
+    """The first measure that was not rejected, or the first."""
+    return next((k for k, measure in enumerate(measures) if not measure.jigsaw_rejected), 0)
+
+
+def _places(places: Array) -> list[tuple[float, float, float] | None]:
+    """Places (n, 3) in m; None where they are unknown."""
+    return [(x, y, z) if math.isfinite(x + y + z) else None for x, y, z in places.tolist()]
+
+
+def _triangles(covariances: Array, known: Mask) -> list[tuple[float, ...]]:
+    """xx, xy, xz, yy, yz, zz of covariances (n, 3, 3); empty for those that are not known."""
+    known = known & np.isfinite(covariances).all(axis=(1, 2))
+    upper = covariances[:, *_UPPER].tolist()
+    return [tuple(row) if there else () for row, there in zip(upper, known.tolist(), strict=True)]
+
+
+def _description(solution: Solution, scaled: bool) -> str:
+    state = "converged" if solution.converged else "NOT converged"
+    version = solution.versions.get(PROGRAM, "of unknown version")
+    size = f"sigma0 {solution.sigma0:.6g}"
+    covariances = f"times sigma0^2 ({size}), as jigsaw gives them" if scaled else f"for sigma0 = 1 ({size} not applied)"
+    return _one_line(f"Adjusted by {PROGRAM} {version}: {solution.name}, {state}. Adjusted covariances {covariances}.")
+
+
+def _one_line(text: str) -> str:
+    """A text that PVL can hold."""
+    return " ".join(text.split()).replace('"', "'")

@@ -1,0 +1,201 @@
+"""Exported SPICE kernels, read back by SPICE alone: where do the images show the points?
+
+Nothing is taken from the writer or from our geometry. The line is found by the secant method on what the instrument
+kernel says of detector, optics and line times (its comments have the formulas).
+"""
+
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import spiceypy
+from spiceypy.utils.exceptions import NotFoundError, SpiceyError
+
+from mgsgraph.errors import InputError
+from mgsgraph.export.round_trip import Reprojection, images_of
+
+Numbers = np.ndarray[Any, np.dtype[np.float64]]
+
+_META_KERNEL = "adjusted.tm"
+_STEPS = 30
+_REST = 1e-5
+"""lines, at which the secant method ends: attitudes are looked up to 3e-6 of LROC-NAC's, as exact as a time is."""
+_SEEN = 1e-3
+"""px: nearer than this to the detector a point is seen there, not lost at an end of the lines covered."""
+_PAGE = 1000
+
+
+def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
+    """How far from the solution's places the kernels show the points.
+
+    Parameters
+    ----------
+    folder : Path
+        With the meta-kernel adjusted.tm.
+    wanted : Reprojection
+        Points and where the solution sees them.
+
+    Returns
+    -------
+    differences : (k,)
+        px; infinite where the kernels don't show the point within the lines that they cover.
+
+    Raises
+    ------
+    InputError
+        When there is no meta-kernel, SPICE refuses a file, or an image has no camera constants.
+    """
+    meta, differences = folder / _META_KERNEL, np.full(len(wanted.image), np.inf)
+    if not meta.is_file():
+        raise InputError(str(meta), "no such file", "the meta-kernel of an export to SPICE")
+    try:
+        with _own_pool(), chdir(folder):
+            spiceypy.furnsh(_META_KERNEL)
+            cameras = _cameras()
+            for name, mine in images_of(wanted).items():
+                if name not in cameras:
+                    raise InputError(str(meta), f"no camera constants of the image {name}", "those of every image")
+                with np.errstate(all="ignore"):  # far outside the image the polynomials of the optics overflow
+                    place = _seen(cameras[name], wanted.points[mine])
+                differences[mine] = np.linalg.norm(place - wanted.places[mine], axis=1)
+    except SpiceyError as error:
+        raise InputError(str(meta), f"SPICE says: {' '.join(str(error).split())[:300]}") from None
+    return np.where(np.isnan(differences), np.inf, differences)
+
+
+@contextmanager
+def _own_pool() -> Iterator[None]:
+    """An empty kernel pool, and afterwards again the files and variables that were there."""
+    files = [spiceypy.kdata(k, "ALL", 1024, 32, 1024) for k in range(spiceypy.ktotal("ALL"))]
+    own = [name for name, _, source, *_ in files if not source]
+    before = _variables()
+    spiceypy.kclear()
+    try:
+        yield
+    finally:
+        spiceypy.kclear()
+        for name in own:
+            spiceypy.furnsh(name)
+        now = _variables()
+        for name in now.keys() - before.keys():
+            spiceypy.dvpool(name)
+        for name, values in before.items():
+            if now.get(name) != values:
+                (spiceypy.pcpool if isinstance(values[0], str) else spiceypy.pdpool)(name, values)
+
+
+def _variables() -> dict[str, list[Any]]:
+    names: list[str] = []
+    try:
+        while len(page := spiceypy.gnpool("*", len(names), _PAGE, 33)):
+            names += page
+            if len(page) < _PAGE:
+                break
+    except NotFoundError:
+        pass
+    return {name: _variable(name) for name in names}
+
+
+def _variable(name: str) -> list[Any]:
+    count, kind = spiceypy.dtpool(name)
+    return list(spiceypy.gcpool(name, 0, count, 256) if kind == "C" else spiceypy.gdpool(name, 0, count))
+
+
+class _Camera(NamedTuple):
+    """What the instrument kernel says of one image."""
+
+    spacecraft: int
+    frame: int
+    clock: int
+    body: int
+    body_frame: str
+    focal_length: float
+    to_line: Numbers
+    to_sample: Numbers
+    centre: Numbers
+    first: Numbers
+    summing: float
+    distortion: str
+    coefficients: list[float]
+    covered: tuple[float, float]
+    lines: int
+    times: Numbers
+
+
+def _cameras() -> dict[str, _Camera]:
+    found = {}
+    for number in _variable("MGSGRAPH_INSTRUMENTS"):
+        said = {key: _variable(f"INS{int(number)}_{key}") for key in (
+            "IMAGE", "IMAGE_LINES", "SPACECRAFT", "FRAME_ID", "BODY", "BODY_FRAME", "FOCAL_LENGTH", "ITRANSL",
+            "ITRANSS", "DETECTOR_CENTRE", "DETECTOR_FIRST", "SAMPLE_SUMMING", "DISTORTION", "OD_K", "LINES_COVERED",
+            "LINE_TIMES",
+        )}  # fmt: skip
+        frame = int(said["FRAME_ID"][0])
+        found[said["IMAGE"][0]] = _Camera(
+            int(said["SPACECRAFT"][0]), frame, int(_variable(f"CK_{frame}_SCLK")[0]), int(said["BODY"][0]),
+            said["BODY_FRAME"][0], said["FOCAL_LENGTH"][0], np.array(said["ITRANSL"]), np.array(said["ITRANSS"]),
+            np.array(said["DETECTOR_CENTRE"]), np.array(said["DETECTOR_FIRST"]), said["SAMPLE_SUMMING"][0],
+            said["DISTORTION"][0], said["OD_K"], (said["LINES_COVERED"][0], said["LINES_COVERED"][1]),
+            int(said["IMAGE_LINES"][0]), np.array(said["LINE_TIMES"]).reshape(-1, 3),
+        )  # fmt: skip
+    return found
+
+
+def _seen(camera: _Camera, points: Numbers) -> Numbers:
+    """Places (k, 2), line and sample, of points (k, 3) in m; NaN where the secant method finds none."""
+    before = np.full(points.shape[0], 0.5 * camera.lines)
+    off_before, _ = _off_line(camera, points, before)
+    lines = before + 1.0
+    samples = np.full(points.shape[0], np.nan)
+    for _ in range(_STEPS):
+        off, samples = _off_line(camera, points, lines)
+        step = -off * (lines - before) / (off - off_before)
+        step = np.where((off == 0.0) | (np.abs(lines - before) <= _REST) | np.isnan(step), 0.0, step)
+        before, off_before = lines, off
+        lines = np.clip(lines + step, *camera.covered)
+        if not np.any(np.abs(lines - before) > _REST):
+            break
+    found = (np.abs(lines - before) <= _REST) & (np.abs(off_before) < _SEEN)
+    return np.where(found[:, None], np.column_stack([lines, samples]), np.nan)
+
+
+def _off_line(camera: _Camera, points: Numbers, lines: Numbers) -> tuple[Numbers, Numbers]:
+    """How far (k,) the image of each point is from the detector's line, px, at the time of a line; and its sample."""
+    k = np.clip(np.searchsorted(camera.times[:, 0], lines, side="right") - 1, 0, None)
+    since = (lines - camera.times[k, 0]) * camera.times[k, 2]
+    times = camera.times[k, 1] + since
+    # ephemeris time resolves 6e-8 s, 2e-4 lines of LROC-NAC: what was rounded away follows by the kernels' rates
+    rest = (camera.times[k, 1] - times) + since
+    ray = np.empty_like(points)
+    for i, time in enumerate(times):
+        ticks = spiceypy.sce2c(camera.clock, time)
+        try:
+            matrix, turning, _ = spiceypy.ckgpav(camera.frame, ticks, 0, camera.body_frame)
+        except NotFoundError:
+            ray[i] = np.nan
+            continue
+        state, _ = spiceypy.spkgeo(camera.spacecraft, time, camera.body_frame, camera.body)
+        arm = points[i] / 1e3 - state[:3]
+        ray[i] = matrix @ (arm - rest[i] * (state[3:] + np.cross(turning, arm)))
+    ray[ray[:, 2] <= 0.0] = np.nan  # behind the camera
+    x, y = _distorted(camera, camera.focal_length * ray[:, :2].T / ray[:, 2])
+    line = camera.centre[0] + camera.to_line[0] + camera.to_line[1] * x + camera.to_line[2] * y
+    sample = camera.centre[1] + camera.to_sample[0] + camera.to_sample[1] * x + camera.to_sample[2] * y
+    return line - camera.first[0], (sample - camera.first[1]) / camera.summing
+
+
+def _distorted(camera: _Camera, ideal: Numbers) -> Numbers:
+    """Measured focal-plane places (2, k) of ideal ones, mm, by repeating the kernel's formula of the opposite."""
+    place = ideal.copy()
+    for _ in range(_STEPS):
+        if camera.distortion == "LROC_NAC":
+            place[1] = ideal[1] * (1.0 + camera.coefficients[0] * place[1] ** 2)
+        elif camera.distortion == "RADIAL":
+            square = (place**2).sum(axis=0)
+            k0, k1, k2 = camera.coefficients
+            place = ideal / (1.0 - k0 - square * (k1 + square * k2))
+        elif camera.distortion != "NONE":
+            raise InputError("instrument kernel, DISTORTION", repr(camera.distortion), "NONE, LROC_NAC or RADIAL")
+    return place

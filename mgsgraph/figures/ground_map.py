@@ -1,0 +1,153 @@
+"""A map of the block: footprints of the images, tie points by their sigma, laser and control points."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.lines import Line2D
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.figures.content import centre_of, east_north
+from mgsgraph.figures.sheet import (
+    CLASS_COLOUR,
+    CLASS_MARKER,
+    CLASS_NAME,
+    INK,
+    MOST_MARKS,
+    SOFT,
+    Sheet,
+    new_sheet,
+    number,
+    panels,
+    short,
+    words,
+)
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.registration.measured import thinned
+from mgsgraph.units import DEG, KM
+
+_OUTLINES = ((INK, "-"), ("#CC79A7", "--"), ("#56B4E9", "-."), (SOFT, ":"))
+"""Colours and strokes of the first outlines; in larger blocks all look alike."""
+_WIDEST, _TALLEST, _LEAST, _SIDE = 7.2, 7.4, 3.0, 2.9
+"""inch: bounds of the map, and the column beside it for legend and colour bar."""
+
+
+def map_sheet(solution: Solution) -> Sheet:
+    """The map, around the block's centre."""
+    centre = centre_of(solution.places)
+    footprints = network_footprints(solution.network, solution.places, solution.correction)
+    outlines = [east_north(one.outline, centre) / KM for one in footprints]
+    places = east_north(solution.places, centre) / KM
+    low, high, (width, height) = frame(np.concatenate([*outlines, places]))
+    sheet = new_sheet("map", width + 1.4 + _SIDE, height + 0.69, "Map of the block", _caption(solution), band=0.0)
+    panel, side = panels(sheet, 1, 2, widths=[width, _SIDE], across=0.3)[0]
+    side.set_axis_off()
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    panel.set_aspect("equal")
+    longitude, latitude, _ = planetocentric(centre) / DEG
+    north = f"km north of latitude {abs(latitude):.3f}° {'N' if latitude >= 0.0 else 'S'}"
+    words(panel, f"km east of longitude {longitude % 360.0:.3f}° E", north)
+    handles = _draw_outlines(panel, solution, outlines)
+    coloured = _draw_ties(panel, solution, places)
+    handles += _draw_known(panel, solution, places)
+    if coloured is not None:
+        name = CLASS_NAME[PointClass.TIE]
+        handles.append(Line2D([], [], ls="", marker="o", ms=4.5, color="#21918C", label=f"{name}, coloured by sigma"))
+        bar = sheet.figure.colorbar(
+            coloured, cax=side.inset_axes((0.06, 0.04, 0.07, 0.5)), extend="both" if _clipped(solution) else "neither"
+        )
+        bar.set_label("3-D sigma of tie points (m, sigma0 = 1)")
+    side.legend(handles=handles, loc="upper left", borderaxespad=0.0, labelspacing=0.7)
+    return sheet
+
+
+def frame(corners: Array, least: tuple[float, float] = (_LEAST, _LEAST)) -> tuple[Array, Array, tuple[float, float]]:
+    """South-west and north-east corner (2,) of a map that holds places (n, 2), and its width and height in inches, of
+    one scale and no less than `least`.
+    """
+    low, high = _bounds(corners)
+    scale = float(np.min(np.array([_WIDEST, _TALLEST]) / (high - low)))
+    lack = np.maximum(np.array(least) / scale - (high - low), 0.0)
+    low, high = low - 0.5 * lack, high + 0.5 * lack
+    width, height = ((high - low) * scale).tolist()
+    return low, high, (width, height)
+
+
+def tie_sigmas(solution: Solution) -> tuple[Index, Array]:
+    """Indices (n,) of determined tie points, and their 3-D sigmas (n,) in m: the root of the covariance's trace."""
+    ties = solution.members(PointClass.TIE)
+    return ties, np.sqrt(np.trace(solution.covariances[ties], axis1=1, axis2=2))
+
+
+def _bounds(corners: Array) -> tuple[Array, Array]:
+    """South-west and north-east corner (2,) in km with a margin."""
+    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)
+    margin = 0.03 * max(float((high - low).max()), 1e-3)
+    return low - margin, high + margin
+
+
+def _draw_outlines(panel: Axes, solution: Solution, outlines: list[Array]) -> list[Line2D]:
+    images = solution.network.images
+    if len(images) > len(_OUTLINES):
+        drawn = [panel.plot(*outline.T, color=SOFT, lw=0.7, zorder=2)[0] for outline in outlines]
+        drawn[0].set_label(f"outlines of {len(images)} images")
+        return drawn[:1]
+    return [
+        panel.plot(*outline.T, color=colour, ls=stroke, lw=1.1, zorder=2, label=short(image.name, 32))[0]
+        for image, outline, (colour, stroke) in zip(images, outlines, _OUTLINES, strict=False)
+    ]
+
+
+def _draw_ties(panel: Axes, solution: Solution, places: Array) -> PathCollection | None:
+    """Tie points coloured by sigma, dark for small; None without any."""
+    ties, sigmas = tie_sigmas(solution)
+    if not ties.size:
+        return None
+    low, high = np.quantile(sigmas, [0.02, 0.98])
+    shown = thinned(ties.size, MOST_MARKS)
+    return panel.scatter(
+        places[ties[shown], 0], places[ties[shown], 1], c=sigmas[shown], s=11.0, cmap="viridis",
+        vmin=low, vmax=max(high, low + 1e-12),
+        edgecolors="none", zorder=3,
+    )
+
+
+def _clipped(solution: Solution) -> bool:
+    """Whether the colours leave the outer two per cent of either side out."""
+    return tie_sigmas(solution)[0].size >= 50
+
+
+def _draw_known(panel: Axes, solution: Solution, places: Array) -> list[Line2D]:
+    """Laser and control points."""
+    handles = []
+    for point_class in (PointClass.LASER, PointClass.CONTROL):
+        mine = solution.members(point_class)
+        if not mine.size:
+            continue
+        mine = mine[thinned(mine.size, MOST_MARKS)]
+        handles += panel.plot(
+            *places[mine].T, ls="", marker=CLASS_MARKER[point_class], ms=4.2, mfc="none", mew=0.9,
+            color=CLASS_COLOUR[point_class], label=CLASS_NAME[point_class], zorder=4,
+        )
+    return handles
+
+
+def _caption(solution: Solution) -> str:
+    """What one sees, with figures."""
+    ties, sigmas = tie_sigmas(solution)
+    counts = {c: solution.members(c).size for c in PointClass}
+    text = f"{len(solution.network.images)} image{'s' * (len(solution.network.images) > 1)}"
+    text += "".join(f", {count} {CLASS_NAME[c]}" for c, count in counts.items() if count)
+    if ties.size:
+        low, middle, high = np.quantile(sigmas, [0.0, 0.5, 1.0])
+        text += (
+            f"; the 3-D sigma of the tie points is {number(low)} to {number(high)} m, for half of them at most "
+            f"{number(middle)} m"
+        )
+    lost = int(np.count_nonzero(~solution.determined))
+    text += f"; points that nothing determines are left out ({lost})" if lost else ""
+    if max(counts.values()) > MOST_MARKS:
+        text += f"; at most {MOST_MARKS} points of a kind are drawn"
+    return f"{text}; distances from the centre are true (azimuthal equidistant, planetocentric latitude)."

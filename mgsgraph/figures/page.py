@@ -1,0 +1,231 @@
+"""Figures of the report page: those of the results and, of ground points, arrows of correction; each as a data URI."""
+
+import base64
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.adjustment.analysis.posterior import Posterior
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import MgsgraphError
+from mgsgraph.figures.closeups import closeup_sheets
+from mgsgraph.figures.connectivity import connectivity_sheet
+from mgsgraph.figures.content import centre_of, east_north
+from mgsgraph.figures.discrepancy import discrepancy_sheets
+from mgsgraph.figures.ground_map import frame, map_sheet
+from mgsgraph.figures.orientation import orientation_sheets
+from mgsgraph.figures.overlay import pixels_of
+from mgsgraph.figures.registration import registration_sheets
+from mgsgraph.figures.residuals import cut, residual_sheets
+from mgsgraph.figures.sheet import (
+    CLASS_COLOUR,
+    CLASS_NAME,
+    SOFT,
+    Sheet,
+    new_sheet,
+    number,
+    panels,
+    plain_style,
+    round_figure,
+    words,
+)
+from mgsgraph.figures.sigmas import raster_sheet
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.registration.case import CaseRegistration
+from mgsgraph.registration.measured import thinned
+from mgsgraph.units import KM
+
+_MOST_IMAGES = 12
+"""Images up to which the sigmas of new points are mapped: each cell is projected into every one."""
+_QUALITY = 80
+"""Of JPEG, for sheets that are pictures."""
+_LARGE = 300_000
+"""Bytes of an SVG from which a PNG is tried."""
+_MOST_ARROWS = 800
+_LONGEST = 0.5
+"""inch, of the longest arrow."""
+_SHARE = 0.98
+"""Share of the corrections that are drawn in full."""
+_LEGEND = 0.27
+"""inch, of the band in which the arrows' key stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A figure on the page."""
+
+    name: str
+    """As the file of this figure is called in the results."""
+    title: str
+    """Its title."""
+    caption: str
+    """What one sees, for those who can't see it."""
+    uri: str
+    """data: URI of the drawing."""
+    width: int
+    """CSS pixels, true size."""
+    height: int
+    """CSS pixels."""
+
+
+def drawn(sheets: Iterator[Sheet], as_picture: bool = False) -> list[Picture]:
+    """Sheets as pictures, in order: SVG, or PNG where that is large; `as_picture`: JPEG, for what shows pixels.
+
+    They must be made while they are drawn, as an iterator does: the style of a sheet is set here.
+    """
+    with plain_style():
+        return [_drawn(sheet, as_picture) for sheet in sheets]
+
+
+def _drawn(sheet: Sheet, as_picture: bool) -> Picture:
+    kind, data = ("jpeg", _jpeg(sheet)) if as_picture else ("svg+xml", _svg(sheet))
+    if len(data) > _LARGE and not as_picture:
+        kind, data = min((kind, data), ("png", _png(sheet)), key=lambda one: len(one[1]))
+    width, height = (round(96.0 * float(inch)) for inch in sheet.figure.get_size_inches())
+    return Picture(sheet.name, sheet.title, sheet.caption, data_uri(f"image/{kind}", data), width, height)
+
+
+def data_uri(kind: str, data: bytes) -> str:
+    """A file as an address that holds it."""
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def _svg(sheet: Sheet) -> bytes:
+    file, canvas = BytesIO(), FigureCanvasSVG(sheet.figure)
+    about = {"Title": sheet.title, "Date": None, "Creator": "mgsgraph"}
+    writer: Any = canvas
+    writer.print_svg(file, metadata=about)
+    return file.getvalue()
+
+
+def _png(sheet: Sheet) -> bytes:
+    file, canvas = BytesIO(), FigureCanvasAgg(sheet.figure)
+    writer: Any = canvas
+    writer.print_png(file)
+    return file.getvalue()
+
+
+def _jpeg(sheet: Sheet) -> bytes:
+    file, canvas = BytesIO(), FigureCanvasAgg(sheet.figure)
+    writer: Any = canvas
+    writer.print_jpg(file, pil_kwargs={"quality": _QUALITY, "optimize": True})
+    return file.getvalue()
+
+
+# --- by the page's sections
+
+
+def solution_figures(solution: Solution, connected: Connectivity) -> dict[str, list[Picture]]:
+    """Figures that a solution alone allows, by section of the page."""
+    rays = solution.network.rays
+    laser = bool(np.any(solution.network.points.classes[rays.point] == PointClass.LASER))
+    return {
+        "map": drawn(_maps(solution, connected)),
+        "registration": drawn(registration_sheets(solution)) if laser else [],
+        "orientation": drawn(orientation_sheets(solution)),
+        "residuals": [*drawn(residual_sheets(solution)), *drawn(correction_sheets(solution))],
+    }
+
+
+def _maps(solution: Solution, connected: Connectivity) -> Iterator[Sheet]:
+    yield map_sheet(solution)
+    yield connectivity_sheet(solution, connected)
+
+
+def registration_figures(registration: CaseRegistration) -> list[Picture]:
+    """Close-ups and discrepancies of images about laser footprints."""
+    pixels = [pixels_of(path) for path in registration.pictures]
+    closeups = drawn(closeup_sheets(registration, pixels), as_picture=True)
+    return [*drawn(discrepancy_sheets(registration)), *closeups]
+
+
+def sigma_figures(solution: Solution) -> tuple[list[Picture], str]:
+    """Maps of the sigmas that new points would have; without them, a sentence that says why."""
+    count = len(solution.network.images)
+    if not 2 <= count <= _MOST_IMAGES:
+        return [], (
+            f"Sigmas of new points are mapped for 2 to {_MOST_IMAGES} images, and there are {count}: "
+            "`mgsgraph analyze --raster --image ...` maps those of your choice."
+        )
+    try:
+        grid = sigma_grid(Posterior.of(solution))
+    except MgsgraphError as error:
+        return [], f"Sigmas of new points can't be mapped: {error}."
+    return drawn((raster_sheet(one, "sigma_map") for one in [grid]), as_picture=True), ""
+
+
+# --- corrections of the ground
+
+
+def correction_sheets(solution: Solution) -> Iterator[Sheet]:
+    """How ground points moved on the map, and by how much upward: one sheet, none where nothing has a place."""
+    moved = local_corrections(solution)
+    if np.any(np.all(np.isfinite(moved), axis=1)):
+        yield _correction_sheet(solution, moved)
+
+
+def local_corrections(solution: Solution) -> Array:
+    """(n, 3) m, adjusted minus before, eastward, northward and upward; NaN for points without a place."""
+    places = np.where(solution.determined[:, None], solution.places, solution.places_before)
+    moved = np.einsum("nij,nj->ni", east_north_up(places), solution.places - solution.places_before)
+    return np.asarray(np.where(solution.determined[:, None], moved, np.nan))
+
+
+def _correction_sheet(solution: Solution, moved: Array) -> Sheet:
+    centre = centre_of(solution.places)
+    places = east_north(solution.places, centre) / KM
+    low, high, (width, height) = frame(places)
+    present = [c for c in PointClass if solution.members(c).size]
+    lengths = np.hypot(*moved[solution.determined, :2].T)
+    longest = float(np.quantile(lengths, _SHARE)) or 1.0
+    sheet = new_sheet(
+        "corrections", width + 1.4, height + 0.7, "Corrections of the ground points",
+        _correction_caption(solution, moved, present, longest), band=_LEGEND,
+    )  # fmt: skip
+    panel: Axes = panels(sheet, 1, 1)[0, 0]
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    panel.set_aspect("equal")
+    words(panel, "km east of the block's middle", "km north")
+    for n, point_class in enumerate(present):
+        mine = solution.members(point_class)
+        mine = mine[thinned(mine.size, _MOST_ARROWS)]
+        colour = CLASS_COLOUR[point_class]
+        arrows = panel.quiver(
+            *places[mine].T, *cut(moved[mine, :2], longest).T, color=colour, angles="uv", units="inches",
+            scale_units="inches", scale=longest / _LONGEST, width=0.011, headwidth=4.5, headlength=5.0,
+            headaxislength=4.5, minlength=0.2, minshaft=1.5, zorder=3,
+        )
+        key = round_figure(longest)
+        panel.quiverkey(
+            arrows, (0.75 + 2.2 * n) / (width + 1.4), 1.0 - 0.55 / float(sheet.figure.get_figheight()), key,
+            f"{CLASS_NAME[point_class]}: {number(key)} m", coordinates="figure", labelpos="E", color=colour,
+        )
+    panel.plot(*places[solution.determined].T, ls="", marker=".", ms=1.5, mew=0.0, color=SOFT, zorder=2)
+    return sheet
+
+
+def _correction_caption(
+    solution: Solution, moved: Array, present: list[PointClass], longest: float
+) -> str:
+    parts = []
+    for point_class in present:
+        east, north, up = moved[solution.members(point_class)].mean(axis=0)
+        parts.append(
+            f"{CLASS_NAME[point_class]} by {number(float(east))} m east, {number(float(north))} m north and "
+            f"{number(float(up))} m up"
+        )
+    many = max(solution.members(c).size for c in present) > _MOST_ARROWS
+    return (
+        f"Adjusted minus before, on the average {'; '.join(parts)}; arrows show the horizontal part, those longer than "
+        f"{number(longest)} m are cut off" + (f"; at most {_MOST_ARROWS} of a kind are drawn." if many else ".")
+    )

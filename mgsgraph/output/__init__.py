@@ -1,0 +1,1 @@
+"""What all writers of results share: folders that appear whole or not at all, CSV, JSON and GeoTIFF files."""

@@ -1,0 +1,197 @@
+"""A result folder is there whole or not at all: it is written aside and renamed into place."""
+
+import errno
+import json
+import os
+import re
+import shutil
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mgsgraph.errors import InputError
+from mgsgraph.io.fresh_file import beside
+
+PROGRAM = "mgsgraph"
+"""What `program` in solution.json says; by it a folder is known as ours."""
+RECORD = "solution.json"
+"""File that makes a folder a result of an adjustment by this program."""
+REGISTRATION = "registration.json"
+"""File that makes a folder without a solution a registration by this program."""
+PLAN = "plan.json"
+"""File that makes a folder without either a plan by this program."""
+ANALYSIS = "analysis.json"
+"""File that makes a folder without any of them an analysis by this program."""
+NODES = "nodes.json"
+"""File that makes a folder without any of them a study of orientation images by this program."""
+MATCH = "match.json"
+"""File that makes a folder without any of them matches by this program."""
+DEM = "dem.json"
+"""File that makes a folder without any of them a terrain model by this program."""
+EXPORT = "export.json"
+"""File that makes a folder without any of them an export by this program; it names all others."""
+
+_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, EXPORT)
+"""The first of these in a folder says of what kind its results are."""
+TABLES = (
+    RECORD, "solution.npz", "summary.json", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
+    "shared.csv", "strips.csv", "report.html",
+    "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
+    REGISTRATION, "registration.csv", "discrepancy.csv",
+    PLAN, "plan.csv",
+    ANALYSIS, "components.csv", "components_iterated.csv", "reliability.csv", "sigmas.tif",
+    NODES, "spacings.csv", "course.csv", "spectra.csv",
+    EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
+    DEM, "dem.tif", "ortho.tif", "shots.csv",
+)  # fmt: skip
+"""Files of results but for figures."""
+FIGURES = (
+    "residuals", "orientation", "strips", "registration", "map", "connectivity", "height_map",
+    "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "spacings", "spectrum", "course", "matches",
+    "dem",
+)  # fmt: skip
+"""Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
+_INPUTS = "inputs"
+"""Folder that a demonstration keeps its case in."""
+_OURS = re.compile(
+    "|".join(map(re.escape, (*TABLES, _INPUTS)))
+    + rf"|({'|'.join(FIGURES)})(_\d+)?\.(png|svg)"
+    + r"|sigmas_[A-Za-z0-9._-]+\.(csv|png|svg)"  # of one image, whose name is in it
+)
+"""Names of what results hold; a folder with anything else in it is not replaced."""
+_REMEDIES = {
+    errno.ENOSPC: "free some space, or choose another --out",
+    errno.EDQUOT: "free some of your quota, or choose another --out",
+    errno.EBUSY: "choose a folder inside it (nothing can be renamed onto a mount point)",
+}
+
+
+@contextmanager
+def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
+    """Make a result folder.
+
+    Inside the context everything is written to a new folder beside `path`; at its end that folder takes the place of
+    `path`. On any exception it vanishes, and what was at `path` stays as it was.
+
+    Parameters
+    ----------
+    path : path
+        Absent, empty, or an earlier result of the same kind, which is replaced.
+    record : str
+        File by which results of this kind are known.
+
+    Yields
+    ------
+    Path
+        Where to write.
+
+    Raises
+    ------
+    InputError
+        If `path` holds anything else, or can't be written.
+    """
+    shown, target = str(path), Path(path).resolve()
+    require_replaceable(path, record)
+    aside = beside(target)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        aside.mkdir()
+        yield aside
+        require_replaceable(path, record)
+        _warn_of_strangers(aside, record)
+        _put_in_place(aside, target)
+    except OSError as error:
+        raise _refusal(shown, error) from None
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def require_replaceable(path: str | Path, record: str = RECORD) -> None:
+    """Raise InputError unless `path` is absent, an empty folder, or an earlier result known by the file `record`; to be
+    asked before long work.
+    """
+    shown, target = str(path), Path(path).resolve()
+    try:
+        if not target.exists():
+            first = next(parent for parent in target.parents if parent.exists())
+            if not first.is_dir():
+                found = f"can't be written ({first} is a file)"
+                raise InputError(shown, found, "a folder to make it in", "choose another --out")
+            return
+        if not target.is_dir():
+            raise InputError(shown, "exists and is a file", "a folder for the results", "choose another --out")
+        if target in (Path.cwd(), *Path.cwd().parents):
+            raise InputError(shown, "is the folder you are in, and would be replaced", remedy="choose another --out")
+        if any(target.iterdir()) and (kept := _kind(target)) != record:
+            found = f"not a result of {PROGRAM}" if kept is None else f"another kind of result ({kept})"
+            raise InputError(shown, f"exists and is {found}", remedy="choose another --out")
+        for other in _strangers(target)[:1]:
+            found = f"an earlier result that holds {other!r}, too, which would be lost"
+            raise InputError(shown, found, remedy="move that away, or choose another --out")
+    except OSError as error:
+        raise _refusal(shown, error) from None
+
+
+def _warn_of_strangers(folder: Path, record: str) -> None:
+    """Warn where results hold a file that TABLES and FIGURES lack, which keeps the next ones from replacing them.
+
+    Nothing is refused for it, for the work has been done; our tests, to which warnings are errors, stop there.
+    """
+    if record not in _KINDS or not (folder / record).exists():
+        return
+    for name in _strangers(folder):
+        warnings.warn(f"{name!r} is not a name that results are known to hold: see output.folders", stacklevel=2)
+
+
+def _strangers(folder: Path) -> list[str]:
+    """Names in a folder of ours that no result has, in order; in folders of an export, too."""
+    listed = _listed(folder)
+    folders = {name.split("/")[0] for name in listed if "/" in name}
+    names = {entry.name for entry in folder.iterdir() if not _OURS.fullmatch(entry.name)}
+    within = (path for name in names & folders for path in (folder / name).rglob("*") if not path.is_dir())
+    return sorted((names - folders | {path.relative_to(folder).as_posix() for path in within}) - listed)
+
+
+def _listed(folder: Path) -> set[str]:
+    """Names that an export says it has made, in folders of it too."""
+    try:
+        names = json.loads((folder / EXPORT).read_text(encoding="utf-8"))["files"]
+        return {EXPORT, *map(str, names)}
+    except (OSError, ValueError, TypeError, KeyError):
+        return set()
+
+
+def _kind(folder: Path) -> str | None:
+    """The file by which a folder is known as ours, RECORD before others; None for a foreign folder."""
+    return next((name for name in _KINDS if _is_ours(folder / name)), None)
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(record, dict) and record.get("program") == PROGRAM
+
+
+def _put_in_place(new: Path, target: Path) -> None:
+    """Rename `new` to `target`; an earlier result steps aside first, and comes back should that fail."""
+    if not target.exists():
+        new.rename(target)
+        return
+    old = new.with_suffix(".replaced")
+    target.rename(old)
+    try:
+        new.rename(target)
+    except BaseException:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _refusal(shown: str, error: OSError) -> InputError:
+    reason = error.strerror or str(error)
+    inside = f" at {Path(os.fsdecode(error.filename)).name}" if isinstance(error.filename, str | bytes) else ""
+    remedy = _REMEDIES.get(error.errno or 0, "choose another --out, where you may write")
+    return InputError(shown, f"can't be written ({reason}{inside})", remedy=remedy)

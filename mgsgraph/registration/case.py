@@ -1,0 +1,284 @@
+"""Registration of a case: where its laser profiles fall in its images, by how much images contradict each other about
+them, before an adjustment and after it; and the same in words.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import Case
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array
+from mgsgraph.registration.footprints import (
+    Corrections,
+    Misregistration,
+    Registration,
+    discrepancy,
+    footprints_in_images,
+)
+from mgsgraph.ties import TiePoints
+from mgsgraph.wording import listed, many
+
+_FEWEST_TIES = 3
+"""Common tie points without which two images can't be compared."""
+_NAMED = 4
+"""How many pairs without enough tie points are named."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProfileRegistration:
+    """One laser profile under one orientation of the images."""
+
+    name: str
+    """Its file's name without ending."""
+    found: Registration
+    """Where its shots fall."""
+    points: Array
+    """(n, 3) m, body-fixed, its footprints: as archived, or adjusted."""
+    discrepancies: tuple[Misregistration, ...]
+    """Of each pair of images that see some of it and have ties in common."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaseRegistration:
+    """All profiles of a case in all its images."""
+
+    name: str
+    """What the case is called."""
+    before: tuple[ProfileRegistration, ...]
+    """Footprints as archived, nominal orientation."""
+    after: tuple[ProfileRegistration, ...]
+    """The same profiles, adjusted footprints and orientation; empty without a solution."""
+    pictures: tuple[Path | None, ...]
+    """File of each image's pixels, where the case names one."""
+    warnings: tuple[str, ...]
+    """Sentences: what could not be compared, and why."""
+
+    @property
+    def images(self) -> tuple[PushbroomImage, ...]:
+        """As the case has them."""
+        return self.before[0].found.images
+
+    def states(self) -> Iterator[tuple[str, tuple[ProfileRegistration, ...]]]:
+        """Name of the orientation, and the profiles under it."""
+        yield "nominal", self.before
+        if self.after:
+            yield "adjusted", self.after
+
+    def __repr__(self) -> str:
+        states = " and ".join(name for name, _ in self.states())
+        return f"CaseRegistration({self.name!r}: {len(self.before)} profiles, {len(self.images)} images, {states})"
+
+
+# --- registering
+
+
+def register_case(case: Case, solution: Solution | None = None) -> CaseRegistration:
+    """Project the footprints of a case into its images, and compare the images at them.
+
+    Parameters
+    ----------
+    case : Case
+        With at least one profile of MOLA.
+    solution : Solution, optional
+        Adjustment of the same case; with it everything is there a second time, after the adjustment.
+
+    Raises
+    ------
+    InputError
+        Without a profile, or when the solution is that of another case.
+    """
+    if not case.profiles:
+        raise InputError(
+            str(case.path), "no profile of MOLA to be registered", "at least one [[mola]]",
+            "`mgsgraph adjust` shows how shots of an ISIS lidar file fit",
+        )
+    images = case.network.images
+    names = [Path(shots.source).stem for shots in case.profiles]
+    nothing: Corrections = [None] * len(images)
+    before = tuple(
+        _register(name, images, shots, shots.footprints, nothing, case.ties)
+        for name, shots in zip(names, case.profiles, strict=True)
+    )
+    warnings = _not_compared(before, case.ties)
+    after: tuple[ProfileRegistration, ...] = ()
+    if solution is not None:
+        adjusted, corrections = _of_solution(case, solution)
+        rows = {name: row for row, name in enumerate(solution.network.points.ids)}
+        after = tuple(
+            _register(name, adjusted, shots, _adjusted_places(name, shots, solution, rows), corrections, case.ties)
+            for name, shots in zip(names, case.profiles, strict=True)
+        )
+        if not solution.converged:
+            warnings += (f"The adjustment has NOT CONVERGED: what is called adjusted is no result. {solution.message}",)
+    return CaseRegistration(case.name, before, after, case.pictures or (None,) * len(images), warnings)
+
+
+def _register(
+    name: str,
+    images: tuple[PushbroomImage, ...],
+    shots: AltimeterShots,
+    points: Array,
+    corrections: Corrections,
+    ties: TiePoints | None,
+) -> ProfileRegistration:
+    found = footprints_in_images(images, shots, corrections, points)
+    compared = [] if ties is None else [
+        (i, j) for i, j in _sharing(found) if _common_ties(ties, images[i], images[j]) >= _FEWEST_TIES
+    ]
+    return ProfileRegistration(name, found, points, tuple(
+        discrepancy((images[i], images[j]), shots, ties, (corrections[i], corrections[j]), points)
+        for i, j in compared if ties is not None
+    ))
+
+
+def _sharing(found: Registration) -> list[tuple[int, int]]:
+    """Pairs of images that see a footprint in common."""
+    inside = found.inside
+    return [(i, j) for i, j in combinations(range(len(found.images)), 2) if np.any(inside[i] & inside[j])]
+
+
+def _common_ties(ties: TiePoints, first: PushbroomImage, second: PushbroomImage) -> int:
+    names = np.array(ties.measure_image)
+    return int(np.intersect1d(*(ties.measure_point[names == image.name] for image in (first, second))).size)
+
+
+def _not_compared(profiles: tuple[ProfileRegistration, ...], ties: TiePoints | None) -> tuple[str, ...]:
+    """Sentences about the pairs that see footprints in common and can't be compared."""
+    images = profiles[0].found.images
+    pairs = sorted({pair for profile in profiles for pair in _sharing(profile.found)})
+    if not pairs:
+        return ("No two images see the same footprint: there is nothing to compare.",) if len(images) > 1 else ()
+    counts = {(i, j): 0 if ties is None else _common_ties(ties, images[i], images[j]) for i, j in pairs}
+    poor = [(images[i].name, images[j].name, count) for (i, j), count in counts.items() if count < _FEWEST_TIES]
+    sentences = [
+        f"{one} and {two} see footprints in common, but have {many(count, 'tie point')} in common: whether they agree "
+        f"can't be known with fewer than {_FEWEST_TIES}."
+        for one, two, count in poor[:_NAMED]
+    ]
+    return (*sentences, *([f"The same holds for {many(len(poor) - _NAMED, 'more pair')}."] if poor[_NAMED:] else []))
+
+
+def _of_solution(case: Case, solution: Solution) -> tuple[tuple[PushbroomImage, ...], Corrections]:
+    """The case's images as they were adjusted, and their corrections."""
+    rows = {image.name: j for j, image in enumerate(solution.network.images)}
+    for image in case.network.images:
+        mine = rows.get(image.name)
+        if mine is None:
+            known = listed(list(rows)[:_NAMED])
+            raise InputError(f"solution {solution.name!r}", f"no image {image.name}", f"one of this case ({known})")
+        other = solution.network.images[mine]
+        if (image.lines, image.samples) != (other.lines, other.samples):
+            raise InputError(
+                f"solution {solution.name!r}, image {image.name}", f"{other.lines} x {other.samples} pixels",
+                f"{image.lines} x {image.samples} as in the case", "adjust the case again",
+            )
+    chosen = [rows[image.name] for image in case.network.images]
+    return tuple(solution.image(j) for j in chosen), [solution.correction(j) for j in chosen]
+
+
+def _adjusted_places(name: str, shots: AltimeterShots, solution: Solution, rows: Mapping[str, int]) -> Array:
+    """(n, 3) m, adjusted footprints of a profile, which the network calls by the profile's name and the shot's."""
+    wanted = [f"{name}:{shot}" for shot in shots.ids]
+    for one in [one for one in wanted if one not in rows][:1]:
+        raise InputError(
+            f"solution {solution.name!r}", f"no laser shot {one}", "all shots of the case", "adjust the case again"
+        )
+    return solution.places[[rows[one] for one in wanted]]
+
+
+# --- words
+
+
+def registration_statements(registration: CaseRegistration) -> list[str]:
+    """Sentences with figures and units, for reports and the terminal."""
+    return [
+        *(_falls(profile) for profile in registration.before),
+        *(
+            _contradiction(profile.name, one, state)
+            for state, profiles in registration.states()
+            for profile in profiles
+            for one in profile.discrepancies
+        ),
+        *(_methods(state, profiles) for state, profiles in registration.states()),
+        *registration.warnings,
+    ]
+
+
+def _falls(profile: ProfileRegistration) -> str:
+    """How many shots fall in each image."""
+    found = profile.found
+    seeing = [
+        (int(inside.sum()), f"in {image.name}{' (taken at the same time)' if np.any(same) else ''}")
+        for image, inside, same in zip(found.images, found.inside, found.simultaneous, strict=True)
+        if np.any(inside | same)
+    ]
+    if not seeing:
+        return f"None of {many(found.shots.times.size, 'shot')} of {profile.name} falls in an image."
+    (first, place), *others = seeing
+    where = listed([f"{first} fall{'s' * (first == 1)} {place}", *(f"{count} {other}" for count, other in others)])
+    return f"Of {many(found.shots.times.size, 'shot')} of {profile.name}, {where}."
+
+
+def _contradiction(profile: str, one: Misregistration, state: str) -> str:
+    """Mean and rms of a discrepancy along and across the flight, in pixels, metres and spacings."""
+    if not one.shots.size:
+        return f"Discrepancy, {state} orientation, {profile}: no footprint falls in both {one.against} and {one.image}."
+    parts = []
+    for k, (way, pixel) in enumerate((("along", "lines"), ("across", "samples"))):
+        figures = [
+            f"{_short(values.mean(), '+')} (rms {_short(root_mean_square(values))}) {unit}"
+            for values, unit in (
+                (one.pixels[:, k], pixel), (one.metres[:, k], "m"), (one.spacings[:, k], "MOLA spacings")
+            )
+            if np.all(np.isfinite(values))
+        ]
+        metres = one.metres[:, k]
+        between = f", between {_short(metres.min(), '+')} and {_short(metres.max(), '+')} m" if metres.size > 1 else ""
+        parts.append(f"{way} the flight {' = '.join(figures)}{between}")
+    sigmas = one.metre_sigmas.mean(axis=0)
+    known = "how well that is known can't be told from so few tie points"
+    if np.all(np.isfinite(sigmas)):
+        known = f"a footprint's is known to {_short(sigmas[0])} and {_short(sigmas[1])} m"
+    return (
+        f"Discrepancy, {state} orientation: {one.image} against {one.against} at "
+        f"{many(one.shots.size, 'footprint')} of {profile}: {parts[0]}; {parts[1]}; {known}."
+    )
+
+
+def _methods(state: str, profiles: tuple[ProfileRegistration, ...]) -> str:
+    """The largest difference between Newton's method and the five steps."""
+    worst, where = np.zeros(2), ""
+    for profile in profiles:
+        for j, image in enumerate(profile.found.images):
+            here = five_steps_difference(profile.found, j)
+            if np.any(here > worst):
+                worst, where = np.maximum(worst, here), image.name
+    return (
+        f"Newton's method and the five steps with linear orientation differ by at most {worst[0]:.2g} lines and "
+        f"{worst[1]:.2g} samples ({state} orientation{f', {where}' if where else ''})."
+    )
+
+
+def five_steps_difference(found: Registration, image: int) -> Array:
+    """(2,) largest difference in lines and samples between the two methods inside an image; zero when it sees none."""
+    mine = found.inside[image]
+    difference = np.abs(found.linear[image, mine] - found.places[image, mine])
+    return np.asarray(np.nanmax(difference, axis=0)) if np.any(np.isfinite(difference)) else np.zeros(2)
+
+
+def _short(value: float, sign: str = "-") -> str:
+    """One decimal, two below 1."""
+    return f"{value:{sign}.{2 if abs(value) < 1.0 else 1}f}"
+
+
+def root_mean_square(values: Array) -> float:
+    """Root mean square about zero."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

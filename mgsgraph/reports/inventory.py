@@ -1,0 +1,304 @@
+"""What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import Prediction, predict
+from mgsgraph.case.reading import Case
+from mgsgraph.errors import WeakNetwork
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network, NodePrior, PointClass, Surface
+from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
+from mgsgraph.network.connectivity_words import (
+    connectivity_warnings,
+    cut_image_statement,
+    link_statement,
+    weakest_joints,
+)
+from mgsgraph.network.terrain_control import coverage
+from mgsgraph.reports.strips import bare_nodes, strips_inventory
+from mgsgraph.ties import PointKind
+from mgsgraph.units import DEG, KM, MRAD
+from mgsgraph.wording import some
+
+_FEW_POINTS = 6
+"""Fewer points than this in an image leave its orientation to the prior."""
+_SHORT = 0.5
+"""Points over less than this share of the lines leave the polynomials to extrapolate."""
+_NARROW = 5.0 * DEG
+"""Convergence below which heights are poor."""
+_WILD = 30.0
+"""Sigmas from the median of their kind beyond which ranges are named."""
+_LISTED = 24
+"""Images up to which each is listed with its partners."""
+_ISLANDS = 9
+"""Islands named."""
+_NAMED = 5
+"""How many of a kind are named."""
+
+
+def inventory(case: Case) -> str:
+    """Images and their coverage, points, shots, connectivity, and expected weak spots; several lines of text."""
+    network = case.network
+    weak: list[str] = []
+    try:
+        prediction = predict(network, case.settings)
+    except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
+        weak.append(str(error))
+        prediction = predict(_with_priors(network), case.settings)
+    connected = connectivity(network, network_footprints(network, prediction.places))
+    weak += _weak_spots(network, prediction, connected)
+    parts = [
+        f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
+        f"measurements, {network.ranges.point.size} ranges",
+        _images(network),
+        _points(network, prediction),
+        _connections(connected),
+        *([_shared(network)] if network.shared else []),
+        *([strips_inventory(network)] if network.strips else []),
+        *([_terrain(network, network.surface, prediction.places)] if network.surface is not None else []),
+        "Weak spots\n" + "\n".join(f"  - {line}" for line in weak or ["none seen"]),
+    ]
+    return "\n\n".join(parts)
+
+
+def _with_priors(network: Network) -> Network:
+    """The same network with wide sigmas, 1 km and 10 mrad, in place of infinite ones."""
+    wide = np.repeat([1e3, 1e-2], 3)
+    priors = tuple(OrientationPrior(np.where(np.isinf(prior.sigmas), wide, prior.sigmas)) for prior in network.priors)
+    strips = tuple(
+        replace(strip, prior=replace(prior, sigmas=np.where(np.isinf(prior.sigmas), wide, prior.sigmas)))
+        if isinstance(prior := strip.prior, NodePrior)
+        else strip
+        for strip in network.strips
+    )
+    return replace(network, priors=priors, strips=strips)
+
+
+def _terrain(network: Network, surface: Surface, places: Array) -> str:
+    """Terrain model as control: how many tie points lie on it, with what sigma; its own unknowns."""
+    on = np.isfinite(surface.sigmas)
+    sigmas = surface.sigmas[on]
+    lines = [f"Terrain model {surface.grid.source}"]
+    if sigmas.size:
+        extent = f"{sigmas.min():.1f}" + (f" .. {sigmas.max():.1f}" if np.ptp(sigmas) > 0.05 else "")
+        lines.append(f"  {sigmas.size} points lie on it, sigma of their heights {extent} m")
+    ties = network.points.classes == PointClass.TIE
+    covered = coverage(surface.grid, places[ties])
+    if covered.words:
+        lines.append(f"  of {covered.total} tie points it leaves out {covered.words}: these have no such row")
+    terms = [
+        f"{term.name} {term.sigma / (MRAD if term.unit == 'rad' else 1.0):.3g} {term.unit.replace('rad', 'mrad')}"
+        for term in surface.terms
+    ]
+    lines.append(f"  unknowns of its own, a-priori sigma: {', '.join(terms) if terms else 'none'}")
+    return "\n".join(lines)
+
+
+def _shared(network: Network) -> str:
+    """Unknowns that images share, with what is known of them beforehand."""
+    lines = ["Unknowns that images share"]
+    for one in network.shared:
+        scale, unit = (MRAD, "mrad") if one.kind.unit == "rad" else (1.0, one.kind.unit)
+        sigmas = ", ".join(f"{sigma / scale:.3g}" for sigma in one.sigmas)
+        kind = "" if one.name == one.kind else f" ({one.kind})"
+        names = [network.images[j].name for j in one.images.tolist()]
+        lines.append(f"  {one.name}{kind}: a-priori sigma {sigmas} {unit}; {some(names, len(names))}")
+    return "\n".join(lines)
+
+
+def _images(network: Network) -> str:
+    lines = ["Images"]
+    for j, image in enumerate(network.images):
+        middle, spacing = _ground_spacing(image)
+        longitude, latitude, _ = planetocentric(middle)
+        held = ", held" if network.held[j] else ""
+        corners = _corners(image)
+        lines.append(
+            f"  {image.name}: {image.lines} lines x {image.samples} samples{held}; "
+            f"line {spacing[0]:.2f} m, sample {spacing[1]:.2f} m on the ground"
+        )
+        lines.append(
+            f"    centre {longitude / DEG % 360.0:.4f} E {latitude / DEG:+.4f} N; "
+            f"longitude {corners[0, 0]:.4f} .. {corners[1, 0]:.4f}, "
+            f"latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg"
+        )
+        lines.append(f"    {_orientation(network, j)}")
+    return "\n".join(lines)
+
+
+def _orientation(network: Network, j: int) -> str:
+    """How an image is adjusted."""
+    strip, prior = int(network.strip_of[j]), network.priors[j]
+    if strip >= 0:
+        return f"orientation images of strip {network.strips[strip].name}"
+    return (
+        f"orientation polynomials of degree {prior.degree}, a-priori sigma {_range(prior.sigmas[0, :3])} m and "
+        f"{_range(prior.sigmas[0, 3:] / MRAD)} mrad (constant term)"
+    )
+
+
+def _range(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} .. {high:g}"
+
+
+def _ground_spacing(image: PushbroomImage) -> tuple[Array, Array]:
+    """Ground point (3,) of the image's middle, and m per line and per sample there, on the ellipsoid."""
+    point, derivative = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    return point[0], np.linalg.norm(derivative[0], axis=0)
+
+
+def _corners(image: PushbroomImage) -> Array:
+    """Least and largest longitude and latitude (2, 2) in deg of the image's corners on the ellipsoid."""
+    lines = np.array([0.0, 0.0, image.lines, image.lines])
+    samples = np.array([0.0, image.samples, 0.0, image.samples])
+    places = planetocentric(image.image_to_ground(lines, samples)[0])[:, :2] / DEG
+    places[:, 0] = (places[:, 0] - places[0, 0] + 180.0) % 360.0 - 180.0 + places[0, 0] % 360.0
+    return np.stack([places.min(axis=0), places.max(axis=0)])
+
+
+def _points(network: Network, prediction: Prediction) -> str:
+    lines = ["Points"]
+    counts = network.ray_counts
+    sigmas = np.sqrt(np.diagonal(prediction.covariances, axis1=1, axis2=2))
+    for point_class, members in network.of_class():
+        kinds = ", ".join(
+            f"{count} {kind.name.lower()}"
+            for kind in PointKind
+            if (count := int(np.count_nonzero(network.points.kinds[members] == kind)))
+        )
+        lines.append(
+            f"  {members.size} {point_class.name.lower()} points ({kinds}), {counts[members].min()} to "
+            f"{counts[members].max()} rays each"
+        )
+        expected = np.nanmean(sigmas[members], axis=0)
+        lines.append(f"    expected mean sigma in x, y, z: {expected[0]:.2f}, {expected[1]:.2f}, {expected[2]:.2f} m")
+        mine = np.isin(network.rays.point, members)
+        if np.any(mine):
+            misfit = prediction.residuals[mine]
+            rms = np.sqrt(np.nanmean(misfit**2, axis=0))
+            lines.append(
+                f"    with the nominal orientation: image residuals {rms[0]:.2f} lines, {rms[1]:.2f} samples rms"
+            )
+    if network.ranges.point.size:
+        misfit = prediction.range_residuals
+        lines.append(
+            f"  {misfit.size} laser ranges of {network.ranges.values.min() / KM:.3f} .. "
+            f"{network.ranges.values.max() / KM:.3f}"
+            f" km; measured minus nominal: mean {misfit.mean():+.3f} m, rms {np.sqrt(np.mean(misfit**2)):.3f} m"
+        )
+    else:
+        lines.append("  no laser ranges")
+    return "\n".join(lines)
+
+
+def _connections(connected: Connectivity) -> str:
+    """Each image with its partners, in small blocks; the links as a whole and the weakest of them."""
+    lines = ["Connections (points in common)"]
+    if len(connected.names) <= _LISTED:
+        lines += [_partners(connected, j) for j in range(len(connected.names))]
+    lines += [f"  {sentence}" for sentence in link_statement(connected)]
+    if connected.spine.size > 1:
+        phrases = [f"    {phrase}" for phrase in weakest_joints(connected)]
+        lines += ["  Weakest joints (parts that have no stronger link):", *phrases]
+    return "\n".join(lines)
+
+
+def _partners(connected: Connectivity, image: int) -> str:
+    rows = connected.links[np.any(connected.pairs[connected.links] == image, axis=1)]
+    rows = rows[np.argsort(-connected.points[rows], kind="stable")]
+    other = connected.pairs[rows].sum(axis=1) - image
+    partners = [
+        f"{connected.points[row]} with {connected.names[j]}" for row, j in zip(rows[:_NAMED], other, strict=False)
+    ]
+    named = ", ".join(partners) + (f" and {rows.size - _NAMED} more" if rows.size > _NAMED else "")
+    return f"  {connected.names[image]}: {connected.seen[image]} points; {named or 'no other image'}"
+
+
+def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
+    """Sentences about what will be poorly determined."""
+    found = []
+    if len(connected.islands) > 1:
+        named = [", ".join(connected.names[j] for j in island[:_NAMED]) for island in connected.islands[1:_ISLANDS]]
+        more = f"; and {len(connected.islands) - _ISLANDS} more" if len(connected.islands) > _ISLANDS else ""
+        found.append(
+            f"the block falls into {len(connected.islands)} islands without common points; apart from the largest: "
+            f"{'; '.join(named)}{more}"
+        )
+    found += [*cut_image_statement(connected), *connectivity_warnings(connected)]
+    lost = np.flatnonzero(network.undetermined)
+    if lost.size:
+        found.append(
+            f"{lost.size} points have fewer than two rays and no a-priori place, and stay out: {_some(network, lost)}"
+        )
+    flat = np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~network.undetermined)
+    if flat.size:
+        found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {_some(network, flat)}")
+    found += [*_poor_images(network), *bare_nodes(network)]
+    angle = _convergence(network)
+    if np.any(angle < _NARROW):
+        found.append(
+            f"{np.count_nonzero(angle < _NARROW)} tie points have rays that converge by less than "
+            f"{_NARROW / DEG:.0f} deg (least {angle.min() / DEG:.2f} deg): "
+            "expect their sigma along the line of sight to be large"
+        )
+    found += _doubtful_observations(network, prediction)
+    held_down = np.any(network.points.kinds != PointKind.FREE) or np.any(network.held)
+    if not held_down:
+        found.append(
+            "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"
+        )
+    return found
+
+
+def _doubtful_observations(network: Network, prediction: Prediction) -> list[str]:
+    """Ranges far from what the nominal orientation says, and laser points without any."""
+    found = []
+    values = prediction.range_residuals
+    middle = np.median(values) if values.size else 0.0
+    wild = np.flatnonzero(np.abs(values - middle) > _WILD * network.ranges.sigmas)
+    if wild.size:
+        names = _some(network, network.ranges.point[wild])
+        found.append(f"{wild.size} ranges lie more than {_WILD:.0f} sigmas from the others: {names}")
+    laser = np.flatnonzero(network.points.classes == PointClass.LASER)
+    bare = np.setdiff1d(laser, network.ranges.point)
+    if network.ranges.point.size and bare.size:
+        found.append(f"{bare.size} laser points have no range (no simultaneous image): {_some(network, bare)}")
+    return found
+
+
+def _some(network: Network, points: Index) -> str:
+    names = ", ".join(network.points.ids[i] for i in points[:_NAMED])
+    return names + (f" and {points.size - _NAMED} more" if points.size > _NAMED else "")
+
+
+def _poor_images(network: Network) -> list[str]:
+    found = []
+    for j in np.flatnonzero(network.strip_of < 0).tolist():  # a strip's images lean on each other
+        image, mine = network.images[j], network.rays.image == j
+        count, lines = int(np.count_nonzero(mine)), network.rays.places[mine, 0]
+        if count < _FEW_POINTS:
+            found.append(f"image {image.name} has only {count} points: its orientation will mostly be its prior")
+        elif np.ptp(lines) < _SHORT * image.lines:
+            found.append(
+                f"the points of image {image.name} span lines {lines.min():.0f} .. {lines.max():.0f} of {image.lines}: "
+                "its orientation is extrapolated elsewhere"
+            )
+    return found
+
+
+def _convergence(network: Network) -> Array:
+    """Angle (rad) between the outermost rays of each tie point with two rays or more."""
+    rays = network.rays
+    origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
+    for j, image in enumerate(network.images):
+        mine = rays.image == j
+        origins[mine], directions[mine], _, _ = image.rays(*rays.places[mine].T)
+    _, _, angle = intersect_rays(origins, directions, rays.point, len(network.points))
+    return np.asarray(angle[(network.points.classes == PointClass.TIE) & (network.ray_counts >= 2)])

@@ -1,0 +1,146 @@
+"""The report page of a solution: one HTML file without any outside address, figures and pictures as data URIs."""
+
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.merit import solution_connectivity
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import Case
+from mgsgraph.errors import InputError
+from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.network import PointClass
+from mgsgraph.output.table import NONE
+from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
+from mgsgraph.reports.page_comparison import compare
+from mgsgraph.reports.page_tables import inputs_table, settings_table, tables, versions_table
+from mgsgraph.reports.summary import statements
+
+_TEMPLATE = "templates/report.html"
+_ENDINGS = (".html", ".htm")
+
+
+def write_report(
+    solution: Solution,
+    path: str | Path,
+    case: Case | None = None,
+    earlier: Solution | None = None,
+    inputs: Mapping[str, str | None] | None = None,
+) -> Path:
+    """Write the page.
+
+    Parameters
+    ----------
+    solution : Solution
+        Converged or not; one that is not is marked as no result.
+    path : path
+        HTML file; an earlier one is replaced.
+    case : Case, optional
+        What was adjusted: with its images' pixels and its laser profiles, footprints are shown on the images.
+    earlier : Solution, optional
+        To be compared with, by the names of images and points.
+    inputs : mapping, optional
+        SHA-256 of each file that the page is made from, by its name; None for one that can't be read.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If `path` is no HTML file or can't be written, the case is another one, or nothing can be compared.
+    """
+    import jinja2  # takes 0.1 s
+
+    path = require_page(path)
+    page = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
+    source = (files("mgsgraph.reports") / _TEMPLATE).read_text(encoding="utf-8")
+    content = _content(solution, case, earlier, inputs or {})
+    with fresh_file(path, "a file that may be written", "choose another --out") as aside:
+        aside.write_text(page.from_string(source).render(content), encoding="utf-8", newline="\n")
+    return path
+
+
+def require_page(path: str | Path) -> Path:
+    """The path if it is that of an HTML file; InputError for any other: a page must not replace a solution."""
+    path = Path(path)
+    if path.suffix.lower() not in _ENDINGS:
+        raise InputError(str(path), f"the ending {path.suffix!r}", "a page (.html)", "choose another --out")
+    return path
+
+
+def _content(
+    solution: Solution, case: Case | None, earlier: Solution | None, inputs: Mapping[str, str | None]
+) -> dict[str, Any]:
+    """Everything that the template shows."""
+    from mgsgraph.figures.page import sigma_figures, solution_figures
+
+    compared = None if earlier is None else compare(solution, earlier)  # refused before anything is drawn
+    registration = None if case is None or not case.profiles else register_case(case, solution)
+    connected = solution_connectivity(solution)
+    sigmas, without_sigmas = sigma_figures(solution)
+    figures = solution_figures(solution, connected)
+    return {
+        "solution": solution,
+        "statements": statements(solution, connected),
+        "key_figures": _key_figures(solution),
+        "figures": figures | {"sigmas": sigmas},
+        "without_sigmas": without_sigmas,
+        **_registered(solution, case, registration),
+        "tables": tables(solution),
+        "compared": compared,
+        "settings": [settings_table(solution), versions_table(solution)],
+        "inputs": inputs_table(inputs),
+        "case_name": "" if case is None else case.path.name,
+        "version": solution.versions.get("mgsgraph", NONE),
+    }
+
+
+def _registered(solution: Solution, case: Case | None, registration: CaseRegistration | None) -> dict[str, Any]:
+    """Laser footprints on the images, or why there are none."""
+    if registration is None:
+        return {"scenes": [], "about_scenes": "", "registered": [], "closeups": [],
+                "without_scenes": _without_scenes(solution, case)}  # fmt: skip
+    from mgsgraph.figures.page import registration_figures
+    from mgsgraph.figures.page_scene import scenes
+
+    shown, about = scenes(registration)
+    return {
+        "scenes": shown,
+        "about_scenes": about,
+        "registered": registration_statements(registration),
+        "closeups": registration_figures(registration),
+        "without_scenes": "" if shown else "No footprint falls in an image.",
+    }
+
+
+def _without_scenes(solution: Solution, case: Case | None) -> str:
+    if case is not None:
+        return f"{case.path.name} has no laser profile of MOLA, whose footprints could be shown on the images."
+    if np.any(solution.network.points.classes == PointClass.LASER):
+        return (
+            "A solution holds no pixels and no footprints as they were archived: with the case file (--case) this "
+            "section shows them on the images, if the case names profiles of MOLA."
+        )
+    return "This solution has no laser points."
+
+
+def _key_figures(solution: Solution) -> list[tuple[str, str]]:
+    """What one looks at first."""
+    network, fit = solution.network, solution.fit
+    sigma0 = f"{fit.sigma0:.3g}" if np.isfinite(fit.sigma0) else "not defined"
+    return [
+        ("state", "converged" if solution.converged else "NOT CONVERGED"),
+        ("sigma0", sigma0),
+        ("cost", f"{solution.cost_initial:.4g} → {solution.cost_final:.4g}"),
+        ("degrees of freedom", str(fit.degrees_of_freedom)),
+        ("images", str(len(network.images))),
+        ("ground points", str(len(network.points))),
+        ("image measures", str(network.rays.point.size)),
+        ("laser ranges", str(network.ranges.point.size)),
+    ]

@@ -1,0 +1,212 @@
+"""All files of one adjustment, in one folder; and the record of all figures of merit, solution.json."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.merit import (
+    ORIENTATION,
+    PLACES,
+    RayStatistics,
+    laser_gain,
+    orientation_statistics,
+    point_statistics,
+    range_statistics,
+    ray_statistics,
+    solution_connectivity,
+)
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.network.connectivity_words import connectivity_json
+from mgsgraph.network.records import PointClass
+from mgsgraph.output.csv_json import plain, write_json
+from mgsgraph.output.folders import PROGRAM, RECORD, fresh_folder
+from mgsgraph.reports.archive import ARCHIVE, write_archive
+from mgsgraph.reports.control import control_json
+from mgsgraph.reports.shared import shared_table
+from mgsgraph.reports.strips import nodes_table, strips_table
+from mgsgraph.reports.summary import statements
+from mgsgraph.reports.tables import (
+    classes_table,
+    connectivity_table,
+    orientation_table,
+    points_table,
+    residuals_table,
+)
+from mgsgraph.units import ARCSEC
+
+FORMAT = 1
+"""Version of solution.json's layout."""
+_SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; times sigma0 they are scaled to the fit"
+
+
+def write_results(solution: Solution, folder: str | Path, figures: bool = True) -> list[str]:
+    """Write tables, archive and figures to a folder that appears whole or not at all.
+
+    Parameters
+    ----------
+    solution : Solution
+        Converged or not.
+    folder : path
+        Absent, empty, or an earlier result, which is replaced.
+    figures : bool
+        False leaves the figures out.
+
+    Returns
+    -------
+    list of str
+        Names of the files in the folder.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else, or can't be written.
+    """
+    with fresh_folder(folder) as aside:
+        return write_into(solution, aside, figures)
+
+
+def write_into(solution: Solution, folder: Path, figures: bool = True) -> list[str]:
+    """The same into a folder that exists, file by file; returns their names."""
+    connected = solution_connectivity(solution)
+    write_json(folder / RECORD, solution_json(solution, connected))
+    points_table(solution).write_csv(folder / "points.csv")
+    orientation_table(solution).write_csv(folder / "orientation.csv")
+    residuals_table(solution).write_csv(folder / "residuals.csv")
+    connectivity_table(connected).write_csv(folder / "connectivity.csv")
+    write_archive(solution, folder / ARCHIVE)
+    names = [RECORD, "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv", ARCHIVE]
+    if solution.network.shared:
+        shared_table(solution).write_csv(folder / "shared.csv")
+        names.append("shared.csv")
+    if solution.network.strips:
+        nodes_table(solution).write_csv(folder / "strips.csv")
+        names.append("strips.csv")
+    if not figures:
+        return names
+    from mgsgraph.figures import write_figures  # matplotlib takes its time; only those who draw wait for it
+
+    return names + write_figures(solution, folder, connected)
+
+
+# --- the record
+
+
+def solution_json(solution: Solution, connected: Connectivity | None = None) -> dict[str, Any]:
+    """All figures of merit of a solution, as plain values for strict JSON: what isn't a number is None.
+
+    Units stand in the keys' names. `sigma_mean` is the mean standard deviation over the places, not that of the mean.
+    `connected` saves finding it anew.
+    """
+    network, fit = solution.network, solution.fit
+    connected = connected or solution_connectivity(solution)
+    rays = ray_statistics(solution)
+    record = {
+        "program": PROGRAM,
+        "format": FORMAT,
+        "name": solution.name,
+        "status": "converged" if solution.converged else "not converged",
+        "message": solution.message,
+        "iterations": solution.iterations,
+        "cost_initial": solution.cost_initial,
+        "cost_final": solution.cost_final,
+        "sigma0": solution.sigma0,
+        "degrees_of_freedom": fit.degrees_of_freedom,
+        "observations": fit.observations,
+        "unknowns": fit.unknowns,
+        "images": [_image(solution, j, rays) for j in range(len(network.images))],
+        "islands": [[network.images[j].name for j in island] for island in connected.islands],
+        "connectivity": connectivity_json(connected),
+        "points": {row.pop("kind"): row for row in classes_table(solution).records()},
+        "undetermined": [network.points.ids[i] for i in np.flatnonzero(~solution.determined)],
+        "ranges": _ranges(solution),
+        "laser_effect": _laser_effect(solution),
+        "control": control_json(solution),
+        "shared": shared_table(solution).drop("unit").records(),
+        "strips": strips_table(solution).records(),
+        "sigmas": _sigmas(solution),
+        "settings": dataclasses.asdict(solution.settings),
+        "seconds": dict(solution.seconds),
+        "versions": dict(solution.versions),
+        "statements": statements(solution, connected),
+    }
+    found: dict[str, Any] = plain(record)
+    return found
+
+
+def _name(point_class: PointClass) -> str:
+    return point_class.name.lower()
+
+
+def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
+    image = solution.network.images[j]
+    line, sample = rays.rms_of_images[j]
+    record: dict[str, Any] = {
+        "name": image.name,
+        "held": bool(solution.network.held[j]),
+        "strip": _strip_name(solution, j),
+        "lines": image.lines,
+        "samples": image.samples,
+        "rays": int(rays.total[j]),
+        "rays_used": int(rays.count[j].sum()),
+        "residual_rms_line_px": line,
+        "residual_rms_sample_px": sample,
+    }
+    for c in PointClass:
+        record[_name(c)] = {
+            "count": int(rays.count[j, c]),
+            "mean_line_px": rays.mean[j, c, 0],
+            "mean_sample_px": rays.mean[j, c, 1],
+            "rms_line_px": rays.rms[j, c, 0],
+            "rms_sample_px": rays.rms[j, c, 1],
+        }
+    return record | {"orientation": _orientation(solution, j)}
+
+
+def _strip_name(solution: Solution, j: int) -> str | None:
+    strip = int(solution.network.strip_of[j])
+    return solution.network.strips[strip].name if strip >= 0 else None
+
+
+def _orientation(solution: Solution, j: int) -> dict[str, Any]:
+    found = orientation_statistics(solution, j)
+    record: dict[str, Any] = {"places": PLACES}
+    for k, component in enumerate(ORIENTATION):
+        unit, factor = ("m", 1.0) if k < 3 else ("arcsec", ARCSEC)
+        record[f"{component.replace(' ', '_')}_{unit}"] = {
+            "mean": found.mean[k] / factor, "rms": found.rms[k] / factor, "sigma_mean": found.mean_sigma[k] / factor,
+        }
+    return record
+
+
+def _ranges(solution: Solution) -> dict[str, Any]:
+    found = range_statistics(solution)
+    return {
+        "count": found.count,
+        "used": found.used,
+        "mean_residual_m": found.mean,
+        "rms_residual_m": found.rms,
+        "mean_residual_before_m": found.mean_before,
+        "rms_residual_before_m": found.rms_before,
+    }
+
+
+def _laser_effect(solution: Solution) -> dict[str, Any] | None:
+    without = solution.sigmas_without_laser
+    if without is None:
+        return None
+    sigmas = point_statistics(solution, PointClass.TIE).mean_sigma
+    return {
+        "tie_mean_sigma_m": sigmas,
+        "tie_mean_sigma_without_laser_m": without,
+        "ratio": without / sigmas,
+        "ratio_overall": laser_gain(solution),
+    }
+
+
+def _sigmas(solution: Solution) -> dict[str, Any]:
+    """What all sigmas mean, and the mean ones scaled to the fit."""
+    scaled = {_name(c): point_statistics(solution, c).mean_sigma * solution.sigma0 for c in PointClass}
+    return {"meaning": _SIGMAS, "sigma0": solution.sigma0, "scaled_by_sigma0": {"mean_sigma_m": scaled}}

@@ -1,0 +1,89 @@
+"""Unknowns that images share, and whether they can be told apart from along-track pointing.
+
+*Likeness* is the cosine of the angle between what two unknowns do to the measures, points free and priors left out: at
+1 the measures cannot tell them apart, whatever the sigmas are. *Correlation* is the posterior's, priors included.
+"""
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.shared_unknowns import SharedEstimate, shared_estimates
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.geometry.records import Array
+from mgsgraph.output.table import Column, Table
+from mgsgraph.wording import some
+
+_CORRELATED = 0.9
+"""Correlation with a constant pitch, and share of the a-priori sigma that is left, above which something is said."""
+_ALIKE = 0.99
+"""Likeness from which the measures count as unable to tell two unknowns apart."""
+
+
+IN_TEXT = ("text", "value", "sigma", "prior_sigma", "unit", "correlation_with_pitch", "likeness_to_pitch")
+ON_PAGE = ("name", "kind", "axis", "unit", "value", "sigma", "prior_sigma", "image", "correlation_with_pitch",
+           "likeness_to_pitch")  # fmt: skip
+"""Columns of the table of shared unknowns for the terminal and on the page."""
+
+
+def shared_table(solution: Solution) -> Table:
+    """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
+    found = shared_estimates(solution)
+
+    def numbers(name: str) -> Array:
+        return np.array([getattr(one, name) for one in found], dtype=np.float64)
+
+    units = [one.unit for one in found]
+    return Table("shared", "Unknowns that images share", (
+        Column("text", [f"{one.name[:34]} {one.axis}".strip() for one in found], label="Shared unknowns", text="<38",
+               files=False),
+        Column("name", [one.name for one in found], meaning="of the unknown", page="s"),
+        Column("kind", [one.kind.value for one in found], meaning="as the case file names it", page="s"),
+        Column("axis", [one.axis for one in found], meaning="of the camera, of a boresight", page="s"),
+        Column("unit", units, meaning="s, mrad or m", page="s", text="<5"),
+        Column("image", [one.image for one in found], meaning="whose constant pitch it is most like",
+               head="most like pitch of", page="s"),
+        Column("value", numbers("value"), units, "adjusted", page=".4g", text=">+10.4g"),
+        Column("sigma", numbers("sigma"), units, "for sigma0 = 1", head="σ", page=".4g", label="sigma", text=">9.3g"),
+        Column("prior_sigma", numbers("prior_sigma"), units, "the same beforehand", head="a-priori σ", page=".4g",
+               label="before", text=">9.3g"),
+        Column("correlation_with_pitch", numbers("correlation"), meaning="of the posterior, with that pitch",
+               head="correlation", page=".3f", label="with pitch: corr.", text=">17.2f"),
+        Column("likeness_to_pitch", numbers("likeness"), meaning="cosine of what both do to the measures",
+               head="likeness", page=".3f", label="alike", text=">6.2f"),
+        Column("likeness_to_pitches", numbers("together"), meaning="with the best mixture of all images' pitches"),
+        Column("ground_m_per_{unit}", numbers("ground"), units, "m on the ground, in the middle of that image"),
+    ))  # fmt: skip
+
+
+def shared_statements(solution: Solution) -> list[str]:
+    """A sentence or two about each column."""
+    return [" ".join([_value(one), *_warnings(one)]) for one in shared_estimates(solution)]
+
+
+def _value(one: SharedEstimate) -> str:
+    parts = (one.kind if one.name != one.kind else "", f"axis {one.axis}" if one.axis else "")
+    what = f" ({', '.join(part for part in parts if part)})" if any(parts) else ""
+    return (
+        f"{one.name[0].upper()}{one.name[1:]}{what}: {one.value:+.3g} {one.unit}, sigma {one.sigma:.2g} {one.unit} "
+        f"(beforehand {one.prior_sigma:.2g} {one.unit})."
+    )
+
+
+def _warnings(one: SharedEstimate) -> list[str]:
+    found = []
+    ground = "" if np.isnan(one.ground) else f" 1 {one.unit} of it is {one.ground:.0f} m on the ground there."
+    figures = f"likeness {one.likeness:.2f}, correlation {one.correlation:.2f}"
+    if one.likeness > _ALIKE:
+        found.append(
+            f"The measures cannot tell it apart from a constant pitch of image {one.image} ({figures}): only what is "
+            f"known of the two beforehand does.{ground}"
+        )
+    elif abs(one.correlation) > _CORRELATED:
+        found.append(f"It can hardly be told apart from a constant pitch of image {one.image} ({figures}).{ground}")
+    elif one.together > _ALIKE:
+        found.append(
+            f"The measures cannot tell it apart from constant pitches of {some(one.mixture, len(one.mixture))} "
+            f"together: only what is known of them beforehand does (most like: {one.image}, {figures}).{ground}"
+        )
+    if one.sigma > _CORRELATED * one.prior_sigma:
+        found.append("The measures say hardly anything about it.")
+    return found

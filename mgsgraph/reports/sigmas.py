@@ -1,0 +1,131 @@
+"""Sigmas along an image's lines and over an overlap: sections of an analysis, a table, a GeoTIFF.
+
+The GeoTIFF has four bands in metres, on the body's sphere, planetocentric degrees.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
+from mgsgraph.adjustment.analysis.posterior import Posterior
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.output.folders import PROGRAM
+from mgsgraph.output.geotiff import geotiff
+from mgsgraph.output.table import Column, Table
+from mgsgraph.units import DEG
+
+_CRS = {3396190.0: "IAU_2015:49900", 1737400.0: "IAU_2015:30100"}
+"""Sphere, ocentric, of Mars and of the Moon, by equatorial radius in m."""
+
+
+def _nothing(folder: Path, figures: bool) -> list[str]:
+    return []
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One part of an analysis."""
+
+    key: str
+    """Its key in analysis.json."""
+    text: str
+    """Lines for a person."""
+    record: Any
+    """The same for a program, units in the keys."""
+    write: Callable[[Path, bool], list[str]] = _nothing
+    """Writes its own files into a folder, with figures or without; their names."""
+
+
+def _file_of(posterior: Posterior, image: str) -> str:
+    """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
+    plainly = re.sub(r"[^A-Za-z0-9.-]+", "_", image)
+    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.image_number(image) + 1}"
+
+
+def curve_section(posterior: Posterior, image: str) -> Section:
+    """Sigmas of the orientation along an image's lines."""
+    picture = posterior.network.images[posterior.image_number(image)]
+    poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
+    lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
+    units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("mrad", sigmas[:, 3:], FLIGHT_NAMES[3:]))
+    parts = [
+        Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
+        for unit, values, axes in units for k, axis in enumerate(axes)
+    ]  # fmt: skip
+    table = Table("sigmas", "Sigmas along an image", (
+        Column("image", [image] * lines.size), Column("line", lines, text=">9.0f"), *parts,
+    ))  # fmt: skip
+    file = _file_of(posterior, image)
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        table.write_csv(folder / f"{file}.csv")
+        if not figures:
+            return [f"{file}.csv"]
+        from mgsgraph.figures.sheet import plain_style, save  # matplotlib takes its time
+        from mgsgraph.figures.sigmas import curve_sheet
+
+        with plain_style():
+            return [f"{file}.csv", *save(curve_sheet(poses, file), folder)]
+
+    text = "\n".join([f"Sigmas along image {image} (m; mrad)", *table.take(np.arange(0, lines.size, 10)).text()])
+    record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
+    return Section("curves", text, record, write)
+
+
+def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | None, sigma: float) -> Section:
+    """Sigmas of new points, measured to `sigma` px, over the overlap of images (all when empty); cells of `cell` m."""
+    grid = sigma_grid(posterior, images, cell, sigma)
+    body = posterior.network.images[0].body
+
+    def write(folder: Path, figures: bool) -> list[str]:
+        write_sigma_raster(grid, body, folder / "sigmas.tif")
+        if not figures:
+            return ["sigmas.tif"]
+        from mgsgraph.figures.sheet import plain_style, save
+        from mgsgraph.figures.sigmas import raster_sheet
+
+        with plain_style():
+            return ["sigmas.tif", *save(raster_sheet(grid, "sigma_map"), folder)]
+
+    _, rows, columns = grid.values.shape
+    record = {
+        "images": list(grid.images), "measure_sigma_px": grid.sigma, "cell_m": grid.steps[1] * body.equatorial,
+        "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
+        "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
+    }  # fmt: skip
+    return Section("raster", f"{grid.statement[0].upper()}{grid.statement[1:]}.", record, write)
+
+
+def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
+    """Write a sigma grid as a GeoTIFF (float32, m, NaN where nothing is known), whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If it can't be written.
+    """
+    across, down = (step / DEG for step in grid.steps)
+    tags = {"images": ", ".join(grid.images), "measure_sigma_px": f"{grid.sigma:g}", "program": PROGRAM}
+    corner = grid.west / DEG, grid.north / DEG
+    with (
+        fresh_file(path) as aside,
+        geotiff(aside, grid.values.shape, body_crs(body), corner, (across, down), dtype="float32", nodata=np.nan)
+        as file,
+    ):
+        file.write(grid.values.astype(np.float32))
+        file.update_tags(**tags)
+        for k, name in enumerate(BANDS, start=1):
+            file.set_band_description(k, name)
+            file.set_band_unit(k, "m")
+
+
+def body_crs(body: Ellipsoid) -> str:
+    """Coordinate system of planetocentric degrees: IAU's code where it has the body's radius, else a sphere of it."""
+    return _CRS.get(body.equatorial, f"+proj=longlat +R={body.equatorial:.3f} +no_defs")

@@ -1,0 +1,155 @@
+"""Strips in reports: how their trajectories were corrected along time, and how well that is known.
+
+Corrections are those of the orientation images alone, in the terms of the flight (`datum.frames`): along, across and
+radial; roll, pitch and yaw. What unknowns that images share do to them on top stands in `shared.csv`.
+"""
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.strip_corrections import StripReport, strip_reports
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.geometry.orientation import COMPONENTS as AXES
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import JointNodePrior, Network, NodePrior
+from mgsgraph.network.support import support
+from mgsgraph.output.table import Column, Table
+from mgsgraph.units import KM, MGON
+from mgsgraph.wording import many, some, span, three
+
+POSITION, ROTATION = FLIGHT_NAMES[:3], FLIGHT_NAMES[3:]
+"""Components of corrections along a strip: m, and rad."""
+_J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
+_ROWS = 24
+"""Strips that are listed."""
+
+
+# --- tables
+
+
+def strips_table(solution: Solution) -> Table:
+    """One row per strip."""
+    found = strip_reports(solution)
+
+    def numbers(name: str) -> Array:
+        return np.array([getattr(one, name) for one in found], dtype=np.float64)
+
+    largest, sigmas = numbers("largest").reshape(-1, 6), numbers("mean_sigmas").reshape(-1, 6)
+    (m, mgon), heads = ((("along", "acr.", "rad."), ROTATION), (POSITION, ROTATION))
+    of_largest, of_sigmas = (
+        [tuple(f"{what} {name}" for name in some) for some in heads] for what in ("largest Δ", "σ")
+    )
+    return Table("strips", "Strips", (
+        Column("name", [one.name for one in found], head="strip", page="s", label="Strips", text="<22"),
+        Column("basis", [one.basis for one in found], page="s"),
+        Column("images", [one.images for one in found]),
+        Column("number", np.array([len(one.images) for one in found]), head="images", page="s", files=False),
+        Column("nodes", np.array([one.nodes for one in found]), page="s", text=">5"),
+        Column("spacing", numbers("spacing"), "s", "on the average", page=".3f", label="every s", text=">8.2f"),
+        Column("spacing_lines", numbers("lines"), label="lines", text=">7.0f"),
+        Column("spacing", numbers("ground"), "km", "over ground", label="km", text=">6.1f"),
+        Column("largest_correction", largest[:, :3], "m", "at a node", m, of_largest[0], ".2f"),
+        Column("largest_roll_pitch_yaw", largest[:, 3:], "mgon", "at a node", mgon, of_largest[1], ".2f"),
+        Column("mean_sigma", sigmas[:, :3], "m", "of the nodes", m, of_sigmas[0], ".2f", "mean sigma [m]", ">5", 3),
+        Column("mean_sigma_roll_pitch_yaw", sigmas[:, 3:], "mgon", "of the nodes", mgon, of_sigmas[1], ".2f",
+               "mean sigma [mgon]", ">7", 2),
+        Column("trend", [[_trend_json(*part) for part in one.trend] for one in found]),
+    ), "Corrections at the orientation images: the largest, and the mean sigma.")  # fmt: skip
+
+
+def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[str, Any]:
+    unit, scale = ("mgon", MGON) if component in AXES[3:] else ("m", 1.0)
+    return {"part": part, "component": component, f"value_{unit}": value / scale, f"sigma_{unit}": sigma / scale}
+
+
+def nodes_table(solution: Solution) -> Table:
+    """One row per node within a strip: its time, and corrections with sigmas in m, mgon and arcsec."""
+    found = [(one.name, one.course) for one in strip_reports(solution)]
+    times = np.concatenate([course.times for _, course in found])
+
+    def amounts(part: str, of: Array) -> list[Column]:
+        what = "of the nominal trajectory, in terms of the flight" if part == "correction" else "for sigma0 = 1"
+        turns = [Column(f"{part}_{{}}", of[:, 3:], unit, what, ROTATION) for unit in ("mgon", "arcsec")]
+        return [Column(f"{part}_{{}}", of[:, :3], "m", what, POSITION), *turns]
+
+    return Table("nodes", "Orientation images", (
+        Column("strip", [name for name, course in found for _ in range(course.times.size)], meaning="its name"),
+        Column("node", np.concatenate([np.arange(1, course.times.size + 1) for _, course in found]), meaning="from 1"),
+        Column("time_tdb", [calendar(time) for time in times.tolist()], meaning="calendar date"),
+        Column("time_et", times, "s", "TDB past J2000"),
+        Column("time_in_strip", np.concatenate([course.times - course.times[0] for _, course in found]), "s",
+               "since the first node"),
+        *amounts("correction", np.concatenate([course.values for _, course in found])),
+        *amounts("sigma", np.concatenate([course.sigmas for _, course in found])),
+    ))  # fmt: skip
+
+
+def calendar(time: float) -> str:
+    """Calendar date of s TDB past J2000, in TDB: UTC is the leap seconds (64 to 69) behind."""
+    return (_J2000 + timedelta(seconds=round(time, 3))).strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3]
+
+
+# --- words
+
+
+def strips_statements(solution: Solution) -> list[str]:
+    """A sentence or two about each strip."""
+    found = strip_reports(solution)
+    more = [f"{many(len(found) - _ROWS, 'more strip')}: see solution.json."] if len(found) > _ROWS else []
+    return [_words(one) for one in found[:_ROWS]] + more
+
+
+def _words(one: StripReport) -> str:
+    return (
+        f"Strip {one.name} ({many(len(one.images), 'image')}): {one.nodes} orientation images ({one.basis}), one every "
+        f"{one.spacing:.3g} s, {one.lines:.0f} lines or {one.ground / KM:.3g} km on the ground. They correct the "
+        f"trajectory by up to {three(one.largest[:3])} m along, across and radially and by up to "
+        f"{three(one.largest[3:] / MGON)} mgon in roll, pitch and yaw, with mean sigmas of "
+        f"{three(one.mean_sigmas[:3])} m and {three(one.mean_sigmas[3:] / MGON)} mgon."
+    )
+
+
+def strips_inventory(network: Network) -> str:
+    """Strips of a network, with what is known of their trajectories beforehand."""
+    lines = ["Strips"]
+    for one in network.strips:
+        start, stop = one.nodes.coverage
+        names = [network.images[j].name for j in one.images.tolist()]
+        lines += [
+            f"  {one.name}: {some(names, len(names))}",
+            f"    {len(one.nodes)} orientation images ({one.nodes.basis}), one every {one.nodes.spacing:.4g} s of "
+            f"{stop - start:.4g} s from {calendar(start + one.nodes.epoch)} TDB on",
+            f"    a-priori sigmas: {_prior_words(one.prior)}",
+        ]
+    return "\n".join(lines)
+
+
+def _prior_words(prior: NodePrior | JointNodePrior) -> str:
+    if isinstance(prior, JointNodePrior):
+        return "of all nodes jointly"
+    parts = [
+        f"{name} {span(sigmas[:3])} m and {span(sigmas[3:] / MGON)} mgon"
+        for name, sigmas in (("bias", prior.bias), ("drift", prior.drift), ("departures", prior.sigmas))
+    ]
+    after = f", correlated over {prior.correlation_time:g} s" if prior.correlation_time else ", each by itself"
+    return f"{', '.join(parts)}{after}"
+
+
+def bare_nodes(network: Network) -> list[str]:
+    """Sentences about strips with nodes near which hardly anything was measured."""
+    found = []
+    for k, strip in enumerate(network.strips):
+        near = support(network, k)
+        if near.gaps.size:
+            found.append(
+                f"strip {strip.name}: fewer than {near.least} rays near {near.gaps.size} of its {len(strip.nodes)} "
+                "nodes, between others that have them: closer than the data supports, and refused by adjust"
+            )
+        if outer := int(np.count_nonzero(near.unfelt)) - near.gaps.size:
+            found.append(
+                f"strip {strip.name}: no rays near {many(outer, 'node')} at its ends: there it follows its prior"
+            )
+    return found

@@ -1,0 +1,219 @@
+"""Tables of a solution: images, points, orientation, residuals, pairs of images.
+
+The columns of files carry their units. Lines and samples are counted as ISIS does, the first pixel's centre at (1, 1);
+latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights are given as radii.
+"""
+
+
+import numpy as np
+
+from mgsgraph.adjustment.analysis.merit import (
+    PLACES,
+    local_sigmas,
+    orientation_statistics,
+    point_statistics,
+    ray_statistics,
+    rejected_points,
+    used_ray_counts,
+)
+from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.output.csv_json import padded, picked
+from mgsgraph.output.table import ISIS, Column, Table
+from mgsgraph.ties import PointKind
+from mgsgraph.units import DEG
+
+_REMARKS = ("bridge", "overlap without common points", "common points without overlap")
+
+
+def images_table(solution: Solution) -> Table:
+    """One row per image: measures, residuals, corrections; in text and on the page."""
+    network, rays = solution.network, ray_statistics(solution)
+    found = [orientation_statistics(solution, j) for j in range(len(network.images))]
+    mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
+    sigma = np.where(network.held[:, None], np.nan, sigma)
+    strips = [network.strips[strip].name if strip >= 0 else "" for strip in network.strip_of.tolist()]
+    return Table("images", "Images", (
+        Column("image", [image.name for image in network.images], page="s", label="Images", text="<26"),
+        Column("strip", strips, page="s"),
+        Column("lines", np.array([image.lines for image in network.images]), "px", page="s"),
+        Column("samples", np.array([image.samples for image in network.images]), "px", page="s"),
+        Column("measures", rays.total, page="s", label="rays", text=">6"),
+        Column("used", rays.count.sum(axis=1), page="s", text=">6"),
+        Column("residual_{}", rays.rms_of_images, "px", "rms of the measures used, measured minus predicted",
+               ("line", "sample"), "residual {}", ".2f", "residuals [px]", ">7", gap=2),
+        Column("correction_{}", mean[:, :3], "m", "adjusted minus nominal, body-fixed, mean over the lines",
+               ("X", "Y", "Z"), "Δ{}", ".1f", "mean correction [m]", ">7", gap=2),
+        Column("sigma_{}", sigma[:, :3], "m", "of the adjusted position; none of a held image",
+               ("X", "Y", "Z"), "σ {}", ".1f"),
+        Column("turn_{}", mean[:, 6:], "arcsec", "the same about the camera's own axes", ("x", "y", "z"), "turn {}",
+               ".1f", "camera axes [arcsec]", ">7", gap=2),
+        Column("sigma_turn_{}", sigma[:, 6:], "arcsec", "of the adjusted attitude", ("x", "y", "z"), "σ turn {}",
+               ".1f"),
+    ), instead=dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}")))  # fmt: skip
+
+
+def classes_table(solution: Solution) -> Table:
+    """One row per class of points, those without any, too: how many, how well they are known, how far they moved."""
+    found = [point_statistics(solution, c) for c in PointClass]
+    sigma, mean, rms = (
+        np.array([getattr(one, name) for one in found]) for name in ("mean_sigma", "mean_correction", "rms_correction")
+    )
+    axes, capital = ("x", "y", "z"), "XYZ"
+    return Table("classes", "Ground points by kind", (
+        Column("kind", [c.name.lower() for c in PointClass], page="s", label="Points", text="<10"),
+        Column("count", np.array([one.count for one in found]), head="points", page="s", label="count", text=">8"),
+        Column("rejected", np.array([one.rejected for one in found]), page="s", text=">9"),
+        Column("mean_sigma_{}", sigma, "m", "for sigma0 = 1, body-fixed", axes, tuple(f"mean σ {a}" for a in capital),
+               ".2f", "mean sigma [m]", ">9", gap=2),
+        Column("scaled_sigma_{}", sigma * solution.sigma0, "m", "times sigma0", axes,
+               tuple(f"σ {a} × σ₀" for a in capital), ".2f", files=False),
+        Column("mean_correction_{}", mean, "m", "adjusted minus before", axes),
+        Column("rms_correction_{}", rms, "m", "the same", axes, tuple(f"rms Δ{a}" for a in capital), ".2f",
+               "rms correction [m]", ">9", gap=2),
+    ), "Body-fixed axes. Sigmas for sigma0 = 1, and scaled by sigma0; corrections are adjusted minus before.",
+    )  # fmt: skip
+
+
+def points_table(solution: Solution) -> Table:
+    """One row per ground point: adjusted place, sigmas, covariance, rays and correction; unknown where undetermined."""
+    network, sigmas, places = solution.network, solution.sigmas, solution.places
+    moved, rejected = places - solution.places_before, rejected_points(solution)
+    longitude, latitude, radius = planetocentric(places).T
+    xyz, local = ("x", "y", "z"), ("east", "north", "up")
+    a, b = np.triu_indices(3)
+    areoid = [] if network.areoid is None else [
+        Column("height_above_areoid", radius - network.areoid.at(places), "m", "where the case has topography")
+    ]  # fmt: skip
+    return Table("points", "Ground points", (
+        Column("id", network.points.ids, meaning="of the point", head="point", page="s"),
+        Column("class", _names(PointClass, network.points.classes), meaning="tie, laser or control", head="kind",
+               page="s"),
+        Column("kind", _names(PointKind, network.points.kinds), meaning="what is known beforehand", head="known",
+               page="s"),
+        Column("rejected", rejected, meaning="all its rays, as blunders"),
+        Column("rays", network.ray_counts, meaning="images in which it is measured"),
+        Column("rays_used", used_ray_counts(solution), meaning="those that took part", head="rays used", page="s"),
+        Column("{}", places, "m", "body-fixed", xyz),
+        Column("lon", longitude / DEG % 360.0, "deg", "planetocentric, 0 .. 360 east", head="east longitude",
+               page=".5f", scale=1.0),
+        Column("lat", latitude, "deg", "planetocentric", head="latitude", page=".5f"),
+        Column("radius", radius, "m", "from the body's centre"),
+        Column("height", geodetic(places, network.images[0].body)[:, 2], "m", "above the ellipsoid", page=".2f"),
+        *areoid,
+        Column("sigma_{}", sigmas, "m", "for sigma0 = 1, body-fixed", xyz),
+        Column("sigma_{}", local_sigmas(solution), "m", "for sigma0 = 1", local, "σ {}", ".2f"),
+        Column("scaled_sigma_{}", sigmas * solution.sigma0, "m", "times sigma0", xyz),
+        Column("cov_{}", solution.covariances[:, a, b], "m2", "for sigma0 = 1, body-fixed",
+               tuple(f"{xyz[i]}{xyz[j]}" for i, j in zip(a, b, strict=True))),
+        Column("correction_{}", moved, "m", "adjusted minus before, body-fixed", xyz),
+        Column("moved_{}", np.einsum("nij,nj->ni", east_north_up(places), moved), "m", "adjusted minus before", local,
+               "Δ {}", ".2f", files=False),
+        Column("state", picked(("used", "rejected"), rejected.astype(np.int64)), page="s", files=False),
+    ), "Planetocentric latitudes, heights above the ellipsoid; sigmas for sigma0 = 1, corrections are adjusted minus "
+       "before. ")  # fmt: skip
+
+
+def orientation_table(solution: Solution) -> Table:
+    """The exterior orientation of every image at the papers' 31 places, before and after."""
+    images = solution.network.images
+    profiles = [orientation_profile(solution, j, PLACES) for j in range(len(images))]
+
+    def of(name: str) -> Array:
+        return np.concatenate([getattr(profile, name) for profile in profiles])
+
+    before, after, xyz, angles = of("position_before"), of("position_after"), ("x", "y", "z"), ("omega", "phi", "kappa")
+    return Table("orientation", "Exterior orientation along the images", (
+        Column("image", [image.name for image in images for _ in range(PLACES)], meaning="31 lines of each"),
+        Column("isis_line", of("lines") + ISIS, meaning="the first line's middle is 1"),
+        Column("time_et", of("times"), "s", "TDB past J2000"),
+        Column("{}_before", before, "m", "position, body-fixed", xyz),
+        Column("{}_after", after, "m", "the same, adjusted", xyz),
+        Column("{}_difference", after - before, "m", "adjusted minus before", xyz),
+        Column("{}_sigma", of("position_sigma"), "m", "for sigma0 = 1", xyz),
+        Column("{}_before", of("angles_before"), "deg", "camera to body = R3(kappa) R2(phi) R1(omega)", angles),
+        Column("{}_after", of("angles_after"), "deg", "the same, adjusted", angles),
+        Column("{}_difference", of("angle_differences"), "arcsec", "adjusted minus before", angles),
+        Column("{}_sigma", of("angles_sigma"), "arcsec", "for sigma0 = 1", angles),
+        Column("rotation_{}", of("rotation"), "arcsec", "correction about the camera's own axes", xyz),
+        Column("rotation_{}_sigma", of("rotation_sigma"), "arcsec", "for sigma0 = 1", xyz),
+    ))  # fmt: skip
+
+
+def residuals_table(solution: Solution) -> Table:
+    """One row per ray and one per range: residuals (measured minus predicted) before and after.
+
+    A normalised residual is the residual over its a-priori sigma. A range has the line at which its shot was taken.
+    """
+    network, rays, ranges = solution.network, solution.network.rays, solution.network.ranges
+    point, image = np.concatenate([rays.point, ranges.point]), np.concatenate([rays.image, ranges.image])
+    used = np.concatenate([solution.rays_used, solution.ranges_used])
+    shots, before, after = _shot_lines(solution), solution.residuals_before, solution.residuals
+    k, r = rays.point.size, ranges.point.size
+
+    def of_ray(c: int, way: str) -> list[Column]:
+        return [
+            Column(f"residual_before_{way}", padded(before[:, c], 0, r), "px", "nominal orientation",
+                   head=f"{way} before", page=".2f"),
+            Column(f"residual_{way}", padded(after[:, c], 0, r), "px", "adjusted", head=f"{way} after",
+                   page=".2f"),
+            Column(f"sigma_{way}", padded(rays.sigmas[:, c], 0, r), "px", "a priori", head=f"σ {way}", page=".2f"),
+            Column(f"normalised_{way}", padded(after[:, c] / rays.sigmas[:, c], 0, r),
+                   meaning="residual over its sigma"),
+        ]
+
+    return Table("measures", "Residuals", (
+        Column("kind", ["image"] * k + ["range"] * r, meaning="an image measure, or a range"),
+        Column("point", picked(network.points.ids, point), meaning="its id", page="s"),
+        Column("class", _names(PointClass, network.points.classes[point]), meaning="of the point", head="kind",
+               page="s"),
+        Column("image", picked([one.name for one in network.images], image), meaning="of a range: that carries it",
+               page="s"),
+        Column("used", used, meaning="false for blunders that were rejected"),
+        Column("isis_line", np.concatenate([rays.places[:, 0], shots]) + ISIS,
+               meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
+        Column("isis_sample", padded(rays.places[:, 1], 0, r) + ISIS, meaning="measured, from 1", head="sample",
+               page=".2f"),
+        *of_ray(0, "line"), *of_ray(1, "sample"),
+        Column("range", padded(ranges.values, k, 0), "m", "measured"),
+        Column("residual_before_range", padded(solution.range_residuals_before, k, 0), "m", "nominal orientation"),
+        Column("residual_range", padded(solution.range_residuals, k, 0), "m", "adjusted"),
+        Column("sigma_range", padded(ranges.sigmas, k, 0), "m", "a priori"),
+        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, 0),
+               meaning="residual over its sigma"),
+    ))  # fmt: skip
+
+
+def connectivity_table(connected: Connectivity) -> Table:
+    """One row per pair of images that share points or overlap: points by class, area, distance, and a remark."""
+    names, points = connected.names, connected.points
+    marks = connected.bridges, (points == 0) & (connected.areas > 0.0), (points > 0) & (connected.gaps > 0.0)
+    remarks = [
+        ", ".join(word for word, there in zip(_REMARKS, row, strict=True) if there) for row in zip(*marks, strict=True)
+    ]
+    return Table("connectivity", "Pairs of images", (
+        Column("image_a", picked(names, connected.pairs[:, 0]), meaning="one of the two"),
+        Column("image_b", picked(names, connected.pairs[:, 1]), meaning="the other"),
+        Column("common_points", points, meaning="seen in both"),
+        *(Column(f"{c.name.lower()}_points", connected.common[:, c], meaning="of these") for c in PointClass),
+        Column("remark", remarks, meaning="bridge: the only link between two parts of the block"),
+        Column("overlap", connected.areas, "km2", "of the footprints"),
+        Column("overlap_share", connected.shares, meaning="of the smaller footprint"),
+        Column("gap", connected.gaps, "km", "between the footprints"),
+    ))  # fmt: skip
+
+
+def _shot_lines(solution: Solution) -> Array:
+    """(r,) line of the carrying image that was read when the shot was taken."""
+    ranges, lines = solution.network.ranges, np.empty(solution.network.ranges.point.size)
+    for j in np.unique(ranges.image):
+        mine, image = ranges.image == j, solution.network.images[j]
+        lines[mine] = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
+    return lines
+
+
+def _names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> list[str]:
+    return picked([member.name.lower() for member in kind], codes)

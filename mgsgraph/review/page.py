@@ -1,0 +1,162 @@
+"""The page on which a person reviews tie points: one HTML file without any outside address, pictures as data URIs."""
+
+import base64
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mgsgraph.geometry.records import Array
+from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.matching.chips import REACH, SIDE
+from mgsgraph.output.table import ISIS
+from mgsgraph.review.review import MatchReview
+from mgsgraph.review.verdicts import Verdict, Verdicts
+from mgsgraph.ties import PointKind
+
+_MARKED = 0.75
+"""Chip pixels, shift from which on the best match is marked."""
+_TEMPLATE = "templates/review.html"
+
+
+def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = None) -> None:
+    """Write the page.
+
+    Parameters
+    ----------
+    review : MatchReview
+        What to show.
+    path : Path
+        HTML file; an earlier one is replaced.
+    verdicts : Verdicts, optional
+        Earlier ones, with which the page begins; of points that it doesn't show they are kept in what it saves.
+
+    Raises
+    ------
+    InputError
+        If the file can't be written.
+    """
+    import jinja2  # takes 0.1 s
+
+    known = {} if verdicts is None else verdicts.of
+    notes = {} if verdicts is None else verdicts.notes
+    here = set(review.ties.ids)
+    source = (files("mgsgraph.review") / _TEMPLATE).read_text(encoding="utf-8")
+    page = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
+    with fresh_file(path, "a file that may be written", "choose another --out") as aside:
+        page.from_string(source).stream(
+            review=review,
+            store=_store(review, verdicts),
+            points=_points(review, known, notes),
+            others=[(one, known[one].value, notes.get(one, "")) for one in known if one not in here],
+            sorts=_sorts(review),
+            side=SIDE,
+            reach=REACH,
+        ).dump(str(aside), encoding="utf-8")
+
+
+def _store(review: MatchReview, verdicts: Verdicts | None) -> str:
+    """Name under which a browser keeps verdicts: those that the page begins with aren't overruled by earlier ones."""
+    if verdicts is None:
+        return review.digest
+    begun = repr((sorted(verdicts.of.items()), sorted(verdicts.notes.items())))
+    return f"{review.digest} {zlib.crc32(begun.encode()):08x}"
+
+
+def _sorts(review: MatchReview) -> list[tuple[str, str]]:
+    """Keys and names of the orders in which points may be shown, of those figures that there are."""
+    wanted: list[tuple[str, str, Array]] = [
+        ("correlation", "correlation, lowest first", review.correlations),
+        ("misfit", "misfit of rays, largest first", review.misfits),
+        ("offset", "better match, furthest first", review.offsets),
+        ("residual", "residual, largest first", review.largest_residuals),
+        ("sigma", "sigma, largest first", review.sigmas),
+    ]
+    return [(key, words) for key, words, values in wanted if np.any(np.isfinite(values))]
+
+
+def _points(review: MatchReview, of: Mapping[str, Verdict], notes: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """What the page says of each point, one after the other: pictures of thousands need not be there at once."""
+    ties = review.ties
+    order = np.argsort(ties.measure_point, kind="stable")
+    rows = np.split(order, np.cumsum(np.bincount(ties.measure_point, minlength=len(ties.ids)))[:-1])
+    sorts = {
+        "correlation": review.correlations, "misfit": -review.misfits, "offset": -review.offsets,
+        "residual": -review.largest_residuals, "sigma": -review.sigmas,
+    }  # fmt: skip
+    for i, name in enumerate(ties.ids):
+        yield {
+            "id": name,
+            "kind": PointKind(ties.kinds[i]).name.lower(),
+            "verdict": of.get(name, Verdict.UNDECIDED).value,
+            "note": notes.get(name, ""),
+            "sorts": {key: float(values[i]) for key, values in sorts.items() if np.isfinite(values[i])},
+            "facts": _facts(review, i, float(sorts["correlation"][i])),
+            "measures": [_measure(review, k, first=k == rows[i][0]) for k in rows[i].tolist()],
+        }
+
+
+def _facts(review: MatchReview, i: int, correlation: float) -> list[tuple[str, str]]:
+    """Figures of a point, in words."""
+    skew, spacing, odd = review.skew[i], review.spacing[i], review.oddness[i]
+    misfit = f"{skew:.3g} m = {skew / spacing:.2f} px" if np.isfinite(skew) else "none: one ray"
+    return [
+        ("correlation", f"{correlation:.3f}" if np.isfinite(correlation) else "none"),
+        ("misfit of rays", misfit),
+        *([("beside neighbours", f"{odd:+.2f} px")] if np.isfinite(odd) else []),
+        ("chip pixel", f"{spacing:.3g} m" if np.isfinite(spacing) else "unknown"),
+    ]
+
+
+def _measure(review: MatchReview, k: int, first: bool) -> dict[str, Any]:
+    """What the page says of a measure: `rows` are figures of line and sample."""
+    ties, alike, residual = review.ties, review.alike, review.residuals[k]
+    line, sample = ties.measures[k].tolist()
+    rows = [
+        ("ISIS", f"{line + ISIS:.2f}", f"{sample + ISIS:.2f}"),
+        ("ours", f"{line:.2f}", f"{sample:.2f}"),
+        ("sigma", *(f"{value:.2f}" if np.isfinite(value) else "none" for value in ties.measure_sigmas[k])),
+    ]
+    if np.all(np.isfinite(residual)):
+        rows.append(("residual", f"{residual[0]:+.2f}", f"{residual[1]:+.2f}"))
+    shift = alike.shift[k]
+    known = bool(np.isfinite(shift[0]))
+    if known:
+        offset = review.step[k] @ shift
+        rows.append(("best at", f"{offset[0]:+.2f}", f"{offset[1]:+.2f}"))
+    return {
+        "image": ties.measure_image[k],
+        "png": base64.b64encode(png(review.chips[k])).decode() if np.isfinite(review.step[k, 0, 0]) else "",
+        "rows": rows,
+        "remark": _remark(review, k, first),
+        "ring": (0.5 * SIDE + shift[1], 0.5 * SIDE + shift[0]) if known and np.hypot(*shift) > _MARKED else None,
+    }
+
+
+def _remark(review: MatchReview, k: int, first: bool) -> str:
+    alike = review.alike
+    blunder = "; rejected by the adjustment" if review.rejected[k] else ""
+    if first:
+        return f"reference{blunder}"
+    if not np.isfinite(alike.correlation[k]):
+        found = f"; {alike.best[k]:.3f} elsewhere" if np.isfinite(alike.best[k]) else ""
+        return f"no correlation{found}{blunder}"
+    edge = f", or further than {REACH} px" if alike.at_edge[k] else ""
+    return f"correlation {alike.correlation[k]:.3f}, best {alike.best[k]:.3f}{edge}{blunder}"
+
+
+def png(grey: NDArray[np.uint8]) -> bytes:
+    """An 8-bit grey picture (rows, columns) as PNG (W3C, Portable Network Graphics, third edition)."""
+    height, width = grey.shape
+    scanlines = np.zeros((height, width + 1), dtype=np.uint8)  # each begins with its filter: none
+    scanlines[:, 1:] = grey
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = ((b"IHDR", head), (b"IDAT", zlib.compress(scanlines.tobytes(), 9)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    )

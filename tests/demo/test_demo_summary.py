@@ -1,0 +1,153 @@
+"""The demo of each study site against what the papers say of it, and its words and figures against its records."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mgsgraph.demo.demo import PAIR, STAGES, Demonstration, demonstrate, site_options
+from mgsgraph.demo.summary import MOST_SIGMAS, demo_statements, largest_sigmas_off, summary_json
+from mgsgraph.demo.truth import contradiction_at
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.network import PointClass
+from mgsgraph.simulation.sites import SITE_NAMES
+
+ALONG = {"gusev": -229.0, "isidis": 225.0}
+"""m, second image against the first (Table 5): the nadir image is the first at Gusev and the second at Isidis."""
+
+
+@pytest.fixture(scope="module", params=SITE_NAMES)
+def demo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Demonstration:
+    folder = tmp_path_factory.mktemp(request.param)
+    return demonstrate(request.param, folder, 1, site_options(request.param, pictures=False))
+
+
+def test_misregistration_is_seen_before_and_gone_after(demo: Demonstration) -> None:
+    name = demo.simulated.settings.name
+    for pair in (*demo.discrepancies, *demo.truth.between):
+        before, after = pair.before.metres[:, 0], pair.after
+        if name in ALONG:
+            assert before.mean() == pytest.approx(ALONG[name], abs=6.0)
+        else:
+            assert np.ptp(before) > 500.0  # 6' of pitch per half an image: 110 m each
+        assert np.sqrt(np.mean(after.pixels[:, 0] ** 2)) < 1.0
+    for pair in demo.truth.between:
+        assert np.abs(pair.sigmas_off).max() < MOST_SIGMAS
+    assert len(demo.discrepancies) == len(demo.truth.between) == 2
+
+
+def test_between_the_images_is_what_each_is_off(demo: Demonstration) -> None:
+    """Both flights have nearly the same direction, so metres in either image may be subtracted."""
+    for pair in demo.truth.between:
+        each = {one.after.image: one for one in demo.truth.orientation if one.profile == pair.profile}
+        for state in ("before", "after"):
+            found, first, second = (
+                getattr(one, state) for one in (pair, each[pair.before.against], each[pair.before.image])
+            )
+            rows = [np.searchsorted(one.shots, found.shots) for one in (first, second)]
+            difference = second.metres[rows[1]] - first.metres[rows[0]]
+            assert np.abs(found.metres - difference).max() < 0.03 * np.abs(first.metres).max() + 1.0
+
+
+def test_predicted_sigmas_are_the_spread_of_drawn_orientations(demo: Demonstration) -> None:
+    """Of the difference between the images: drawn from the joint covariance, where what they share cancels."""
+    solution, pair, rng = demo.solution, demo.truth.between[0], np.random.default_rng(3)
+    profile = demo.simulated.images[0].profile
+    chosen = np.isin(profile.true_places[:, 1, 0], pair.after.lines)
+    points, places = profile.true_footprints[chosen], profile.true_places[chosen]
+    size = solution.coefficients[0].size
+    root = np.linalg.cholesky(solution.joint_covariance.of((0, 1)))
+    drawn = []
+    for _ in range(60):
+        step = root @ rng.normal(size=2 * size)
+        corrections = tuple(
+            OrientationCorrection(solution.coefficients[j] + step[j * size : (j + 1) * size].reshape(-1, 6))
+            for j in (0, 1)
+        )
+        drawn.append(contradiction_at(solution.network.images[:2], corrections, points, places)[0])
+    ratio = np.std(drawn, axis=0) / pair.after.pixel_sigmas
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.2)
+    assert np.all((ratio > 0.6) & (ratio < 1.5))
+
+
+def test_sigmas_of_one_image_are_larger_than_those_between_two(demo: Demonstration) -> None:
+    """What both images share isn't known from ties."""
+    for pair in demo.truth.between:
+        own = [one.after for one in demo.truth.orientation if one.profile == pair.profile]
+        assert min(one.pixel_sigmas.mean() for one in own) > 5.0 * pair.after.pixel_sigmas.mean()
+
+
+def test_summary_holds_the_figures(demo: Demonstration) -> None:
+    record = summary_json(demo)
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    first, pair = record["between_images"][0], demo.discrepancies[0]
+    assert first["before"]["along_m"]["mean"] == pytest.approx(pair.before.metres[:, 0].mean())
+    assert first["before"]["along_px"]["rms"] == pytest.approx(np.sqrt(np.mean(pair.before.pixels[:, 0] ** 2)))
+    assert first["largest_sigmas_along"] == pytest.approx(largest_sigmas_off([pair])[0])
+    assert record["sigma0"] == demo.solution.sigma0
+    assert set(STAGES[:-1]) <= set(record["seconds"])
+    assert "largest_sigmas_along" in record["truth"]["orientation"][0]
+    assert "largest_sigmas_along" not in record["truth"]["footprints"][0]  # nothing is predicted there
+    shifts = {one["name"]: one["true_east_north_m"] for one in record["shifts"]}
+    for image in demo.simulated.images:
+        assert shifts[image.settings.profile] == (-image.profile.shift).tolist()
+    for one, image in zip(record["orientation"], demo.simulated.images, strict=True):
+        assert one["image"] == image.true.name
+        left = np.array(one["error_before_mean_m"]) + one["correction_mean_m"]
+        np.testing.assert_allclose(left, one["error_after_mean_m"], atol=1e-6)
+
+
+def test_errors_before_are_those_put_in(demo: Demonstration) -> None:
+    """Position errors are constant, so the mean over the image has their size; polynomials add some millimetres."""
+    for one, image in zip(summary_json(demo)["orientation"], demo.simulated.images, strict=True):
+        size = np.linalg.norm(one["error_before_mean_m"])
+        assert size == pytest.approx(np.linalg.norm(image.errors.position), abs=1.0)
+
+
+def test_words_say_what_was_wrong_and_what_is_right(demo: Demonstration) -> None:
+    text = demo_statements(demo)
+    before, after = (next(one for one in text if one.startswith(word)) for word in ("Before", "After"))
+    rms = np.sqrt(np.mean(np.concatenate([pair.before.metres[:, 0] for pair in demo.discrepancies]) ** 2))
+    assert f"{rms:.0f} m apart" in before
+    assert "MOLA spacings" in before
+    assert "along the flight" in after
+    for image in demo.simulated.images:
+        assert sum(one.startswith(f"Truth, {image.true.name}") for one in text) == 1
+    assert sum(one.startswith("Put in") for one in text) == 3
+    for point_class in (PointClass.TIE, PointClass.LASER):
+        assert sum(one.startswith(f"Truth, {point_class.name.lower()} points") for one in text) == 1
+    assert text[-1].startswith("In short")
+
+
+def test_sources_are_named_from_the_results(demo: Demonstration) -> None:
+    """Results are written beside their final place, whose name they must not keep."""
+    network, folder = demo.case.network, demo.case.path.parent
+    assert network.surface is not None
+    assert network.areoid is not None
+    sources = [network.surface.grid.source, network.areoid.source, *(shots.source for shots in demo.case.profiles)]
+    assert all(source.startswith(f"{folder.name}/") for source in sources)
+    assert not any(str(folder) in source for source in sources)
+
+
+def test_words_admit_what_is_not_within_its_sigmas(demo: Demonstration) -> None:
+    truth = demo.truth
+    far = tuple(
+        replace(pair, after=replace(pair.after, pixel_sigmas=pair.after.pixel_sigmas / 100.0)) for pair in truth.between
+    )
+    spoilt = replace(demo, truth=replace(truth, between=far))
+    said = next(one for one in demo_statements(spoilt) if one.startswith("Truth, between"))
+    assert "NOT every point" in said
+    assert "NOT" not in next(one for one in demo_statements(demo) if one.startswith("Truth, between"))
+
+
+def test_sites_and_options_are_checked(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="eos, gusev, isidis or pair"):
+        site_options("olympus")
+    with pytest.raises(InputError, match="attitude time bias"):
+        site_options(PAIR, 0.5)
+    with pytest.raises(InputError, match="attitude_time_bias"):
+        site_options("gusev", float("nan"))
+    assert site_options("gusev", 0.95).attitude_time_bias == 0.95

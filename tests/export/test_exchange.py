@@ -1,0 +1,328 @@
+"""Networks from one format to another: one place counted rightly in each, and what gets lost said."""
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from mgsgraph.errors import InputError
+from mgsgraph.export.exchange import Lossy, convert, format_of, read_networks
+from mgsgraph.export.exchange_losses import Format, losses
+from mgsgraph.export.exchange_setting import ExchangeSetting, setting_of
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.io.asp.match import read_match, read_match_text
+from mgsgraph.io.asp.nvm import read_offsets
+from mgsgraph.io.control.binary import write_binary_network
+from mgsgraph.io.control.network_file import read_network
+from mgsgraph.io.control.record import (
+    AprioriSource,
+    ControlMeasure,
+    ControlNetwork,
+    ControlPoint,
+    MeasureType,
+    PointType,
+)
+from mgsgraph.io.control.table import read_tie_points
+
+SIZES = {"one": (2001, 1024), "two": (5000, 672)}
+MARS = Ellipsoid(3396190.0, 3376200.0)
+SETTING = ExchangeSetting(SIZES, MARS, "MARS")
+TABLE = """\
+id,image,type,isis_line,isis_sample,sigma_line_px,sigma_sample_px,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m
+a,one,free,100.25,33.5,0.5,0.5,,,,,,
+a,two,free,70,80,0.5,0.5,,,,,,
+b,one,free,1,1,0.5,0.5,,,,,,
+b,two,free,5,6,0.5,0.5,,,,,,
+3,one,constrained,9,10,1,2,1485514.8,-2937138.2,829401.9,1,2,3
+"""
+CENTRE = (100.25, 33.5)
+"""Of point a in image one, line and sample as ISIS counts."""
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    path = tmp_path / "points.csv"
+    path.write_text(TABLE)
+    return path
+
+
+def test_one_place_in_every_count(table: Path) -> None:
+    """ISIS, half a pixel less inside, one less in the pipeline, and from the middle of 2001 x 1024 pixels in NVM."""
+    folder = table.parent
+    for name in ("x.pvl", "x.net", "run.match", "run.txt", "x.nvm", "x.gcp"):
+        convert(table, folder / name, SETTING)
+
+    np.testing.assert_array_equal(read_tie_points(table).measures[0], np.array(CENTRE) - 0.5)
+    for name in ("x.pvl", "x.net"):
+        measure = read_network(folder / name).points[0].measures[0]
+        assert (measure.line, measure.sample) == CENTRE
+    for read, ending in ((read_match, "match"), (read_match_text, "txt")):
+        matches = read(folder / f"run-one__two.{ending}", ("one", "two"))
+        np.testing.assert_array_equal(matches.places[0, 0], np.array(CENTRE) - 1.0)
+        np.testing.assert_array_equal(matches.sigmas, 0.5)
+    fields = (folder / "x.nvm").read_text().splitlines()[5].split()
+    assert [float(text) for text in fields[9:11]] == [CENTRE[1] - 1.0 - 512.0, CENTRE[0] - 1.0 - 1000.5]
+    assert read_offsets(folder / "x_offsets.txt") == {"one": (1000.5, 512.0), "two": (2500.0, 336.0)}
+    assert (folder / "x.gcp").read_text().splitlines()[1].split()[-4:] == ["9.0", "8.0", "2.0", "1.0"]
+
+
+def test_a_round_through_the_pipeline_and_back(table: Path) -> None:
+    """Free points as matches and control points as .gcp, read together, are the network again."""
+    folder = table.parent
+    convert(table, folder / "run.match", SETTING)
+    convert(table, folder / "run.gcp", SETTING)
+
+    made = convert([folder / "run-one__two.match", folder / "run.gcp"], folder / "back.net", SETTING)
+
+    first, back = read_network(convert(table, folder / "x.net", SETTING).written[0]), read_network(made.written[0])
+    assert [point.id for point in back.points] == ["match1", "match2", "3"]
+    for one, other in zip(first.points, back.points, strict=True):
+        assert [(m.serial_number, m.line, m.sample, m.line_sigma) for m in one.measures] == [
+            (m.serial_number, m.line, m.sample, m.line_sigma) for m in other.measures
+        ]
+    np.testing.assert_allclose(back.points[2].apriori or (), first.points[2].apriori or (), rtol=0, atol=1e-8)
+    assert back.target_radii == (MARS.equatorial, MARS.equatorial, MARS.polar)
+
+
+def test_real_network_survives_whole_and_what_a_table_loses_is_counted(shared_data: Path, tmp_path: Path) -> None:
+    path = shared_data / "lro_nac_lola" / "network.pvl"
+    whole = convert(path, tmp_path / "x.net", strict=True)
+    assert whole.lost == ()
+    assert read_network(tmp_path / "x.net").points == read_network(path).points
+
+    lost = convert(path, tmp_path / "x.csv").lost
+
+    text = path.read_text()
+    for key in ("GoodnessOfFit", "MinimumPixelZScore"):
+        assert f"{text.count(key)} figures of {key}" in lost
+    assert f"AprioriLine of {text.count('AprioriLine')} measures" in lost
+    serials = {one.serial_number for point in read_network(path).points for one in point.measures}
+    renamed = {serial: f"M{k}" for k, serial in enumerate(sorted(serials))}
+    lost = convert(path, tmp_path / "run.match", ExchangeSetting(renamed=renamed)).lost
+    assert any(line.startswith("places to 0.00") for line in lost)
+    assert f"that {text.count('SerialNumber')} measures have no sigma (1 px is written)" in lost
+
+
+def measure(image: str, place: float, **more: object) -> ControlMeasure:
+    return ControlMeasure(image, MeasureType.CANDIDATE, place, place, sample_sigma=1.0, line_sigma=1.0, **more)  # type: ignore[arg-type]
+
+
+def free(name: str = "a", **more: object) -> ControlPoint:
+    return structs.replace(ControlPoint(name, PointType.FREE, (measure("one", 2.0), measure("two", 3.0))), **more)
+
+
+FIXED = ControlPoint("1", PointType.FIXED, (measure("one", 9), measure("two", 9)), apriori=(1.0, 2.0, 3.0))
+_APRIORI = "that the place of 1 point is a-priori (it comes back as adjusted)"
+LOST = {
+    "a free point": (free(), "", "gcp", ("1 free point",)),
+    "a fixed point": (FIXED, "", "match", ("1 fixed point",)),
+    "ignored": (free(ignore=True), "", "match", ("1 ignored point",)),
+    "an ignored measure": (
+        free(measures=(*free().measures, measure("six", 1, ignore=True))), "", "match", ("1 ignored measure",)),
+    "one image": (free(measures=(measure("one", 1),)), "", "nvm", ("1 point that fewer than two images see",)),
+    "a reference": (free(reference=0), "", "match", ("the reference measure of 1 point",)),
+    "a source": (free(apriori_source=AprioriSource.DEM), "", "csv", ("AprioriXYZSource of 1 point",)),
+    "a residual of zero": (free(measures=(measure("one", 2, line_residual=0.0),)), "", "csv",
+                           ("LineResidual of 1 measure",)),
+    "a sigma of zero": (free(measures=(structs.replace(measure("one", 2), line_sigma=0.0),)), "", "csv",
+                        ("1 sigma of zero or less",)),
+    "figures": (free(measures=(measure("one", 2, log=((2, 0.5), (99, 1.0))), measure("two", 3))), "", "match",
+                ("1 figure of GoodnessOfFit", "1 figure of kind 99")),
+    "an a-priori place": (free(apriori=(1.0, 2.0, 3.0)), "", "nvm",
+                          (_APRIORI,)),
+    "an adjusted place": (free(adjusted=(1.0, 2.0, 3.0)), "", "match", ("the adjusted place of 1 point",)),
+    "a type": (FIXED, "", "nvm", ("PointType of 1 point (all are free)", _APRIORI)),
+    "a folder": (free(measures=(measure("in/one.cub", 2), measure("two", 3))), "", "match",
+                 ("folder and ending in the name of 1 image",)),
+    "unlike sigmas": (free(measures=(structs.replace(measure("one", 2), line_sigma=7.0), measure("two", 3))), "",
+                      "match", ("unlike sigmas of 1 measure (the quadratic mean is written)",)),
+    "float32": (free(measures=(measure("one", 10_000.3), measure("two", 3))), "", "match", ("places to 0.0002 px",)),
+    "skew": (
+        structs.replace(FIXED, type=PointType.CONSTRAINED, apriori_covariance=(1.0, 0.1, 0.0, 1.0, 0.0, 1.0)), "",
+        "gcp", ("covariances between X, Y and Z of 1 point",)),
+    "a name": (structs.replace(FIXED, id="hill"), "", "gcp", ("PointId of 1 point (they are numbered)",)),
+    "a description": (free(), "Rim", "csv", ("Description of the network",)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", LOST)
+def test_what_a_format_cannot_hold_is_said(what: str) -> None:
+    """And not said of what it can: each line comes of its one cause."""
+    point, description, form, expected = LOST[what]
+    usual = losses(ControlNetwork("", "", (free() if form != "gcp" else FIXED,)), Format(form))
+
+    got = losses(ControlNetwork("", "", (point,), description=description), Format(form))
+
+    if what in ("a free point", "a fixed point", "ignored", "one image"):
+        assert got == list(expected)
+    else:
+        assert set(got) - set(usual) == set(expected)
+
+
+def test_points_at_one_place_are_named_since_readers_join_them() -> None:
+    network = ControlNetwork("", "", (free(), free("b", measures=(measure("one", 2.0), measure("two", 8.0)))))
+    assert "1 measure at another point's place (readers join the points)" in losses(network, Format.MATCH)
+
+
+def test_nothing_is_lost_to_isis_nor_said_of_what_a_table_holds(table: Path) -> None:
+    network, _ = read_networks([table])
+    assert losses(network, Format.PVL) == losses(network, Format.NET) == losses(network, Format.CSV) == []
+
+
+def test_strict_writes_nothing_and_keeps_what_is_there(table: Path) -> None:
+    folder = table.parent
+    (folder / "x.gcp").write_text("old")
+    with pytest.raises(Lossy, match=r"x.gcp: it can't hold 2 kinds of things \(2 free points; \.\.\.\)") as caught:
+        convert(table, folder / "x.gcp", SETTING, strict=True)
+    assert caught.value.lost[0] == "2 free points"
+    assert (folder / "x.gcp").read_text() == "old"
+    assert sorted(path.name for path in folder.iterdir()) == ["points.csv", "x.gcp"]
+
+
+def test_all_files_are_written_or_none(table: Path) -> None:
+    """A folder is in the way of the second of two."""
+    folder = table.parent
+    (folder / "x_offsets.txt").mkdir()
+    (folder / "x_offsets.txt" / "kept").touch()
+    with pytest.raises(InputError, match=r"x_offsets.txt: can't be written"):
+        convert(table, folder / "x.nvm", SETTING)
+    assert sorted(path.name for path in folder.iterdir()) == ["points.csv", "x_offsets.txt"]
+    shutil.rmtree(folder / "x_offsets.txt")
+    (folder / "x.nvm").mkdir()
+    with pytest.raises(InputError, match=r"x.nvm: can't be written"):
+        convert(table, folder / "x.nvm", SETTING)
+    assert sorted(path.name for path in folder.iterdir()) == ["points.csv", "x.nvm"]
+
+
+def test_what_is_not_known_is_asked_for(table: Path) -> None:
+    folder = table.parent
+    for name, said in (
+        ("x.net", "no name of the target body; .*--target"), ("x.gcp", "unknown ellipsoid; .*--radii"),
+        ("x.nvm", "no size of image one; .*--images"), ("x.xyz", r"the ending '.xyz'; expected .pvl, .net, .*--to"),
+        ("points.csv", "one of the files that are read"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            convert(table, folder / name)
+    (folder / "more.csv").write_text(TABLE)
+    with pytest.raises(InputError, match=r"point a: an id that .*points.csv has, too"):
+        convert([table, folder / "more.csv"], folder / "x.csv")
+    with pytest.raises(InputError, match="convert: nothing to read"):
+        convert([], folder / "x.csv")
+    with pytest.raises(InputError, match="--to: 'xyz'; expected pvl, net"):
+        format_of(table, "xyz", "--to")
+
+
+def test_images_get_other_names(table: Path) -> None:
+    folder, names = table.parent, {"one": "MGS/1:2/NA", "two": "MGS/2:3/NA"}
+    convert(table, folder / "x.csv", ExchangeSetting(renamed=names))
+    assert set(read_tie_points(folder / "x.csv").measure_image) == set(names.values())
+    with pytest.raises(InputError, match="no image 'six' to rename; expected one, two"):
+        convert(table, folder / "x.csv", ExchangeSetting(renamed={"six": "seven"}))
+    with pytest.raises(InputError, match="two images that would be called 'two'"):
+        convert(table, folder / "x.csv", ExchangeSetting(renamed={"one": "two"}))
+
+
+def test_a_match_file_written_over_its_own_name_has_it_once(table: Path) -> None:
+    made = convert(table, table.parent / "run-one__two.match", SETTING)
+    assert [path.name for path in made.written] == ["run-one__two.match"]
+
+
+def test_options_become_a_setting(case_file: Path) -> None:
+    setting = setting_of(case_file, ("new=10x20",), None, "MARS", ("a=b=c",), None, True)
+    assert setting.sizes["new"] == (10, 20)
+    assert len(setting.sizes) == 3
+    assert setting.renamed == {"a=b": "c"}
+    assert setting.ellipsoid is not None
+    for bad in ("new", "new=10", "=1x1", "new=0x5", "new=1x1x1"):
+        with pytest.raises(InputError, match="--images"):
+            setting_of(None, (bad,), None, "", (), None, True)
+    with pytest.raises(InputError, match="--rename: 'a' twice"):
+        setting_of(None, (), None, "", ("a=b", "a=c"), None, True)
+
+
+def named(folder: Path, target: str, **more: object) -> Path:
+    """A network with a head, and one point that is called as its body."""
+    path = folder / f"{target or 'none'}.net"
+    point = free(target or "a", apriori=(3396190.0, 0.0, 0.0))
+    write_binary_network(ControlNetwork(f"of {target}", target, (point,), **more), path)  # type: ignore[arg-type]
+    return path
+
+
+def test_networks_of_two_bodies_are_never_one(tmp_path: Path) -> None:
+    """Nor does a setting make one body of another, by its name or by its size."""
+    mars, moon, out = named(tmp_path, "Mars"), named(tmp_path, "MOON"), tmp_path / "out.net"
+    for inputs, setting, said in (
+        ([mars, moon], None, r"MOON.net: the target body MOON; expected Mars, as in .*Mars.net"),
+        ([mars], ExchangeSetting(target="MOON"), r"--target, .*: the target body MOON; expected Mars"),
+        ([mars], ExchangeSetting(ellipsoid=Ellipsoid(1737400.0, 1737400.0)), "1737400 m; expected that of Mars"),
+        ([mars], ExchangeSetting(ellipsoid=Ellipsoid(3396.19, 3376.2)), "radius of 3396.19 m; .*radii are in m"),
+    ):
+        with pytest.raises(InputError, match=said):
+            convert(inputs, out, setting)
+    assert not out.exists()
+    convert(mars, out, ExchangeSetting(target="MARS", ellipsoid=MARS))
+    assert read_network(out).target_name == "Mars"
+    odd = ExchangeSetting(target="BENNU", ellipsoid=Ellipsoid(282.4, 249.3))  # of whose size nothing is known
+    convert(named(tmp_path, ""), out, odd)
+    assert read_network(out).target_name == "BENNU"
+
+
+def test_several_networks_get_the_head_of_the_first_that_names_its_body(table: Path) -> None:
+    folder = table.parent
+    convert(table, folder / "run.match", SETTING)
+    mars = named(folder, "MARS", description="kept")
+    made = convert([folder / "run-one__two.match", mars], folder / "all.net", ExchangeSetting(prefix="run"))
+    assert (made.network.target_name, made.network.description, made.notes) == ("MARS", "kept", ())
+    write_binary_network(ControlNetwork("other", "MARS", (free("other"),)), folder / "other.net")
+    made = convert([mars, folder / "other.net"], folder / "all.net")
+    assert made.network.network_id == "of MARS"
+    assert made.notes == (f"NetworkId, Description and dates are those of {mars}",)
+
+
+def test_names_that_match_files_alone_tell_are_said(table: Path) -> None:
+    """E02-1__E02-2.match without a prefix could be of 1 and E02-2, of which nothing else tells."""
+    convert(table, table.parent / "run.match", SETTING)
+    files = [table.parent / "run-one__two.match"]
+    assert read_networks(files)[1] == ("Images, by the names of the match files: one, two",)
+    assert read_networks(files, SETTING)[1] == read_networks(files, ExchangeSetting(prefix="run"))[1] == ()
+
+
+def test_files_that_cannot_be_meant_are_refused(table: Path) -> None:
+    with pytest.raises(InputError, match="given twice"):
+        read_networks([table, table.parent / "." / table.name])
+    with pytest.raises(InputError, match=r"\*.match: no such file"):
+        read_networks(table.parent / "*.match")
+    with pytest.raises(InputError, match=r"a folder; expected \.pvl"):
+        read_networks(table.parent)
+
+
+def test_a_case_names_the_body(case_file: Path) -> None:
+    assert setting_of(case_file, (), None, "", (), None, True).target == "MARS"
+    assert setting_of(case_file, (), None, "OTHER", (), None, True).target == "OTHER"
+
+
+def test_only_files_are_replaced(table: Path) -> None:
+    """A pipe, or /dev/stdout, is no place that a file may take."""
+    pipe = table.parent / "pipe.csv"
+    os.mkfifo(pipe)
+    for path in (pipe, Path("/dev/null")):
+        with pytest.raises(InputError, match="what is there is no file"):
+            convert(table, path, write_as="csv")
+    assert pipe.is_fifo()
+
+
+def test_paths_that_no_file_can_have(table: Path) -> None:
+    """Names too long are said to be wrong by themselves, whoever looks at them first."""
+    folder, name = table.parent, "x" * 250
+    (folder / f"{name}.nvm").write_text("NVM_V3\n1\nA 1 1 0 0 0 0 0 0 0 0\n1\n0 0 0 0 0 0 1 0 0 1 2\n")
+    for path, said in (
+        (folder / f"{name}.nvm", "no optical centre of image A"), (folder / f"{2 * name}-a__b.match", "no such file"),
+        (folder / (2 * name), "the ending ''"), (folder / f"{2 * name}.pvl", "can't be read"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            read_networks(path)
+    with pytest.raises(InputError, match="can't be written"):
+        convert(table, folder / f"{2 * name}.csv")

@@ -1,0 +1,187 @@
+"""Exports as a whole: written, read back and said so, whole or not at all."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from networks import network, pair
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
+from mgsgraph.export import export as exports
+from mgsgraph.export.export import Exported, ExportSettings, Target, export_solution, target_of
+from mgsgraph.reports.results import write_results
+
+FINE = 0.01
+"""pixels, that a product may be off."""
+
+
+@pytest.fixture(scope="module")
+def _made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("export") / "solution"
+    write_results(adjust_network(network(pair(ties=40)), SolverSettings(), "pair"), folder, figures=False)
+    return folder
+
+
+@pytest.fixture
+def solution(_made: Path, tmp_path: Path) -> Path:
+    """A folder of its own: exports are noted in it."""
+    folder = tmp_path / "solution"
+    folder.mkdir()
+    for file in _made.iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    return folder
+
+
+@pytest.mark.parametrize("target", list(Target))
+def test_what_is_written_comes_back(target: Target, solution: Path, tmp_path: Path) -> None:
+    done = export_solution(solution, target, tmp_path / "out")
+
+    there = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert there == {"export.json", *done.files}
+    if target != Target.GIS:
+        assert done.measures > 50
+        assert done.largest < FINE
+    noted = json.loads((solution / "solution.json").read_text())["exports"][target.value]
+    assert noted["largest_difference_px"] == (None if np.isnan(done.largest) else done.largest)
+    assert json.loads((tmp_path / "out" / "export.json").read_text())["measures"] == done.measures
+
+
+def test_an_earlier_export_is_replaced_and_noted_beside_others(solution: Path, tmp_path: Path) -> None:
+    for target in ("spice", "csm", "csm"):
+        export_solution(solution, target, tmp_path / "out" / target)
+    export_solution(solution, "csm", tmp_path / "out" / "spice")
+    assert not list((tmp_path / "out" / "spice").glob("*.bsp"))
+    record = json.loads((solution / "solution.json").read_text())
+    assert set(record["exports"]) == {"spice", "csm"}
+    assert record["cost_final"] > 0.0
+
+
+def test_other_folders_are_left_alone(solution: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    export_solution(solution, "csm", out)
+    (out / "mine.txt").write_text("kept")
+    with pytest.raises(InputError, match="mine"):
+        export_solution(solution, "csm", out)
+    with pytest.raises(InputError, match="another kind of result"):
+        export_solution(solution, "csm", solution)
+
+
+def test_a_file_of_the_users_in_a_folder_of_an_export_is_kept(solution: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    export_solution(solution, "asp", out)
+    export_solution(solution, "asp", out)
+    (out / "matches" / "mine.match").write_text("kept")
+    with pytest.raises(InputError, match=r"matches/mine\.match"):
+        export_solution(solution, "asp", out)
+
+
+def test_a_solution_that_cannot_be_noted_in_is_exported(
+    solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record, sound = solution / "solution.json", (solution / "solution.json").read_text()
+    for damaged in ("[]", '{"exports": ["csm"]}', "{", ""):
+        record.write_text(damaged)
+        done = export_solution(solution, "isis", tmp_path / "out")
+        assert not done.noted
+        assert "could not be noted" in done.statement
+        assert record.read_text() == damaged
+    record.write_text(sound)
+
+    def refused(path: Path) -> None:
+        raise InputError(str(path), "can't be written (Read-only file system)")
+
+    monkeypatch.setattr(exports, "fresh_file", refused)
+    assert not export_solution(solution, "isis", tmp_path / "out").noted
+    assert record.read_text() == sound
+
+
+@pytest.mark.parametrize(
+    ("target", "settings", "found"),
+    [
+        ("spice", ExportSettings(scaled=True), "scaled.*isis or asp"),
+        ("csm", ExportSettings(scaled=True), "scaled"),
+        ("gis", ExportSettings(scaled=True), "scaled"),
+        ("csm", ExportSettings(raster=True), "raster.*gis"),
+        ("isis", ExportSettings(support={}), "case.*csm or asp"),
+        ("asp", ExportSettings(support={"OTHER": Path("other.isd")}), "support data of OTHER: no image"),
+    ],
+)
+def test_settings_that_would_do_nothing_are_refused(
+    target: str, settings: ExportSettings, found: str, solution: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=found):
+        export_solution(solution, target, tmp_path / "out", settings)
+    assert not (tmp_path / "out").exists()
+
+
+def test_adjusted_points_of_a_network_are_compared(
+    solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mgsgraph.export import isis
+
+    true = isis._places
+    monkeypatch.setattr(isis, "_places", lambda places: true(places + 1.0))
+    with pytest.raises(InputError, match="don't come back"):
+        export_solution(solution, "isis", tmp_path / "out")
+
+
+def test_a_full_disk_is_said_of_the_folder_that_was_asked_for(
+    solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(solution: object, folder: Path, settings: object) -> None:
+        raise InputError(str(folder / "network.net"), "can't be written (No space left on device)")
+
+    monkeypatch.setitem(exports._WRITERS, Target.ISIS, full)
+    with pytest.raises(InputError, match="free some space") as caught:
+        export_solution(solution, "isis", tmp_path / "out")
+    assert caught.value.where == str(tmp_path / "out" / "network.net")
+    assert list(tmp_path.iterdir()) == [solution]
+
+
+def test_what_to_beware_of_is_said() -> None:
+    fine = Exported(Target.CSM, Path("out"), ("a.isd",), 8, 0.001)
+    assert fine.statement.endswith("where the solution has them.")
+    assert "farther off" in fine._replace(largest=0.02).statement
+    assert "NOT converge" in fine._replace(converged=False).statement
+    assert "no measure" in fine._replace(measures=0, largest=np.nan).statement
+    assert "no geometry" in fine._replace(target=Target.GIS, measures=0, largest=np.nan).statement
+
+
+@pytest.mark.parametrize("bad", [np.inf, np.nan])
+def test_what_does_not_come_back_is_not_there(
+    bad: float, solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = np.array([0.0, bad])
+    monkeypatch.setitem(exports._WRITERS, Target.CSM, lambda *_: ([], lambda solution, folder: lost))
+    with pytest.raises(InputError, match="1 measures don't come back"):
+        export_solution(solution, "csm", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    assert "exports" not in json.loads((solution / "solution.json").read_text())
+
+
+def test_targets_by_name() -> None:
+    assert target_of("spice") == target_of(Target.SPICE) == Target.SPICE
+    with pytest.raises(InputError, match="spice, csm, isis, asp, gis"):
+        target_of("shapefile")
+
+
+def test_the_command(solution: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    group(["export", str(solution), "--to", "isis", "--out", str(tmp_path / "out")], standalone_mode=False)
+    assert "read back by code of its own" in capsys.readouterr().out
+    case = tmp_path / "case.toml"
+    labels = '[[images]]\nname = "A"\nlabel = "a.img"\n[[images]]\nname = "B"\nlabel = "b.img"\n'
+    case.write_text(f'format = 1\nname = "labels"\n{labels}[ties]\nnetwork = "network.pvl"\n')
+    command = ["export", str(solution), "--to", "csm", "--out", str(tmp_path / "x"), "--case", str(case)]
+    with pytest.raises(InputError, match="no image with support data"):
+        group(command, standalone_mode=False)
+    with pytest.raises(InputError, match="no such file"):
+        group(["export", str(tmp_path / "none"), "--to", "isis", "--out", str(tmp_path / "x")], standalone_mode=False)
+
+
+def test_sigmas_of_new_points_go_along_where_asked(solution: Path, tmp_path: Path) -> None:
+    done = export_solution(solution, "gis", tmp_path / "out", ExportSettings(raster=True))
+    assert "sigmas.tif" in done.files

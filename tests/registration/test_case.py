@@ -1,0 +1,305 @@
+"""Registration of a case: its tables and words against the geometry and the truth of a simulated pair; its figures."""
+
+import csv
+import json
+import math
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from pathlib import Path
+
+import networks
+import numpy as np
+import profiles
+import pytest
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import Case, read_case
+from mgsgraph.case.reading import adjust as adjust_case
+from mgsgraph.errors import InputError
+from mgsgraph.figures.overlay import averaged, pixels_of
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
+from mgsgraph.registration.footprints import discrepancy, misregistration
+from mgsgraph.registration.tables import registration_json, write_registration
+from mgsgraph.simulation.files import write_pair
+
+PITCH = 6e-4
+"""rad, 228 m along the flight from 380 km."""
+OTHERS = ("registration.json", "registration.csv", "discrepancy.csv")
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    case_file = write_pair(networks.pair(ties=20, shots=8), tmp_path_factory.mktemp("case"))
+    return read_case(profiles.with_profile(case_file))
+
+
+@pytest.fixture(scope="module")
+def solution(case: Case) -> Solution:
+    return adjust_case(case)
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def numbers(rows: list[dict[str, str]], *names: str) -> np.ndarray:
+    return np.array([[float(row[name] or "nan") for name in names] for row in rows])
+
+
+# --- registering
+
+
+def test_after_is_with_the_solutions_corrections_and_places(case: Case, solution: Solution) -> None:
+    """An image place and its adjusted footprint lie on one ray of the adjusted image."""
+    found = register_case(case, solution)
+    ids = {name: i for i, name in enumerate(solution.network.points.ids)}
+    profile, shots = found.after[0], case.profiles[0]
+    wanted = solution.places[[ids[f"profile:{shot}"] for shot in shots.ids]]
+    np.testing.assert_array_equal(profile.points, wanted)
+    for j, image in enumerate(solution.network.images):
+        mine = np.flatnonzero(profile.found.inside[j])
+        assert mine.size > 20
+        places = profile.found.places[j, mine]
+        eye, look, _, _ = image.rays(places[:, 0], places[:, 1], solution.correction(j))
+        look /= np.linalg.norm(look, axis=1)[:, None]
+        assert np.linalg.norm(np.cross(look, wanted[mine] - eye), axis=1).max() < 1e-3  # m beside the ray
+    moved = np.abs(found.after[0].found.places - found.before[0].found.places)
+    assert np.nanmax(moved) > 1.0  # before is something else
+
+
+def test_without_a_solution_there_is_no_after(case: Case) -> None:
+    found = register_case(case)
+    assert found.after == ()
+    assert [name for name, _ in found.states()] == ["nominal"]
+    np.testing.assert_array_equal(found.before[0].points, case.profiles[0].footprints)
+
+
+def test_the_adjustment_removes_the_discrepancy_as_the_truth_has_it(case: Case, solution: Solution) -> None:
+    """Against the simulation's true places: what is seen before is there, and the adjustment takes it away."""
+    pair = networks.pair(ties=20, shots=8)
+    registration = register_case(case, solution)
+    before, after = (one[0].discrepancies[0] for one in (registration.before, registration.after))
+    places = [
+        image.ground_to_image(case.profiles[0].footprints, true)[0]
+        for image, true in zip(pair.images, pair.true_corrections, strict=True)
+    ]
+    first, second = (misregistration(i, case.profiles[0], p) for i, p in zip(pair.images, places, strict=True))
+    _, one, two = np.intersect1d(first.shots, second.shots, return_indices=True)
+    wanted = (second.metres[two] - first.metres[one]).mean(axis=0)
+    found, sigma = before.metres.mean(axis=0), before.metre_sigmas.max(axis=0)
+    print(f"discrepancy {found}, true {wanted}, sigma {sigma} m")
+    assert abs(found[0] - wanted[0]) < 3.0 * sigma[0]
+    assert np.abs(after.metres[:, 0]).max() < 3.0 * after.metre_sigmas[:, 0].max()
+    assert abs(after.metres[:, 0].mean()) < 0.3 * abs(found[0])
+
+
+def test_a_pitch_of_the_second_image_is_seen_whole(case: Case, solution: Solution) -> None:
+    """228 m of pitch in one image come out as 228 m along the flight, in metres, pixels and spacings alike."""
+    coefficients = [np.array(one) for one in solution.coefficients]
+    coefficients[1][0, 4] += PITCH
+    turned = register_case(case, replace(solution, coefficients=tuple(coefficients))).after[0].discrepancies[0]
+    still = register_case(case, solution).after[0].discrepancies[0]
+    _, i, j = np.intersect1d(turned.shots, still.shots, return_indices=True)
+    change = turned.metres[i] - still.metres[j]
+    eye = case.network.images[1].pose(np.array([2500.0])).position[0]
+    distance = np.linalg.norm(eye - case.profiles[0].footprints[30])
+    assert abs(change[:, 0]).mean() == pytest.approx(PITCH * distance, rel=0.03)
+    np.testing.assert_allclose(turned.spacings * turned.spacing, turned.metres)
+    assert turned.spacing == pytest.approx(profiles.SPACING * 3020.0, rel=0.02)  # m/s over the ground
+
+
+def test_a_case_without_profiles_is_refused(case: Case) -> None:
+    with pytest.raises(InputError, match=r"\[\[mola\]\]"):
+        register_case(replace(case, profiles=()))
+
+
+def test_a_solution_of_another_case_is_refused(case: Case, solution: Solution) -> None:
+    shots = case.profiles[0]
+    other = replace(shots, orbits=shots.orbits + 1)
+    with pytest.raises(InputError, match=r"no laser shot profile:18934:.*adjust the case again"):
+        register_case(replace(case, profiles=(other,)), solution)
+    images = tuple(replace(image, name=f"{image.name}x") for image in case.network.images)
+    with pytest.raises(InputError, match=r"no image SIM/Ax"):
+        register_case(replace(case, network=replace(case.network, images=images)), solution)
+    longer = tuple(replace(image, samples=1000) for image in case.network.images)
+    with pytest.raises(InputError, match=r"5000 x 1024 pixels.*5000 x 1000"):
+        register_case(replace(case, network=replace(case.network, images=longer)), solution)
+
+
+def test_images_without_ties_in_common_are_named_not_compared(case: Case) -> None:
+    found = register_case(replace(case, ties=None))
+    assert found.before[0].discrepancies == ()
+    assert any("0 tie points in common" in sentence for sentence in registration_statements(found))
+
+
+def test_an_adjustment_that_failed_is_no_result(case: Case, solution: Solution) -> None:
+    found = register_case(case, replace(solution, converged=False, message="Stopped."))
+    assert any("NOT CONVERGED" in sentence for sentence in registration_statements(found))
+
+
+# --- words
+
+
+def test_statements_hold_the_figures(case: Case, solution: Solution) -> None:
+    found = register_case(case, solution)
+    sentences = registration_statements(found)
+    one = found.before[0].discrepancies[0]
+    inside = found.before[0].found.inside.sum(axis=1)
+    count = case.profiles[0].times.size
+    assert sentences[0].startswith(f"Of {count} shots of profile, {inside[0]} fall in SIM/A (taken")
+    mean, rms = one.metres[:, 0].mean(), math.sqrt((one.metres[:, 0] ** 2).mean())
+    assert f"{mean:+.1f} (rms {rms:.1f}) m" in sentences[1]
+    assert "lines" in sentences[1]
+    assert "MOLA spacings" in sentences[1]
+    assert [("nominal" in s, "adjusted" in s) for s in sentences[1:3]] == [(True, False), (False, True)]
+    assert any("five steps" in sentence for sentence in sentences)
+
+
+def sparse(shots: AltimeterShots) -> AltimeterShots:
+    return shots.chosen(np.arange(0, shots.times.size, 4))
+
+
+def test_an_unknown_spacing_is_left_out(case: Case, tmp_path: Path) -> None:
+    found = register_case(replace(case, profiles=(sparse(case.profiles[0]),)))
+    assert "MOLA spacings" not in registration_statements(found)[1]
+    record = registration_json(found)["orientations"]["nominal"][0]
+    assert record["spacing_m"] is None
+    assert record["discrepancies"][0]["along_spacings"]["mean"] is None
+    write_registration(found, tmp_path / "out", figures=False)
+    assert {row["along_spacings"] for row in rows_of(tmp_path / "out" / "discrepancy.csv")} == {""}
+
+
+# --- tables
+
+
+@pytest.fixture
+def written(case: Case, solution: Solution, tmp_path: Path) -> tuple[CaseRegistration, Path]:
+    found = register_case(case, solution)
+    assert write_registration(found, tmp_path / "out", figures=False) == list(OTHERS)
+    return found, tmp_path / "out"
+
+
+def test_registration_table_has_every_shot_in_every_image(written: tuple[CaseRegistration, Path], case: Case) -> None:
+    found, folder = written
+    rows, shots = rows_of(folder / "registration.csv"), case.profiles[0]
+    n = shots.times.size
+    assert [row["shot"] for row in rows] == 2 * list(shots.ids)
+    assert [row["number"] for row in rows] == 2 * [str(k + 1) for k in range(n)]
+    assert [row["image"] for row in rows] == n * ["SIM/A"] + n * ["SIM/B"]
+    assert {row["simultaneous"] for row in rows[:n]} == {"true"}
+    assert {row["simultaneous"] for row in rows[n:]} == {"false"}
+    for state, registered in found.states():
+        register = registered[0].found
+        wanted = np.concatenate([register.places, register.linear], axis=2).reshape(2 * n, 4) + 0.5  # ISIS counts so
+        names = [f"{state}_{method}isis_{axis}" for method in ("", "five_steps_") for axis in ("line", "sample")]
+        np.testing.assert_array_equal(numbers(rows, *names), wanted)
+        assert [row[f"{state}_inside"] == "true" for row in rows] == register.inside.ravel().tolist()
+    ground = numbers(rows[:n], "lon_deg", "lat_deg", "radius_m")
+    rad = np.radians(ground[:, :2])
+    back = ground[:, 2:] * np.column_stack([
+        np.cos(rad[:, 1]) * np.cos(rad[:, 0]), np.cos(rad[:, 1]) * np.sin(rad[:, 0]), np.sin(rad[:, 1])
+    ])
+    np.testing.assert_allclose(back, shots.footprints, atol=1e-6)
+
+
+def test_discrepancy_table_is_the_discrepancy(written: tuple[CaseRegistration, Path], case: Case) -> None:
+    found, folder = written
+    rows = rows_of(folder / "discrepancy.csv")
+    assert case.ties is not None
+    nothing: tuple[OrientationCorrection | None, OrientationCorrection | None] = (None, None)
+    images = case.network.images
+    wanted = discrepancy((images[0], images[1]), case.profiles[0], case.ties, nothing)
+    mine = [row for row in rows if row["orientation"] == "nominal"]
+    assert [int(row["number"]) - 1 for row in mine] == wanted.shots.tolist()
+    assert {(row["image"], row["against"]) for row in mine} == {("SIM/B", "SIM/A")}
+    for unit, values, sigmas in (("px", wanted.pixels, wanted.pixel_sigmas), ("m", wanted.metres, wanted.metre_sigmas)):
+        np.testing.assert_array_equal(numbers(mine, f"along_{unit}", f"across_{unit}"), values)
+        np.testing.assert_array_equal(numbers(mine, f"sigma_along_{unit}", f"sigma_across_{unit}"), sigmas)
+    in_spacings = numbers(mine, "along_spacings", "across_spacings", "sigma_along_spacings", "sigma_across_spacings")
+    np.testing.assert_allclose(in_spacings * wanted.spacing, np.hstack([wanted.metres, wanted.metre_sigmas]))
+    assert len(rows) == len(mine) + found.after[0].discrepancies[0].shots.size
+
+
+def test_the_record_is_strict_json_and_agrees_with_the_table(written: tuple[CaseRegistration, Path]) -> None:
+    found, folder = written
+    record = json.loads((folder / "registration.json").read_text(encoding="utf-8"))
+    assert record == registration_json(found)
+    for state in ("nominal", "adjusted"):
+        rows = [row for row in rows_of(folder / "discrepancy.csv") if row["orientation"] == state]
+        one = record["orientations"][state][0]["discrepancies"][0]
+        for name in ("along_px", "across_px", "along_m", "across_m", "along_spacings", "across_spacings"):
+            values = numbers(rows, name)
+            assert one[name]["mean"] == pytest.approx(values.mean(), rel=1e-12, abs=1e-12)
+            assert one[name]["rms"] == pytest.approx(math.sqrt((values**2).mean()), rel=1e-12)
+        steps = record["orientations"][state][0]["images"][0]["five_steps_largest_line_px"]
+        every = [row for row in rows_of(folder / "registration.csv") if row[f"{state}_inside"] == "true"]
+        every = [row for row in every if row["image"] == "SIM/A"]
+        lines = numbers(every, f"{state}_isis_line", f"{state}_five_steps_isis_line")
+        assert steps == pytest.approx(np.abs(np.diff(lines, axis=1)).max(), rel=1e-6)
+
+
+# --- folders
+
+
+def test_only_an_earlier_registration_is_replaced(case: Case, written: tuple[CaseRegistration, Path]) -> None:
+    found, folder = written
+    (folder / "overlay_9.png").write_text("old")
+    write_registration(found, folder, figures=False)
+    assert sorted(path.name for path in folder.iterdir()) == sorted(OTHERS)
+    for record in ("solution.json", "registration.json"):  # a solution beside it makes it more than a registration
+        (folder / record).write_text('{"program": "mgsgraph"}')
+    with pytest.raises(InputError, match=r"another kind of result \(solution\.json\)"):
+        write_registration(found, folder, figures=False)
+    assert (folder / "discrepancy.csv").is_file()
+
+
+# --- figures
+
+
+def test_figures_are_whole_with_and_without_a_solution(case: Case, solution: Solution, tmp_path: Path) -> None:
+    sizes = {}
+    for name, found in (("before", register_case(case)), ("both", register_case(case, solution))):
+        names = write_registration(found, tmp_path / name)
+        kinds = ("overlay_1", "overlay_2", "closeups", "discrepancy")
+        drawn = [f"{kind}.{end}" for kind in kinds for end in ("png", "svg")]
+        assert names == [*OTHERS, *drawn]
+        assert sorted(path.name for path in (tmp_path / name).iterdir()) == sorted(names)
+        for file in drawn:
+            data = (tmp_path / name / file).read_bytes()
+            assert data[-8:-4] == b"IEND" if file.endswith("png") else ElementTree.fromstring(data).tag.endswith("svg")
+        sizes[name] = (tmp_path / name / "closeups.png").stat().st_size
+    assert sizes["both"] > sizes["before"]
+
+
+def test_one_footprint_and_none(case: Case, tmp_path: Path) -> None:
+    one = case.profiles[0].chosen(np.array([20]))
+    write_registration(register_case(replace(case, profiles=(one,))), tmp_path / "one")
+    away = replace(case.profiles[0], footprints=-case.profiles[0].footprints, spacecraft=-case.profiles[0].spacecraft)
+    found = register_case(replace(case, profiles=(away,)))
+    assert write_registration(found, tmp_path / "none") == list(OTHERS)
+    assert registration_statements(found)[0].endswith("0 fall in SIM/A (taken at the same time).")
+    asleep = replace(away, times=away.times + 1e4)
+    assert registration_statements(register_case(replace(case, profiles=(asleep,))))[0].startswith("None of 60 shots")
+    assert rows_of(tmp_path / "none" / "discrepancy.csv") == []
+
+
+def test_pixels_that_are_not_at_hand_are_none_and_broken_ones_an_error(tmp_path: Path, shared_data: Path) -> None:
+    assert pixels_of(None) is None
+    (label,) = (shared_data / "mgs_moc_m0402852").glob("*.lbl")
+    assert pixels_of(label) is None  # of a cube that isn't there
+    (whole,) = (shared_data / "mgs_moc_pair").glob("*.img")
+    found = pixels_of(whole)
+    assert found is not None
+    assert found.shape == (4864, 672)
+    short = tmp_path / "short.img"
+    short.write_bytes(whole.read_bytes()[:-1000])
+    with pytest.raises(InputError, match="bytes"):
+        pixels_of(short)
+
+
+def test_blocks_are_averaged() -> None:
+    pixels = np.arange(35, dtype=np.uint8).reshape(5, 7)
+    np.testing.assert_allclose(averaged(pixels, 2, 3), [[4.5, 7.5], [18.5, 21.5]])
