@@ -32,8 +32,8 @@ from mgsgraph.products.dem.dem import make_dem
 from mgsgraph.products.dem.model import Dem
 from mgsgraph.products.dem.record import check_merit
 from mgsgraph.products.matching import match_into
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
-from mgsgraph.simulation.site_files import write_site
 from mgsgraph.simulation.sites import SITE_NAMES
 
 OUT = Path(__file__).resolve().parents[1] / "docs"

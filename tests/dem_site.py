@@ -22,8 +22,8 @@ from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.products.archive import write_archive
 from mgsgraph.products.dem.map import MapGrid
 from mgsgraph.products.dem.scene import adjusted_scene
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 
 Array = NDArray[np.float64]
 

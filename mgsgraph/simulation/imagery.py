@@ -13,7 +13,7 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.simulation.terrain import SiteTerrain
+from mgsgraph.simulation.ground import SiteTerrain
 
 Picture = NDArray[np.uint8]
 """(lines, samples) grey values."""

@@ -1,6 +1,6 @@
-"""What the simulated pair and strip draw and note down alike: sigmas, tie points, laser shots."""
+"""Simulated observations: the sigmas they are drawn from, tie points, laser shots, and who shows which point where."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.simulation.circle import on_ground
+from mgsgraph.simulation.ground import rays_to_sines
 from mgsgraph.ties import PointKind, TiePoints
 
 MARGIN = 30.0
-"""pixels which true places keep from the edges: six default sigmas of the shots' image places."""
+"""pixels which true image points keep from the edges: six default sigmas of a footprint's measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +73,56 @@ def require_relief(where: str, value: float) -> None:
         raise InputError(where, f"{value} m", "zero or a positive number")
 
 
-def well_inside(image: PushbroomImage, places: Array) -> Mask:
-    """Which places (n, 2) keep the margin from the image's edges; NaN do not."""
+def well_inside(image: PushbroomImage, pixels: Array) -> Mask:
+    """Which lines and samples (n, 2) keep the margin from the image's edges; NaN do not."""
     size = np.array([image.lines, image.samples])
-    return np.asarray(np.all((places >= MARGIN) & (places <= size - MARGIN), axis=1))
+    return np.asarray(np.all((pixels >= MARGIN) & (pixels <= size - MARGIN), axis=1))
+
+
+@dataclass(slots=True, eq=False)
+class Visible:
+    """Where points stand in images, without noise: rows (point, image, line and sample), added as they are found."""
+
+    point: list[Index] = field(default_factory=list)
+    """(k,) each, numbers of points."""
+    image: list[Index] = field(default_factory=list)
+    """(k,) each, numbers of images."""
+    pixels: list[Array] = field(default_factory=list)
+    """(k, 2) each, line and sample."""
+
+    def add(self, points: Index, images: Index | int, pixels: Array) -> None:
+        """Add rows of points (k,) in images (k,) or in one image, at lines and samples (k, 2)."""
+        self.point.append(points)
+        self.image.append(np.broadcast_to(images, points.shape))
+        self.pixels.append(pixels)
+
+    def ordered(self) -> tuple[Index, Index, Array]:
+        """All rows by point and then by image: points (k,), images (k,), lines and samples (k, 2)."""
+        point, image = (np.concatenate([np.zeros(0, dtype=np.int64), *rows]) for rows in (self.point, self.image))
+        order = np.lexsort([image, point])
+        return point[order], image[order], np.concatenate([np.zeros((0, 2)), *self.pixels])[order]
 
 
 def free_points(
     source: str, ids: tuple[str, ...], point: Index, images: tuple[str, ...], measures: Array, sigma: Array | float
 ) -> TiePoints:
-    """Tie points of unknown place, measured (k, 2) with one sigma in px or with sigmas (k, 2)."""
+    """Tie points without a-priori coordinates.
+
+    Parameters
+    ----------
+    source : str
+        What messages call them.
+    ids : n names
+        Of the points.
+    point : (k,)
+        Number of each measure's point.
+    images : k names
+        Image of each measure.
+    measures : (k, 2)
+        pixels, line and sample.
+    sigma : float or (k, 2)
+        pixels.
+    """
     n, k = len(ids), len(images)
     return TiePoints(
         source=source,
@@ -115,7 +155,7 @@ def shots_along(image: PushbroomImage, true: OrientationCorrection, number: int,
     elapsed, _ = image.timing.at(np.linspace(2.0 * MARGIN, image.lines - 2.0 * MARGIN, number))
     times = epoch + elapsed
     lines = image.timing.lines(times - epoch)  # of the time as the file can state it
-    points = on_ground(image, true, lines, np.full(number, 0.5 * image.samples), relief)
+    points = rays_to_sines(image, true, lines, np.full(number, 0.5 * image.samples), relief)
     return Shots(times, points, np.linalg.norm(points - image.pose(lines, true).position, axis=1))
 
 
@@ -131,7 +171,29 @@ def profile(
     measures: Array,
     noise: NoiseSettings,
 ) -> LaserProfile:
-    """Laser shots as given, with their measures (k, 2), and with the sigmas of the settings."""
+    """Laser shots as an adjustment is given them, with the sigmas of the settings.
+
+    Parameters
+    ----------
+    source : str
+        What messages call them.
+    ids : n names
+        Of the shots.
+    times, ranges : (n,)
+        s TDB past J2000; m.
+    footprints : (n, 3)
+        m, body-fixed.
+    simultaneous : n tuples of names
+        Images taken from the same spacecraft along with each shot.
+    shot : (k,)
+        Number of each measure's shot.
+    images : k names
+        Image of each measure.
+    measures : (k, 2)
+        pixels, line and sample.
+    noise : NoiseSettings
+        Sigmas.
+    """
     n = len(ids)
     return LaserProfile(
         source=source,

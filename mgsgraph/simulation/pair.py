@@ -15,12 +15,11 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.simulation.circle import CENTRE, HEADING, Passage, narrow_image, on_ground, site_at
-from mgsgraph.simulation.circle import MARS as MARS
-from mgsgraph.simulation.circle import terrain_height as terrain_height
-from mgsgraph.simulation.instrument import InstrumentErrors, as_it_was, misplaced
+from mgsgraph.simulation.camera import InstrumentErrors, as_taken, displaced_footprints, narrow_image
+from mgsgraph.simulation.ground import CENTRE, rays_to_sines
 from mgsgraph.simulation.observations import (
     MARGIN,
+    NoiseSettings,
     free_points,
     profile,
     require_count,
@@ -29,7 +28,7 @@ from mgsgraph.simulation.observations import (
     shots_along,
     well_inside,
 )
-from mgsgraph.simulation.observations import NoiseSettings as NoiseSettings
+from mgsgraph.simulation.orbit import HEADING, CircularPass, site_at
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG
 
@@ -131,7 +130,7 @@ def simulate_pair(
     images = tuple(
         narrow_image(
             name,
-            Passage(epoch, site_at(*CENTRE), HEADING, settings.altitude, off_nadir),
+            CircularPass(epoch, site_at(*CENTRE), HEADING, settings.altitude, off_nadir),
             settings.lines,
             settings.samples,
             settings.period,
@@ -140,7 +139,7 @@ def simulate_pair(
     )
     true = tuple(settings.noise.correction(of_orientation) for _ in images)
     errors = errors or InstrumentErrors()
-    taken = tuple(as_it_was(image, errors) for image in images)
+    taken = tuple(as_taken(image, errors) for image in images)
     ties, true_ties = _tie_points(taken, true, settings, of_ties)
     laser, footprints = _laser_profile(taken, true, settings, errors, of_shots)
     return SimulatedPair(settings, seed, images, true, ties, true_ties, laser, footprints)
@@ -150,9 +149,9 @@ def _project(
     images: tuple[PushbroomImage, ...], corrections: tuple[OrientationCorrection, ...], points: Array
 ) -> tuple[Array, Array]:
     """Line and sample of points (n, 3) in each image (n, images, 2), and which points (n,) all images see."""
-    places = [image.ground_to_image(points, true)[0] for image, true in zip(images, corrections, strict=True)]
-    seen = [well_inside(image, each) for image, each in zip(images, places, strict=True)]
-    return np.stack(places, axis=1), np.all(seen, axis=0)
+    pixels = [image.ground_to_image(points, true)[0] for image, true in zip(images, corrections, strict=True)]
+    seen = [well_inside(image, each) for image, each in zip(images, pixels, strict=True)]
+    return np.stack(pixels, axis=1), np.all(seen, axis=0)
 
 
 def _tie_points(
@@ -161,11 +160,11 @@ def _tie_points(
     settings: PairSettings,
     rng: np.random.Generator,
 ) -> tuple[TiePoints, Array]:
-    """Tie points at random places of the first image that the others see too, and their true places (n, 3) in m."""
+    """Tie points, drawn at random from the ground that all images see, and their true coordinates (n, 3) in m."""
     first, n, k = images[0], settings.ties, settings.ties * len(images)
     drawn = rng.uniform(MARGIN, np.array([first.lines, first.samples]) - MARGIN, (4 * n, 2))
-    points = on_ground(first, corrections[0], drawn[:, 0], drawn[:, 1], settings.relief)
-    places, seen = _project(images, corrections, points)
+    points = rays_to_sines(first, corrections[0], drawn[:, 0], drawn[:, 1], settings.relief)
+    pixels, seen = _project(images, corrections, points)
     kept = np.flatnonzero(seen)[:n]
     if kept.size < n:
         raise InputError(SOURCE, f"images that share ground for {kept.size} of {n} tie points", remedy=_NO_OVERLAP)
@@ -174,7 +173,7 @@ def _tie_points(
         tuple(f"TIE{i + 1:05d}" for i in range(n)),
         np.repeat(np.arange(n), len(images)),
         tuple(image.name for image in images) * n,
-        places[kept].reshape(k, 2) + settings.noise.tie * rng.standard_normal((k, 2)),
+        pixels[kept].reshape(k, 2) + settings.noise.tie * rng.standard_normal((k, 2)),
         settings.noise.tie,
     )
     return ties, points[kept]
@@ -190,12 +189,12 @@ def _laser_profile(
     """Shots along the first image's optical axis, evenly spaced in time, and their true footprints (n, 3) in m."""
     noise, n, k = settings.noise, settings.shots, settings.shots * len(images)
     shots = shots_along(images[0], corrections[0], n, settings.relief)
-    places, seen = _project(images, corrections, shots.points)
+    pixels, seen = _project(images, corrections, shots.points)
     if not np.all(seen):
         raise InputError(SOURCE, f"images that share {seen.sum()} of {n} laser footprints", remedy=_NO_OVERLAP)
     believed = shots.points
     if np.any(errors.altimeter_boresight):
-        believed = misplaced(images[0], shots.times - images[0].trajectory.epoch, shots.points, errors)
+        believed = displaced_footprints(images[0], shots.times - images[0].trajectory.epoch, shots.points, errors)
     laser = profile(
         SOURCE,
         tuple(f"SHOT{i + 1:05d}" for i in range(n)),
@@ -205,7 +204,7 @@ def _laser_profile(
         ((images[0].name,),) * n,
         np.repeat(np.arange(n), len(images)),
         tuple(image.name for image in images) * n,
-        places.reshape(k, 2) + noise.shot_image * rng.standard_normal((k, 2)),
+        pixels.reshape(k, 2) + noise.shot_image * rng.standard_normal((k, 2)),
         noise,
     )
     return laser, shots.points

@@ -14,25 +14,15 @@ import spiceypy
 
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.simulation.circle import MARS
-from mgsgraph.simulation.orbit import (
-    BORESIGHT_SAMPLE,
-    FOCAL_LENGTH_MM,
-    MERIDIAN,
-    MOUNT_ANGLES,
-    PITCH_MM,
-    POLE_DEC,
-    POLE_RA,
-    mars_about_sun,
-)
+from mgsgraph.simulation.camera import BORESIGHT_SAMPLE, FOCAL_LENGTH_MM, PITCH_MM
+from mgsgraph.simulation.mars import MARS, MERIDIAN, POLE_DEC, POLE_RA, mars_about_sun
+from mgsgraph.simulation.orbit import MOUNT_ANGLES
 from mgsgraph.simulation.sites import ARCHIVE_ATTITUDE_BIAS
 from mgsgraph.units import KM
 
 SPACECRAFT, STRUCTURE, CAMERA, MARS_ID, MARS_SYSTEM, SUN, ORIGIN = -94, -94000, -94031, 499, 4, 10, 0
 """NAIF ids: MGS, its structure (CK), MOC-NA, Mars, its barycentre, the Sun, the solar system's barycentre."""
 
-_NOMINAL_FOCAL_LENGTH, _NOMINAL_PITCH = 3.5, 0.000013
-"""m, of the instrument kernel."""
 _DEGREE = 7
 """Of the Hermite interpolation (SPK type 13)."""
 _POSITION_STEP = 5
@@ -119,11 +109,12 @@ def _tdb(tdt: float) -> float:
 def _write_planet(path: Path, first: float, last: float) -> None:
     """Mars about the Sun, the Sun at rest at the barycentre: enough for aberration and for the light."""
     times = np.arange(np.floor(first / _DAY) - 2.0, np.ceil(last / _DAY) + 2.5, 0.5) * _DAY
-    place, motion = mars_about_sun(times)
+    position, velocity = mars_about_sun(times)
     rest = np.zeros((times.size, 6))
     path.unlink(missing_ok=True)
     handle = spiceypy.spkopn(str(path), "SIMULATED MARS AND SUN", 0)
-    bodies = ((SUN, ORIGIN, rest), (MARS_SYSTEM, SUN, np.hstack([place, motion]) / KM), (MARS_ID, MARS_SYSTEM, rest))
+    moving = np.hstack([position, velocity]) / KM
+    bodies = ((SUN, ORIGIN, rest), (MARS_SYSTEM, SUN, moving), (MARS_ID, MARS_SYSTEM, rest))
     for body, centre, states in bodies:
         _add_states(handle, body, centre, "SIMULATED", times, states)
     spiceypy.spkcls(handle)
@@ -225,28 +216,7 @@ INS{CAMERA}_TRANSY            = ( 0.0 {pitch} 0.0 )
 INS{CAMERA}_ITRANSS           = ( 0.0 0.0 {1.0 / PITCH_MM!r} )
 INS{CAMERA}_ITRANSL           = ( 0.0 {1.0 / PITCH_MM!r} 0.0 )
 
-{_CAMERA_FRAME}\\begintext
-"""
-
-
-def instrument_text() -> str:
-    """The camera in the words of NAIF's instrument kernel (moc20.ti): metres, first pixel 0.
-
-    Its numbers are the nominal ones, as in the archive: 1 percent off the true scale, FOCAL_LENGTH_MM / PITCH_MM pixels
-    per radian, to which a focal length of 3.4669 m belongs.
-    """
-    return f"""KPL/IK
-
-MOC narrow angle camera. Focal length and pixel size in m, angles in radians; keywords as in NAIF's kernel.
-
-\\begindata
-INS{CAMERA}_FOCAL_LENGTH  = ( {_NOMINAL_FOCAL_LENGTH} )
-INS{CAMERA}_PIXEL_SAMPLES = ( 2048 )
-INS{CAMERA}_PIXEL_LINES   = ( 1 )
-INS{CAMERA}_CENTER        = ( {BORESIGHT_SAMPLE - 1.0!r} 0.5 )
-INS{CAMERA}_PIXEL_SIZE    = ( {_NOMINAL_PITCH} )
-
-{_CAMERA_FRAME}\\begintext
+{CAMERA_FRAME_TEXT}\\begintext
 """
 
 
@@ -264,7 +234,7 @@ KERNELS_TO_LOAD = (
 """
 
 
-_CAMERA_FRAME = f"""FRAME_MGS_MOC_NA         = {CAMERA}
+CAMERA_FRAME_TEXT = f"""FRAME_MGS_MOC_NA         = {CAMERA}
 FRAME_{CAMERA}_NAME        = 'MGS_MOC_NA'
 FRAME_{CAMERA}_CLASS       = 4
 FRAME_{CAMERA}_CLASS_ID    = {CAMERA}

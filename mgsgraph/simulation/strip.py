@@ -5,9 +5,9 @@ is nadir, 1 looks aside, 2 is nadir again. Two images of one track overlap, so e
 the orbit, sols apart, with tables and a correction of its own. TRUE orientation = nominal (+) a correction drawn from
 the prior; observations are true values plus noise of the stated sigmas, so an adjustment has honest statistics.
 
-Step k adds image k to images 0 .. k - 1. It brings new tie points, at random places that image k shares with any
-earlier one, with their measures in all of these; measures in image k of points known before; and from a nadir image its
-laser shots. What is drawn for a step knows nothing of later ones: a shorter strip is the longer one's beginning.
+Step k adds image k to images 0 .. k - 1. It brings new tie points, at random on ground that image k shares with
+any earlier one, with their measures in all of these; measures in image k of points known before; and from a nadir image
+its laser shots. What is drawn for a step knows nothing of later ones: a shorter strip is the longer one's beginning.
 """
 
 from dataclasses import dataclass, field
@@ -20,10 +20,11 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.simulation.circle import HEADING, MARS, Passage, ground_track, narrow_image, site_at
+from mgsgraph.simulation.camera import narrow_image
+from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings, require_count, require_positive, require_relief
-from mgsgraph.simulation.strip_steps import Step, Steps
-from mgsgraph.simulation.strip_whole import merged_profiles, merged_ties
+from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
+from mgsgraph.simulation.strip_steps import Step, Steps, merged_profiles, merged_ties
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG, KM
 
@@ -194,7 +195,7 @@ def _of_steps(settings: StripSettings, seed: int, steps: tuple[Step, ...]) -> Si
 
 def _images(settings: StripSettings) -> list[PushbroomImage]:
     """Nominal images, nadir and aside by turns, whose middles follow one ground track."""
-    first = Passage(_FIRST, site_at(*_START), HEADING / np.cos(_START[1]), settings.altitude)
+    first = CircularPass(_FIRST, site_at(*_START), HEADING / np.cos(_START[1]), settings.altitude)
     since: Array = settings.interval * np.arange(settings.pairs, dtype=np.float64)
     sites, headings = ground_track(first, since)
     length = float(np.linalg.norm(np.diff(sites, axis=0), axis=1).sum())
@@ -209,7 +210,7 @@ def _images(settings: StripSettings) -> list[PushbroomImage]:
         pair, aside = divmod(k, 2)
         epoch = _FIRST + _SOL * pair + _LATER * aside
         off_nadir = settings.off_nadir if aside else 0.0
-        passage = Passage(epoch, sites[pair], float(headings[pair]), settings.altitude, off_nadir)
+        flown = CircularPass(epoch, sites[pair], float(headings[pair]), settings.altitude, off_nadir)
         name = f"STRIP/{k:03d}{'NX'[aside]}"
-        images.append(narrow_image(name, passage, settings.lines, settings.samples, settings.period))
+        images.append(narrow_image(name, flown, settings.lines, settings.samples, settings.period))
     return images

@@ -243,7 +243,7 @@ def test_points_off_the_model_are_judged() -> None:
     radii = surface.grid.radii.copy()
     radii[: radii.shape[0] // 2] = np.nan
     grid = replace(surface.grid, radii=radii)
-    there = np.isfinite(grid.at(made.places))
+    there = np.isfinite(grid.at(made.true_points))
     assert 0.2 < there.mean() < 0.8
     net = replace(made.network, surface=replace(surface, grid=grid, sigmas=np.where(there, surface.sigmas, np.inf)))
     choice = choose_spacing(net, SolverSettings(), [5.0, 20.0], 0.5)

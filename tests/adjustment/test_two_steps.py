@@ -54,12 +54,12 @@ def block() -> SimulatedBlock:
 def with_wrong_match() -> Network:
     """The block, and all rays of one point see a place above it."""
     net, truth = block().network, block()
-    up = east_north_up(truth.places[[WRONG]])[0, 2]
+    up = east_north_up(truth.true_points[[WRONG]])[0, 2]
     places = net.rays.places.copy()
     for k in np.flatnonzero(net.rays.point == WRONG).tolist():
         image = int(net.rays.image[k])
         raised, _ = net.images[image].ground_to_image(
-            (truth.places[WRONG] + HIGH * up)[None], truth.corrections[image], places[[k], 0]
+            (truth.true_points[WRONG] + HIGH * up)[None], truth.corrections[image], places[[k], 0]
         )
         places[k] = raised[0]
     return replace(net, rays=replace(net.rays, places=places))

@@ -33,7 +33,8 @@ from mgsgraph.products.figures.sheet import plain_style, save
 from mgsgraph.products.inventory import inventory
 from mgsgraph.products.tables import connectivity_csv
 from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.pair import MARS, PairSettings, simulate_pair
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import DEG, KM
 
 

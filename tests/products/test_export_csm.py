@@ -31,7 +31,7 @@ from mgsgraph.products.export.csm import distortion_fields, write_csm
 from mgsgraph.products.export.csm_back import csm_differences, ground_to_image, isd_differences, state_differences
 from mgsgraph.products.export.csm_tables import refined_tables
 from mgsgraph.products.export.round_trip import Reprojection, reprojection
-from mgsgraph.simulation.files import json_text, support_data
+from mgsgraph.simulation.isis_files import json_text, support_data
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
 DOUBLES = (

@@ -20,7 +20,7 @@ from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.products.export.gis import write_gis
 from mgsgraph.products.export.gis_layers import exaggeration
 from mgsgraph.products.merit import adjusted_points
-from mgsgraph.simulation.pair import MARS
+from mgsgraph.simulation.mars import MARS
 from mgsgraph.units import DEG, KM
 
 pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")

@@ -27,7 +27,8 @@ from mgsgraph.products.export.round_trip import Reprojection, reprojection
 from mgsgraph.products.export.spice import MissionClock, NaifIds, SpiceNaming, write_spice
 from mgsgraph.products.export.spice_back import spice_differences
 from mgsgraph.products.export.spice_nodes import TOLERANCE, AdjustedNodes, adjusted_nodes
-from mgsgraph.simulation.files import image_file, write_pair
+from mgsgraph.simulation.files import write_pair
+from mgsgraph.simulation.isis_files import image_file
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
