@@ -21,8 +21,14 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.io.megdr import REFERENCE_RADIUS
 from mgsgraph.simulation.camera import BORESIGHT_SAMPLE
 from mgsgraph.simulation.files import writing
-from mgsgraph.simulation.mgs_files import image_label, kernel_segment, label_time, pedr_file, pedr_frames
-from mgsgraph.simulation.moc_file import write_moc_image
+from mgsgraph.simulation.mgs_files import (
+    image_label,
+    kernel_segment,
+    label_time,
+    pedr_file,
+    pedr_frames,
+    write_moc_image,
+)
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr, write_pedr
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import CAMERA, CAMERA_FRAME_TEXT, ephemeris_time, write_kernels

@@ -1,8 +1,11 @@
 """Everything that is simulated as files in the formats in which real data come, with a case file and the truth.
 
 Pair and strip are written as support data, network and laser shots (`isis_files`), study sites as MGS' archives have
-them: kernels (`spice_files`), images (`moc_file`), PEDR and MEGDR (`mola_files`). `case.toml` (`case_files`) is what an
-adjustment takes, ``truth.json`` what it should find: m, rad and s, body-fixed.
+them: kernels (`spice_files`), images (`mgs_files`), PEDR and MEGDR (`mola_files`). ``case.toml`` (`case_files`) is what
+an adjustment takes, ``truth.json`` what it should find: m, rad and s, body-fixed.
+
+Every writer makes its folder when absent, replaces files of the same names in it, and raises InputError if the folder
+can't be written.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +21,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.case_files import campaign_case, papers_case, site_case, three_sites_case
-from mgsgraph.simulation.isis_files import image_file, json_text, lidar_text, support_data, tie_network_text
+from mgsgraph.simulation.isis_files import image_file, json_text, laser_text, support_data, tie_network_text
 from mgsgraph.simulation.mgs_files import (
     image_label,
     kernel_segment,
@@ -27,8 +30,8 @@ from mgsgraph.simulation.mgs_files import (
     pedr_frames,
     shot_names,
     write_grids,
+    write_moc_image,
 )
-from mgsgraph.simulation.moc_file import write_moc_image
 from mgsgraph.simulation.mola_files import write_pedr
 from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
@@ -65,20 +68,7 @@ def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
 
 
 def write_pair(pair: SimulatedPair, folder: Path) -> Path:
-    """Write a simulated pair, its case file and its truth; returns the path of ``case.toml``.
-
-    Parameters
-    ----------
-    pair : SimulatedPair
-        As simulated.
-    folder : Path
-        Made when absent; files of the same names in it are replaced.
-
-    Raises
-    ------
-    InputError
-        If the folder can't be written.
-    """
+    """Write a simulated pair, its case file and its truth; returns the path of ``case.toml``."""
     texts = _campaign(pair, "simulated pair", (pair.laser,), (pair.true_footprints,))
     write_texts(folder, texts | {"network.pvl": tie_network_text(pair.ties)})
     return folder / "case.toml"
@@ -87,30 +77,17 @@ def write_pair(pair: SimulatedPair, folder: Path) -> Path:
 def write_strip(strip: SimulatedStrip, folder: Path, steps: bool = False) -> Path:
     """Write a simulated strip, its case file and its truth; returns the path of ``case.toml``.
 
-    A network of a hundred thousand points takes seconds to write and to read, one of a million some minutes.
-
-    Parameters
-    ----------
-    strip : SimulatedStrip
-        As simulated.
-    folder : Path
-        Made when absent; files of the same names in it are replaced.
-    steps : bool
-        Write for each image k, in ``step_007`` and the like, the ``ties.pvl`` and ``lidar.json`` that it brings. They
-        are the whole network and all shots once more, but for known shots, which stand there again with the measure in
-        the new image and without a simultaneous one.
-
-    Raises
-    ------
-    InputError
-        If the folder can't be written.
+    With `steps`, write for each image k, in ``step_007`` and the like, the ``ties.pvl`` and ``lidar.json`` that it
+    brings. They are the whole network and all shots once more, but for known shots, which stand there again with the
+    measure in the new image and without a simultaneous one. A network of a hundred thousand points takes seconds to
+    write and to read, one of a million some minutes.
     """
     texts = _campaign(strip, "simulated strip", strip.lasers, strip.true_footprints)
     texts["network.pvl"] = tie_network_text(strip.ties, *_STRIP_NETWORK)
     for k in range(len(strip.images)) if steps else ():
         _, ties, laser = strip.addition(k)
         texts |= {f"step_{k:03d}/ties.pvl": tie_network_text(ties, *_STRIP_NETWORK)} if ties.ids else {}
-        texts |= {f"step_{k:03d}/lidar.json": lidar_text((laser,))} if laser else {}
+        texts |= {f"step_{k:03d}/lidar.json": laser_text((laser,))} if laser else {}
     write_texts(folder, texts)
     return folder / "case.toml"
 
@@ -120,18 +97,6 @@ def write_three_sites(simulated: SimulatedThreeSites, folder: Path) -> Path:
 
     In ``eos``, ``gusev`` and ``isidis`` are the sites' files with cases of their own, which serve alone, too. The case
     over all leaves their terrain models out: it can have one grid, and no grid holds three sites.
-
-    Parameters
-    ----------
-    simulated : SimulatedThreeSites
-        As simulated.
-    folder : Path
-        Made when absent; files of the same names in it are replaced.
-
-    Raises
-    ------
-    InputError
-        If the folder can't be written.
     """
     for site in simulated.sites:
         write_site(site, folder / site.settings.name)
@@ -205,7 +170,7 @@ def _campaign(
         },
     }
     return {image_file(image): json_text(support_data(image)) for image in made.images} | {
-        "lidar.json": lidar_text(lasers),
+        "lidar.json": laser_text(lasers),
         "truth.json": json_text(truth),
         "case.toml": campaign_case(name, made.images, made.settings.noise),
     }

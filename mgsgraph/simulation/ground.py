@@ -110,7 +110,7 @@ class SiteTerrain:
         return self.relief.period
 
     def height(self, lon: Array, lat: Array) -> Array:
-        """Height (n,) in m above the ellipsoid, along the radius, at places (n,)."""
+        """Height (n,) in m above the ellipsoid, along the radius, at longitudes and latitudes (n,)."""
         height = np.empty(lon.size)
         for first in range(0, lon.size, _BLOCK):
             part = slice(first, first + _BLOCK)
@@ -123,7 +123,7 @@ class SiteTerrain:
         return self.ground_radius(lon, lat)
 
     def ground_radius(self, lon: Array, lat: Array) -> Array:
-        """Radius (n,) in m of the ground at places (n,)."""
+        """Radius (n,) in m of the ground at longitudes and latitudes (n,)."""
         return self._ellipsoid_radius(lat)[0] + self.height(lon, lat)
 
     def normal(self, points: Array) -> Array:
@@ -133,11 +133,11 @@ class SiteTerrain:
         return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
     def on_ground(self, lon: Array, lat: Array) -> Array:
-        """Body-fixed points (n, 3) in m of the ground at places (n,)."""
+        """Body-fixed points (n, 3) in m of the ground at longitudes and latitudes (n,)."""
         return from_planetocentric(np.column_stack([lon, lat, self.ground_radius(lon, lat)]))
 
     def areoid_radius(self, lon: Array, lat: Array) -> Array:
-        """Radius (n,) in m of the areoid at places (n,): parallel to the ellipsoid but for 20 m of swell."""
+        """Radius (n,) in m of the areoid at longitudes and latitudes (n,): 20 m of swell beside the ellipsoid's."""
         swell = 20.0 * np.sin(9.0 * (lon - self.centre_lon)) * np.cos(7.0 * (lat - self.centre_lat))
         return np.asarray(self._ellipsoid_radius(lat)[0] + self.ground.areoid + swell)
 
@@ -171,7 +171,7 @@ class SiteTerrain:
         return points
 
     def chart(self, lon: Array, lat: Array) -> tuple[Array, Array]:
-        """Plane places (n,) in m east and north of the centre."""
+        """Coordinates (n,) in m east and north of the centre in a plane chart."""
         scale = self.metres_per_radian
         turned = in_turn(lon - self.centre_lon)
         return scale[0] * turned, scale[1] * (lat - self.centre_lat)
@@ -187,8 +187,8 @@ class SiteTerrain:
         return height, by_lon, by_lat
 
     def local(self, east: Float, north: Float) -> tuple[Float, Float, Float]:
-        """Height (n,) in m above the regional level and its slopes east and north (n,) at chart places (n,), in their
-        dtype.
+        """Height (n,) in m above the regional level and its slopes east and north (n,) at chart coordinates (n,), in
+        their dtype.
         """
         value, by_east, by_north = self.relief.at(east, north)
         sine, cosine = east.dtype.type(np.sin(_DETAIL_ROTATION)), east.dtype.type(np.cos(_DETAIL_ROTATION))
@@ -198,7 +198,7 @@ class SiteTerrain:
         return value + fine, by_east, by_north
 
     def albedo(self, east: Float, north: Float) -> Float:
-        """Brightness (n,) of the soil at chart places (n,), in units of its mean and in the places' dtype."""
+        """Brightness (n,) of the soil at chart coordinates (n,), in units of its mean and in their dtype."""
         sine, cosine = east.dtype.type(np.sin(_DETAIL_ROTATION)), east.dtype.type(np.cos(_DETAIL_ROTATION))
         return self.brightness.value(cosine * east + sine * north, cosine * north - sine * east)
 

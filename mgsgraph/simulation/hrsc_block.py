@@ -23,7 +23,7 @@ from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, PointC
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_terrain
 from mgsgraph.simulation.hrsc_flight import PericentrePass, Readout, strip_images
-from mgsgraph.simulation.hrsc_points import FlownStrip, Matches, matched_points
+from mgsgraph.simulation.hrsc_points import FlownStrip, PointMatching, matched_points
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import Visible, require_count, require_positive
 from mgsgraph.simulation.strip_truth import Jitter, true_correction
@@ -126,7 +126,7 @@ class BlockSettings:
     """Of the five lines."""
     points: int = 10_000
     """Number of matched points."""
-    matches: Matches = field(default_factory=Matches)
+    matches: PointMatching = field(default_factory=PointMatching)
     """In how many lines, and how well."""
     basis: Basis = "lagrange"
     """Between the nodes."""
@@ -275,7 +275,7 @@ def _abreast(altitudes: Array, overlap: float) -> Array:
     return np.asarray(angles - 0.5 * (angles[:1] + angles[-1:]))
 
 
-def _rays(visible: Visible, matches: Matches, rng: np.random.Generator) -> tuple[ImageRays, Mask]:
+def _rays(visible: Visible, matches: PointMatching, rng: np.random.Generator) -> tuple[ImageRays, Mask]:
     """Image rays as measured, by point and image, and which of them are blunders."""
     point, image, exact = visible.ordered()
     noisy = exact + matches.sigma * rng.standard_normal(exact.shape)

@@ -17,7 +17,7 @@ from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO, hrsc_interior, line_image, one_rate
 from mgsgraph.simulation.mars import MARS, MERIDIAN, body_matrix
-from mgsgraph.simulation.orbit import Orbit, tables
+from mgsgraph.simulation.orbit import Orbit, sampled_trajectory
 from mgsgraph.units import DEG
 
 REFERENCE_ALTITUDE = 265e3
@@ -74,7 +74,7 @@ class PericentrePass:
         forward = over_ground - np.einsum("ni,ni->n", over_ground, down)[:, None] * down
         forward /= np.linalg.norm(forward, axis=1, keepdims=True)
         camera = np.stack([np.cross(forward, down), forward, down], axis=1)
-        return tables(self.epoch, times, (position, velocity), camera, to_body)
+        return sampled_trajectory(self.epoch, times, (position, velocity), camera, to_body)
 
     def track(self, times: Array) -> tuple[Array, Array, Array]:
         """Of the ground track at increasing times (n,) in s past the epoch: length (n,) in m from the first, speed

@@ -29,7 +29,7 @@ _ROUNDS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Matches:
+class PointMatching:
     """How points are matched."""
 
     shares: tuple[float, float, float] = (0.05, 0.15, 0.80)
@@ -82,7 +82,7 @@ class FlownStrip:
     def __post_init__(self) -> None:
         assign(self, swaths=tuple(_swath(self.axes, image, self.level) for image in self.images))
 
-    def matched(self, points: Array, matches: Matches, rng: np.random.Generator) -> tuple[Index, Index, Array]:
+    def matched(self, points: Array, matches: PointMatching, rng: np.random.Generator) -> tuple[Index, Index, Array]:
         """In which lines points (n, 3) in m are matched: in as many as drawn, of those that see them, or in none.
 
         Returns
@@ -125,7 +125,7 @@ class FlownStrip:
 
 
 def matched_points(
-    strips: list[FlownStrip], relief: SiteTerrain, number: int, matches: Matches, rng: np.random.Generator
+    strips: list[FlownStrip], relief: SiteTerrain, number: int, matches: PointMatching, rng: np.random.Generator
 ) -> tuple[Array, Visible]:
     """Random points of the ground in the strips' nadir images, evenly many of each strip, and their image points.
 
@@ -154,7 +154,7 @@ def _of_strip(
     strip: FlownStrip,
     relief: SiteTerrain,
     count: int,
-    matches: Matches,
+    matches: PointMatching,
     rng: np.random.Generator,
     visible: Visible,
     first: tuple[int, int],

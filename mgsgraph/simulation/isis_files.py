@@ -112,7 +112,7 @@ def tie_network_text(ties: TiePoints, name: str = "simulated_pair", description:
     return pvl_writing.network_text(control_network(free, name, "MARS", description, created=_WRITTEN))
 
 
-def lidar_text(lasers: Iterable[LaserProfile]) -> str:
+def laser_text(lasers: Iterable[LaserProfile]) -> str:
     """ISIS lidar data of some profiles, as JSON."""
     return json_text({"points": [shot for laser in lasers for shot in _shots(laser)]})
 

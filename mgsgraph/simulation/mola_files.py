@@ -1,13 +1,13 @@
-"""Simulated laser shots as a MOLA Precision Experiment Data Record (PEDR): a label of ten records, then frames.
+"""MOLA's files: laser shots as a Precision Experiment Data Record (PEDR), grids as gridded records (MEGDR).
 
-A frame keeps 20 shots' ranges and radii one by one, but their places as a midpoint, a change over the frame and the
-parallax: how far a place moves with the shot's radius, which follows from the line of sight. So what is read back
-differs from what was given:
+A PEDR is a label of ten records, then frames. A frame keeps 20 shots' ranges and radii one by one, but their longitudes
+and latitudes as a midpoint, a change over the frame and the parallax: how far a footprint moves with the shot's radius,
+which follows from the line of sight. So what is read back differs from what was given:
 
 * ranges and radii by the rounding to 1 cm;
-* places by the rounding to 1e-6 deg (3 cm, in each of midpoint and change) and by whatever in them isn't linear over
-  the two seconds of a frame: the curvature of the track, below 1 m; noise of single footprints is lost;
-* areoid radii and the spacecraft's place likewise (the orbit's curvature over a frame: below 1 m);
+* longitudes and latitudes by the rounding to 1e-6 deg (3 cm, in each of midpoint and change) and by whatever in them
+  isn't linear over the two seconds of a frame: the track's curvature, below 1 m; noise of single footprints is lost;
+* areoid radii and the spacecraft's position likewise (the orbit's curvature over a frame: below 1 m);
 * times by half a microsecond, and by the clock's rounding to 1 Hz (1e-8 s).
 
 `write_pedr` returns the shots as written.
@@ -239,9 +239,9 @@ def _parallax(frames: PedrFrames, count: NDArray[np.int64]) -> Array:
     the middle shot of each frame.
     """
     middle = SHOTS * np.arange(count.size) + (count - 1) // 2
-    places = np.column_stack([frames.longitudes, frames.latitudes, frames.radii])[middle]
+    footprints = np.column_stack([frames.longitudes, frames.latitudes, frames.radii])[middle]
     craft = np.column_stack([frames.spacecraft_longitudes, frames.spacecraft_latitudes, frames.spacecraft_radii])
-    foot = from_planetocentric(places)
+    foot = from_planetocentric(footprints)
     look = from_planetocentric(craft[middle]) - foot
     step = 100.0 * look / np.linalg.norm(look, axis=1, keepdims=True)
     above, below = planetocentric(foot + step), planetocentric(foot - step)

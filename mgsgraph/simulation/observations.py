@@ -1,5 +1,6 @@
 """Simulated observations: the sigmas they are drawn from, tie points, laser shots, and who shows which point where."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -67,6 +68,12 @@ def require_count(where: str, value: int, least: float) -> None:
         raise InputError(where, f"{value}", f"a whole number, at least {least:.0f}")
 
 
+def require_seed(where: str, seed: int) -> None:
+    """Raise InputError for a seed below zero."""
+    if seed < 0:
+        raise InputError(f"{where}, seed", f"{seed}", "zero or a positive whole number")
+
+
 def require_relief(where: str, value: float) -> None:
     """Raise InputError unless a height is finite and not below zero."""
     if not (np.isfinite(value) and value >= 0.0):
@@ -106,22 +113,8 @@ class Visible:
 def free_points(
     source: str, ids: tuple[str, ...], point: Index, images: tuple[str, ...], measures: Array, sigma: Array | float
 ) -> TiePoints:
-    """Tie points without a-priori coordinates.
-
-    Parameters
-    ----------
-    source : str
-        What messages call them.
-    ids : n names
-        Of the points.
-    point : (k,)
-        Number of each measure's point.
-    images : k names
-        Image of each measure.
-    measures : (k, 2)
-        pixels, line and sample.
-    sigma : float or (k, 2)
-        pixels.
+    """Tie points without a-priori coordinates: n points by name, and k measures of point (k,) in images (k names) at
+    lines and samples (k, 2), with one sigma in pixels or with sigmas (k, 2).
     """
     n, k = len(ids), len(images)
     return TiePoints(
@@ -137,20 +130,65 @@ def free_points(
     )
 
 
+def project(
+    images: Sequence[PushbroomImage], corrections: Sequence[OrientationCorrection | None], points: Array
+) -> tuple[Array, Mask]:
+    """Line and sample (n, images, 2) of points (n, 3) in m in each image with its true orientation, nominal (+)
+    correction; and which points (n,) all images show well inside their edges.
+    """
+    pixels = [image.ground_to_image(points, true)[0] for image, true in zip(images, corrections, strict=True)]
+    seen = [well_inside(image, each) for image, each in zip(images, pixels, strict=True)]
+    return np.stack(pixels, axis=1), np.all(seen, axis=0)
+
+
+def shared_ties(
+    source: str,
+    images: Sequence[PushbroomImage],
+    corrections: Sequence[OrientationCorrection | None],
+    points: Array,
+    count: int,
+    sigma: float,
+    rng: np.random.Generator,
+    remedy: str = "",
+) -> tuple[TiePoints, Array]:
+    """Tie points at the first `count` of points (n, 3) in m that all images show, measured in all of them with noise of
+    `sigma` pixels; and these points (count, 3). InputError with the remedy where there are not so many.
+    """
+    pixels, seen = project(images, corrections, points)
+    kept = np.flatnonzero(seen)[:count]
+    if kept.size < count:
+        raise InputError(source, f"images that share ground for {kept.size} of {count} tie points", remedy=remedy)
+    exact = pixels[kept].reshape(-1, 2)
+    ties = free_points(
+        source,
+        tuple(f"TIE{i + 1:05d}" for i in range(count)),
+        np.repeat(np.arange(count), len(images)),
+        tuple(image.name for image in images) * count,
+        exact + sigma * rng.standard_normal(exact.shape),
+        sigma,
+    )
+    return ties, points[kept]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shots:
-    """Laser shots along an image's optical axis, without noise."""
+    """Laser shots along an image's optical axis."""
 
     times: Array
     """(n,) s TDB past J2000."""
     points: Array
-    """(n, 3) m, body-fixed, where they meet the terrain."""
+    """(n, 3) m, body-fixed, where they meet the ground."""
     ranges: Array
     """(n,) m."""
 
+    def noisy(self, noise: NoiseSettings, rng: np.random.Generator) -> "Shots":
+        """As measured: ranges and points with noise."""
+        ranges = self.ranges + noise.range * rng.standard_normal(self.ranges.size)
+        return Shots(self.times, self.points + noise.ground * rng.standard_normal(self.points.shape), ranges)
+
 
 def shots_along(image: PushbroomImage, true: OrientationCorrection, number: int, relief: float) -> Shots:
-    """Shots from the spacecraft of an image, evenly spaced in time."""
+    """Shots from the spacecraft of an image, evenly spaced in time, without noise."""
     epoch = image.trajectory.epoch
     elapsed, _ = image.timing.at(np.linspace(2.0 * MARGIN, image.lines - 2.0 * MARGIN, number))
     times = epoch + elapsed
@@ -162,46 +200,24 @@ def shots_along(image: PushbroomImage, true: OrientationCorrection, number: int,
 def profile(
     source: str,
     ids: tuple[str, ...],
-    times: Array,
-    ranges: Array,
-    footprints: Array,
+    given: Shots,
     simultaneous: tuple[tuple[str, ...], ...],
     shot: Index,
     images: tuple[str, ...],
     measures: Array,
     noise: NoiseSettings,
 ) -> LaserProfile:
-    """Laser shots as an adjustment is given them, with the sigmas of the settings.
-
-    Parameters
-    ----------
-    source : str
-        What messages call them.
-    ids : n names
-        Of the shots.
-    times, ranges : (n,)
-        s TDB past J2000; m.
-    footprints : (n, 3)
-        m, body-fixed.
-    simultaneous : n tuples of names
-        Images taken from the same spacecraft along with each shot.
-    shot : (k,)
-        Number of each measure's shot.
-    images : k names
-        Image of each measure.
-    measures : (k, 2)
-        pixels, line and sample.
-    noise : NoiseSettings
-        Sigmas.
+    """Laser shots as an adjustment is given them: n shots by name, each with the images taken along with it; k measures
+    of shot (k,) in images (k names) at lines and samples (k, 2); and the sigmas of the settings.
     """
     n = len(ids)
     return LaserProfile(
         source=source,
         ids=ids,
-        times=times,
-        ranges=ranges,
+        times=given.times,
+        ranges=given.ranges,
         range_sigmas=np.full(n, noise.range),
-        footprints=footprints,
+        footprints=given.points,
         covariances=np.broadcast_to(noise.ground**2 * np.eye(3), (n, 3, 3)),
         simultaneous=simultaneous,
         measure_shot=shot,

@@ -76,7 +76,7 @@ class Orbit:
         return positions, speed * (np.cos(angle) * self.flight - np.sin(angle) * self.outward)
 
 
-def tables(
+def sampled_trajectory(
     epoch: float,
     times: Array,
     state: tuple[Array, Array],
@@ -166,7 +166,7 @@ def circular_trajectory(flown: CircularPass, half: float, step: float = TABLE_ST
     camera = np.stack([orbit.flight, np.cross(axis, orbit.flight), axis])
     tracks_nadir = flown.off_nadir == 0.0  # then the camera turns about the orbit's normal, otherwise it is held
     turned = orbit.angle(times) * np.cross(orbit.outward, orbit.flight) if tracks_nadir else np.zeros((times.size, 3))
-    return tables(
+    return sampled_trajectory(
         flown.epoch, times, orbit.circle_state(times), camera @ rotation.exponential(-turned),
         fixed_pole_matrix(flown.epoch + times), _CIRCLE_MOUNT, _CIRCLE_TILT,
     )  # fmt: skip
@@ -317,7 +317,7 @@ def nominal_trajectory(flown: SitePass, duration: float, errors: KernelErrors, r
 
 
 def _sampled(flown: SitePass, times: Array, state: tuple[Array, Array], camera: Array) -> Trajectory:
-    return tables(flown.epoch, times, state, camera, body_matrix(flown.epoch + times), mount())
+    return sampled_trajectory(flown.epoch, times, state, camera, body_matrix(flown.epoch + times), mount())
 
 
 def _table_times(duration: float) -> Array:

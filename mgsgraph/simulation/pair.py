@@ -6,7 +6,7 @@ trajectory (+) a correction drawn from the stated prior; every observation is th
 stated sigma, so that an adjustment with these sigmas has honest statistics.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,13 +20,14 @@ from mgsgraph.simulation.ground import CENTRE, rays_to_sines
 from mgsgraph.simulation.observations import (
     MARGIN,
     NoiseSettings,
-    free_points,
     profile,
+    project,
     require_count,
     require_positive,
     require_relief,
+    require_seed,
+    shared_ties,
     shots_along,
-    well_inside,
 )
 from mgsgraph.simulation.orbit import HEADING, CircularPass, site_at
 from mgsgraph.ties import TiePoints
@@ -124,8 +125,7 @@ def simulate_pair(
         Where the images do not share enough ground for the ties and shots asked for.
     """
     settings = settings or PairSettings()
-    if seed < 0:
-        raise InputError("simulated pair, seed", f"{seed}", "zero or a positive whole number")
+    require_seed("simulated pair", seed)
     of_orientation, of_ties, of_shots = np.random.default_rng(seed).spawn(3)
     images = tuple(
         narrow_image(
@@ -140,43 +140,12 @@ def simulate_pair(
     true = tuple(settings.noise.correction(of_orientation) for _ in images)
     errors = errors or InstrumentErrors()
     taken = tuple(as_taken(image, errors) for image in images)
-    ties, true_ties = _tie_points(taken, true, settings, of_ties)
+    size, number = np.array([settings.lines, settings.samples]), settings.ties
+    drawn = of_ties.uniform(MARGIN, size - MARGIN, (4 * number, 2))
+    points = rays_to_sines(taken[0], true[0], drawn[:, 0], drawn[:, 1], settings.relief)
+    ties, true_ties = shared_ties(SOURCE, taken, true, points, number, settings.noise.tie, of_ties, _NO_OVERLAP)
     laser, footprints = _laser_profile(taken, true, settings, errors, of_shots)
     return SimulatedPair(settings, seed, images, true, ties, true_ties, laser, footprints)
-
-
-def _project(
-    images: tuple[PushbroomImage, ...], corrections: tuple[OrientationCorrection, ...], points: Array
-) -> tuple[Array, Array]:
-    """Line and sample of points (n, 3) in each image (n, images, 2), and which points (n,) all images see."""
-    pixels = [image.ground_to_image(points, true)[0] for image, true in zip(images, corrections, strict=True)]
-    seen = [well_inside(image, each) for image, each in zip(images, pixels, strict=True)]
-    return np.stack(pixels, axis=1), np.all(seen, axis=0)
-
-
-def _tie_points(
-    images: tuple[PushbroomImage, ...],
-    corrections: tuple[OrientationCorrection, ...],
-    settings: PairSettings,
-    rng: np.random.Generator,
-) -> tuple[TiePoints, Array]:
-    """Tie points, drawn at random from the ground that all images see, and their true coordinates (n, 3) in m."""
-    first, n, k = images[0], settings.ties, settings.ties * len(images)
-    drawn = rng.uniform(MARGIN, np.array([first.lines, first.samples]) - MARGIN, (4 * n, 2))
-    points = rays_to_sines(first, corrections[0], drawn[:, 0], drawn[:, 1], settings.relief)
-    pixels, seen = _project(images, corrections, points)
-    kept = np.flatnonzero(seen)[:n]
-    if kept.size < n:
-        raise InputError(SOURCE, f"images that share ground for {kept.size} of {n} tie points", remedy=_NO_OVERLAP)
-    ties = free_points(
-        SOURCE,
-        tuple(f"TIE{i + 1:05d}" for i in range(n)),
-        np.repeat(np.arange(n), len(images)),
-        tuple(image.name for image in images) * n,
-        pixels[kept].reshape(k, 2) + settings.noise.tie * rng.standard_normal((k, 2)),
-        settings.noise.tie,
-    )
-    return ties, points[kept]
 
 
 def _laser_profile(
@@ -189,18 +158,16 @@ def _laser_profile(
     """Shots along the first image's optical axis, evenly spaced in time, and their true footprints (n, 3) in m."""
     noise, n, k = settings.noise, settings.shots, settings.shots * len(images)
     shots = shots_along(images[0], corrections[0], n, settings.relief)
-    pixels, seen = _project(images, corrections, shots.points)
+    pixels, seen = project(images, corrections, shots.points)
     if not np.all(seen):
         raise InputError(SOURCE, f"images that share {seen.sum()} of {n} laser footprints", remedy=_NO_OVERLAP)
-    believed = shots.points
+    points = shots.points
     if np.any(errors.altimeter_boresight):
-        believed = displaced_footprints(images[0], shots.times - images[0].trajectory.epoch, shots.points, errors)
+        points = displaced_footprints(images[0], shots.times - images[0].trajectory.epoch, points, errors)
     laser = profile(
         SOURCE,
         tuple(f"SHOT{i + 1:05d}" for i in range(n)),
-        shots.times,
-        shots.ranges + errors.range_bias + noise.range * rng.standard_normal(n),
-        believed + noise.ground * rng.standard_normal((n, 3)),
+        replace(shots, points=points, ranges=shots.ranges + errors.range_bias).noisy(noise, rng),
         ((images[0].name,),) * n,
         np.repeat(np.arange(n), len(images)),
         tuple(image.name for image in images) * n,

@@ -18,7 +18,7 @@ from mgsgraph.simulation.camera import moc_image
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import Picture, render
 from mgsgraph.simulation.mars import sun_direction
-from mgsgraph.simulation.observations import free_points, require_positive
+from mgsgraph.simulation.observations import MARGIN, require_positive, require_seed, shared_ties
 from mgsgraph.simulation.orbit import SitePass, nominal_trajectory, site_pass, true_trajectory
 from mgsgraph.simulation.sites import ImageSettings, KernelErrors, SiteSettings, site_settings
 from mgsgraph.simulation.spice_files import clock_count, ephemeris_time
@@ -36,8 +36,6 @@ _BEYOND = 6.0
 """s, at least, by which a profile is longer than its image at either end."""
 _ALTIMETER_AXIS = np.array([4e-4, -6e-4, 1.0])
 """Boresight of MOLA in camera axes: 150 m behind the camera's on the ground and 230 m to its right."""
-_MARGIN = 30.0
-"""pixels which true tie points keep from the edges."""
 _EDGE_SHOTS = 2
 """Shots on either side of an image's edges that are no ground returns, so that the count inside is not in doubt."""
 _GRID_REACH = (25e3, 55e3)
@@ -169,14 +167,15 @@ def simulate_site(site: str, seed: int = 1, options: SimulationOptions | None = 
         If there is no such site, or the images do not share enough ground.
     """
     settings, options = site_settings(site), options or SimulationOptions()
-    if seed < 0:
-        raise InputError("simulated site, seed", f"{seed}", "zero or a positive whole number")
+    require_seed("simulated site", seed)
     terrain = make_terrain(settings.name, seed)
     streams = np.random.default_rng([seed, 3]).spawn(7)
     flights = [_flight(settings, image, options, terrain) for image in settings.images]
     pairs = [_images(*given) for given in zip(settings.images, flights, streams[:2], strict=True)]
     true = (pairs[0][0], pairs[1][0])
-    ties, points = _tie_points(true, terrain, settings.ties, options.tie_noise, streams[2])
+    drawn = streams[2].uniform(MARGIN, np.array([true[0].lines, true[0].samples]) - MARGIN, (8 * settings.ties, 2))
+    ground = terrain.intersect(*true[0].rays(drawn[:, 0], drawn[:, 1])[:2])
+    ties, points = shared_ties(SOURCE, true, (None, None), ground, settings.ties, options.tie_noise, streams[2])
     images = []
     for k, (image, (_, errors, _, count)) in enumerate(zip(settings.images, flights, strict=True)):
         sun = sun_direction(true[k].trajectory.epoch)
@@ -212,35 +211,6 @@ def _images(
     nominal = nominal_trajectory(flown, image.duration, errors, rng)
     first, second = (moc_image(image, trajectory, start - flown.epoch) for trajectory in (true, nominal))
     return first, second
-
-
-def _tie_points(
-    images: tuple[PushbroomImage, PushbroomImage],
-    terrain: SiteTerrain,
-    number: int,
-    noise: float,
-    rng: np.random.Generator,
-) -> tuple[TiePoints, Array]:
-    """Tie points, drawn at random from the ground that both images see, and their true coordinates (n, 3) in m."""
-    first = images[0]
-    drawn = rng.uniform(_MARGIN, np.array([first.lines, first.samples]) - _MARGIN, (8 * number, 2))
-    origins, directions, _, _ = first.rays(drawn[:, 0], drawn[:, 1])
-    points = terrain.intersect(origins, directions)
-    pixels = np.stack([image.ground_to_image(points)[0] for image in images], axis=1)
-    size = np.array([[image.lines, image.samples] for image in images])
-    kept = np.flatnonzero(np.all((pixels >= _MARGIN) & (pixels <= size - _MARGIN), axis=(1, 2)))[:number]
-    if kept.size < number:
-        raise InputError(SOURCE, f"images that share ground for {kept.size} of {number} tie points")
-    k = 2 * number
-    ties = free_points(
-        SOURCE,
-        tuple(f"TIE{i + 1:05d}" for i in range(number)),
-        np.repeat(np.arange(number), 2),
-        tuple(image.name for image in images) * number,
-        pixels[kept].reshape(k, 2) + noise * rng.standard_normal((k, 2)),
-        noise,
-    )
-    return ties, points[kept]
 
 
 def _profile(

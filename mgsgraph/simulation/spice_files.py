@@ -261,6 +261,15 @@ CK_{STRUCTURE}_SPK            = {SPACECRAFT}
 \\begintext
 """
 
+_LEAP_MONTHS = (
+    "1972-JAN", "1972-JUL", "1973-JAN", "1974-JAN", "1975-JAN", "1976-JAN", "1977-JAN", "1978-JAN",
+    "1979-JAN", "1980-JAN", "1981-JUL", "1982-JUL", "1983-JUL", "1985-JUL", "1988-JAN", "1990-JAN",
+    "1991-JAN", "1992-JUL", "1993-JUL", "1994-JUL", "1996-JAN", "1997-JUL", "1999-JAN", "2006-JAN",
+    "2009-JAN", "2012-JUL", "2015-JUL", "2017-JAN",
+)  # fmt: skip
+"""From when on TAI - UTC is 10 s, 11 s and so on."""
+_LEAPS = "\n                     ".join(f"{k}, @{month}-1" for k, month in enumerate(_LEAP_MONTHS, start=10))
+
 _LEAP_SECOND_TEXT = f"""KPL/LSK
 
 Leap seconds, announced by the IERS, and the constants of TDB.
@@ -270,33 +279,6 @@ DELTET/DELTA_T_A = {_TDT_TO_TAI}
 DELTET/K         = 1.657D-3
 DELTET/EB        = 1.671D-2
 DELTET/M         = ( 6.239996D0 1.99096871D-7 )
-DELTET/DELTA_AT  = ( 10, @1972-JAN-1
-                     11, @1972-JUL-1
-                     12, @1973-JAN-1
-                     13, @1974-JAN-1
-                     14, @1975-JAN-1
-                     15, @1976-JAN-1
-                     16, @1977-JAN-1
-                     17, @1978-JAN-1
-                     18, @1979-JAN-1
-                     19, @1980-JAN-1
-                     20, @1981-JUL-1
-                     21, @1982-JUL-1
-                     22, @1983-JUL-1
-                     23, @1985-JUL-1
-                     24, @1988-JAN-1
-                     25, @1990-JAN-1
-                     26, @1991-JAN-1
-                     27, @1992-JUL-1
-                     28, @1993-JUL-1
-                     29, @1994-JUL-1
-                     30, @1996-JAN-1
-                     31, @1997-JUL-1
-                     32, @1999-JAN-1
-                     33, @2006-JAN-1
-                     34, @2009-JAN-1
-                     35, @2012-JUL-1
-                     36, @2015-JUL-1
-                     37, @2017-JAN-1 )
+DELTET/DELTA_AT  = ( {_LEAPS} )
 \\begintext
 """

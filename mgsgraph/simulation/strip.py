@@ -22,7 +22,14 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.simulation.camera import narrow_image
 from mgsgraph.simulation.mars import MARS
-from mgsgraph.simulation.observations import MARGIN, NoiseSettings, require_count, require_positive, require_relief
+from mgsgraph.simulation.observations import (
+    MARGIN,
+    NoiseSettings,
+    require_count,
+    require_positive,
+    require_relief,
+    require_seed,
+)
 from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
 from mgsgraph.simulation.strip_steps import Step, Steps, merged_profiles, merged_ties
 from mgsgraph.ties import TiePoints
@@ -90,7 +97,7 @@ class StripSettings:
         return (1.0 - self.overlap) * self.lines * self.period
 
 
-class Addition(NamedTuple):
+class StripAddition(NamedTuple):
     """What an archive gains with one image."""
 
     image: PushbroomImage
@@ -102,7 +109,7 @@ class Addition(NamedTuple):
     that their ranges don't count twice. None where there are neither."""
 
     def __repr__(self) -> str:
-        return f"Addition({self.image.name}; {self.ties!r}; {self.laser!r})"
+        return f"StripAddition({self.image.name}; {self.ties!r}; {self.laser!r})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,12 +144,12 @@ class SimulatedStrip:
         """One per image: true orientation = nominal (+) correction."""
         return tuple(step.true for step in self.steps)
 
-    def addition(self, k: int) -> Addition:
+    def addition(self, k: int) -> StripAddition:
         """What becomes possible when image `k` is added to images 0 .. k - 1; together these are the whole strip."""
         if not 0 <= k < len(self.steps):
             raise InputError("simulated strip, addition", f"image {k}", f"0 .. {len(self.steps) - 1}")
         step = self.steps[k]
-        return Addition(step.image, step.ties, step.laser)
+        return StripAddition(step.image, step.ties, step.laser)
 
     def upto(self, count: int) -> "SimulatedStrip":
         """The strip as it was when only the first `count` images had been taken."""
@@ -171,8 +178,7 @@ def simulate_strip(settings: StripSettings | None = None, seed: int = 1) -> Simu
         Where images do not share enough ground for the ties asked for, or the strip would reach the pole.
     """
     settings = settings or StripSettings()
-    if seed < 0:
-        raise InputError("simulated strip, seed", f"{seed}", "zero or a positive whole number")
+    require_seed("simulated strip", seed)
     steps = Steps(settings.ties, settings.shots, settings.relief, settings.noise)
     streams = np.random.default_rng(seed).spawn(settings.images)
     for image, rng in zip(_images(settings), streams, strict=True):

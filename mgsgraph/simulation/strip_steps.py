@@ -13,7 +13,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.simulation.ground import on_sines
-from mgsgraph.simulation.observations import MARGIN, NoiseSettings, Visible, free_points, profile, shots_along
+from mgsgraph.simulation.observations import MARGIN, NoiseSettings, Shots, Visible, free_points, profile, shots_along
 from mgsgraph.simulation.true_image import TrueImage, true_image
 from mgsgraph.ties import TiePoints
 
@@ -58,8 +58,8 @@ class Steps:
     taken: list[Step] = field(default_factory=list)
     """Steps so far."""
     _images: list[TrueImage] = field(default_factory=list)
-    _footprints: list[LaserProfile] = field(default_factory=list)
-    """As given, of each nadir image, without measures."""
+    _shots: list[Shots] = field(default_factory=list)
+    """As given, of each nadir image."""
 
     def add(self, image: PushbroomImage, rng: np.random.Generator) -> None:
         """Take the next image of the strip."""
@@ -144,14 +144,11 @@ class Steps:
         if shot.size == 0:
             return None, points
         numbers, local = np.unique(shot, return_inverse=True)
-        times, ranges, footprints = self._given(numbers)
         own = self._images[k].image.name
         laser = profile(
             SOURCE,
             tuple(f"S{2 * (i // self.shots):03d}-{i % self.shots + 1:04d}" for i in numbers.tolist()),
-            times,
-            ranges,
-            footprints,
+            self._given(numbers),
             tuple((own,) if 2 * (i // self.shots) == k else () for i in numbers.tolist()),
             local,
             self._names(image),
@@ -168,29 +165,17 @@ class Steps:
         for j in [*neighbours, k]:
             shown, pixels = self._images[j].project(exact.points)
             visible.add(shown + k // 2 * n, j, pixels)
-        self._footprints.append(profile(
-            SOURCE,
-            tuple(f"{i}" for i in range(n)),
-            exact.times,
-            exact.ranges + self.noise.range * rng.standard_normal(n),
-            exact.points + self.noise.ground * rng.standard_normal((n, 3)),
-            ((),) * n,
-            np.zeros(0, dtype=np.int64),
-            (),
-            np.zeros((0, 2)),
-            self.noise,
-        ))
+        self._shots.append(exact.noisy(self.noise, rng))
         return exact.points
 
-    def _given(self, shots: Index) -> tuple[Array, Array, Array]:
-        """Times (n,), ranges (n,) and footprints (n, 3) of shots by their number, as given."""
-        first = int(shots[0]) // self.shots
-        some, local = self._footprints[first:], shots - first * self.shots
-        return (
-            np.concatenate([one.times for one in some])[local],
-            np.concatenate([one.ranges for one in some])[local],
-            np.concatenate([one.footprints for one in some])[local],
+    def _given(self, numbers: Index) -> Shots:
+        """Shots by their number, as given."""
+        first = int(numbers[0]) // self.shots
+        some, local = self._shots[first:], numbers - first * self.shots
+        times, points, ranges = (
+            np.concatenate([getattr(one, name) for one in some])[local] for name in ("times", "points", "ranges")
         )
+        return Shots(times, points, ranges)
 
     def _names(self, images: Index) -> tuple[str, ...]:
         names = [taken.image.name for taken in self._images]

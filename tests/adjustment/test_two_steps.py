@@ -35,7 +35,7 @@ from mgsgraph.simulation.hrsc_block import (
     TrajectoryErrors,
     simulate_hrsc_block,
 )
-from mgsgraph.simulation.hrsc_points import Matches
+from mgsgraph.simulation.hrsc_points import PointMatching
 
 SETTINGS = SolverSettings(reject=4.0)
 WRONG, HIGH = 7, 900.0
@@ -45,7 +45,7 @@ WRONG, HIGH = 7, 900.0
 @cache
 def block() -> SimulatedBlock:
     settings = BlockSettings(
-        strips=2, length=120e3, points=240, matches=Matches(blunders=0.01), terrain=TerrainErrors(missing=0.01)
+        strips=2, length=120e3, points=240, matches=PointMatching(blunders=0.01), terrain=TerrainErrors(missing=0.01)
     )
     return simulate_hrsc_block(settings, seed=4)
 

@@ -15,14 +15,14 @@ from mgsgraph.network import Network, NodePrior
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TerrainErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Readout
-from mgsgraph.simulation.hrsc_points import Matches
+from mgsgraph.simulation.hrsc_points import PointMatching
 from mgsgraph.simulation.observations import MARGIN
 from mgsgraph.simulation.strip_truth import Jitter, correction_at
 from mgsgraph.units import DEG, MGON
 
 SMALL = BlockSettings(strips=3, crossing=1, length=300e3, points=1500)
 TINY = BlockSettings(strips=1, length=100e3, points=20, terrain=None)
-EXACT = Matches(sigma=1e-9)
+EXACT = PointMatching(sigma=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_strips_share_points_and_those_that_cross_fly_the_other_way(block: Simul
 
 
 def test_points_are_matched_in_as_many_lines_as_stated() -> None:
-    made = simulate_hrsc_block(replace(TINY, points=2000, matches=Matches(shares=(0.2, 0.3, 0.5))))
+    made = simulate_hrsc_block(replace(TINY, points=2000, matches=PointMatching(shares=(0.2, 0.3, 0.5))))
     counts = np.bincount(made.network.ray_counts, minlength=6)[3:] / 2000
     np.testing.assert_allclose(counts, [0.2, 0.3, 0.5], atol=0.06)  # fewer see the points at the swath's edges
 
@@ -204,7 +204,7 @@ def test_measures_have_the_stated_noise_and_lie_on_their_images(block: Simulated
 
 
 def test_blunders_are_those_marked() -> None:
-    made = simulate_hrsc_block(replace(SMALL, matches=Matches(blunders=0.05)))
+    made = simulate_hrsc_block(replace(SMALL, matches=PointMatching(blunders=0.05)))
     error = made.network.rays.places - exact_places(made.network, made.true_points, made.corrections)
     size = np.linalg.norm(error, axis=1)
     assert np.mean(made.blunders) == pytest.approx(0.05, abs=0.012)
@@ -358,9 +358,9 @@ def test_settings_that_make_no_sense_are_refused(change: dict[str, object], mess
 
 def test_parts_of_settings_that_make_no_sense_are_refused() -> None:
     with pytest.raises(InputError, match="add up to 1"):
-        Matches(shares=(0.5, 0.5, 0.5))
+        PointMatching(shares=(0.5, 0.5, 0.5))
     with pytest.raises(InputError, match="blunders: 2"):
-        Matches(blunders=2.0)
+        PointMatching(blunders=2.0)
     with pytest.raises(InputError, match="macropixels"):
         Readout(macropixels=(1, 2, 3, 1, 1))
     with pytest.raises(InputError, match="jitter, axis"):
