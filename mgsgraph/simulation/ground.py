@@ -86,13 +86,13 @@ class SiteTerrain:
     site: str
     """Name of the site."""
     seed: int
-    """Of everything drawn."""
+    """Seed of everything drawn."""
     ellipsoid: Ellipsoid
     """Reference of heights."""
     centre_lon: float
-    """rad, where images of the site are aimed."""
+    """rad east, longitude at which images of the site are aimed."""
     centre_lat: float
-    """rad."""
+    """rad, planetocentric latitude of the same."""
     ground: SiteGround
     """What it is like."""
     waves: Array

@@ -64,11 +64,11 @@ class TrajectoryErrors:
     position_wander: float = 1.0
     """m, of the departures from both."""
     correlation_time: float = 60.0
-    """s in which departures forget themselves to 1/e; 0 for independent ones."""
+    """s after which departures are correlated by 1/e; 0 for independent ones."""
 
     @property
     def prior(self) -> NodePrior:
-        """The same as the network states it."""
+        """These sigmas as the network's prior of orientation images (nodes)."""
         wander, bias, drift = (
             np.array([position] * 3 + [angle] * 3)
             for position, angle in (
@@ -85,7 +85,7 @@ class TerrainErrors:
     """A terrain model like MOLA's and what is wrong with it."""
 
     posts_per_degree: int = 64
-    """Of the grid."""
+    """Resolution of the grid."""
     vertical: float = 10.0
     """m rms, noise of each post; and the stated sigma of a point's height above the model (see `block_terrain`)."""
     planimetric: float = 200.0
@@ -115,7 +115,7 @@ class BlockSettings:
     altitudes: tuple[float, float] = (265e3, 400e3)
     """m above the ellipsoid of the first and the last strip's pericentre; evenly spread between."""
     eccentricity: float = 0.6
-    """Of the orbits; 0 for circles."""
+    """Eccentricity of the orbits; 0 for circles."""
     pericentre: float = 0.4
     """Share of a strip that is flown before the pericentre."""
     overlap: float = 0.3
@@ -123,7 +123,7 @@ class BlockSettings:
     centre: tuple[float, float] = (175.0 * DEG, -10.0 * DEG)
     """rad, longitude and planetocentric latitude of the middle of the pericentres."""
     readout: Readout = field(default_factory=Readout)
-    """Of the five lines."""
+    """How the five lines are read out."""
     points: int = 10_000
     """Number of matched points."""
     matches: PointMatching = field(default_factory=PointMatching)
@@ -135,7 +135,7 @@ class BlockSettings:
     true_spacing: float | None = None
     """s between the nodes of the truth, at most; None for a truth on the adjustment's own."""
     errors: TrajectoryErrors = field(default_factory=TrajectoryErrors)
-    """Of the trajectories."""
+    """Sigmas of the errors of the trajectories."""
     jitter: Jitter | None = None
     """Of all strips, on top; no prior knows it."""
     terrain: TerrainErrors | None = field(default_factory=TerrainErrors)
@@ -174,9 +174,9 @@ class SimulatedBlock:
     """A simulated block: what an adjustment is given, and the truth it should find."""
 
     settings: BlockSettings
-    """As simulated."""
+    """What was asked for."""
     seed: int
-    """Of the random generator."""
+    """Seed of the random generator."""
     network: Network
     """What an adjustment is given."""
     corrections: tuple[OrientationCorrection, ...]
@@ -186,7 +186,7 @@ class SimulatedBlock:
     true_points: Array
     """(n, 3) m, body-fixed, of the network's points."""
     blunders: Mask
-    """(k,) True for rays that are none of their points'."""
+    """(k,) True for rays that belong to no point: gross errors."""
     relief: SiteTerrain
     """True ground."""
 

@@ -1,9 +1,8 @@
 """Passes of a simulated Mars Express: a Kepler orbit about its pericentre, HRSC looking down, its lines' times.
 
 The camera's +Z looks to Mars' centre and its +Y follows the motion over the turning ground, so that all lines pass over
-the same swath. Each line begins when it sees the
-first ground of the nadir strip and ends with the last. The line period
-is constant between changes, which all lines of a strip make at the same times, and follows height and speed.
+the same swath. Each line begins when it sees the first ground of the nadir strip and ends with the last. The line
+period is constant between changes, which all lines of a strip make at the same times, and follows height and speed.
 """
 
 from dataclasses import dataclass

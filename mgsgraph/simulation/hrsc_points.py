@@ -77,7 +77,7 @@ class FlownStrip:
     level: float
     """m, mean height of the ground above the ellipsoid."""
     swaths: tuple[_Swath, ...] = field(init=False)
-    """Of the images."""
+    """Where the lines of each image lie on the ground."""
 
     def __post_init__(self) -> None:
         assign(self, swaths=tuple(_swath(self.axes, image, self.level) for image in self.images))

@@ -77,9 +77,9 @@ class SimulatedPair:
     """A simulated stereo pair: what an adjustment is given, and the truth it should find."""
 
     settings: PairSettings
-    """As simulated."""
+    """What was asked for."""
     seed: int
-    """Of the random generator."""
+    """Seed of the random generator."""
     images: tuple[PushbroomImage, ...]
     """Nominal, nadir one first."""
     true_corrections: tuple[OrientationCorrection, ...]

@@ -111,9 +111,9 @@ class SimulatedImage:
     clock_start: str
     """Spacecraft clock count of its upper edge."""
     true: PushbroomImage
-    """As it was taken."""
+    """The image as it was taken."""
     nominal: PushbroomImage
-    """As the kernels have it."""
+    """The image as the kernels have it."""
     sun: Array
     """(3,) unit, body-fixed, to the Sun."""
     pixels: Picture
@@ -129,9 +129,9 @@ class SimulatedSite:
     settings: SiteSettings
     """As published."""
     options: SimulationOptions
-    """As simulated."""
+    """What was asked for."""
     seed: int
-    """Of everything drawn."""
+    """Seed of everything drawn."""
     terrain: SiteTerrain
     """True ground."""
     grid: TerrainGrid

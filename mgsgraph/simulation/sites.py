@@ -78,7 +78,7 @@ class ImageSettings:
     phase: str
     """Which SPK and CK cover it."""
     errors: KernelErrors
-    """Of these kernels."""
+    """What is wrong with these kernels."""
 
     @property
     def period(self) -> float:
@@ -96,9 +96,9 @@ class SiteSettings:
     """A study site: where it is, its two images, and how many tie points they share."""
 
     name: SiteName
-    """As on the command line."""
+    """Name on the command line."""
     title: str
-    """As in the papers."""
+    """Name in the papers."""
     longitude: float
     """rad east, of the middle of both images."""
     latitude: float

@@ -119,7 +119,7 @@ class SimulatedStrip:
     settings: StripSettings
     """As simulated; `upto` keeps those of the whole."""
     seed: int
-    """Of the random generator."""
+    """Seed of the random generator."""
     steps: tuple[Step, ...]
     """What each image brought."""
     ties: TiePoints

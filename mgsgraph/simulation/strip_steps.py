@@ -52,7 +52,7 @@ class Steps:
     shots: int
     """Laser shots of each nadir image; every second image is one."""
     relief: float
-    """m."""
+    """m, amplitude of the ground's largest sine."""
     noise: NoiseSettings
     """Sigmas."""
     taken: list[Step] = field(default_factory=list)
@@ -217,7 +217,7 @@ def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
 
 
 def merged_profiles(parts: Sequence[LaserProfile]) -> tuple[LaserProfile, ...]:
-    """Shots of several steps by the profile that brought them: one for each step with shots that nobody knew before."""
+    """Shots of several steps by the profile that brought them: one for each step with new shots."""
     owner = dict[str, tuple[int, int]]()
     news = list[tuple[LaserProfile, Index]]()
     measures = list[list[tuple[int, str, int, int]]]()

@@ -46,8 +46,7 @@ def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (2
     lon, lat = _posts(centre - half, centre + half, DEG / ppd)
     radii = cell_means(terrain, lon, lat, DEG / ppd, shift, _SITE_PARTS)
     radii += GRID_VERTICAL * rng.standard_normal(radii.shape)
-    sigmas = {"vertical_sigma": GRID_VERTICAL, "planimetric_sigma": GRID_PLANIMETRIC}
-    return _grid(f"simulated {terrain.site}", ppd, lon, lat, radii, **sigmas)
+    return _grid(f"simulated {terrain.site}", ppd, lon, lat, radii, GRID_VERTICAL, GRID_PLANIMETRIC)
 
 
 def block_grid(
@@ -83,7 +82,7 @@ def block_grid(
     radii = cell_means(terrain, lon, lat, DEG / ppd, shift, _BLOCK_PARTS)
     radii += noise * rng.standard_normal(radii.shape)
     radii[rng.random(radii.shape) < missing] = np.nan
-    return _grid("simulated block", ppd, lon, lat, radii, vertical_sigma=noise or None)
+    return _grid("simulated block", ppd, lon, lat, radii, noise or None, None)
 
 
 def areoid_under(terrain: SiteTerrain, grid: TerrainGrid) -> Array:
@@ -119,7 +118,9 @@ def _posts(low: Array, high: Array, step: float, beyond: int = 0) -> tuple[Array
     return lon, lat
 
 
-def _grid(source: str, ppd: int, lon: Array, lat: Array, radii: Array, **sigmas: float | None) -> TerrainGrid:
+def _grid(
+    source: str, ppd: int, lon: Array, lat: Array, radii: Array, vertical: float | None, planimetric: float | None
+) -> TerrainGrid:
     return TerrainGrid(
         source=f"{source} at {ppd} posts per degree",
         radii=radii,
@@ -127,7 +128,8 @@ def _grid(source: str, ppd: int, lon: Array, lat: Array, radii: Array, **sigmas:
         first_latitude=float(lat[0, 0]),
         longitude_step=DEG / ppd,
         latitude_step=DEG / ppd,
-        **sigmas,
+        vertical_sigma=vertical,
+        planimetric_sigma=planimetric,
     )
 
 
