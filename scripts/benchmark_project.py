@@ -29,7 +29,8 @@ from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings
-from mgsgraph.simulation.files import image_file, json_text, lidar_text, network_text, support_data, write_texts
+from mgsgraph.simulation.files import write_texts
+from mgsgraph.simulation.isis_files import image_file, json_text, laser_text, support_data, tie_network_text
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.units import MRAD
 
@@ -69,10 +70,10 @@ def kept(strip: SimulatedStrip, folder: Path) -> None:
 def step(strip: SimulatedStrip, k: int, folder: Path) -> list[str]:
     """Files of image k; the command's arguments for them."""
     image, ties, laser = strip.addition(k)
-    texts = {image_file(image): json_text(support_data(image)), "ties.pvl": network_text(ties, "step", "step")}
+    texts = {image_file(image): json_text(support_data(image)), "ties.pvl": tie_network_text(ties, "step", "step")}
     arguments = [f"{image.name}={folder / image_file(image)}", "--ties", str(folder / "ties.pvl")]
     if laser is not None:
-        texts["lidar.json"] = lidar_text((laser,))
+        texts["lidar.json"] = laser_text((laser,))
         arguments += ["--shots", str(folder / "lidar.json")]
     write_texts(folder, texts)
     return arguments

@@ -32,8 +32,8 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.files import match_into
 from mgsgraph.matching.settings import MatchSettings
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
-from mgsgraph.simulation.site_files import write_site
 from mgsgraph.simulation.sites import SITE_NAMES
 
 OUT = Path(__file__).resolve().parents[1] / "docs"

@@ -101,7 +101,7 @@ def one_seed(settings: BlockSettings, seed: int) -> Row:
     points = []
     for one in (steps.free, steps.fitted):
         known = one.determined
-        points.append(float(nees((one.places - block.places)[known], one.covariances[known]).mean()) / 3.0)
+        points.append(float(nees((one.places - block.true_points)[known], one.covariances[known]).mean()) / 3.0)
     true = np.concatenate([block.true_nodes(k) for k in range(len(block.network.strips))])
     errors = [np.zeros_like(true), *(np.concatenate(one.nodes) for one in (steps.free, steps.fitted))]
     attitude = np.array([np.sqrt(np.mean((found - true)[:, ATTITUDE] ** 2, axis=0)) for found in errors])

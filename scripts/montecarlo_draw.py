@@ -1,9 +1,10 @@
 """One seed of the Monte-Carlo proof: a network drawn anew and adjusted, and what its posterior says held against truth.
 
 Each case is a network whose observations and orientation are drawn from exactly the sigmas that the adjustment assumes
-(`mgsgraph.simulation.redraw`); a *planted* one states sigmas that are not those of its draws.
+(`tests/redraw.py`); a *planted* one states sigmas that are not those of its draws.
 """
 
+import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -23,12 +24,13 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
-from mgsgraph.simulation.redraw import Draw, redraw
+from mgsgraph.simulation.files import write_site, write_strip
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 from mgsgraph.simulation.sites import SITE_NAMES, SiteName
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
-from mgsgraph.simulation.strip_files import write_strip
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from redraw import Draw, redraw
 
 _PLACE, _FLIGHT, _TURN = ("east", "north", "up"), ("along", "across", "radial"), ("roll", "pitch", "yaw")
 KINDS: dict[str, tuple[str, ...]] = {

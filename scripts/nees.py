@@ -1,6 +1,6 @@
 """Are the stated sigmas honest? NEES of orientation and points over many draws of the three simulated sites.
 
-Every row and every orientation coefficient is drawn anew from its stated sigma (`mgsgraph.simulation.redraw`), the
+Every row and every orientation coefficient is drawn anew from its stated sigma (`tests/redraw.py`), the
 network is adjusted, and the errors are normalised by the stated covariances: per degree of freedom their mean is one if
 the sigmas are honest. Writes a table, docs/nees.md by default.
 
@@ -22,10 +22,12 @@ from mgsgraph.case.reading import read_case
 from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
-from mgsgraph.simulation.redraw import redraw
+from mgsgraph.simulation.files import Weighting, write_site
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import Weighting, write_site
 from mgsgraph.simulation.sites import SITE_NAMES
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from redraw import redraw
 
 Z99 = 2.5758293035489004
 """Quantile of the normal distribution, 99% two-sided."""

@@ -1,6 +1,6 @@
 """Power of the w-test and its false alarms, by real re-adjustments of a redrawn pair; writes docs/reliability.md.
 
-Every seed draws truth and observations anew from the stated sigmas (`simulation.redraw`), plants one blunder of one or
+Every seed draws truth and observations anew from the stated sigmas (`tests/redraw.py`), plants one blunder of one or
 two minimal detectable blunders in a measure of each kind in turn, adjusts, and asks the reliability table.
 """
 
@@ -17,7 +17,10 @@ from mgsgraph.adjustment.analysis.measures import MeasureKind
 from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.network import Network
-from mgsgraph.simulation.redraw import redraw
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from networks import network, pair
+from redraw import redraw
 
 ROOT = Path(__file__).resolve().parents[1]
 KINDS = {MeasureKind.RAY: "image coordinate", MeasureKind.RANGE: "range", MeasureKind.GROUND: "ground coordinate"}
@@ -126,9 +129,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "reliability.md")
     options = parser.parse_args()
-    sys.path.insert(0, str(ROOT / "tests"))
-    from networks import network, pair
-
     net = network(pair(ties=20, shots=10))
     options.out.write_text(page(*campaign(net, options.seeds), net), encoding="utf-8")
 

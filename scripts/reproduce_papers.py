@@ -23,8 +23,9 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.network import PointClass
+from mgsgraph.simulation.case_files import papers_case
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import papers_case, write_site
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import DEG
 

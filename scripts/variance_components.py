@@ -26,8 +26,10 @@ from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.redraw import redraw
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from redraw import redraw
 
 FACTORS = (0.5, 2.0, 5.0)
 NOISE = NoiseSettings(tie=0.5, shot_image=1.0, range=10.0, ground=3.0)

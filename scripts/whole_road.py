@@ -18,11 +18,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.simulation.archive import write_archive
-from mgsgraph.simulation.archive_server import serving
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import DEG
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from archive_server import serving
+from simulated_archive import write_archive
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "whole_road.md"
 ROAD = (
@@ -222,7 +224,7 @@ MATCHES/network.pvl --out RESULT`, and `--case DATA/case.toml` for `report` and 
 ## On a simulated archive ({title})
 
 `python scripts/whole_road.py --page` has made this: the simulated site laid out as the public archives are
-(`mgsgraph.simulation.archive`) and served from localhost, where `fetch` finds it by `--mirror`. Two cores, which may
+(`tests/simulated_archive.py`) and served from localhost, where `fetch` finds it by `--mirror`. Two cores, which may
 have had other work; the terrain model among the files is MOLA's coarse one, 16 posts per degree.
 
 {table}

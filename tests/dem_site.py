@@ -21,8 +21,8 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.reports.archive import write_archive
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,12 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, Unknown, without_images
-from mgsgraph.simulation.circle import HEADING, MARS, Passage, ground_track, narrow_image, site_at
+from mgsgraph.simulation.camera import narrow_image
+from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
-from mgsgraph.simulation.strip_steps import Steps
-from mgsgraph.simulation.strip_whole import merged_profiles, merged_ties
+from mgsgraph.simulation.strip_steps import Steps, merged_profiles, merged_ties
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG
 
@@ -46,13 +47,13 @@ def fan(images: int = 5, ties: int = 10, shots: int = 4, known: tuple[int, ...] 
     increments may disagree whether it has one.) The nominal orientation of `known` ones is all but true.
     """
     settings = StripSettings(images=images, ties=ties, shots=shots)
-    start = Passage(-11e6, site_at(1.58, -0.42), HEADING / np.cos(0.42), settings.altitude)
+    start = CircularPass(-11e6, site_at(1.58, -0.42), HEADING / np.cos(0.42), settings.altitude)
     sites, headings = ground_track(start, 2.5 * np.arange(float(images)))
     steps = Steps(ties, shots, settings.relief, settings.noise)
     for k, rng in enumerate(np.random.default_rng(5).spawn(images)):
         tilt = (-20.0, 10.0, -10.0, 20.0, 0.0)[k % 5] * DEG
         steps.noise = replace(NOISE, position=0.1, angle=1e-7) if k in known else NOISE
-        passage = Passage(-11e6 + 88_775.0 * k, sites[k], float(headings[k]), settings.altitude, tilt)
+        passage = CircularPass(-11e6 + 88_775.0 * k, sites[k], float(headings[k]), settings.altitude, tilt)
         steps.add(narrow_image(f"FAN/{k}", passage, settings.lines, settings.samples, settings.period), rng)
     taken = tuple(steps.taken)
     return SimulatedStrip(

@@ -16,9 +16,9 @@ from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings, Method
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.imagery import render
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 from mgsgraph.units import ARCMIN
 
 Array = NDArray[np.float64]

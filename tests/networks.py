@@ -9,7 +9,10 @@ from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, pla
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
-from mgsgraph.simulation.pair import MARS, NoiseSettings, PairSettings, SimulatedPair, simulate_pair, terrain_height
+from mgsgraph.simulation.ground import sine_height
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 from mgsgraph.ties import PointKind
 
 
@@ -43,7 +46,7 @@ def terrain(net: Network) -> TerrainGrid:
     places = np.meshgrid(first[0] + step * np.arange(2 * half), first[1] - step * np.arange(2 * half))
     ground = from_planetocentric(np.stack([*places, np.full_like(places[0], MARS.equatorial)], axis=-1).reshape(-1, 3))
     surface, _, _ = intersect_ellipsoid(ground * 2.0, -ground, MARS, 0.0)
-    heights = terrain_height(surface, 120.0) + np.random.default_rng(3).normal(0.0, 10.0, ground.shape[0])
+    heights = sine_height(surface, 120.0) + np.random.default_rng(3).normal(0.0, 10.0, ground.shape[0])
     radii = np.linalg.norm(surface, axis=1) + heights
     return TerrainGrid("made by the test", radii.reshape(places[0].shape), *first, step, step)
 

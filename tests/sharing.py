@@ -8,8 +8,9 @@ import numpy as np
 from networks import network
 
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKind, SharedUnknown
-from mgsgraph.simulation.instrument import InstrumentErrors
-from mgsgraph.simulation.pair import NoiseSettings, PairSettings, SimulatedPair, simulate_pair
+from mgsgraph.simulation.camera import InstrumentErrors
+from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 from mgsgraph.units import ARCMIN, DEG
 
 LOOSE = NoiseSettings(position=100.0, angle=ARCMIN)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.simulation.files import json_text, network_text, support_data
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Readout
+from mgsgraph.simulation.isis_files import json_text, support_data, tie_network_text
 from mgsgraph.ties import TiePoints
 
 STRIPS = """
@@ -39,7 +39,7 @@ def write_block(folder: Path, strips: str = STRIPS, more: str = "") -> Path:
         "block", points.ids, points.kinds, points.places, points.covariances, rays.point,
         tuple(names[j] for j in rays.image.tolist()), rays.places, np.asarray(rays.sigmas),
     )  # fmt: skip
-    (folder / "network.pvl").write_text(network_text(ties))
+    (folder / "network.pvl").write_text(tie_network_text(ties))
     text = ["format = 1", 'name = "block"', more, "[ties]", 'network = "network.pvl"']
     for image in network.images:
         file = f"{image.name.replace('/', '_')}.isd"

@@ -14,8 +14,8 @@ from mgsgraph.case.scene import read_scene
 from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from mgsgraph.network.observations import nominal_ground
 from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.reports.control import control_json, control_statements
 from mgsgraph.reports.inventory import inventory
-from mgsgraph.simulation.circle import MARS
+from mgsgraph.simulation.mars import MARS
 from mgsgraph.units import DEG, MRAD
 
 STEP = 0.01

@@ -13,7 +13,7 @@ from mgsgraph.geometry.body import from_planetocentric, geodetic
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.network.connectivity import Connectivity, common_points, connectivity, islands, network_footprints
-from mgsgraph.simulation.pair import MARS
+from mgsgraph.simulation.mars import MARS
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 

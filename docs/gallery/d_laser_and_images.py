@@ -10,8 +10,8 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import mgsgraph
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 
 site = simulate_site("gusev", 1, SimulationOptions(pictures=False))
 case = mgsgraph.read_case(write_site(site, Path(mkdtemp())))

@@ -10,10 +10,9 @@ from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, against_truth, true_p
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.case import CaseRegistration, register_case
-from mgsgraph.simulation.files import write_pair
+from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.stages import Stages
 

@@ -9,15 +9,12 @@ from typing import TypeVar
 from mgsgraph.demo.demo import PAIR, site_options
 from mgsgraph.errors import InputError
 from mgsgraph.output.folders import fresh_folder
-from mgsgraph.simulation.files import write_pair
+from mgsgraph.simulation.files import write_pair, write_site, write_strip, write_three_sites
 from mgsgraph.simulation.pair import simulate_pair
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
-from mgsgraph.simulation.strip_files import write_strip
 from mgsgraph.simulation.three_sites import simulate_three_sites
-from mgsgraph.simulation.three_sites_files import write_three_sites
 from mgsgraph.stages import Stages
 
 STRIP = "strip"

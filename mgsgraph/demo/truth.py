@@ -21,9 +21,9 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.footprints import Misregistration, misregistration, on_ground
+from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.simulation.site import SimulatedSite
-from mgsgraph.simulation.site_files import shot_names
 
 
 def nees(errors: Array, covariances: Array) -> Array:

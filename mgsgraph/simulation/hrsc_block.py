@@ -4,33 +4,30 @@ What Spiegel et al. (papers/003) had: strips of 300 to 4000 km from heights of 2
 points matched automatically in three to five lines (and, where strips overlap, in lines of both), attitude known to
 28 mgon, and MOLA's grid, 200 m off in the plane and 10 m in height. The TRUE orientation of a strip is its nominal
 trajectory (+) nodes drawn from the prior that the network states (bias, drift, Gauss-Markov departures), plus jitter,
-where asked for, of which the network knows nothing. Image places are true ones plus noise of the stated sigma.
+where asked for, of which the network knows nothing. Image rays are true ones plus noise of the stated sigma.
 
 With the truth on the adjustment's own nodes and without jitter and blunders an adjustment with these sigmas has honest
 statistics, but for one thing: neighbouring points share posts of the terrain model and so their error, of which surface
-rows know nothing (`redraw` draws these rows independently, as they state).
+rows know nothing.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, PointClass, Ranges, Strip, Surface
-from mgsgraph.simulation.circle import MARS
-from mgsgraph.simulation.hrsc_camera import PIXELS, STEREO
-from mgsgraph.simulation.hrsc_flight import Flight, Readout, strip_images
-from mgsgraph.simulation.hrsc_ground import block_terrain, mola_grid
-from mgsgraph.simulation.hrsc_points import Matches, Pass, Visits, matched_points
-from mgsgraph.simulation.observations import require_count, require_positive
-from mgsgraph.simulation.redraw import Draw
+from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
+from mgsgraph.simulation.ground import SiteTerrain, block_terrain
+from mgsgraph.simulation.hrsc_flight import PericentrePass, Readout, strip_images
+from mgsgraph.simulation.hrsc_points import FlownStrip, PointMatching, matched_points
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.observations import Visible, require_count, require_positive
 from mgsgraph.simulation.strip_truth import Jitter, true_correction
-from mgsgraph.simulation.terrain import SiteTerrain
+from mgsgraph.simulation.terrain import block_grid
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MGON
 
@@ -40,7 +37,7 @@ _FIRST, _REVOLUTION = 130_000_000.0, 24_000.0
 """s TDB past J2000 of the first pericentre, in February 2004, and from one to the next: 6.7 hours."""
 _INCLINATION = 86.6 * DEG
 """Of Mars Express' orbit, about; with the eccentricity it only shapes the passes."""
-_WIDTH = PIXELS * 0.007 / 175.0
+_WIDTH = HRSC_PIXELS * 0.007 / 175.0
 """Swath over altitude."""
 _BLUNDER = (5.0, 100.0)
 """px, least and largest size of a blunder."""
@@ -67,11 +64,11 @@ class TrajectoryErrors:
     position_wander: float = 1.0
     """m, of the departures from both."""
     correlation_time: float = 60.0
-    """s in which departures forget themselves to 1/e; 0 for independent ones."""
+    """s after which departures are correlated by 1/e; 0 for independent ones."""
 
     @property
     def prior(self) -> NodePrior:
-        """The same as the network states it."""
+        """These sigmas as the network's prior of orientation images (nodes)."""
         wander, bias, drift = (
             np.array([position] * 3 + [angle] * 3)
             for position, angle in (
@@ -88,9 +85,9 @@ class TerrainErrors:
     """A terrain model like MOLA's and what is wrong with it."""
 
     posts_per_degree: int = 64
-    """Of the grid."""
+    """Resolution of the grid."""
     vertical: float = 10.0
-    """m rms, noise of each post; and the stated sigma of a point's height above the model (see `hrsc_ground`)."""
+    """m rms, noise of each post; and the stated sigma of a point's height above the model (see `block_terrain`)."""
     planimetric: float = 200.0
     """m, sigma eastward and northward of the common shift, which is an unknown of the network; 0 for none."""
     missing: float = 0.0
@@ -118,7 +115,7 @@ class BlockSettings:
     altitudes: tuple[float, float] = (265e3, 400e3)
     """m above the ellipsoid of the first and the last strip's pericentre; evenly spread between."""
     eccentricity: float = 0.6
-    """Of the orbits; 0 for circles."""
+    """Eccentricity of the orbits; 0 for circles."""
     pericentre: float = 0.4
     """Share of a strip that is flown before the pericentre."""
     overlap: float = 0.3
@@ -126,10 +123,10 @@ class BlockSettings:
     centre: tuple[float, float] = (175.0 * DEG, -10.0 * DEG)
     """rad, longitude and planetocentric latitude of the middle of the pericentres."""
     readout: Readout = field(default_factory=Readout)
-    """Of the five lines."""
+    """How the five lines are read out."""
     points: int = 10_000
     """Number of matched points."""
-    matches: Matches = field(default_factory=Matches)
+    matches: PointMatching = field(default_factory=PointMatching)
     """In how many lines, and how well."""
     basis: Basis = "lagrange"
     """Between the nodes."""
@@ -138,7 +135,7 @@ class BlockSettings:
     true_spacing: float | None = None
     """s between the nodes of the truth, at most; None for a truth on the adjustment's own."""
     errors: TrajectoryErrors = field(default_factory=TrajectoryErrors)
-    """Of the trajectories."""
+    """Sigmas of the errors of the trajectories."""
     jitter: Jitter | None = None
     """Of all strips, on top; no prior knows it."""
     terrain: TerrainErrors | None = field(default_factory=TerrainErrors)
@@ -177,13 +174,19 @@ class SimulatedBlock:
     """A simulated block: what an adjustment is given, and the truth it should find."""
 
     settings: BlockSettings
-    """As simulated."""
+    """What was asked for."""
     seed: int
-    """Of the random generator."""
-    truth: Draw
-    """The network and its truth: corrections (one per image, the strip's own), shift of the terrain model, places."""
+    """Seed of the random generator."""
+    network: Network
+    """What an adjustment is given."""
+    corrections: tuple[OrientationCorrection, ...]
+    """True orientation of each image: nominal (+) correction; images of one strip share theirs."""
+    shifts: Array
+    """(1, 2) m east and north, what the terrain model lacks of the truth; (0, 2) where it has no shift."""
+    true_points: Array
+    """(n, 3) m, body-fixed, of the network's points."""
     blunders: Mask
-    """(k,) True for rays that are none of their points'."""
+    """(k,) True for rays that belong to no point: gross errors."""
     relief: SiteTerrain
     """True ground."""
 
@@ -191,21 +194,6 @@ class SimulatedBlock:
         blunders = np.array(self.blunders, dtype=np.bool_)
         blunders.flags.writeable = False
         assign(self, blunders=blunders)
-
-    @property
-    def network(self) -> Network:
-        """What an adjustment is given."""
-        return self.truth.network
-
-    @property
-    def corrections(self) -> tuple[OrientationCorrection, ...]:
-        """True orientation of each image: nominal (+) correction; images of one strip share theirs."""
-        return self.truth.corrections
-
-    @property
-    def places(self) -> Array:
-        """(n, 3) m, body-fixed, true points."""
-        return self.truth.places
 
     def true_nodes(self, strip: int) -> Array:
         """(k, 6) true coefficients, m and rad, of a strip's nodes; InputError where the truth isn't on these nodes."""
@@ -218,14 +206,6 @@ class SimulatedBlock:
     def __repr__(self) -> str:
         nodes = sum(len(strip.nodes) for strip in self.network.strips)
         return f"SimulatedBlock({len(self.network.strips)} strips, {nodes} nodes; {self.network!r}; seed {self.seed})"
-
-
-class _Strip(NamedTuple):
-    """A strip before points are matched."""
-
-    flight: Flight
-    images: tuple[PushbroomImage, ...]
-    nodes: OrientationImages
 
 
 def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) -> SimulatedBlock:
@@ -247,35 +227,28 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     settings = settings or BlockSettings()
     require_count("simulated block, seed", seed, 0)
     of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)
-    strips = _strips(settings)
-    prior = settings.errors.prior
-    true = [
-        true_correction(prior, strip.nodes, settings.true_spacing, settings.jitter, rng)
-        for strip, rng in zip(strips, of_orientation.spawn(len(strips)), strict=True)
-    ]
-    relief = block_terrain(*settings.centre, settings.ground)
-    passes = [Pass(one.flight.axes, one.images, truth) for one, truth in zip(strips, true, strict=True)]
-    places, visits = matched_points(passes, relief, settings.points, settings.matches, of_points)
-    rays, blunders = _rays(visits, settings.matches, of_points)
-    surface, shift = _surface(settings.terrain, relief, places, of_terrain)
-    network = _network(strips, prior, len(places), rays, surface)
-    corrections = tuple(correction for correction in true for _ in STEREO)
-    return SimulatedBlock(settings, seed, Draw(network, corrections, shift, places), blunders, relief)
-
-
-def _strips(settings: BlockSettings) -> list[_Strip]:
-    made = []
-    for k, flight in enumerate(_flights(settings)):
-        interval = flight.passage(settings.length, settings.pericentre)
-        images = strip_images(f"HRSC/{k:02d}", flight, interval, settings.readout)
+    relief, prior = block_terrain(*settings.centre, settings.ground), settings.errors.prior
+    flown, nodes = list[FlownStrip](), list[OrientationImages]()
+    passes = _passes(settings)
+    for k, (orbit, rng) in enumerate(zip(passes, of_orientation.spawn(len(passes)), strict=True)):
+        images = strip_images(
+            f"HRSC/{k:02d}", orbit, orbit.interval(settings.length, settings.pericentre), settings.readout
+        )
         edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] for image in images]
         coverage = min(float(one[0]) for one in edges), max(float(one[1]) for one in edges)
-        made.append(_Strip(flight, images, evenly_spaced(settings.basis, flight.epoch, coverage, settings.spacing)))
-    return made
+        nodes.append(evenly_spaced(settings.basis, orbit.epoch, coverage, settings.spacing))
+        true = true_correction(prior, nodes[k], settings.true_spacing, settings.jitter, rng)
+        flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
+    points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
+    rays, blunders = _rays(visible, settings.matches, of_points)
+    surface, shifts = _surface(settings.terrain, relief, points, of_terrain)
+    network = _network(flown, nodes, prior, len(points), rays, surface)
+    corrections = tuple(one.true for one in flown for _ in STEREO)
+    return SimulatedBlock(settings, seed, network, corrections, shifts, points, blunders, relief)
 
 
-def _flights(settings: BlockSettings) -> list[Flight]:
-    """Northward ones side by side, westward to eastward, then southward ones the same way."""
+def _passes(settings: BlockSettings) -> list[PericentrePass]:
+    """One for each strip: northward ones side by side from west to east, then southward ones the same way."""
     longitude, latitude = settings.centre
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
@@ -283,47 +256,55 @@ def _flights(settings: BlockSettings) -> list[Flight]:
     heading = float(np.arcsin(np.cos(_INCLINATION) / np.cos(latitude)))
     altitudes = np.linspace(*settings.altitudes, settings.strips)
     northward = settings.strips - settings.crossing
-    flights = list[Flight]()
+    passes = list[PericentrePass]()
     for of_kind, sign in ((altitudes[:northward], 1.0), (altitudes[northward:], -1.0)):
         direction = np.sin(heading) * east + sign * np.cos(heading) * north
         eastward = sign * np.cross(direction, up)
         for altitude, aside in zip(of_kind, _abreast(of_kind, settings.overlap), strict=True):
             turned = np.cos(aside) * up + np.sin(aside) * eastward
-            epoch = _FIRST + _REVOLUTION * len(flights)
-            flights.append(Flight(epoch, turned, direction, float(altitude), settings.eccentricity))
-    return flights
+            epoch = _FIRST + _REVOLUTION * len(passes)
+            passes.append(PericentrePass(epoch, turned, direction, float(altitude), settings.eccentricity))
+    return passes
 
 
 def _abreast(altitudes: Array, overlap: float) -> Array:
     """Angles (n,) in rad at Mars' centre by which swaths from these altitudes lie aside of the middle of all."""
     width = _WIDTH * altitudes / MARS.equatorial
     steps = 0.5 * (width[1:] + width[:-1]) - overlap * np.minimum(width[1:], width[:-1])
-    place = np.concatenate([np.zeros(min(altitudes.size, 1)), np.cumsum(steps)])
-    return np.asarray(place - 0.5 * (place[:1] + place[-1:]))
+    angles = np.concatenate([np.zeros(min(altitudes.size, 1)), np.cumsum(steps)])
+    return np.asarray(angles - 0.5 * (angles[:1] + angles[-1:]))
 
 
-def _rays(visits: Visits, matches: Matches, rng: np.random.Generator) -> tuple[ImageRays, Mask]:
-    """Image places as measured, by point and image, and which of them are blunders."""
-    noisy = visits.places + matches.sigma * rng.standard_normal(visits.places.shape)
-    blunders = rng.random(visits.point.size) < matches.blunders
-    size, way = rng.uniform(*_BLUNDER, visits.point.size), rng.uniform(0.0, 2.0 * np.pi, visits.point.size)
-    off = np.where(blunders, size, 0.0)[:, None] * np.column_stack([np.cos(way), np.sin(way)])
-    return ImageRays(visits.point, visits.image, noisy + off, np.full(noisy.shape, matches.sigma)), blunders
+def _rays(visible: Visible, matches: PointMatching, rng: np.random.Generator) -> tuple[ImageRays, Mask]:
+    """Image rays as measured, by point and image, and which of them are blunders."""
+    point, image, exact = visible.ordered()
+    noisy = exact + matches.sigma * rng.standard_normal(exact.shape)
+    blunders = rng.random(point.size) < matches.blunders
+    size, direction = rng.uniform(*_BLUNDER, point.size), rng.uniform(0.0, 2.0 * np.pi, point.size)
+    off = np.where(blunders, size, 0.0)[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
+    return ImageRays(point, image, noisy + off, np.full(noisy.shape, matches.sigma)), blunders
 
 
 def _surface(
-    errors: TerrainErrors | None, relief: SiteTerrain, places: Array, rng: np.random.Generator
+    errors: TerrainErrors | None, relief: SiteTerrain, points: Array, rng: np.random.Generator
 ) -> tuple[Surface | None, Array]:
     """Terrain model as control, and what it lacks of the truth, (1, 2) m east and north; no rows where posts miss."""
     if errors is None:
         return None, np.zeros((0, 2))
     shift = errors.planimetric * rng.standard_normal(2)
-    grid = mola_grid(relief, places, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
-    sigmas = np.where(np.isfinite(grid.at(places)), errors.vertical, np.inf)
+    grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
+    sigmas = np.where(np.isfinite(grid.at(points)), errors.vertical, np.inf)
     return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]
 
 
-def _network(strips: list[_Strip], prior: NodePrior, points: int, rays: ImageRays, surface: Surface | None) -> Network:
+def _network(
+    strips: list[FlownStrip],
+    nodes: list[OrientationImages],
+    prior: NodePrior,
+    points: int,
+    rays: ImageRays,
+    surface: Surface | None,
+) -> Network:
     images = tuple(image for one in strips for image in one.images)
     own = OrientationPrior(prior.node_sigmas(np.zeros(1)))  # of no effect: images of strips have none of their own
     none = np.zeros(0)
@@ -342,8 +323,7 @@ def _network(strips: list[_Strip], prior: NodePrior, points: int, rays: ImageRay
         ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
         surface=surface,
         strips=tuple(
-            Strip(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one.nodes, prior)
-            for k, one in enumerate(strips)
+            Strip(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
         ),
     )
 

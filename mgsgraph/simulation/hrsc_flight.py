@@ -1,8 +1,8 @@
 """Passes of a simulated Mars Express: a Kepler orbit about its pericentre, HRSC looking down, its lines' times.
 
 The camera's +Z looks to Mars' centre and its +Y follows the motion over the turning ground, so that all lines pass over
-the same swath. Each line begins when it sees the first place of the nadir strip and ends with the last. The line period
-is constant between changes, which all lines of a strip make at the same times, and follows height and speed.
+the same swath. Each line begins when it sees the first ground of the nadir strip and ends with the last. The line
+period is constant between changes, which all lines of a strip make at the same times, and follows height and speed.
 """
 
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.simulation.circle import MARS
-from mgsgraph.simulation.hrsc_camera import PIXELS, STEREO, line_camera
-from mgsgraph.simulation.orbit import GRAVITY, MERIDIAN, body_matrix, kepler, quaternions
+from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO, hrsc_interior, line_image, one_rate
+from mgsgraph.simulation.mars import MARS, MERIDIAN, body_matrix
+from mgsgraph.simulation.orbit import Orbit, sampled_trajectory
 from mgsgraph.units import DEG
 
 REFERENCE_ALTITUDE = 265e3
@@ -26,8 +26,8 @@ SLACK = 2e3
 
 _STEP = 1.0
 """s between the records of the tables."""
-_SPIN = MERIDIAN[1] * DEG / 86400.0
-"""rad/s, Mars' turning."""
+_ROTATION = MERIDIAN[1] * DEG / 86400.0
+"""rad/s, of Mars."""
 _AHEAD, _MARGIN = 0.5, 20.0
 """Tangent beyond that of any line's look, and s, to which the tables reach beyond the nadir strip."""
 _SLOWEST = 2e3
@@ -35,8 +35,8 @@ _SLOWEST = 2e3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flight:
-    """One pass over the region."""
+class PericentrePass:
+    """One pass over the region, which is at its pericentre at the epoch."""
 
     epoch: float
     """s TDB past J2000 of the pericentre."""
@@ -50,43 +50,36 @@ class Flight:
     """0 for a circle."""
 
     def __post_init__(self) -> None:
-        assign(self, up=frozen(self.up, "flight, up", (3,)), direction=frozen(self.direction, "flight", (3,)))
+        assign(self, up=frozen(self.up, "pass, up", (3,)), direction=frozen(self.direction, "pass, direction", (3,)))
 
     @property
     def axes(self) -> Array:
         """(3, 3) unit rows, body-fixed: flight, across to its left, up; what tells along from across in the region."""
         return np.stack([self.direction, np.cross(self.up, self.direction), self.up])
 
-    def state(self, times: Array) -> tuple[Array, Array]:
-        """Position (n, 3) in m and velocity (n, 3) in m/s, inertial, at times (n,) in s past the epoch."""
-        inertial = np.stack([self.up, self.direction]) @ body_matrix(np.array([self.epoch]))[0]
-        radius = _radius(self.up[None])[0] + self.altitude
-        along, across = kepler(times, radius, self.eccentricity, GRAVITY)
-        position, velocity = (np.outer(along[k], inertial[0]) + np.outer(across[k], inertial[1]) for k in (0, 1))
-        return position, velocity
+    @property
+    def orbit(self) -> Orbit:
+        """The orbit, inertial."""
+        outward, flight = np.stack([self.up, self.direction]) @ body_matrix(np.array([self.epoch]))[0]
+        return Orbit(self.epoch, outward, flight, _radius(self.up[None])[0] + self.altitude, self.eccentricity)
 
     def trajectory(self, start: float, stop: float) -> Trajectory:
         """Tables from before `start` to after `stop`, s past the epoch, at whole seconds."""
         times = np.arange(np.floor(start), np.ceil(stop) + 0.5 * _STEP, _STEP)
-        position, velocity = self.state(times)
+        position, velocity = self.orbit.state(times)
         to_body = body_matrix(self.epoch + times)
-        over_ground = velocity - _SPIN * np.cross(to_body[:, 2], position)
+        over_ground = velocity - _ROTATION * np.cross(to_body[:, 2], position)
         down = -position / np.linalg.norm(position, axis=1, keepdims=True)
         forward = over_ground - np.einsum("ni,ni->n", over_ground, down)[:, None] * down
         forward /= np.linalg.norm(forward, axis=1, keepdims=True)
         camera = np.stack([np.cross(forward, down), forward, down], axis=1)
-        return Trajectory(
-            self.epoch,
-            PositionTable(times, position, velocity),
-            AttitudeTable(times, quaternions(camera), np.eye(3)),
-            AttitudeTable(times, quaternions(to_body), np.eye(3)),
-        )
+        return sampled_trajectory(self.epoch, times, (position, velocity), camera, to_body)
 
     def track(self, times: Array) -> tuple[Array, Array, Array]:
         """Of the ground track at increasing times (n,) in s past the epoch: length (n,) in m from the first, speed
         (n,) in m/s over ground, and altitude (n,) in m of the spacecraft.
         """
-        position, _ = self.state(times)
+        position, _ = self.orbit.state(times)
         fixed = np.einsum("nij,nj->ni", body_matrix(self.epoch + times), position)
         distance = np.linalg.norm(fixed, axis=1)
         below, ground = fixed / distance[:, None], _radius(fixed / distance[:, None])
@@ -94,7 +87,7 @@ class Flight:
         length = np.concatenate([[0.0], np.cumsum(steps)])
         return length, np.gradient(length, times), distance - ground
 
-    def passage(self, length: float, share: float) -> tuple[float, float]:
+    def interval(self, length: float, share: float) -> tuple[float, float]:
         """Times, s past the epoch, between which `length` m of ground pass below, `share` of it before pericentre."""
         times = np.arange(-length / _SLOWEST, length / _SLOWEST + _STEP, _STEP)
         covered, _, _ = self.track(times)
@@ -126,57 +119,39 @@ class Readout:
 
 
 def strip_images(
-    name: str, flight: Flight, interval: tuple[float, float], readout: Readout
+    name: str, flown: PericentrePass, interval: tuple[float, float], readout: Readout
 ) -> tuple[PushbroomImage, ...]:
     """Nominal images of the five stereo lines, on one trajectory; `interval` is that of the nadir strip, s past the
-    flight's epoch.
+    pass's epoch.
     """
     start, stop = interval
-    _, speed, altitude = flight.track(np.linspace(start, stop, 101))
+    _, speed, altitude = flown.track(np.linspace(start, stop, 101))
     reach = _AHEAD * float(altitude.max()) / float(speed.min()) + _MARGIN
-    trajectory = flight.trajectory(start - reach, stop + reach)
+    trajectory = flown.trajectory(start - reach, stop + reach)
     ends = trajectory.pose(np.array([start, stop])).position
-    beside = np.cross(ends / np.linalg.norm(ends, axis=1, keepdims=True), flight.direction)
-    half = 0.5 * PIXELS * 4e-5 * altitude[[0, -1]]  # pixels of 40 microradian
-    places = np.concatenate([_below(ends + side * half[:, None] * beside) for side in (-1.0, 0.0, 1.0)])
-    images = []
+    beside = np.cross(ends / np.linalg.norm(ends, axis=1, keepdims=True), flown.direction)
+    half = 0.5 * HRSC_PIXELS * 4e-5 * altitude[[0, -1]]  # pixels of 40 microradian
+    corners = np.concatenate([_below(ends + side * half[:, None] * beside) for side in (-1.0, 0.0, 1.0)])
+    (earliest, latest), images = trajectory.coverage, []
     for line, macropixel in zip(STEREO, readout.macropixels, strict=True):
-        whole = _image(f"{name}/{line}", line, macropixel, _single(trajectory, macropixel), trajectory)
-        seen, _ = whole.ground_to_image(places, start=whole.timing.lines(np.tile(interval, 3)))
-        times = whole.timing.at(seen[:, 0])[0]
+        period, interior, samples = 4e-3 * macropixel, hrsc_interior(line, macropixel), HRSC_PIXELS // macropixel
+        all_lines = int((latest - earliest) / period), samples
+        whole = line_image(f"{name}/{line}", all_lines, interior, one_rate(earliest, period), trajectory)
+        pixels, _ = whole.ground_to_image(corners, start=whole.timing.lines(np.tile(interval, 3)))
+        times = whole.timing.at(pixels[:, 0])[0]
         beyond = 0.0 if line == "ND" else SLACK / float(speed.min())
         first, last = float(times.min()) - beyond, float(times.max()) + beyond
-        timing, count = _timing(flight, interval, (first, last), readout, macropixel)
-        images.append(_image(f"{name}/{line}", line, macropixel, (timing, count), trajectory))
+        timing, lines = _timing(flown, interval, (first, last), readout, macropixel)
+        images.append(line_image(f"{name}/{line}", (lines, samples), interior, timing, trajectory))
     return tuple(images)
 
 
-def _image(
-    name: str, line: str, macropixel: int, times: tuple[LineTiming, int], trajectory: Trajectory
-) -> PushbroomImage:
-    return PushbroomImage(
-        name=name,
-        lines=times[1],
-        samples=PIXELS // macropixel,
-        interior=line_camera(line, macropixel),
-        timing=times[0],
-        trajectory=trajectory,
-        body=MARS,
-    )
-
-
-def _single(trajectory: Trajectory, macropixel: int) -> tuple[LineTiming, int]:
-    """One line rate over all of a trajectory."""
-    (start, stop), period = trajectory.coverage, 4e-3 * macropixel
-    return LineTiming(np.zeros(1), np.array([start]), np.array([period])), int((stop - start) / period)
-
-
 def _timing(
-    flight: Flight, nadir: tuple[float, float], own: tuple[float, float], readout: Readout, macropixel: int
+    flown: PericentrePass, nadir: tuple[float, float], own: tuple[float, float], readout: Readout, macropixel: int
 ) -> tuple[LineTiming, int]:
     """Lines of an image from own[0] to own[1], s past the epoch, and their number."""
     changes = np.linspace(*nadir, readout.rates + 1)
-    _, speed, altitude = flight.track(np.linspace(*nadir, 2 * readout.rates + 1))
+    _, speed, altitude = flown.track(np.linspace(*nadir, 2 * readout.rates + 1))
     ground = readout.ground_pixel * macropixel * altitude[1::2] / REFERENCE_ALTITUDE
     periods, first, starts = ground / speed[1::2], [0.0], [own[0]]
     for k, change in enumerate([*changes[1:-1], own[1]]):

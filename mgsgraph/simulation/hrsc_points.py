@@ -1,6 +1,6 @@
 """Points on the ground of a block, and where the lines of its strips see them with their true orientation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -9,10 +9,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.simulation.hrsc_camera import STEREO
-from mgsgraph.simulation.observations import MARGIN, require_positive, well_inside
-from mgsgraph.simulation.terrain import SiteTerrain
+from mgsgraph.geometry.records import Array, Index, Mask, assign
+from mgsgraph.simulation.camera import STEREO
+from mgsgraph.simulation.ground import SiteTerrain
+from mgsgraph.simulation.observations import MARGIN, Visible, require_positive, well_inside
 
 LEAST = 3
 """Lines of a strip in which a point must have been matched."""
@@ -29,7 +29,7 @@ _ROUNDS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Matches:
+class PointMatching:
     """How points are matched."""
 
     shares: tuple[float, float, float] = (0.05, 0.15, 0.80)
@@ -51,29 +51,6 @@ class Matches:
                 raise InputError(f"block settings, {name}", f"{getattr(self, name)}", "a share, 0 .. 1")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pass:
-    """A strip as it was flown."""
-
-    axes: Array
-    """(3, 3) unit rows, body-fixed: flight, across, up at the pericentre."""
-    images: tuple[PushbroomImage, ...]
-    """Of the five stereo lines, nominal."""
-    true: OrientationCorrection
-    """Of all of them."""
-
-
-class Visits(NamedTuple):
-    """Which point stands where in which image, ordered by point, then image."""
-
-    point: Index
-    """(k,)."""
-    image: Index
-    """(k,) counted through all passes."""
-    places: Array
-    """(k, 2) line and sample, exact."""
-
-
 class _Swath(NamedTuple):
     """Where the lines of an image lie on the ground, nominally: first guesses."""
 
@@ -87,101 +64,121 @@ class _Swath(NamedTuple):
     """(t,) rad."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FlownStrip:
+    """A strip as it was flown."""
+
+    axes: Array
+    """(3, 3) unit rows, body-fixed: flight, across, up at the pericentre."""
+    images: tuple[PushbroomImage, ...]
+    """Of the five stereo lines, nominal."""
+    true: OrientationCorrection
+    """Of all of them: true orientation = nominal (+) this."""
+    level: float
+    """m, mean height of the ground above the ellipsoid."""
+    swaths: tuple[_Swath, ...] = field(init=False)
+    """Where the lines of each image lie on the ground."""
+
+    def __post_init__(self) -> None:
+        assign(self, swaths=tuple(_swath(self.axes, image, self.level) for image in self.images))
+
+    def matched(self, points: Array, matches: PointMatching, rng: np.random.Generator) -> tuple[Index, Index, Array]:
+        """In which lines points (n, 3) in m are matched: in as many as drawn, of those that see them, or in none.
+
+        Returns
+        -------
+        point, image : (k,)
+            Numbers, by point and then by image.
+        pixels : (k, 2)
+            True line and sample.
+        """
+        n, m = len(points), len(self.images)
+        pixels = np.stack([self._projected(j, points) for j in range(m)])
+        visible = np.stack([well_inside(image, own) for image, own in zip(self.images, pixels, strict=True)], axis=1)
+        wanted = rng.choice([3, 4, 5], size=n, p=matches.shares)
+        order = np.argsort(np.where(visible, rng.random((n, m)), 2.0), axis=1)
+        chosen = np.zeros((n, m), dtype=bool)
+        np.put_along_axis(chosen, order, np.arange(m) < wanted[:, None], axis=1)
+        chosen &= visible
+        chosen[np.count_nonzero(chosen, axis=1) < LEAST] = False
+        point, image = np.nonzero(chosen)
+        return point, image, pixels[image, point]
+
+    def beneath(self, points: Array) -> Mask:
+        """Which of points (n, 3) in m may lie in its nadir image."""
+        swath, (along, across) = self.swaths[_NADIR], _angles(self.axes, points)
+        middle, half = (np.interp(along, swath.along, one) for one in (swath.across, swath.half_width))
+        slack = 0.02 * np.ptp(swath.along)
+        inside = (along > swath.along[0] - slack) & (along < swath.along[-1] + slack)
+        return np.asarray(inside & (np.abs(across - middle) < _BESIDE * half))
+
+    def _projected(self, j: int, points: Array) -> Array:
+        """True line and sample (n, 2) in image j; NaN where unseen. In the order of lines, so that neighbours share
+        rows of the tables.
+        """
+        guess = np.interp(_angles(self.axes, points)[0], self.swaths[j].along, self.swaths[j].lines)
+        order, pixels = np.argsort(guess), np.empty((len(points), 2))
+        for first in range(0, len(points), _BLOCK):
+            some = order[first : first + _BLOCK]
+            pixels[some], _ = self.images[j].ground_to_image(points[some], self.true, guess[some])
+        return pixels
+
+
 def matched_points(
-    passes: list[Pass], relief: SiteTerrain, number: int, matches: Matches, rng: np.random.Generator
-) -> tuple[Array, Visits]:
-    """Points at random places of the strips' nadir images, evenly many of each strip, and their image places.
+    strips: list[FlownStrip], relief: SiteTerrain, number: int, matches: PointMatching, rng: np.random.Generator
+) -> tuple[Array, Visible]:
+    """Random points of the ground in the strips' nadir images, evenly many of each strip, and their image points.
 
     Returns
     -------
-    places : (number, 3)
+    points : (number, 3)
         m, body-fixed, on the true ground.
-    visits : Visits
+    visible : Visible
+        Where they are matched; images are counted through all strips.
     """
-    swaths = [[_swath(one.axes, image, relief.ground.level) for image in one.images] for one in passes]
-    counts = np.diff(np.linspace(0, number, len(passes) + 1).astype(int)).tolist()
-    places, found, first = list[Array](), list[Visits](), 0
+    counts = np.diff(np.linspace(0, number, len(strips) + 1).astype(int)).tolist()
+    points, visible, first = list[Array](), Visible(), 0
     for k, count in enumerate(counts):
-        mine, own = _of_strip(passes, swaths, k, relief, count, matches, rng)
-        places.append(mine)
-        found += [Visits(own.point + first, own.image, own.places)]
-        for j in range(len(passes)):
+        own = _of_strip(strips[k], relief, count, matches, rng, visible, (first, len(STEREO) * k))
+        points.append(own)
+        for j, other in enumerate(strips):
             if j != k:
-                also = _in_other(passes[j], swaths[j], mine, matches, rng)
-                found.append(Visits(also.point + first, also.image + len(STEREO) * j, also.places))
+                tried = np.flatnonzero(other.beneath(own) & (rng.random(len(own)) < matches.linked))
+                point, image, pixels = other.matched(own[tried], matches, rng)
+                visible.add(tried[point] + first, image + len(STEREO) * j, pixels)
         first += count
-    point, image = (np.concatenate(parts) for parts in ([v.point for v in found], [v.image for v in found]))
-    order = np.lexsort([image, point])
-    return np.concatenate(places), Visits(
-        point[order], image[order], np.concatenate([v.places for v in found])[order]
-    )
+    return np.concatenate(points), visible
 
 
 def _of_strip(
-    passes: list[Pass],
-    swaths: list[list[_Swath]],
-    k: int,
+    strip: FlownStrip,
     relief: SiteTerrain,
     count: int,
-    matches: Matches,
+    matches: PointMatching,
     rng: np.random.Generator,
-) -> tuple[Array, Visits]:
-    """Points of strip k and their places in its own images."""
-    kept, found, have = list[Array](), list[Visits](), 0
+    visible: Visible,
+    first: tuple[int, int],
+) -> Array:
+    """Points (count, 3) in m of a strip. What its own images see of them is added to `visible`, with numbers of points
+    and images that count from `first`.
+    """
+    kept, have = [np.zeros((0, 3))], 0
     for _ in range(_ROUNDS):
         if have == count:
             break
-        points = _on_ground(passes[k].images[_NADIR], relief, count - have + 16, rng)
-        visits = _matched(passes[k], swaths[k], points, matches, rng)
-        seen, number = np.unique(visits.point, return_inverse=True)
+        points = _on_ground(strip.images[_NADIR], relief, count - have + 16, rng)
+        point, image, pixels = strip.matched(points, matches, rng)
+        seen, number = np.unique(point, return_inverse=True)
         some = number < count - have
         points = points[seen[: count - have]]
         kept.append(points)
-        found.append(Visits(number[some] + have, visits.image[some] + len(STEREO) * k, visits.places[some]))
+        visible.add(number[some] + have + first[0], image[some] + first[1], pixels[some])
         have += len(points)
     if have < count:
-        name = passes[k].images[_NADIR].name
+        name = strip.images[_NADIR].name
         remedy = "take longer strips or smaller errors of the trajectories"
         raise InputError(f"simulated block, {name}", f"ground for {have} of {count} points", remedy=remedy)
-    return np.concatenate([np.zeros((0, 3)), *kept]), _joined(found)
-
-
-def _in_other(
-    other: Pass, swaths: list[_Swath], points: Array, matches: Matches, rng: np.random.Generator
-) -> Visits:
-    """Places of some of these points in the images of another strip."""
-    tried = np.flatnonzero(_beneath(other.axes, swaths[_NADIR], points) & (rng.random(len(points)) < matches.linked))
-    visits = _matched(other, swaths, points[tried], matches, rng)
-    return Visits(tried[visits.point], visits.image, visits.places)
-
-
-def _matched(
-    one: Pass, swaths: list[_Swath], points: Array, matches: Matches, rng: np.random.Generator
-) -> Visits:
-    """Where points (n, 3) are matched in lines of a strip: in as many as drawn, of those that see them, or in none."""
-    n, m = len(points), len(one.images)
-    places = np.empty((m, n, 2))
-    for j, (image, swath) in enumerate(zip(one.images, swaths, strict=True)):
-        places[j] = _projected(image, one, swath, points)
-    visible = np.stack([well_inside(image, own) for image, own in zip(one.images, places, strict=True)], axis=1)
-    wanted = rng.choice([3, 4, 5], size=n, p=matches.shares)
-    order = np.argsort(np.where(visible, rng.random((n, m)), 2.0), axis=1)
-    chosen = np.zeros((n, m), dtype=bool)
-    np.put_along_axis(chosen, order, np.arange(m) < wanted[:, None], axis=1)
-    chosen &= visible
-    chosen[np.count_nonzero(chosen, axis=1) < LEAST] = False
-    point, image_number = np.nonzero(chosen)
-    return Visits(point, image_number, places[image_number, point])
-
-
-def _projected(image: PushbroomImage, one: Pass, swath: _Swath, points: Array) -> Array:
-    """(n, 2) true line and sample; NaN where unseen. In the order of lines, so that neighbours share tables' rows."""
-    guess = np.interp(_angles(one.axes, points)[0], swath.along, swath.lines)
-    order, places = np.argsort(guess), np.empty((len(points), 2))
-    for first in range(0, len(points), _BLOCK):
-        some = order[first : first + _BLOCK]
-        places[some], _ = image.ground_to_image(points[some], one.true, guess[some])
-    return places
+    return np.concatenate(kept)
 
 
 def _on_ground(nadir: PushbroomImage, relief: SiteTerrain, count: int, rng: np.random.Generator) -> Array:
@@ -202,25 +199,7 @@ def _swath(axes: Array, image: PushbroomImage, level: float) -> _Swath:
     return _Swath(middle[0], lines, middle[1], 0.5 * np.abs(left[1] - right[1]))
 
 
-def _beneath(axes: Array, swath: _Swath, points: Array) -> Mask:
-    """Which points (n, 3) may lie in a swath."""
-    along, across = _angles(axes, points)
-    middle, half = (np.interp(along, swath.along, one) for one in (swath.across, swath.half_width))
-    slack = 0.02 * np.ptp(swath.along)
-    inside = (along > swath.along[0] - slack) & (along < swath.along[-1] + slack)
-    return np.asarray(inside & (np.abs(across - middle) < _BESIDE * half))
-
-
 def _angles(axes: Array, points: Array) -> tuple[Array, Array]:
     """Angles (n,) in rad at Mars' centre along and across the flight over the pericentre."""
     flight, across, up = (points @ axes.T / np.linalg.norm(points, axis=1)[:, None]).T
     return np.arctan2(flight, up), np.arcsin(np.clip(across, -1.0, 1.0))
-
-
-def _joined(parts: list[Visits]) -> Visits:
-    none = np.zeros(0, dtype=np.int64)
-    return Visits(
-        np.concatenate([none, *(one.point for one in parts)]),
-        np.concatenate([none, *(one.image for one in parts)]),
-        np.concatenate([np.zeros((0, 2)), *(one.places for one in parts)]),
-    )

@@ -13,7 +13,7 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.simulation.terrain import SiteTerrain
+from mgsgraph.simulation.ground import SiteTerrain
 
 Picture = NDArray[np.uint8]
 """(lines, samples) grey values."""
@@ -25,9 +25,9 @@ NOISE = 1.5
 _DARK, _LEVEL = 10.0, 110.0
 """Grey values of a shadow, and how much brighter level soil of mean albedo is."""
 _FAR, _NODE = 32, 4
-"""pixels between rays that are intersected with the ground, and between places found from these."""
+"""pixels between rays that are intersected with the ground, and between the finer nodes found from these."""
 _STEPS = 4
-"""Newton steps from a ray to the place of a node near it; a pixel takes one more from its nodes."""
+"""Newton steps from a ray to a node near it; a pixel takes one more from its nodes."""
 
 
 def render(
@@ -73,7 +73,7 @@ def render(
     def expose(block: int, noise: np.random.Generator) -> None:
         part = picture[block * _FAR : (block + 1) * _FAR]
         sun = _local_sun(points[block, points.shape[1] // 2], terrain, sun_direction)
-        east, north = _ground_places(terrain, [layer[block : block + 2] for layer in far], *part.shape)
+        east, north = _ground_of_pixels(terrain, [layer[block : block + 2] for layer in far], *part.shape)
         grey = _DARK + gain * np.maximum(_shade(east, north, terrain, sun), np.float32(0.0))
         grey += NOISE * noise.standard_normal(part.shape, dtype=np.float32)
         part[:] = np.rint(np.clip(grey, 0.0, 255.0))
@@ -90,8 +90,8 @@ def _far_nodes(
 ) -> tuple[tuple[Array, ...], Array]:
     """Where rays meet the ground: five layers (rows, columns) and the points (rows, columns, 3) in m, body-fixed.
 
-    The layers are the places east and north (m) in the terrain's chart, the local height there (m), and by how much the
-    ray leans east and north (m per m of height). The first ray belongs to the centre of the first pixel.
+    The layers are the coordinates east and north (m) in the terrain's chart, the local height there (m), and how far
+    the ray runs east and north per m of height. The first ray belongs to the centre of the first pixel.
     """
     lines = 0.5 + _FAR * np.arange(-(-image.lines // _FAR) + 1)
     samples = 0.5 + _FAR * np.arange(-(-image.samples // _FAR) + 1)
@@ -103,20 +103,20 @@ def _far_nodes(
         raise InputError(
             f"picture of {image.name}", f"line {line[k]:.1f}, sample {sample[k]:.1f} misses the body", "an image of it"
         )
-    place = planetocentric(points)
+    at = planetocentric(points)
     above = planetocentric(points - directions * (100.0 / np.linalg.norm(directions, axis=1))[:, None])
-    east, north = terrain.chart(place[:, 0], place[:, 1])
-    lean = np.array(terrain.chart(above[:, 0], above[:, 1])) - (east, north)
-    lean /= above[:, 2] - place[:, 2]
+    east, north = terrain.chart(at[:, 0], at[:, 1])
+    slope = np.array(terrain.chart(above[:, 0], above[:, 1])) - (east, north)
+    slope /= above[:, 2] - at[:, 2]
     shape = (lines.size, samples.size)
-    layers = tuple(layer.reshape(shape) for layer in (east, north, terrain.local(east, north)[0], *lean))
+    layers = tuple(layer.reshape(shape) for layer in (east, north, terrain.local(east, north)[0], *slope))
     return layers, points.reshape(*shape, 3)
 
 
-def _ground_places(
+def _ground_of_pixels(
     terrain: SiteTerrain, far: Sequence[Array], lines: int, samples: int
 ) -> tuple[_Single, _Single]:
-    """Chart places (lines, samples) in m of the ground that each pixel of a block of 32 lines sees.
+    """Chart coordinates east and north (lines, samples) in m of the ground that each pixel of a block of 32 lines sees.
 
     Found at nodes first; what relief does between them takes one more step at each pixel.
     """
@@ -128,11 +128,11 @@ def _ground_places(
 
 
 def _rise(terrain: SiteTerrain, sight: Sequence[Float], start: Float, steps: int) -> Float:
-    """How far above a local height (m) lines of sight meet the ground: they pass through (east, north) there and lean
-    by so many m per m of height. Newton's method from a start.
+    """How far above a local height (m) lines of sight meet the ground: they pass through (east, north) there and run
+    `by_east` and `by_north` m per m of height. Newton's method from a start.
 
     In the plane chart lines of sight change evenly from ray to ray. The regional level, left out here, may tilt by 1 in
-    400: over the tens of metres by which relief moves a place, that makes centimetres.
+    400: over the tens of metres by which relief moves a point, that makes centimetres.
     """
     east, north, height, by_east, by_north = sight
     rise = start + np.zeros_like(height)
@@ -143,7 +143,7 @@ def _rise(terrain: SiteTerrain, sight: Sequence[Float], start: Float, steps: int
 
 
 def _between(nodes: Array, step: int) -> Array:
-    """Bilinear places ((rows - 1) step + 1, (columns - 1) step + 1) between nodes (rows, columns)."""
+    """Bilinear values ((rows - 1) step + 1, (columns - 1) step + 1) between nodes (rows, columns)."""
     part = (np.arange(step) / step).astype(nodes.dtype)
     across = nodes[:, :-1, None] + np.diff(nodes, axis=1)[:, :, None] * part
     full = np.column_stack([across.reshape(nodes.shape[0], -1), nodes[:, -1]])
@@ -164,7 +164,7 @@ def _local_sun(point: Array, terrain: SiteTerrain, sun_direction: Array) -> Arra
 
 
 def _shade(east: _Single, north: _Single, terrain: SiteTerrain, sun: Array) -> _Single:
-    """Albedo times the cosine of the Sun's incidence at chart places; negative on slopes that the Sun does not see."""
+    """Albedo times the cosine of the Sun's incidence at chart coordinates; negative on slopes in their own shadow."""
     _, by_east, by_north = terrain.local(east, north)
     s = sun.astype(np.float32)
     facing = s[2] - s[0] * by_east - s[1] * by_north

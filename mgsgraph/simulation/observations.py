@@ -1,6 +1,7 @@
-"""What the simulated pair and strip draw and note down alike: sigmas, tie points, laser shots."""
+"""Simulated observations: the sigmas they are drawn from, tie points, laser shots, and who shows which point where."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,11 +10,11 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.simulation.circle import on_ground
+from mgsgraph.simulation.ground import rays_to_sines
 from mgsgraph.ties import PointKind, TiePoints
 
 MARGIN = 30.0
-"""pixels which true places keep from the edges: six default sigmas of the shots' image places."""
+"""pixels which true image points keep from the edges: six default sigmas of a footprint's measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,22 +68,54 @@ def require_count(where: str, value: int, least: float) -> None:
         raise InputError(where, f"{value}", f"a whole number, at least {least:.0f}")
 
 
+def require_seed(where: str, seed: int) -> None:
+    """Raise InputError for a seed below zero."""
+    if seed < 0:
+        raise InputError(f"{where}, seed", f"{seed}", "zero or a positive whole number")
+
+
 def require_relief(where: str, value: float) -> None:
     """Raise InputError unless a height is finite and not below zero."""
     if not (np.isfinite(value) and value >= 0.0):
         raise InputError(where, f"{value} m", "zero or a positive number")
 
 
-def well_inside(image: PushbroomImage, places: Array) -> Mask:
-    """Which places (n, 2) keep the margin from the image's edges; NaN do not."""
+def well_inside(image: PushbroomImage, pixels: Array) -> Mask:
+    """Which lines and samples (n, 2) keep the margin from the image's edges; NaN do not."""
     size = np.array([image.lines, image.samples])
-    return np.asarray(np.all((places >= MARGIN) & (places <= size - MARGIN), axis=1))
+    return np.asarray(np.all((pixels >= MARGIN) & (pixels <= size - MARGIN), axis=1))
+
+
+@dataclass(slots=True, eq=False)
+class Visible:
+    """Where points stand in images, without noise: rows (point, image, line and sample), added as they are found."""
+
+    point: list[Index] = field(default_factory=list)
+    """(k,) each, numbers of points."""
+    image: list[Index] = field(default_factory=list)
+    """(k,) each, numbers of images."""
+    pixels: list[Array] = field(default_factory=list)
+    """(k, 2) each, line and sample."""
+
+    def add(self, points: Index, images: Index | int, pixels: Array) -> None:
+        """Add rows of points (k,) in images (k,) or in one image, at lines and samples (k, 2)."""
+        self.point.append(points)
+        self.image.append(np.broadcast_to(images, points.shape))
+        self.pixels.append(pixels)
+
+    def ordered(self) -> tuple[Index, Index, Array]:
+        """All rows by point and then by image: points (k,), images (k,), lines and samples (k, 2)."""
+        point, image = (np.concatenate([np.zeros(0, dtype=np.int64), *rows]) for rows in (self.point, self.image))
+        order = np.lexsort([image, point])
+        return point[order], image[order], np.concatenate([np.zeros((0, 2)), *self.pixels])[order]
 
 
 def free_points(
     source: str, ids: tuple[str, ...], point: Index, images: tuple[str, ...], measures: Array, sigma: Array | float
 ) -> TiePoints:
-    """Tie points of unknown place, measured (k, 2) with one sigma in px or with sigmas (k, 2)."""
+    """Tie points without a-priori coordinates: n points by name, and k measures of point (k,) in images (k names) at
+    lines and samples (k, 2), with one sigma in pixels or with sigmas (k, 2).
+    """
     n, k = len(ids), len(images)
     return TiePoints(
         source=source,
@@ -97,49 +130,94 @@ def free_points(
     )
 
 
+def project(
+    images: Sequence[PushbroomImage], corrections: Sequence[OrientationCorrection | None], points: Array
+) -> tuple[Array, Mask]:
+    """Line and sample (n, images, 2) of points (n, 3) in m in each image with its true orientation, nominal (+)
+    correction; and which points (n,) all images show well inside their edges.
+    """
+    pixels = [image.ground_to_image(points, true)[0] for image, true in zip(images, corrections, strict=True)]
+    seen = [well_inside(image, each) for image, each in zip(images, pixels, strict=True)]
+    return np.stack(pixels, axis=1), np.all(seen, axis=0)
+
+
+def shared_ties(
+    source: str,
+    images: Sequence[PushbroomImage],
+    corrections: Sequence[OrientationCorrection | None],
+    points: Array,
+    count: int,
+    sigma: float,
+    rng: np.random.Generator,
+    remedy: str = "",
+) -> tuple[TiePoints, Array]:
+    """Tie points at the first `count` of points (n, 3) in m that all images show, measured in all of them with noise of
+    `sigma` pixels; and these points (count, 3). InputError with the remedy where there are not so many.
+    """
+    pixels, seen = project(images, corrections, points)
+    kept = np.flatnonzero(seen)[:count]
+    if kept.size < count:
+        raise InputError(source, f"images that share ground for {kept.size} of {count} tie points", remedy=remedy)
+    exact = pixels[kept].reshape(-1, 2)
+    ties = free_points(
+        source,
+        tuple(f"TIE{i + 1:05d}" for i in range(count)),
+        np.repeat(np.arange(count), len(images)),
+        tuple(image.name for image in images) * count,
+        exact + sigma * rng.standard_normal(exact.shape),
+        sigma,
+    )
+    return ties, points[kept]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shots:
-    """Laser shots along an image's optical axis, without noise."""
+    """Laser shots along an image's optical axis."""
 
     times: Array
     """(n,) s TDB past J2000."""
     points: Array
-    """(n, 3) m, body-fixed, where they meet the terrain."""
+    """(n, 3) m, body-fixed, where they meet the ground."""
     ranges: Array
     """(n,) m."""
 
+    def noisy(self, noise: NoiseSettings, rng: np.random.Generator) -> "Shots":
+        """As measured: ranges and points with noise."""
+        ranges = self.ranges + noise.range * rng.standard_normal(self.ranges.size)
+        return Shots(self.times, self.points + noise.ground * rng.standard_normal(self.points.shape), ranges)
+
 
 def shots_along(image: PushbroomImage, true: OrientationCorrection, number: int, relief: float) -> Shots:
-    """Shots from the spacecraft of an image, evenly spaced in time."""
+    """Shots from the spacecraft of an image, evenly spaced in time, without noise."""
     epoch = image.trajectory.epoch
     elapsed, _ = image.timing.at(np.linspace(2.0 * MARGIN, image.lines - 2.0 * MARGIN, number))
     times = epoch + elapsed
     lines = image.timing.lines(times - epoch)  # of the time as the file can state it
-    points = on_ground(image, true, lines, np.full(number, 0.5 * image.samples), relief)
+    points = rays_to_sines(image, true, lines, np.full(number, 0.5 * image.samples), relief)
     return Shots(times, points, np.linalg.norm(points - image.pose(lines, true).position, axis=1))
 
 
 def profile(
     source: str,
     ids: tuple[str, ...],
-    times: Array,
-    ranges: Array,
-    footprints: Array,
+    given: Shots,
     simultaneous: tuple[tuple[str, ...], ...],
     shot: Index,
     images: tuple[str, ...],
     measures: Array,
     noise: NoiseSettings,
 ) -> LaserProfile:
-    """Laser shots as given, with their measures (k, 2), and with the sigmas of the settings."""
+    """Laser shots as an adjustment is given them: n shots by name, each with the images taken along with it; k measures
+    of shot (k,) in images (k names) at lines and samples (k, 2); and the sigmas of the settings.
+    """
     n = len(ids)
     return LaserProfile(
         source=source,
         ids=ids,
-        times=times,
-        ranges=ranges,
+        times=given.times,
+        ranges=given.ranges,
         range_sigmas=np.full(n, noise.range),
-        footprints=footprints,
+        footprints=given.points,
         covariances=np.broadcast_to(noise.ground**2 * np.eye(3), (n, 3, 3)),
         simultaneous=simultaneous,
         measure_shot=shot,

@@ -1,101 +1,229 @@
-"""True and nominal trajectories of a simulated MGS image: an orbit over the site, a camera tracking nadir or held.
+"""Orbits of the simulated spacecraft: position and attitude over time, and the tables that a trajectory has of them.
 
-The spacecraft flies north by day, as MGS did, on a Kepler orbit of 92.9 degrees of inclination which is at an apse over
-the site; its speed is such that the ground speed is the published one. Truth is smooth; what is wrong with the kernels
-(`sites.KernelErrors`) is in the nominal trajectory alone.
+All fly a Kepler orbit that is at an apse at its epoch (`Orbit`). There are three ways to say which one:
+
+* `circular_orbit` and `circular_trajectory`: a circle at MGS's altitude past a site (pair, strip, bridge image);
+* `site_pass`: MGS over a study site, with the published emission angle and ground speed;
+* `hrsc_flight.PericentrePass`: Mars Express over a block of HRSC strips.
+
+A camera at nadir turns with the orbit; one that looks aside is held in inertial space, as MGS did it. Truth is smooth;
+what is wrong with the kernels (`sites.KernelErrors`) is in the nominal trajectory of a study site alone.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, intersect_ellipsoid
+from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.simulation.circle import MARS
+from mgsgraph.simulation.mars import GRAVITY, MARS, body_matrix, fixed_pole_matrix, kepler
 from mgsgraph.simulation.sites import ImageSettings, KernelErrors
-from mgsgraph.units import DEG, MM
+from mgsgraph.units import DEG
 
-GRAVITY = 4.282837e13
-"""m^3/s^2, GM of Mars."""
-POLE_RA, POLE_DEC = (317.68143, -0.1061), (52.88650, -0.0609)
-"""deg and deg per century, Mars' pole (IAU 2000)."""
-MERIDIAN = (176.630, 350.89198226)
-"""deg and deg per day, Mars' prime meridian (IAU 2000)."""
-FOCAL_LENGTH_MM, PITCH_MM, BORESIGHT_SAMPLE = 3500.0, 0.0131240578522949, 1024.5
-"""MOC-NA as ISIS knows it (mocAddendum004.ti): mm, mm, and detector sample counted from 1 at the pixel's centre."""
+HEADING = -3.0 * DEG
+"""rad, of a circle's inertial flight direction from north towards east over the equator: inclination 93 degrees."""
+TABLE_STEP = 0.5
+"""s between two samples of a circle's tables."""
 MOUNT_ANGLES = (-6.28518593581, 0.00125, -0.003141592654)
-"""rad, TKFRAME_-94031_ANGLES about the axes 1, 2, 3: camera frame to spacecraft frame (the same file)."""
+"""rad, TKFRAME_-94031_ANGLES about the axes 1, 2, 3: MOC's camera frame to MGS's frame (mocAddendum004.ti)."""
 STEP = 1.0
-"""s between the records of a table, and of the CK."""
+"""s between the records of a study site's tables, and of its CK."""
 MARGIN = 20.0
-"""s which tables and kernels reach beyond the image; profiles too."""
+"""s by which a study site's tables and kernels reach beyond the image."""
 
+_CIRCLE_TILT = rotation.exponential(np.array([0.02, -0.03, 0.5]))
+"""Frame of a circle's body table to the body-fixed one; only there so that constant rotations are exercised."""
+_CIRCLE_MOUNT = rotation.exponential(np.array([0.001, -0.002, 0.003]))
+"""Spacecraft to camera frame on a circle."""
 _INCLINATION = 92.9 * DEG
-_DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
-_SUN_GRAVITY = 1.32712440018e20
-"""m^3/s^2, GM of the Sun."""
-_AXIS, _ECCENTRICITY = 1.52371034 * 149_597_870_700.0, 0.09339410
-"""m and none, Mars' orbit at J2000 (Standish and Williams, approximate positions of the planets, table 1)."""
-_TO_ORBIT, _NODE, _PERIHELION, _LONGITUDE = 1.84969142, 49.55953891, -23.94362959, -4.55343205
-"""deg: inclination to the ecliptic, longitudes of the node, of the perihelion, and of Mars at J2000 (the same)."""
-_OBLIQUITY = 23.4392911
-"""deg, of the ecliptic at J2000."""
+"""Of MGS's orbit over the study sites."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pass:
-    """One flight over the site: the true state at any time."""
+class Orbit:
+    """A Kepler orbit about Mars, inertial (J2000), which is at one of its apses at the epoch."""
 
     epoch: float
-    """s TDB past J2000 when the middle line is taken."""
+    """s TDB past J2000."""
     outward: Array
-    """(3,) unit, inertial: from Mars to the spacecraft at the epoch."""
+    """(3,) unit: from Mars' centre to the spacecraft at the epoch."""
     flight: Array
-    """(3,) unit, inertial, horizontal: the direction of flight at the epoch."""
+    """(3,) unit: direction of flight at the epoch."""
     radius: float
     """m, distance from Mars' centre at the epoch."""
-    speed: float
-    """m/s at the epoch, horizontal."""
-    look: Array
-    """(3, 3) inertial to camera frame at the epoch."""
-    held: bool
-    """Camera held in inertial space; otherwise it turns with the orbit."""
+    eccentricity: float
+    """0 for a circle; negative where the epoch is at the apoapsis."""
 
     def state(self, times: Array) -> tuple[Array, Array]:
-        """Position (n, 3) in m and velocity (n, 3) in m/s, inertial, at times (n,) past the epoch."""
-        eccentricity = self.speed**2 * self.radius / GRAVITY - 1.0  # negative where the epoch is at the apoapsis
-        along, across = kepler(times, self.radius, eccentricity, GRAVITY)
+        """Position (n, 3) in m and velocity (n, 3) in m/s, inertial, at times (n,) in s past the epoch."""
+        along, across = kepler(times, self.radius, self.eccentricity, GRAVITY)
         return (
             along[0][:, None] * self.outward + across[0][:, None] * self.flight,
             along[1][:, None] * self.outward + across[1][:, None] * self.flight,
         )
 
-    def camera(self, times: Array) -> Array:
-        """Matrices (n, 3, 3) inertial to camera frame at times (n,) past the epoch."""
-        if self.held:
-            return np.broadcast_to(self.look, (times.size, 3, 3))
-        return self.look @ np.swapaxes(orbit_axes(*self.state(np.zeros(1))), 1, 2) @ orbit_axes(*self.state(times))
+    def angle(self, times: Array) -> Array:
+        """Angle (n, 1) in rad that a circle sweeps in times (n,) in s past the epoch."""
+        return np.asarray((np.sqrt(GRAVITY / self.radius**3) * times)[:, None])
+
+    def circle_state(self, times: Array) -> tuple[Array, Array]:
+        """As `state`, of a circle: sine and cosine alone, without Kepler's equation."""
+        angle, speed = self.angle(times), self.radius * np.sqrt(GRAVITY / self.radius**3)
+        positions = self.radius * (np.cos(angle) * self.outward + np.sin(angle) * self.flight)
+        return positions, speed * (np.cos(angle) * self.flight - np.sin(angle) * self.outward)
 
 
-def kepler(times: Array, periapsis: float, eccentricity: float, gravity: float) -> tuple[Array, Array]:
-    """Place and rate (2, n) along the line of apsides, and (2, n) at right angles to it, at times (n,) past periapsis.
+def sampled_trajectory(
+    epoch: float,
+    times: Array,
+    state: tuple[Array, Array],
+    camera: Array,
+    body: Array,
+    mount: Array | None = None,
+    tilt: Array | None = None,
+) -> Trajectory:
+    """Trajectory that is sampled at times (n,), s past the epoch.
 
-    A negative eccentricity begins at the apoapsis, `periapsis` then being its distance.
+    Parameters
+    ----------
+    epoch : float
+        s TDB past J2000.
+    times : (n,)
+        s, increasing.
+    state : positions (n, 3), velocities (n, 3)
+        m and m/s, inertial.
+    camera, body : (n, 3, 3)
+        Matrices that take inertial components to those of the camera frame, and to body-fixed ones.
+    mount, tilt : (3, 3), optional
+        Constant last parts of these rotations, which the tables of quaternions leave out; none when absent.
     """
-    axis = periapsis / (1.0 - eccentricity)
-    motion = np.sqrt(gravity / abs(axis) ** 3)
-    mean = motion * times
-    anomaly = mean + eccentricity * np.sin(mean)
-    for _ in range(20):
-        anomaly = anomaly - (anomaly - eccentricity * np.sin(anomaly) - mean) / (1.0 - eccentricity * np.cos(anomaly))
-    cosine, sine, rate = np.cos(anomaly), np.sin(anomaly), motion / (1.0 - eccentricity * np.cos(anomaly))
-    minor = axis * np.sqrt(1.0 - eccentricity**2)
-    along = np.stack([axis * (cosine - eccentricity), -axis * sine * rate])
-    return along, np.stack([minor * sine, minor * cosine * rate])
+    attitude, rotating = (
+        AttitudeTable(times, quaternions(full), np.eye(3))
+        if constant is None
+        else AttitudeTable(times, quaternions(constant.T @ full), constant)
+        for full, constant in ((camera, mount), (body, tilt))
+    )
+    return Trajectory(epoch, PositionTable(times, *state), attitude, rotating)
+
+
+def quaternions(matrices: Array) -> Array:
+    """Quaternions (n, 4) of a turning frame (n, 3, 3), without a change of sign."""
+    found = rotation.from_matrix(matrices)
+    turns_over = np.sum(found[1:] * found[:-1], axis=1) < 0.0
+    signs = np.concatenate([[1.0], np.cumprod(np.where(turns_over, -1.0, 1.0))])
+    return np.asarray(found * signs[:, None])
+
+
+# --- circles: pair, strip and bridge image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CircularPass:
+    """A flight on a circle past a site, which the optical axis meets at the epoch."""
+
+    epoch: float
+    """s TDB past J2000."""
+    site: Array
+    """(3,) m, body-fixed, on the ellipsoid."""
+    heading: float
+    """rad, of the inertial flight direction from north towards east, at the site's zenith."""
+    altitude: float
+    """m, of the orbit above the site's distance from the centre."""
+    off_nadir: float = 0.0
+    """rad, at the spacecraft between the optical axis and nadir, across track; zero for tracking nadir."""
+
+    def __post_init__(self) -> None:
+        assign(self, site=frozen(self.site, "circular pass, site", (3,)))
+
+
+def circular_orbit(flown: CircularPass) -> Orbit:
+    """The circle of a pass; InputError where its off-nadir axis would miss Mars."""
+    site = flown.site
+    radius = float(np.linalg.norm(site)) + flown.altitude
+    to_inertial = fixed_pole_matrix(np.array([flown.epoch]))[0].T
+    zenith = to_inertial @ (site / np.linalg.norm(site))
+    east = to_inertial @ (np.cross([0.0, 0.0, 1.0], site) / np.hypot(site[0], site[1]))
+    flight = np.cos(flown.heading) * np.cross(zenith, east) + np.sin(flown.heading) * east
+    sine = radius / np.linalg.norm(site) * np.sin(flown.off_nadir)
+    if flown.off_nadir >= 0.5 * np.pi or sine >= 1.0:
+        found = f"{flown.off_nadir / DEG:.1f} deg, which looks past the body"
+        raise InputError("simulated orbit, off_nadir", found, "less, about 20 deg")
+    aside = np.arcsin(sine) - flown.off_nadir  # angle at the body's centre between the site and the orbit's plane
+    outward = np.cos(aside) * zenith + np.sin(aside) * np.cross(flight, zenith)
+    return Orbit(flown.epoch, outward, flight, radius, 0.0)
+
+
+def circular_trajectory(flown: CircularPass, half: float, step: float = TABLE_STEP) -> Trajectory:
+    """The pass, sampled every `step` seconds for `half` seconds and a step either side of its epoch."""
+    samples = int(np.ceil(half / step)) + 1
+    times: Array = step * np.arange(-samples, samples + 1, dtype=np.float64)
+    orbit = circular_orbit(flown)
+    axis = fixed_pole_matrix(np.array([flown.epoch]))[0].T @ flown.site - orbit.radius * orbit.outward
+    axis = axis / np.linalg.norm(axis)
+    camera = np.stack([orbit.flight, np.cross(axis, orbit.flight), axis])
+    tracks_nadir = flown.off_nadir == 0.0  # then the camera turns about the orbit's normal, otherwise it is held
+    turned = orbit.angle(times) * np.cross(orbit.outward, orbit.flight) if tracks_nadir else np.zeros((times.size, 3))
+    return sampled_trajectory(
+        flown.epoch, times, orbit.circle_state(times), camera @ rotation.exponential(-turned),
+        fixed_pole_matrix(flown.epoch + times), _CIRCLE_MOUNT, _CIRCLE_TILT,
+    )  # fmt: skip
+
+
+def ground_track(flown: CircularPass, times: Array) -> tuple[Array, Array]:
+    """Points (n, 3) in m of the ellipsoid under the spacecraft at times (n,) in s past the epoch, and headings (n,) in
+    rad of the flight over them: what a later pass along the same track is given.
+    """
+    orbit = circular_orbit(flown)
+    positions, velocities = orbit.circle_state(times)
+    to_body = fixed_pole_matrix(flown.epoch + times)
+    up = np.einsum("nij,nj->ni", to_body, positions) / orbit.radius
+    along = np.einsum("nij,nj->ni", to_body, velocities)
+    east = np.cross([0.0, 0.0, 1.0], up)
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    north = np.cross(up, east)
+    heading = np.arctan2(np.einsum("ni,ni->n", along, east), np.einsum("ni,ni->n", along, north))
+    return on_ellipsoid(up), heading
+
+
+def on_ellipsoid(directions: Array, height: Array | float = 0.0) -> Array:
+    """Points (n, 3) in m, body-fixed, at a height above the ellipsoid, towards unit vectors (n, 3) from its centre."""
+    points, _, _ = intersect_ellipsoid(2.0 * MARS.equatorial * directions, -directions, MARS, height)
+    return points
+
+
+def site_at(longitude: float, latitude: float) -> Array:
+    """Point (3,) in m, body-fixed, of the ellipsoid at a longitude and planetocentric latitude in rad."""
+    return np.asarray(on_ellipsoid(from_planetocentric(np.array([[longitude, latitude, 1.0]])))[0])
+
+
+# --- MGS over a study site
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SitePass:
+    """One flight over a study site, true at any time."""
+
+    orbit: Orbit
+    """At an apse when the middle line is taken."""
+    axes: Array
+    """(3, 3) inertial to camera frame at the epoch."""
+    held: bool
+    """Camera held in inertial space; otherwise it turns with the orbit."""
+
+    @property
+    def epoch(self) -> float:
+        """S TDB past J2000 when the middle line is taken."""
+        return self.orbit.epoch
+
+    def camera(self, times: Array) -> Array:
+        """Matrices (n, 3, 3) inertial to camera frame at times (n,) in s past the epoch."""
+        if self.held:
+            return np.broadcast_to(self.axes, (times.size, 3, 3))
+        first = np.swapaxes(orbit_axes(*self.orbit.state(np.zeros(1))), 1, 2)
+        return self.axes @ first @ orbit_axes(*self.orbit.state(times))
 
 
 def orbit_axes(positions: Array, velocities: Array) -> Array:
@@ -106,48 +234,17 @@ def orbit_axes(positions: Array, velocities: Array) -> Array:
     return np.stack([np.cross(normal, down), normal, down], axis=1)
 
 
-def body_matrix(times: Array) -> Array:
-    """J2000 to IAU_MARS (n, 3, 3) at times (n,) in s TDB past J2000: R3(W) R1(90 - dec) R3(90 + ra) (SPICE tipbod)."""
-    centuries, zero = times / _CENTURY, np.zeros_like(times)
-    ascension = (POLE_RA[0] + POLE_RA[1] * centuries + 90.0) * DEG
-    tilt = (90.0 - POLE_DEC[0] - POLE_DEC[1] * centuries) * DEG
-    turned = np.remainder(MERIDIAN[0] + MERIDIAN[1] * times / _DAY, 360.0) * DEG
-    about = [np.stack([zero, zero, turned], 1), np.stack([tilt, zero, zero], 1), np.stack([zero, zero, ascension], 1)]
-    spin, lean, node = (rotation.exponential(-vector) for vector in about)
-    return spin @ lean @ node
-
-
-def mars_about_sun(times: Array) -> tuple[Array, Array]:
-    """Position (n, 3) in m and velocity (n, 3) in m/s of Mars from the Sun, J2000, at times (n,) in s TDB past J2000.
-
-    A Kepler ellipse with mean elements: right to some minutes of arc, which is enough to light the ground.
-    """
-    motion = np.sqrt(_SUN_GRAVITY / _AXIS**3)
-    past_perihelion = times + (_LONGITUDE - _PERIHELION) * DEG / motion
-    along, across = kepler(past_perihelion, _AXIS * (1.0 - _ECCENTRICITY), _ECCENTRICITY, _SUN_GRAVITY)
-    turns = ((2, _PERIHELION - _NODE), (0, _TO_ORBIT), (2, _NODE), (0, _OBLIQUITY))
-    axes = np.eye(3)
-    for axis, angle in turns:
-        axes = rotation.exponential(angle * DEG * np.eye(3)[axis]) @ axes
-    place, speed = (along[k][:, None] * axes[:, 0] + across[k][:, None] * axes[:, 1] for k in (0, 1))
-    return place, speed
-
-
-def sun_direction(epoch: float) -> Array:
-    """Unit vector (3,), body-fixed, from Mars to the Sun at an epoch (s TDB past J2000)."""
-    place, _ = mars_about_sun(np.array([epoch]))
-    return np.asarray(-body_matrix(np.array([epoch]))[0] @ place[0] / np.linalg.norm(place[0]))
-
-
 def mount() -> Array:
-    """Spacecraft to camera frame (3, 3): the inverse of [a]1 [b]2 [c]3 (SPICE tkfram, class ANGLES)."""
+    """Spacecraft to camera frame (3, 3) of MGS: the inverse of [a]1 [b]2 [c]3 (SPICE tkfram, class ANGLES)."""
     matrix = np.eye(3)
     for axis, angle in enumerate(MOUNT_ANGLES):
         matrix = matrix @ rotation.exponential(-angle * np.eye(3)[axis])
     return matrix.T
 
 
-def fly(settings: ImageSettings, epoch: float, site: Array, altitude: float, emission: float | None = None) -> Pass:
+def site_pass(
+    settings: ImageSettings, epoch: float, site: Array, altitude: float, emission: float | None = None
+) -> SitePass:
     """The flight whose optical axis meets `site` at the epoch, at the emission angle and the published ground speed.
 
     Parameters
@@ -165,97 +262,68 @@ def fly(settings: ImageSettings, epoch: float, site: Array, altitude: float, emi
 
     Notes
     -----
-    The spacecraft is west of the site, as at Eos (Shan et al.), and looks east across its flight.
+    The spacecraft flies north by day at 92.9 degrees of inclination, as MGS did. It is west of the site, as at Eos
+    (Shan et al.), and looks east across its flight.
     """
     to_inertial = body_matrix(np.array([epoch]))[0].T
     normal = to_inertial @ (site / np.array([MARS.equatorial, MARS.equatorial, MARS.polar]) ** 2)
     normal /= np.linalg.norm(normal)
-    pole, place = to_inertial[:, 2], to_inertial @ site
+    pole, target = to_inertial[:, 2], to_inertial @ site
     radius = _ellipsoid_radius(site) + altitude
     angle = settings.emission if emission is None else emission
     outward, flight = normal, _northbound(normal, pole)
     for _ in range(4):  # the flight's direction at the spacecraft decides which way is across
         across = np.cross(normal, flight)
         towards = np.cos(angle) * normal + np.sin(angle) * across / np.linalg.norm(across)
-        half = place @ towards
-        outward = place + (np.sqrt(half**2 + radius**2 - place @ place) - half) * towards
+        half = target @ towards
+        outward = target + (np.sqrt(half**2 + radius**2 - target @ target) - half) * towards
         outward /= np.linalg.norm(outward)
         flight = _northbound(outward, pole)
-    sight = place - radius * outward
-    sight /= np.linalg.norm(sight)
+    axis = target - radius * outward
+    axis /= np.linalg.norm(axis)
     side = np.cross(outward, flight)
-    side -= (side @ sight) * sight
+    side -= (side @ axis) * axis
     side /= np.linalg.norm(side)
-    look = np.stack([np.cross(side, sight), side, sight])
-    found = Pass(epoch, outward, flight, radius, float(np.sqrt(GRAVITY / radius)), look, settings.held)
+    axes = np.stack([np.cross(side, axis), side, axis])
+
+    def at_speed(speed: float) -> SitePass:
+        orbit = Orbit(epoch, outward, flight, radius, speed**2 * radius / GRAVITY - 1.0)
+        return SitePass(orbit, axes, settings.held)
+
+    speed = float(np.sqrt(GRAVITY / radius))
     for _ in range(5):
-        speed = found.speed * settings.spacing / (0.1 * _ground_speed(found, float(np.linalg.norm(site))))
-        found = Pass(epoch, outward, flight, radius, speed, look, settings.held)
-    return found
+        speed = speed * settings.spacing / (0.1 * _ground_speed(at_speed(speed), float(np.linalg.norm(site))))
+    return at_speed(speed)
 
 
-def true_trajectory(flown: Pass, duration: float) -> Trajectory:
+def true_trajectory(flown: SitePass, duration: float) -> Trajectory:
     """What was flown, sampled; times count from the pass's epoch."""
-    times = _node_times(duration)
-    return _trajectory(flown, times, *flown.state(times), flown.camera(times))
+    times = _table_times(duration)
+    return _sampled(flown, times, flown.orbit.state(times), flown.camera(times))
 
 
-def nominal_trajectory(flown: Pass, duration: float, errors: KernelErrors, rng: np.random.Generator) -> Trajectory:
+def nominal_trajectory(flown: SitePass, duration: float, errors: KernelErrors, rng: np.random.Generator) -> Trajectory:
     """What the kernels say, with the archive's time tags already undone: true (+) errors."""
-    times = _node_times(duration)
-    positions, velocities = flown.state(times)
-    axes = np.stack([flown.outward, flown.flight, np.cross(flown.outward, flown.flight)])
+    times, orbit = _table_times(duration), flown.orbit
+    positions, velocities = orbit.state(times)
+    axes = np.stack([orbit.outward, orbit.flight, np.cross(orbit.outward, orbit.flight)])
     u = 2.0 * times / duration
     (p0, p1), (r0, r1), (y0, y1) = errors.pitch, errors.roll, errors.yaw
     # about the camera's axes: +X is back, so that turning about it rolls the axis towards -Y; +Y pitches it back
     turn = np.stack([r0 + r1 * u, -(p0 + p1 * u), y0 + y1 * u], axis=1)
     turn += errors.noise * rng.standard_normal(turn.shape)
     camera = rotation.exponential(-turn) @ flown.camera(times + errors.attitude_time_bias)
-    return _trajectory(flown, times, positions + errors.position @ axes, velocities, camera)
+    return _sampled(flown, times, (positions + errors.position @ axes, velocities), camera)
 
 
-def moc_image(settings: ImageSettings, trajectory: Trajectory, start: float) -> PushbroomImage:
-    """MOC image on a trajectory; `start` in s past the trajectory's epoch is the time of its upper edge."""
-    pitch = PITCH_MM * MM
-    return PushbroomImage(
-        name=settings.name,
-        lines=settings.lines,
-        samples=settings.samples,
-        interior=InteriorOrientation(
-            focal_length=FOCAL_LENGTH_MM * MM,
-            to_pixel=np.array([[0.0, 1.0 / pitch, 0.0], [0.0, 0.0, 1.0 / pitch]]),
-            centre=np.array([0.0, BORESIGHT_SAMPLE - 0.5]),
-            first=np.array([0.0, float(settings.edit_mode)]),
-            sample_summing=float(settings.crosstrack_summing),
-            distortion=NoDistortion(),
-        ),
-        timing=LineTiming(np.zeros(1), np.array([start]), np.array([settings.period])),
-        trajectory=trajectory,
-        body=MARS,
-    )
+def _sampled(flown: SitePass, times: Array, state: tuple[Array, Array], camera: Array) -> Trajectory:
+    return sampled_trajectory(flown.epoch, times, state, camera, body_matrix(flown.epoch + times), mount())
 
 
-def _node_times(duration: float) -> Array:
+def _table_times(duration: float) -> Array:
     """Whole seconds, so that they are exact in files, to beyond both ends of the image."""
     reach = np.ceil(0.5 * duration + MARGIN)
     return np.arange(-reach, reach + 0.5 * STEP, STEP)
-
-
-def _trajectory(flown: Pass, times: Array, positions: Array, velocities: Array, camera: Array) -> Trajectory:
-    return Trajectory(
-        flown.epoch,
-        PositionTable(times, positions, velocities),
-        AttitudeTable(times, quaternions(mount().T @ camera), mount()),
-        AttitudeTable(times, quaternions(body_matrix(flown.epoch + times)), np.eye(3)),
-    )
-
-
-def quaternions(matrices: Array) -> Array:
-    """Quaternions (n, 4) of a turning frame (n, 3, 3), without a change of sign."""
-    found = rotation.from_matrix(matrices)
-    turns_over = np.sum(found[1:] * found[:-1], axis=1) < 0.0
-    signs = np.concatenate([[1.0], np.cumprod(np.where(turns_over, -1.0, 1.0))])
-    return np.asarray(found * signs[:, None])
 
 
 def _northbound(outward: Array, pole: Array) -> Array:
@@ -273,12 +341,12 @@ def _ellipsoid_radius(point: Array) -> float:
     return float(1.0 / np.sqrt((unit[0] ** 2 + unit[1] ** 2) / MARS.equatorial**2 + unit[2] ** 2 / MARS.polar**2))
 
 
-def _ground_speed(flown: Pass, radius: float) -> float:
+def _ground_speed(flown: SitePass, radius: float) -> float:
     """m/s of the optical axis over a sphere of the site's radius, at the epoch."""
     times = np.array([-0.5, 0.5])
-    positions, _ = flown.state(times)
-    sights = flown.camera(times)[:, 2]
+    positions, _ = flown.orbit.state(times)
+    axes = flown.camera(times)[:, 2]
     to_body = body_matrix(flown.epoch + times)
-    origins, directions = (np.einsum("nij,nj->ni", to_body, vectors) for vectors in (positions, sights))
+    origins, directions = (np.einsum("nij,nj->ni", to_body, vectors) for vectors in (positions, axes))
     points, _, _ = intersect_ellipsoid(origins, directions, Ellipsoid(radius, radius))
     return float(np.linalg.norm(points[1] - points[0]))

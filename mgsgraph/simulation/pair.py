@@ -6,7 +6,7 @@ trajectory (+) a correction drawn from the stated prior; every observation is th
 stated sigma, so that an adjustment with these sigmas has honest statistics.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,21 +15,21 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.simulation.circle import CENTRE, HEADING, Passage, narrow_image, on_ground, site_at
-from mgsgraph.simulation.circle import MARS as MARS
-from mgsgraph.simulation.circle import terrain_height as terrain_height
-from mgsgraph.simulation.instrument import InstrumentErrors, as_it_was, misplaced
+from mgsgraph.simulation.camera import InstrumentErrors, as_taken, displaced_footprints, narrow_image
+from mgsgraph.simulation.ground import CENTRE, rays_to_sines
 from mgsgraph.simulation.observations import (
     MARGIN,
-    free_points,
+    NoiseSettings,
     profile,
+    project,
     require_count,
     require_positive,
     require_relief,
+    require_seed,
+    shared_ties,
     shots_along,
-    well_inside,
 )
-from mgsgraph.simulation.observations import NoiseSettings as NoiseSettings
+from mgsgraph.simulation.orbit import HEADING, CircularPass, site_at
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG
 
@@ -77,9 +77,9 @@ class SimulatedPair:
     """A simulated stereo pair: what an adjustment is given, and the truth it should find."""
 
     settings: PairSettings
-    """As simulated."""
+    """What was asked for."""
     seed: int
-    """Of the random generator."""
+    """Seed of the random generator."""
     images: tuple[PushbroomImage, ...]
     """Nominal, nadir one first."""
     true_corrections: tuple[OrientationCorrection, ...]
@@ -125,13 +125,12 @@ def simulate_pair(
         Where the images do not share enough ground for the ties and shots asked for.
     """
     settings = settings or PairSettings()
-    if seed < 0:
-        raise InputError("simulated pair, seed", f"{seed}", "zero or a positive whole number")
+    require_seed("simulated pair", seed)
     of_orientation, of_ties, of_shots = np.random.default_rng(seed).spawn(3)
     images = tuple(
         narrow_image(
             name,
-            Passage(epoch, site_at(*CENTRE), HEADING, settings.altitude, off_nadir),
+            CircularPass(epoch, site_at(*CENTRE), HEADING, settings.altitude, off_nadir),
             settings.lines,
             settings.samples,
             settings.period,
@@ -140,44 +139,13 @@ def simulate_pair(
     )
     true = tuple(settings.noise.correction(of_orientation) for _ in images)
     errors = errors or InstrumentErrors()
-    taken = tuple(as_it_was(image, errors) for image in images)
-    ties, true_ties = _tie_points(taken, true, settings, of_ties)
+    taken = tuple(as_taken(image, errors) for image in images)
+    size, number = np.array([settings.lines, settings.samples]), settings.ties
+    drawn = of_ties.uniform(MARGIN, size - MARGIN, (4 * number, 2))
+    points = rays_to_sines(taken[0], true[0], drawn[:, 0], drawn[:, 1], settings.relief)
+    ties, true_ties = shared_ties(SOURCE, taken, true, points, number, settings.noise.tie, of_ties, _NO_OVERLAP)
     laser, footprints = _laser_profile(taken, true, settings, errors, of_shots)
     return SimulatedPair(settings, seed, images, true, ties, true_ties, laser, footprints)
-
-
-def _project(
-    images: tuple[PushbroomImage, ...], corrections: tuple[OrientationCorrection, ...], points: Array
-) -> tuple[Array, Array]:
-    """Line and sample of points (n, 3) in each image (n, images, 2), and which points (n,) all images see."""
-    places = [image.ground_to_image(points, true)[0] for image, true in zip(images, corrections, strict=True)]
-    seen = [well_inside(image, each) for image, each in zip(images, places, strict=True)]
-    return np.stack(places, axis=1), np.all(seen, axis=0)
-
-
-def _tie_points(
-    images: tuple[PushbroomImage, ...],
-    corrections: tuple[OrientationCorrection, ...],
-    settings: PairSettings,
-    rng: np.random.Generator,
-) -> tuple[TiePoints, Array]:
-    """Tie points at random places of the first image that the others see too, and their true places (n, 3) in m."""
-    first, n, k = images[0], settings.ties, settings.ties * len(images)
-    drawn = rng.uniform(MARGIN, np.array([first.lines, first.samples]) - MARGIN, (4 * n, 2))
-    points = on_ground(first, corrections[0], drawn[:, 0], drawn[:, 1], settings.relief)
-    places, seen = _project(images, corrections, points)
-    kept = np.flatnonzero(seen)[:n]
-    if kept.size < n:
-        raise InputError(SOURCE, f"images that share ground for {kept.size} of {n} tie points", remedy=_NO_OVERLAP)
-    ties = free_points(
-        SOURCE,
-        tuple(f"TIE{i + 1:05d}" for i in range(n)),
-        np.repeat(np.arange(n), len(images)),
-        tuple(image.name for image in images) * n,
-        places[kept].reshape(k, 2) + settings.noise.tie * rng.standard_normal((k, 2)),
-        settings.noise.tie,
-    )
-    return ties, points[kept]
 
 
 def _laser_profile(
@@ -190,22 +158,20 @@ def _laser_profile(
     """Shots along the first image's optical axis, evenly spaced in time, and their true footprints (n, 3) in m."""
     noise, n, k = settings.noise, settings.shots, settings.shots * len(images)
     shots = shots_along(images[0], corrections[0], n, settings.relief)
-    places, seen = _project(images, corrections, shots.points)
+    pixels, seen = project(images, corrections, shots.points)
     if not np.all(seen):
         raise InputError(SOURCE, f"images that share {seen.sum()} of {n} laser footprints", remedy=_NO_OVERLAP)
-    believed = shots.points
+    points = shots.points
     if np.any(errors.altimeter_boresight):
-        believed = misplaced(images[0], shots.times - images[0].trajectory.epoch, shots.points, errors)
+        points = displaced_footprints(images[0], shots.times - images[0].trajectory.epoch, points, errors)
     laser = profile(
         SOURCE,
         tuple(f"SHOT{i + 1:05d}" for i in range(n)),
-        shots.times,
-        shots.ranges + errors.range_bias + noise.range * rng.standard_normal(n),
-        believed + noise.ground * rng.standard_normal((n, 3)),
+        replace(shots, points=points, ranges=shots.ranges + errors.range_bias).noisy(noise, rng),
         ((images[0].name,),) * n,
         np.repeat(np.arange(n), len(images)),
         tuple(image.name for image in images) * n,
-        places.reshape(k, 2) + noise.shot_image * rng.standard_normal((k, 2)),
+        pixels.reshape(k, 2) + noise.shot_image * rng.standard_normal((k, 2)),
         noise,
     )
     return laser, shots.points

@@ -44,7 +44,7 @@ class PeriodicSurface:
         return (columns - 2) * self.step, (rows - 2) * self.step
 
     def at(self, east: Float, north: Float) -> tuple[Float, Float, Float]:
-        """Value (n,) and its derivatives per m east and per m north (n,) at places (n,) in m, in the places' dtype."""
+        """Value (n,) and its derivatives per m east and per m north (n,) at coordinates (n,) in m, in their dtype."""
         start, (first, along), (second, across) = self._stencil(east, north)
         value, by_east, by_north = np.zeros_like(east), np.zeros_like(east), np.zeros_like(east)
         slopes_along, slopes_across = _slopes(first), _slopes(second)
@@ -58,7 +58,7 @@ class PeriodicSurface:
         return value, by_east * per_metre, by_north * per_metre
 
     def value(self, east: Float, north: Float) -> Float:
-        """Value (n,) alone, at places (n,) in m."""
+        """Value (n,) alone, at coordinates (n,) in m."""
         start, (_, along), (_, across) = self._stencil(east, north)
         value = np.zeros_like(east)
         for k in range(3):
@@ -66,7 +66,7 @@ class PeriodicSurface:
         return value
 
     def _stencil(self, east: Float, north: Float) -> tuple[NDArray[np.intp], _Axis, _Axis]:
-        """Index of the first of the nine coefficients about each place; offset and weights on both axes."""
+        """Index of the first of the nine coefficients about each point; offset and weights on both axes."""
         rows, columns = self.coefficients.shape
         column, along = _weights(east, self.step, columns - 2)
         row, across = _weights(north, self.step, rows - 2)
@@ -76,10 +76,10 @@ class PeriodicSurface:
         return self.coefficients.reshape(-1)[row * self.coefficients.shape[1] + column :].take(start)
 
 
-def _weights(place: Float, step: float, size: int) -> tuple[NDArray[np.intp], _Axis]:
+def _weights(along: Float, step: float, size: int) -> tuple[NDArray[np.intp], _Axis]:
     """Index of the coefficient before the nearest one; offset from the nearest (steps), and weights of the three."""
-    kind = place.dtype.type
-    off = place * kind(1.0 / step)
+    kind = along.dtype.type
+    off = along * kind(1.0 / step)
     nearest = np.rint(off)
     off -= nearest
     square, half = off * off + kind(0.25), kind(0.5)

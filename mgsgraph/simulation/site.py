@@ -1,7 +1,7 @@
 """A study site simulated: true images over true ground, what the instruments and kernels say of them, and the truth.
 
-The two images see the same middle from two flights (`orbit.fly`); the altimeter shoots beside the camera, so that it is
-rolled with the spacecraft. What an adjustment is given differs from truth by `sites.KernelErrors` (kernels), one
+The two images see the same middle from two flights (`orbit.site_pass`); the altimeter shoots beside the camera, so that
+it is rolled with the spacecraft. What an adjustment is given differs from truth by `sites.KernelErrors` (kernels), one
 horizontal shift of each profile and small noise (footprints), and noise (tie points, ranges, pictures).
 """
 
@@ -14,12 +14,16 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.simulation import orbit
+from mgsgraph.simulation.camera import moc_image
+from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import Picture, render
+from mgsgraph.simulation.mars import sun_direction
+from mgsgraph.simulation.observations import MARGIN, require_positive, require_seed, shared_ties
+from mgsgraph.simulation.orbit import SitePass, nominal_trajectory, site_pass, true_trajectory
 from mgsgraph.simulation.sites import ImageSettings, KernelErrors, SiteSettings, site_settings
 from mgsgraph.simulation.spice_files import clock_count, ephemeris_time
-from mgsgraph.simulation.terrain import SiteTerrain, make_terrain, terrain_grid
-from mgsgraph.ties import PointKind, TiePoints
+from mgsgraph.simulation.terrain import terrain_grid
+from mgsgraph.ties import TiePoints
 
 SOURCE = "simulated site"
 """What messages call observations that were not read from a file."""
@@ -32,8 +36,6 @@ _BEYOND = 6.0
 """s, at least, by which a profile is longer than its image at either end."""
 _ALTIMETER_AXIS = np.array([4e-4, -6e-4, 1.0])
 """Boresight of MOLA in camera axes: 150 m behind the camera's on the ground and 230 m to its right."""
-_MARGIN = 30.0
-"""pixels which true tie points keep from the edges."""
 _EDGE_SHOTS = 2
 """Shots on either side of an image's edges that are no ground returns, so that the count inside is not in doubt."""
 _GRID_REACH = (25e3, 55e3)
@@ -63,8 +65,7 @@ class SimulationOptions:
 
     def __post_init__(self) -> None:
         for name in ("tie_noise", "range_noise", "footprint_noise"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InputError(f"simulation options, {name}", f"{getattr(self, name)}", "a positive number")
+            require_positive(f"simulation options, {name}", getattr(self, name))
         for name in ("attitude_time_bias", "emission"):
             value = getattr(self, name)
             if value is not None and not np.isfinite(value):
@@ -86,7 +87,7 @@ class SimulatedProfile:
     true_places: Array
     """(n, 2, 2) line and sample of these in each of the two images; NaN where unseen."""
     spacecraft: Array
-    """(n, 3) m, body-fixed, true place."""
+    """(n, 3) m, body-fixed, true."""
     off_nadir: Array
     """(n,) rad, angle of the beam from the centre of Mars."""
     shift: Array
@@ -110,9 +111,9 @@ class SimulatedImage:
     clock_start: str
     """Spacecraft clock count of its upper edge."""
     true: PushbroomImage
-    """As it was taken."""
+    """The image as it was taken."""
     nominal: PushbroomImage
-    """As the kernels have it."""
+    """The image as the kernels have it."""
     sun: Array
     """(3,) unit, body-fixed, to the Sun."""
     pixels: Picture
@@ -128,9 +129,9 @@ class SimulatedSite:
     settings: SiteSettings
     """As published."""
     options: SimulationOptions
-    """As simulated."""
+    """What was asked for."""
     seed: int
-    """Of everything drawn."""
+    """Seed of everything drawn."""
     terrain: SiteTerrain
     """True ground."""
     grid: TerrainGrid
@@ -166,34 +167,35 @@ def simulate_site(site: str, seed: int = 1, options: SimulationOptions | None = 
         If there is no such site, or the images do not share enough ground.
     """
     settings, options = site_settings(site), options or SimulationOptions()
-    if seed < 0:
-        raise InputError("simulated site, seed", f"{seed}", "zero or a positive whole number")
+    require_seed("simulated site", seed)
     terrain = make_terrain(settings.name, seed)
     streams = np.random.default_rng([seed, 3]).spawn(7)
     flights = [_flight(settings, image, options, terrain) for image in settings.images]
     pairs = [_images(*given) for given in zip(settings.images, flights, streams[:2], strict=True)]
     true = (pairs[0][0], pairs[1][0])
-    ties, places = _tie_points(true, terrain, settings.ties, options.tie_noise, streams[2])
+    drawn = streams[2].uniform(MARGIN, np.array([true[0].lines, true[0].samples]) - MARGIN, (8 * settings.ties, 2))
+    ground = terrain.intersect(*true[0].rays(drawn[:, 0], drawn[:, 1])[:2])
+    ties, points = shared_ties(SOURCE, true, (None, None), ground, settings.ties, options.tie_noise, streams[2])
     images = []
     for k, (image, (_, errors, _, count)) in enumerate(zip(settings.images, flights, strict=True)):
-        sun = orbit.sun_direction(true[k].trajectory.epoch)
+        sun = sun_direction(true[k].trajectory.epoch)
         pixels = np.full((image.lines, image.samples), 120, dtype=np.uint8)
         if options.pictures:
             pixels = render(true[k], terrain, None, sun, streams[3 + k])
         profile = _profile(k, true, image, terrain, settings.profile_shift, options, streams[5 + k])
         images.append(SimulatedImage(image, errors, count, *pairs[k], sun, pixels, profile))
     grid = terrain_grid(terrain, options.resolution, _GRID_REACH)
-    return SimulatedSite(settings, options, seed, terrain, grid, (images[0], images[1]), ties, places)
+    return SimulatedSite(settings, options, seed, terrain, grid, (images[0], images[1]), ties, points)
 
 
 def _flight(
     site: SiteSettings, image: ImageSettings, options: SimulationOptions, terrain: SiteTerrain
-) -> tuple[orbit.Pass, KernelErrors, float, str]:
+) -> tuple[SitePass, KernelErrors, float, str]:
     """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count."""
     count, start = clock_count(ephemeris_time(image.start))
     middle = terrain.on_ground(np.array([site.longitude]), np.array([site.latitude]))[0]
     emission = options.emission if image.held else None
-    flown = orbit.fly(image, start + 0.5 * image.duration, middle, site.altitude, emission)
+    flown = site_pass(image, start + 0.5 * image.duration, middle, site.altitude, emission)
     errors = image.errors
     if options.attitude_time_bias is not None and not image.held:
         errors = replace(errors, attitude_time_bias=options.attitude_time_bias)
@@ -201,46 +203,14 @@ def _flight(
 
 
 def _images(
-    image: ImageSettings, flight: tuple[orbit.Pass, KernelErrors, float, str], rng: np.random.Generator
+    image: ImageSettings, flight: tuple[SitePass, KernelErrors, float, str], rng: np.random.Generator
 ) -> tuple[PushbroomImage, PushbroomImage]:
     """The image as it was taken, and as the kernels have it."""
     flown, errors, start, _ = flight
-    true = orbit.true_trajectory(flown, image.duration)
-    nominal = orbit.nominal_trajectory(flown, image.duration, errors, rng)
-    first, second = (orbit.moc_image(image, trajectory, start - flown.epoch) for trajectory in (true, nominal))
+    true = true_trajectory(flown, image.duration)
+    nominal = nominal_trajectory(flown, image.duration, errors, rng)
+    first, second = (moc_image(image, trajectory, start - flown.epoch) for trajectory in (true, nominal))
     return first, second
-
-
-def _tie_points(
-    images: tuple[PushbroomImage, PushbroomImage],
-    terrain: SiteTerrain,
-    number: int,
-    noise: float,
-    rng: np.random.Generator,
-) -> tuple[TiePoints, Array]:
-    """Tie points at random places of the ground that both images see, and their true places (n, 3) in m."""
-    first = images[0]
-    drawn = rng.uniform(_MARGIN, np.array([first.lines, first.samples]) - _MARGIN, (8 * number, 2))
-    origins, directions, _, _ = first.rays(drawn[:, 0], drawn[:, 1])
-    points = terrain.intersect(origins, directions)
-    places = np.stack([image.ground_to_image(points)[0] for image in images], axis=1)
-    size = np.array([[image.lines, image.samples] for image in images])
-    kept = np.flatnonzero(np.all((places >= _MARGIN) & (places <= size - _MARGIN), axis=(1, 2)))[:number]
-    if kept.size < number:
-        raise InputError(SOURCE, f"images that share ground for {kept.size} of {number} tie points")
-    k = 2 * number
-    ties = TiePoints(
-        source=SOURCE,
-        ids=tuple(f"TIE{i + 1:05d}" for i in range(number)),
-        kinds=np.full(number, PointKind.FREE, dtype=np.int64),
-        places=np.full((number, 3), np.nan),
-        covariances=np.zeros((number, 3, 3)),
-        measure_point=np.repeat(np.arange(number), 2),
-        measure_image=tuple(image.name for image in images) * number,
-        measures=places[kept].reshape(k, 2) + noise * rng.standard_normal((k, 2)),
-        measure_sigmas=np.full((k, 2), noise),
-    )
-    return ties, points[kept]
 
 
 def _profile(
@@ -262,13 +232,13 @@ def _profile(
     pose = image.trajectory.pose(times - epoch)
     beams = np.einsum("nji,j->ni", pose.matrix, _ALTIMETER_AXIS / np.linalg.norm(_ALTIMETER_AXIS))
     points = terrain.intersect(pose.position, beams)
-    places = np.stack([each.ground_to_image(points)[0] for each in images], axis=1)
-    ground = _ground_returns(places[:, own], image, settings, rng)
+    pixels = np.stack([each.ground_to_image(points)[0] for each in images], axis=1)
+    ground = _ground_returns(pixels[:, own], image, settings, rng)
     cloud = np.where(ground, 0.0, rng.uniform(*_CLOUD, count)) / np.einsum("ni,ni->n", beams, -pose.position)
     cloud *= np.linalg.norm(pose.position, axis=1)
     met = points - cloud[:, None] * beams  # where the pulse came back from
-    way, direction = rng.uniform(*shift), rng.uniform(0.0, 2.0 * np.pi)
-    common = way * np.array([np.cos(direction), np.sin(direction)])
+    size, direction = rng.uniform(*shift), rng.uniform(0.0, 2.0 * np.pi)
+    common = size * np.array([np.cos(direction), np.sin(direction)])
     given = _displaced(met, common, options.footprint_noise * rng.standard_normal((count, 3)) * [1.0, 1.0, 1.0 / 3.0])
     longitude, latitude, _ = planetocentric(given).T
     nadir = -pose.position / np.linalg.norm(pose.position, axis=1, keepdims=True)
@@ -276,7 +246,7 @@ def _profile(
         times=times,
         ground=ground,
         true_footprints=points,
-        true_places=places,
+        true_places=pixels,
         spacecraft=pose.position,
         off_nadir=np.arccos(np.einsum("ni,ni->n", beams, nadir)),
         shift=common,
@@ -286,20 +256,20 @@ def _profile(
     )
 
 
-def _ground_returns(places: Array, image: PushbroomImage, settings: ImageSettings, rng: np.random.Generator) -> Mask:
+def _ground_returns(pixels: Array, image: PushbroomImage, settings: ImageSettings, rng: np.random.Generator) -> Mask:
     """Which shots come from the ground: the published number inside the image, none close to its ends.
 
     The missing ones lie at the image's ends, so that errors of some hundred metres do not change how many are inside,
     and the rest anywhere.
     """
     size = np.array([image.lines, image.samples])
-    inside = np.flatnonzero(np.all((places >= 0.0) & (places <= size), axis=1))
+    inside = np.flatnonzero(np.all((pixels >= 0.0) & (pixels <= size), axis=1))
     lost = inside.size - settings.shots
     if lost < 0:
         found = f"{inside.size} shots inside {settings.name}"
         raise InputError(SOURCE, found, f"at least the published {settings.shots}")
     ends = min(_EDGE_SHOTS, lost // 2)
-    ground = np.ones(places.shape[0], dtype=np.bool_)
+    ground = np.ones(pixels.shape[0], dtype=np.bool_)
     ground[max(inside[0] - _EDGE_SHOTS, 0) : inside[0] + ends] = False
     ground[inside[-1] + 1 - ends : inside[-1] + 1 + _EDGE_SHOTS] = False
     ground[rng.choice(inside[ends : inside.size - ends], lost - 2 * ends, replace=False)] = False

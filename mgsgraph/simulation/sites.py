@@ -1,6 +1,6 @@
 """The three study sites as published, and the errors that a simulation puts into their kernels and profiles.
 
-Numbers: Yoon & Shan, PE&RS 2005 and ISPRS 2004, Table 1; place and height of Eos from the exterior orientation of Shan,
+Numbers: Yoon & Shan, PE&RS 2005 and ISPRS 2004, Table 1; site and height of Eos from the exterior orientation of Shan,
 Yoon et al. (ISPRS 2002), whose right start position (Y) holds a misprint: with -2436.1 km the radius, the ground track
 and the speed (3.39 km/s) come out right. At Eos Table 1's own numbers disagree: 17.97 deg of emission, a base-to-height
 ratio of 0.41 and that orientation, which both want 22.0 deg. Table 1's emission is simulated; an option changes it.
@@ -78,7 +78,7 @@ class ImageSettings:
     phase: str
     """Which SPK and CK cover it."""
     errors: KernelErrors
-    """Of these kernels."""
+    """What is wrong with these kernels."""
 
     @property
     def period(self) -> float:
@@ -96,9 +96,9 @@ class SiteSettings:
     """A study site: where it is, its two images, and how many tie points they share."""
 
     name: SiteName
-    """As on the command line."""
+    """Name on the command line."""
     title: str
-    """As in the papers."""
+    """Name in the papers."""
     longitude: float
     """rad east, of the middle of both images."""
     latitude: float

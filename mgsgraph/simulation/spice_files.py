@@ -14,25 +14,15 @@ import spiceypy
 
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.simulation.circle import MARS
-from mgsgraph.simulation.orbit import (
-    BORESIGHT_SAMPLE,
-    FOCAL_LENGTH_MM,
-    MERIDIAN,
-    MOUNT_ANGLES,
-    PITCH_MM,
-    POLE_DEC,
-    POLE_RA,
-    mars_about_sun,
-)
+from mgsgraph.simulation.camera import BORESIGHT_SAMPLE, FOCAL_LENGTH_MM, PITCH_MM
+from mgsgraph.simulation.mars import MARS, MERIDIAN, POLE_DEC, POLE_RA, mars_about_sun
+from mgsgraph.simulation.orbit import MOUNT_ANGLES
 from mgsgraph.simulation.sites import ARCHIVE_ATTITUDE_BIAS
 from mgsgraph.units import KM
 
 SPACECRAFT, STRUCTURE, CAMERA, MARS_ID, MARS_SYSTEM, SUN, ORIGIN = -94, -94000, -94031, 499, 4, 10, 0
 """NAIF ids: MGS, its structure (CK), MOC-NA, Mars, its barycentre, the Sun, the solar system's barycentre."""
 
-_NOMINAL_FOCAL_LENGTH, _NOMINAL_PITCH = 3.5, 0.000013
-"""m, of the instrument kernel."""
 _DEGREE = 7
 """Of the Hermite interpolation (SPK type 13)."""
 _POSITION_STEP = 5
@@ -119,11 +109,12 @@ def _tdb(tdt: float) -> float:
 def _write_planet(path: Path, first: float, last: float) -> None:
     """Mars about the Sun, the Sun at rest at the barycentre: enough for aberration and for the light."""
     times = np.arange(np.floor(first / _DAY) - 2.0, np.ceil(last / _DAY) + 2.5, 0.5) * _DAY
-    place, motion = mars_about_sun(times)
+    position, velocity = mars_about_sun(times)
     rest = np.zeros((times.size, 6))
     path.unlink(missing_ok=True)
     handle = spiceypy.spkopn(str(path), "SIMULATED MARS AND SUN", 0)
-    bodies = ((SUN, ORIGIN, rest), (MARS_SYSTEM, SUN, np.hstack([place, motion]) / KM), (MARS_ID, MARS_SYSTEM, rest))
+    moving = np.hstack([position, velocity]) / KM
+    bodies = ((SUN, ORIGIN, rest), (MARS_SYSTEM, SUN, moving), (MARS_ID, MARS_SYSTEM, rest))
     for body, centre, states in bodies:
         _add_states(handle, body, centre, "SIMULATED", times, states)
     spiceypy.spkcls(handle)
@@ -225,28 +216,7 @@ INS{CAMERA}_TRANSY            = ( 0.0 {pitch} 0.0 )
 INS{CAMERA}_ITRANSS           = ( 0.0 0.0 {1.0 / PITCH_MM!r} )
 INS{CAMERA}_ITRANSL           = ( 0.0 {1.0 / PITCH_MM!r} 0.0 )
 
-{_CAMERA_FRAME}\\begintext
-"""
-
-
-def instrument_text() -> str:
-    """The camera in the words of NAIF's instrument kernel (moc20.ti): metres, first pixel 0.
-
-    Its numbers are the nominal ones, as in the archive: 1 percent off the true scale, FOCAL_LENGTH_MM / PITCH_MM pixels
-    per radian, to which a focal length of 3.4669 m belongs.
-    """
-    return f"""KPL/IK
-
-MOC narrow angle camera. Focal length and pixel size in m, angles in radians; keywords as in NAIF's kernel.
-
-\\begindata
-INS{CAMERA}_FOCAL_LENGTH  = ( {_NOMINAL_FOCAL_LENGTH} )
-INS{CAMERA}_PIXEL_SAMPLES = ( 2048 )
-INS{CAMERA}_PIXEL_LINES   = ( 1 )
-INS{CAMERA}_CENTER        = ( {BORESIGHT_SAMPLE - 1.0!r} 0.5 )
-INS{CAMERA}_PIXEL_SIZE    = ( {_NOMINAL_PITCH} )
-
-{_CAMERA_FRAME}\\begintext
+{CAMERA_FRAME_TEXT}\\begintext
 """
 
 
@@ -264,7 +234,7 @@ KERNELS_TO_LOAD = (
 """
 
 
-_CAMERA_FRAME = f"""FRAME_MGS_MOC_NA         = {CAMERA}
+CAMERA_FRAME_TEXT = f"""FRAME_MGS_MOC_NA         = {CAMERA}
 FRAME_{CAMERA}_NAME        = 'MGS_MOC_NA'
 FRAME_{CAMERA}_CLASS       = 4
 FRAME_{CAMERA}_CLASS_ID    = {CAMERA}
@@ -291,6 +261,15 @@ CK_{STRUCTURE}_SPK            = {SPACECRAFT}
 \\begintext
 """
 
+_LEAP_MONTHS = (
+    "1972-JAN", "1972-JUL", "1973-JAN", "1974-JAN", "1975-JAN", "1976-JAN", "1977-JAN", "1978-JAN",
+    "1979-JAN", "1980-JAN", "1981-JUL", "1982-JUL", "1983-JUL", "1985-JUL", "1988-JAN", "1990-JAN",
+    "1991-JAN", "1992-JUL", "1993-JUL", "1994-JUL", "1996-JAN", "1997-JUL", "1999-JAN", "2006-JAN",
+    "2009-JAN", "2012-JUL", "2015-JUL", "2017-JAN",
+)  # fmt: skip
+"""From when on TAI - UTC is 10 s, 11 s and so on."""
+_LEAPS = "\n                     ".join(f"{k}, @{month}-1" for k, month in enumerate(_LEAP_MONTHS, start=10))
+
 _LEAP_SECOND_TEXT = f"""KPL/LSK
 
 Leap seconds, announced by the IERS, and the constants of TDB.
@@ -300,33 +279,6 @@ DELTET/DELTA_T_A = {_TDT_TO_TAI}
 DELTET/K         = 1.657D-3
 DELTET/EB        = 1.671D-2
 DELTET/M         = ( 6.239996D0 1.99096871D-7 )
-DELTET/DELTA_AT  = ( 10, @1972-JAN-1
-                     11, @1972-JUL-1
-                     12, @1973-JAN-1
-                     13, @1974-JAN-1
-                     14, @1975-JAN-1
-                     15, @1976-JAN-1
-                     16, @1977-JAN-1
-                     17, @1978-JAN-1
-                     18, @1979-JAN-1
-                     19, @1980-JAN-1
-                     20, @1981-JUL-1
-                     21, @1982-JUL-1
-                     22, @1983-JUL-1
-                     23, @1985-JUL-1
-                     24, @1988-JAN-1
-                     25, @1990-JAN-1
-                     26, @1991-JAN-1
-                     27, @1992-JUL-1
-                     28, @1993-JUL-1
-                     29, @1994-JUL-1
-                     30, @1996-JAN-1
-                     31, @1997-JUL-1
-                     32, @1999-JAN-1
-                     33, @2006-JAN-1
-                     34, @2009-JAN-1
-                     35, @2012-JUL-1
-                     36, @2015-JUL-1
-                     37, @2017-JAN-1 )
+DELTET/DELTA_AT  = ( {_LEAPS} )
 \\begintext
 """

@@ -5,9 +5,9 @@ is nadir, 1 looks aside, 2 is nadir again. Two images of one track overlap, so e
 the orbit, sols apart, with tables and a correction of its own. TRUE orientation = nominal (+) a correction drawn from
 the prior; observations are true values plus noise of the stated sigmas, so an adjustment has honest statistics.
 
-Step k adds image k to images 0 .. k - 1. It brings new tie points, at random places that image k shares with any
-earlier one, with their measures in all of these; measures in image k of points known before; and from a nadir image its
-laser shots. What is drawn for a step knows nothing of later ones: a shorter strip is the longer one's beginning.
+Step k adds image k to images 0 .. k - 1. It brings new tie points, at random on ground that image k shares with
+any earlier one, with their measures in all of these; measures in image k of points known before; and from a nadir image
+its laser shots. What is drawn for a step knows nothing of later ones: a shorter strip is the longer one's beginning.
 """
 
 from dataclasses import dataclass, field
@@ -20,10 +20,18 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.simulation.circle import HEADING, MARS, Passage, ground_track, narrow_image, site_at
-from mgsgraph.simulation.observations import MARGIN, NoiseSettings, require_count, require_positive, require_relief
-from mgsgraph.simulation.strip_steps import Step, Steps
-from mgsgraph.simulation.strip_whole import merged_profiles, merged_ties
+from mgsgraph.simulation.camera import narrow_image
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.observations import (
+    MARGIN,
+    NoiseSettings,
+    require_count,
+    require_positive,
+    require_relief,
+    require_seed,
+)
+from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
+from mgsgraph.simulation.strip_steps import Step, Steps, merged_profiles, merged_ties
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG, KM
 
@@ -89,7 +97,7 @@ class StripSettings:
         return (1.0 - self.overlap) * self.lines * self.period
 
 
-class Addition(NamedTuple):
+class StripAddition(NamedTuple):
     """What an archive gains with one image."""
 
     image: PushbroomImage
@@ -101,7 +109,7 @@ class Addition(NamedTuple):
     that their ranges don't count twice. None where there are neither."""
 
     def __repr__(self) -> str:
-        return f"Addition({self.image.name}; {self.ties!r}; {self.laser!r})"
+        return f"StripAddition({self.image.name}; {self.ties!r}; {self.laser!r})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +119,7 @@ class SimulatedStrip:
     settings: StripSettings
     """As simulated; `upto` keeps those of the whole."""
     seed: int
-    """Of the random generator."""
+    """Seed of the random generator."""
     steps: tuple[Step, ...]
     """What each image brought."""
     ties: TiePoints
@@ -136,12 +144,12 @@ class SimulatedStrip:
         """One per image: true orientation = nominal (+) correction."""
         return tuple(step.true for step in self.steps)
 
-    def addition(self, k: int) -> Addition:
+    def addition(self, k: int) -> StripAddition:
         """What becomes possible when image `k` is added to images 0 .. k - 1; together these are the whole strip."""
         if not 0 <= k < len(self.steps):
             raise InputError("simulated strip, addition", f"image {k}", f"0 .. {len(self.steps) - 1}")
         step = self.steps[k]
-        return Addition(step.image, step.ties, step.laser)
+        return StripAddition(step.image, step.ties, step.laser)
 
     def upto(self, count: int) -> "SimulatedStrip":
         """The strip as it was when only the first `count` images had been taken."""
@@ -170,8 +178,7 @@ def simulate_strip(settings: StripSettings | None = None, seed: int = 1) -> Simu
         Where images do not share enough ground for the ties asked for, or the strip would reach the pole.
     """
     settings = settings or StripSettings()
-    if seed < 0:
-        raise InputError("simulated strip, seed", f"{seed}", "zero or a positive whole number")
+    require_seed("simulated strip", seed)
     steps = Steps(settings.ties, settings.shots, settings.relief, settings.noise)
     streams = np.random.default_rng(seed).spawn(settings.images)
     for image, rng in zip(_images(settings), streams, strict=True):
@@ -194,7 +201,7 @@ def _of_steps(settings: StripSettings, seed: int, steps: tuple[Step, ...]) -> Si
 
 def _images(settings: StripSettings) -> list[PushbroomImage]:
     """Nominal images, nadir and aside by turns, whose middles follow one ground track."""
-    first = Passage(_FIRST, site_at(*_START), HEADING / np.cos(_START[1]), settings.altitude)
+    first = CircularPass(_FIRST, site_at(*_START), HEADING / np.cos(_START[1]), settings.altitude)
     since: Array = settings.interval * np.arange(settings.pairs, dtype=np.float64)
     sites, headings = ground_track(first, since)
     length = float(np.linalg.norm(np.diff(sites, axis=0), axis=1).sum())
@@ -209,7 +216,7 @@ def _images(settings: StripSettings) -> list[PushbroomImage]:
         pair, aside = divmod(k, 2)
         epoch = _FIRST + _SOL * pair + _LATER * aside
         off_nadir = settings.off_nadir if aside else 0.0
-        passage = Passage(epoch, sites[pair], float(headings[pair]), settings.altitude, off_nadir)
+        flown = CircularPass(epoch, sites[pair], float(headings[pair]), settings.altitude, off_nadir)
         name = f"STRIP/{k:03d}{'NX'[aside]}"
-        images.append(narrow_image(name, passage, settings.lines, settings.samples, settings.period))
+        images.append(narrow_image(name, flown, settings.lines, settings.samples, settings.period))
     return images

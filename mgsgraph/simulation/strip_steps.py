@@ -1,6 +1,9 @@
-"""One image of a strip after the other: its correction, the ground it shares with earlier ones, ties and shots."""
+"""One image of a strip after the other: its correction, the ground it shares with earlier ones, ties and shots; and the
+steps put together, each tie point and each shot once, measured in all images.
+"""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,9 +12,9 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.simulation.circle import on_terrain
-from mgsgraph.simulation.observations import MARGIN, NoiseSettings, free_points, profile, shots_along
-from mgsgraph.simulation.sighting import Sighting, sighting
+from mgsgraph.simulation.ground import on_sines
+from mgsgraph.simulation.observations import MARGIN, NoiseSettings, Shots, Visible, free_points, profile, shots_along
+from mgsgraph.simulation.true_image import TrueImage, true_image
 from mgsgraph.ties import TiePoints
 
 SOURCE = "simulated strip"
@@ -41,26 +44,6 @@ class Step:
 
 
 @dataclass(slots=True, eq=False)
-class _Sights:
-    """Which point stands where in which image: rows as they are found."""
-
-    point: list[Index] = field(default_factory=list)
-    image: list[Index] = field(default_factory=list)
-    places: list[Array] = field(default_factory=list)
-
-    def add(self, points: Index, image: int, places: Array) -> None:
-        self.point.append(points)
-        self.image.append(np.full(points.size, image))
-        self.places.append(places)
-
-    def ordered(self) -> tuple[Index, Index, Array]:
-        """Points (k,), images (k,), places (k, 2), by point and then by image."""
-        point, image = (np.concatenate([np.zeros(0, dtype=np.int64), *rows]) for rows in (self.point, self.image))
-        order = np.lexsort([image, point])
-        return point[order], image[order], np.concatenate([np.zeros((0, 2)), *self.places])[order]
-
-
-@dataclass(slots=True, eq=False)
 class Steps:
     """A strip while it grows."""
 
@@ -69,50 +52,50 @@ class Steps:
     shots: int
     """Laser shots of each nadir image; every second image is one."""
     relief: float
-    """m."""
+    """m, amplitude of the ground's largest sine."""
     noise: NoiseSettings
     """Sigmas."""
     taken: list[Step] = field(default_factory=list)
     """Steps so far."""
-    _images: list[Sighting] = field(default_factory=list)
-    _footprints: list[LaserProfile] = field(default_factory=list)
-    """As given, of each nadir image, without measures."""
+    _images: list[TrueImage] = field(default_factory=list)
+    _shots: list[Shots] = field(default_factory=list)
+    """As given, of each nadir image."""
 
     def add(self, image: PushbroomImage, rng: np.random.Generator) -> None:
         """Take the next image of the strip."""
         of_orientation, of_ties, of_shots = rng.spawn(3)
         true = self.noise.correction(of_orientation)
-        new = sighting(image, true, self.relief)
-        neighbours = [j for j, other in enumerate(self._images) if new.meets(other)]
+        new = true_image(image, true, self.relief)
+        neighbours = [j for j, other in enumerate(self._images) if new.may_overlap(other)]
         self._images.append(new)
         ties, true_ties = self._tie_points(neighbours, of_ties)
         laser, true_footprints = self._laser_shots(neighbours, of_shots)
         self.taken.append(Step(image, true, ties, true_ties, laser, true_footprints))
 
     def _tie_points(self, neighbours: list[int], rng: np.random.Generator) -> tuple[TiePoints, Array]:
-        """Ties of the last image, and the true places of the new ones among them."""
+        """Ties of the last image, and the true points (n, 3) in m of the new ones among them."""
         k = len(self._images) - 1
-        sights, points = _Sights(), np.zeros((0, 3))
+        visible, points = Visible(), np.zeros((0, 3))
         known = list(range(max(min(neighbours, default=0), 1), k))
         if known:
-            shown, places = self._images[k].seen(np.concatenate([self.taken[i].true_ties for i in known]))
-            sights.add(shown + (known[0] - 1) * self.ties, k, places)
+            shown, pixels = self._images[k].project(np.concatenate([self.taken[i].true_ties for i in known]))
+            visible.add(shown + (known[0] - 1) * self.ties, k, pixels)
         if k > 0:
-            points = self._new_points(neighbours, sights, rng)
-        point, image, places = sights.ordered()
+            points = self._new_points(neighbours, visible, rng)
+        point, image, pixels = visible.ordered()
         numbers, local = np.unique(point, return_inverse=True)
         ties = free_points(
             SOURCE,
             tuple(f"T{i // self.ties + 1:03d}-{i % self.ties + 1:05d}" for i in numbers.tolist()),
             local,
             self._names(image),
-            places + self.noise.tie * rng.standard_normal(places.shape),
+            pixels + self.noise.tie * rng.standard_normal(pixels.shape),
             self.noise.tie,
         )
         return ties, points
 
-    def _new_points(self, neighbours: list[int], sights: _Sights, rng: np.random.Generator) -> Array:
-        """True places (ties, 3) in m of new ties of the last image, at random where an earlier one sees them, too."""
+    def _new_points(self, neighbours: list[int], visible: Visible, rng: np.random.Generator) -> Array:
+        """True points (ties, 3) in m of new ties of the last image, at random where an earlier one sees them, too."""
         k, wanted = len(self._images) - 1, self.ties
         new = self._images[k]
         if not neighbours:
@@ -124,15 +107,15 @@ class Steps:
             count = int(1.15 * (wanted - found)) + 20
             drawn = rng.uniform([first, MARGIN], [last, new.image.samples - MARGIN], (count, 2))
             level, _ = new.image.image_to_ground(drawn[:, 0], drawn[:, 1], 0.0, new.true)
-            points = on_terrain(level, self.relief)
-            seen = [(j, *self._images[j].seen(points)) for j in [*neighbours, k]]
+            points = on_sines(level, self.relief)
+            seen = [(j, *self._images[j].project(points)) for j in [*neighbours, k]]
             rays = np.bincount(np.concatenate([shown for _, shown, _ in seen]), minlength=count)
             shared = np.intersect1d(np.flatnonzero(rays > 1), seen[-1][1])[: wanted - found]
             number = np.full(count, -1)
             number[shared] = np.arange(shared.size) + offset + found
-            for j, shown, places in seen:
+            for j, shown, pixels in seen:
                 mine = number[shown] >= 0
-                sights.add(number[shown[mine]], j, places[mine])
+                visible.add(number[shown[mine]], j, pixels[mine])
             kept.append(points[shared])
             found += shared.size
             if found == wanted:
@@ -142,7 +125,7 @@ class Steps:
     def _shared_lines(self, neighbours: list[int]) -> tuple[float, float]:
         """First and last line of the last image between which ground is worth a draw."""
         new = self._images[-1]
-        spans = [new.lines_of(self._images[j]) for j in neighbours]
+        spans = [new.lines_over(self._images[j]) for j in neighbours]
         least, most = MARGIN, new.image.lines - MARGIN
         first, last = (float(np.clip(f([span[i] for span in spans]), least, most)) for i, f in ((0, min), (1, max)))
         return first, last
@@ -150,64 +133,49 @@ class Steps:
     def _laser_shots(self, neighbours: list[int], rng: np.random.Generator) -> tuple[LaserProfile | None, Array]:
         """Shots of the last image and those it shows of others, and the true footprints of the new ones."""
         k = len(self._images) - 1
-        sights, points = _Sights(), np.zeros((0, 3))
+        visible, points = Visible(), np.zeros((0, 3))
         owners = list(range(min(neighbours, default=0) // 2 * 2, k, 2))
         if owners:
-            shown, places = self._images[k].seen(np.concatenate([self.taken[i].true_footprints for i in owners]))
-            sights.add(shown + owners[0] // 2 * self.shots, k, places)
+            shown, pixels = self._images[k].project(np.concatenate([self.taken[i].true_footprints for i in owners]))
+            visible.add(shown + owners[0] // 2 * self.shots, k, pixels)
         if k % 2 == 0:
-            points = self._new_shots(neighbours, sights, rng)
-        shot, image, places = sights.ordered()
+            points = self._new_shots(neighbours, visible, rng)
+        shot, image, pixels = visible.ordered()
         if shot.size == 0:
             return None, points
         numbers, local = np.unique(shot, return_inverse=True)
-        times, ranges, footprints = self._given(numbers)
         own = self._images[k].image.name
         laser = profile(
             SOURCE,
             tuple(f"S{2 * (i // self.shots):03d}-{i % self.shots + 1:04d}" for i in numbers.tolist()),
-            times,
-            ranges,
-            footprints,
+            self._given(numbers),
             tuple((own,) if 2 * (i // self.shots) == k else () for i in numbers.tolist()),
             local,
             self._names(image),
-            places + self.noise.shot_image * rng.standard_normal(places.shape),
+            pixels + self.noise.shot_image * rng.standard_normal(pixels.shape),
             self.noise,
         )
         return laser, points
 
-    def _new_shots(self, neighbours: list[int], sights: _Sights, rng: np.random.Generator) -> Array:
+    def _new_shots(self, neighbours: list[int], visible: Visible, rng: np.random.Generator) -> Array:
         """True footprints (shots, 3) in m of the last image."""
         k, n = len(self._images) - 1, self.shots
         new = self._images[k]
         exact = shots_along(new.image, new.true, n, self.relief)
         for j in [*neighbours, k]:
-            shown, places = self._images[j].seen(exact.points)
-            sights.add(shown + k // 2 * n, j, places)
-        self._footprints.append(profile(
-            SOURCE,
-            tuple(f"{i}" for i in range(n)),
-            exact.times,
-            exact.ranges + self.noise.range * rng.standard_normal(n),
-            exact.points + self.noise.ground * rng.standard_normal((n, 3)),
-            ((),) * n,
-            np.zeros(0, dtype=np.int64),
-            (),
-            np.zeros((0, 2)),
-            self.noise,
-        ))
+            shown, pixels = self._images[j].project(exact.points)
+            visible.add(shown + k // 2 * n, j, pixels)
+        self._shots.append(exact.noisy(self.noise, rng))
         return exact.points
 
-    def _given(self, shots: Index) -> tuple[Array, Array, Array]:
-        """Times (n,), ranges (n,) and footprints (n, 3) of shots by their number, as given."""
-        first = int(shots[0]) // self.shots
-        some, local = self._footprints[first:], shots - first * self.shots
-        return (
-            np.concatenate([one.times for one in some])[local],
-            np.concatenate([one.ranges for one in some])[local],
-            np.concatenate([one.footprints for one in some])[local],
+    def _given(self, numbers: Index) -> Shots:
+        """Shots by their number, as given."""
+        first = int(numbers[0]) // self.shots
+        some, local = self._shots[first:], numbers - first * self.shots
+        times, points, ranges = (
+            np.concatenate([getattr(one, name) for one in some])[local] for name in ("times", "points", "ranges")
         )
+        return Shots(times, points, ranges)
 
     def _names(self, images: Index) -> tuple[str, ...]:
         names = [taken.image.name for taken in self._images]
@@ -217,3 +185,69 @@ class Steps:
 def _unshared(image: PushbroomImage, found: int, wanted: int) -> InputError:
     found_ground = f"ground shared with earlier images for {found} of {wanted} tie points"
     return InputError(f"{SOURCE}, image {image.name}", found_ground, remedy=_NO_OVERLAP)
+
+
+# --- steps put together
+
+
+def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
+    """Tie points of several steps as one: points in the order in which they come up, measures by point."""
+    number = dict[str, int]()
+    for part in parts:
+        for name in part.ids:
+            number.setdefault(name, len(number))
+    of_part = [np.array([number[name] for name in part.ids], dtype=np.int64) for part in parts]
+    point = np.concatenate([own[part.measure_point] for own, part in zip(of_part, parts, strict=True)])
+    order = np.argsort(point, kind="stable")
+    names = [name for part in parts for name in part.measure_image]
+    first = np.full(len(number), -1)
+    rows = np.concatenate(of_part)
+    first[rows[::-1]] = np.arange(rows.size)[::-1]
+    return TiePoints(
+        source=parts[0].source,
+        ids=tuple(number),
+        kinds=np.concatenate([part.kinds for part in parts])[first],
+        places=np.concatenate([part.places for part in parts])[first],
+        covariances=np.concatenate([part.covariances for part in parts])[first],
+        measure_point=point[order],
+        measure_image=tuple(names[k] for k in order.tolist()),
+        measures=np.concatenate([part.measures for part in parts])[order],
+        measure_sigmas=np.concatenate([part.measure_sigmas for part in parts])[order],
+    )
+
+
+def merged_profiles(parts: Sequence[LaserProfile]) -> tuple[LaserProfile, ...]:
+    """Shots of several steps by the profile that brought them: one for each step with new shots."""
+    owner = dict[str, tuple[int, int]]()
+    news = list[tuple[LaserProfile, Index]]()
+    measures = list[list[tuple[int, str, int, int]]]()
+    for step, part in enumerate(parts):
+        new = np.array([i for i, name in enumerate(part.ids) if name not in owner], dtype=np.int64)
+        if new.size:
+            owner |= {part.ids[i]: (len(news), local) for local, i in enumerate(new.tolist())}
+            news.append((part, new))
+            measures.append([])
+        for row, (shot, image) in enumerate(zip(part.measure_shot.tolist(), part.measure_image, strict=True)):
+            owned, local = owner[part.ids[shot]]
+            measures[owned].append((local, image, step, row))
+    return tuple(_with_measures(*new, seen, parts) for new, seen in zip(news, measures, strict=True))
+
+
+def _with_measures(
+    part: LaserProfile, which: Index, measures: list[tuple[int, str, int, int]], parts: Sequence[LaserProfile]
+) -> LaserProfile:
+    """Some shots (n,) of a step with measures (shot, image, and the step and row where they stand) of any."""
+    measures = sorted(measures, key=lambda measure: measure[0])
+    return replace(
+        part,
+        ids=tuple(part.ids[i] for i in which.tolist()),
+        times=part.times[which],
+        ranges=part.ranges[which],
+        range_sigmas=part.range_sigmas[which],
+        footprints=part.footprints[which],
+        covariances=part.covariances[which],
+        simultaneous=tuple(part.simultaneous[i] for i in which.tolist()),
+        measure_shot=np.array([measure[0] for measure in measures], dtype=np.int64),
+        measure_image=tuple(measure[1] for measure in measures),
+        measures=np.array([parts[step].measures[row] for _, _, step, row in measures]).reshape(-1, 2),
+    )

@@ -1,4 +1,4 @@
-"""True orientation of a strip's images: nodes drawn from what is stated of them, and jitter that nobody states."""
+"""True orientation of a strip's images: nodes drawn from their prior, and jitter that no prior knows."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -40,7 +40,7 @@ class Jitter:
 
     @property
     def component(self) -> int:
-        """Of the orientation's six."""
+        """Which of the six orientation coefficients it changes."""
         return 3 + get_args(Axis).index(self.axis)
 
 

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.simulation.circle import HEADING, MARS, Passage, circular_trajectory, site_at
+from mgsgraph.simulation.camera import interior_orientation, line_image, one_rate
 from mgsgraph.simulation.observations import NoiseSettings, free_points, well_inside
+from mgsgraph.simulation.orbit import HEADING, CircularPass, circular_trajectory, site_at
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.ties import TiePoints
@@ -99,23 +99,11 @@ def simulate_three_sites(seed: int = 1, options: SimulationOptions | None = None
 def bridge_image() -> PushbroomImage:
     """The bridge image, nominal: a nadir swath of eight revolutions."""
     first, last = _SPAN
-    passage = Passage(_EPOCH, site_at(_CROSSING, 0.0), HEADING, _ALTITUDE)
-    return PushbroomImage(
-        name=BRIDGE,
-        lines=round((last - first) / _PERIOD),
-        samples=_SAMPLES,
-        interior=InteriorOrientation(
-            focal_length=_FOCAL_LENGTH,
-            to_pixel=np.array([[0.0, 1.0 / _PITCH, 0.0], [0.0, 0.0, 1.0 / _PITCH]]),
-            centre=np.array([0.0, 0.5 * _SAMPLES]),
-            first=np.zeros(2),
-            sample_summing=1.0,
-            distortion=NoDistortion(),
-        ),
-        timing=LineTiming(np.zeros(1), np.array([first]), np.array([_PERIOD])),
-        trajectory=circular_trajectory(passage, max(-first, last), _TABLE_STEP),
-        body=MARS,
-    )
+    flown = CircularPass(_EPOCH, site_at(_CROSSING, 0.0), HEADING, _ALTITUDE)
+    interior = interior_orientation(_FOCAL_LENGTH, _PITCH, 0.5 * _SAMPLES)
+    trajectory = circular_trajectory(flown, max(-first, last), _TABLE_STEP)
+    size = round((last - first) / _PERIOD), _SAMPLES
+    return line_image(BRIDGE, size, interior, one_rate(first, _PERIOD), trajectory)
 
 
 def _all_ties(
@@ -127,12 +115,12 @@ def _all_ties(
     for site in sites:
         n = len(site.ties.ids)
         start = np.full(n, float(bridge.timing.lines(np.array([_PASSED[site.settings.name]]))[0]))
-        places, _ = bridge.ground_to_image(site.true_ties, true, start)
-        if not np.all(well_inside(bridge, places)):
+        pixels, _ = bridge.ground_to_image(site.true_ties, true, start)
+        if not np.all(well_inside(bridge, pixels)):
             raise InputError(SOURCE, f"a tie point of {site.settings.title} that the bridge does not show")
         point += [count + site.ties.measure_point, count + np.arange(n)]
         names += [*site.ties.measure_image, *(bridge.name,) * n]
-        measures += [site.ties.measures, places + noise * rng.standard_normal((n, 2))]
+        measures += [site.ties.measures, pixels + noise * rng.standard_normal((n, 2))]
         sigmas += [site.ties.measure_sigmas, np.full((n, 2), noise)]
         count += n
     order = np.argsort(np.concatenate(point), kind="stable")

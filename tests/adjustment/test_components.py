@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
 from odd_networks import seen_by_the_held_one_alone, with_fixed
+from redraw import redraw
 from scipy.stats import kstest
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -35,7 +36,6 @@ from mgsgraph.figures.quantiles import quantile_sheet
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.redraw import redraw
 
 SETTINGS = SolverSettings()
 NAMES = ["pair", "shift and surface", "one held", "held alone", "both held", "fixed points", "a blunder"]

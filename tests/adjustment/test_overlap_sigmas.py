@@ -14,8 +14,10 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
-from mgsgraph.simulation.circle import HEADING, MARS, Passage, narrow_image
-from mgsgraph.simulation.pair import NoiseSettings
+from mgsgraph.simulation.camera import narrow_image
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.orbit import HEADING, CircularPass
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG
 
@@ -87,7 +89,7 @@ def around(longitudes: tuple[float, ...], offs: tuple[float, ...]) -> Posterior:
     for k, (longitude, off) in enumerate(zip(longitudes, offs, strict=True)):
         site = from_planetocentric(np.array([longitude * DEG, 4.0 * DEG, 1.0]))
         unit = site / np.linalg.norm(site / np.array([MARS.equatorial, MARS.equatorial, MARS.polar]))
-        passage = Passage(1e8 + 1e5 * k, unit, HEADING, 378e3, off * DEG)
+        passage = CircularPass(1e8 + 1e5 * k, unit, HEADING, 378e3, off * DEG)
         images.append(narrow_image(f"I{k}", passage, 4000, 2048, 1.76e-3))
     rng = np.random.default_rng(0)
     ground, _ = images[0].image_to_ground(rng.uniform(400.0, 3600.0, 40), rng.uniform(200.0, 1800.0, 40))

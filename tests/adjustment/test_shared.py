@@ -19,8 +19,9 @@ from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_po
 from mgsgraph.network import Network, SharedKind
 from mgsgraph.network.parts import bundles, joined
 from mgsgraph.network.shared import ground_shift, image_effect
-from mgsgraph.simulation.instrument import InstrumentErrors, as_it_was
-from mgsgraph.simulation.pair import NoiseSettings, PairSettings, simulate_pair
+from mgsgraph.simulation.camera import InstrumentErrors, as_taken
+from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.simulation.three_sites import bridge_image
 from mgsgraph.units import DEG
 
@@ -143,7 +144,7 @@ def test_the_ground_moves_as_an_instrument_that_truly_is_so_moves_it() -> None:
     ):
         for image in drawn_pair.images:
             middle = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
-            before, after = (one.image_to_ground(*middle)[0][0] for one in (image, as_it_was(image, errors)))
+            before, after = (one.image_to_ground(*middle)[0][0] for one in (image, as_taken(image, errors)))
             np.testing.assert_allclose(ground_shift(image, kind)[0], (after - before) / step, rtol=1e-3, atol=0.5)
     nadir, held = (np.linalg.norm(ground_shift(image, SharedKind.ATTITUDE_TIME)) for image in drawn_pair.images)
     assert 320.0 < nadir < 345.0

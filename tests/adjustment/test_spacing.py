@@ -30,7 +30,7 @@ from mgsgraph.network.support import (
     telling,
 )
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_points import Matches
+from mgsgraph.simulation.hrsc_points import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.units import MGON
 
@@ -220,7 +220,7 @@ def test_blunders_held_out_count_for_none() -> None:
 def test_blunders_do_not_choose() -> None:
     """1 % of the rays 5 to 100 px off: with a blunder limit most are found, once, and candidates don't see them."""
     settings = BlockSettings(
-        strips=1, length=150e3, points=700, terrain=None, jitter=PITCH, matches=Matches(blunders=0.01)
+        strips=1, length=150e3, points=700, terrain=None, jitter=PITCH, matches=PointMatching(blunders=0.01)
     )  # fmt: skip
     made = simulate_hrsc_block(settings, 1)
     choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0, 10.0])
@@ -243,7 +243,7 @@ def test_points_off_the_model_are_judged() -> None:
     radii = surface.grid.radii.copy()
     radii[: radii.shape[0] // 2] = np.nan
     grid = replace(surface.grid, radii=radii)
-    there = np.isfinite(grid.at(made.places))
+    there = np.isfinite(grid.at(made.true_points))
     assert 0.2 < there.mean() < 0.8
     net = replace(made.network, surface=replace(surface, grid=grid, sigmas=np.where(there, surface.sigmas, np.inf)))
     choice = choose_spacing(net, SolverSettings(), [5.0, 20.0], 0.5)

@@ -26,7 +26,7 @@ from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, NodePrior, Strip
 from mgsgraph.network.strips import as_nodes
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_points import Matches
+from mgsgraph.simulation.hrsc_points import PointMatching
 
 TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}
 PRIOR = NodePrior(
@@ -234,7 +234,7 @@ def test_the_datum_of_lines_with_tables_of_their_own() -> None:
 
 def test_a_blunder_goes_and_the_point_stays() -> None:
     """One bad ray of five pulls its point off the others: these must not go with it."""
-    matches = Matches(blunders=0.01)
+    matches = PointMatching(blunders=0.01)
     block = simulate_hrsc_block(BlockSettings(strips=1, length=200e3, points=600, terrain=None, matches=matches), 1)
     solution = adjust_network(block.network, SolverSettings(reject=4.5))
     gone = ~solution.rays_used

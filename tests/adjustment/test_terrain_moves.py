@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from jacobians import assert_jacobians
 from networks import network, pair, terrain, with_tilting_surface
+from redraw import redraw
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.analysis.grouping import group_rows, scaled
@@ -28,7 +29,6 @@ from mgsgraph.network import GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
 from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.reports.control import control_json, control_statements, surface_heights
-from mgsgraph.simulation.redraw import redraw
 from mgsgraph.ties import PointKind
 from mgsgraph.units import ARCSEC, DEG, MRAD
 

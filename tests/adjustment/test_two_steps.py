@@ -35,7 +35,7 @@ from mgsgraph.simulation.hrsc_block import (
     TrajectoryErrors,
     simulate_hrsc_block,
 )
-from mgsgraph.simulation.hrsc_points import Matches
+from mgsgraph.simulation.hrsc_points import PointMatching
 
 SETTINGS = SolverSettings(reject=4.0)
 WRONG, HIGH = 7, 900.0
@@ -45,7 +45,7 @@ WRONG, HIGH = 7, 900.0
 @cache
 def block() -> SimulatedBlock:
     settings = BlockSettings(
-        strips=2, length=120e3, points=240, matches=Matches(blunders=0.01), terrain=TerrainErrors(missing=0.01)
+        strips=2, length=120e3, points=240, matches=PointMatching(blunders=0.01), terrain=TerrainErrors(missing=0.01)
     )
     return simulate_hrsc_block(settings, seed=4)
 
@@ -54,12 +54,12 @@ def block() -> SimulatedBlock:
 def with_wrong_match() -> Network:
     """The block, and all rays of one point see a place above it."""
     net, truth = block().network, block()
-    up = east_north_up(truth.places[[WRONG]])[0, 2]
+    up = east_north_up(truth.true_points[[WRONG]])[0, 2]
     places = net.rays.places.copy()
     for k in np.flatnonzero(net.rays.point == WRONG).tolist():
         image = int(net.rays.image[k])
         raised, _ = net.images[image].ground_to_image(
-            (truth.places[WRONG] + HIGH * up)[None], truth.corrections[image], places[[k], 0]
+            (truth.true_points[WRONG] + HIGH * up)[None], truth.corrections[image], places[[k], 0]
         )
         places[k] = raised[0]
     return replace(net, rays=replace(net.rays, places=places))

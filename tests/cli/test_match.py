@@ -14,7 +14,7 @@ from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.io.control_net import read_control_network
 from mgsgraph.matching import match as matching
-from mgsgraph.simulation.strip_files import write_strip
+from mgsgraph.simulation.files import write_strip
 
 FEW = ("--cells", "40", "--no-figures")
 """Options, to be quick."""

@@ -10,7 +10,7 @@ from increments import strip
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.simulation.strip_files import write_strip
+from mgsgraph.simulation.files import write_strip
 
 
 def call(*arguments: str | Path) -> int:

@@ -12,8 +12,8 @@ from mgsgraph.case.candidates import decode_candidates
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.reports.archive import read_solution
-from mgsgraph.simulation.files import image_file, json_text, support_data, write_texts
-from mgsgraph.simulation.strip_files import write_strip
+from mgsgraph.simulation.files import write_strip, write_texts
+from mgsgraph.simulation.isis_files import image_file, json_text, support_data
 from mgsgraph.units import MRAD
 
 ORIENTATION = (

@@ -20,7 +20,7 @@ from mgsgraph.geometry.body import from_planetocentric, geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
-from mgsgraph.simulation.pair import MARS
+from mgsgraph.simulation.mars import MARS
 from mgsgraph.units import DEG, KM
 
 pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")

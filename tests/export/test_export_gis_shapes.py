@@ -17,7 +17,8 @@ from mgsgraph.export.gis_shapes import map_lines, map_polygons
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.geometry.records import Array
-from mgsgraph.simulation.pair import MARS, PairSettings, simulate_pair
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import DEG, KM
 
 pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")

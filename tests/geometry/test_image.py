@@ -16,7 +16,8 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.io.isd import read_isd
-from mgsgraph.simulation.pair import MARS, simulate_pair
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.pair import simulate_pair
 
 PIXEL = 1e-6
 """pixels: what a round trip may lose."""

@@ -17,8 +17,8 @@ from mgsgraph.matching.pairs import Pair, pairs_of
 from mgsgraph.matching.scene import Picture, Pixels, Scene
 from mgsgraph.matching.settings import MatchSettings, method_of
 from mgsgraph.matching.tiles import Links
+from mgsgraph.simulation.ground import make_terrain
 from mgsgraph.simulation.imagery import render
-from mgsgraph.simulation.terrain import make_terrain
 
 SETTINGS = replace(matched.SETTINGS, cells=20, features=800)
 

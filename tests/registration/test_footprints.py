@@ -16,7 +16,9 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.registration.footprints import discrepancy, footprints_in_images, misregistration
-from mgsgraph.simulation.pair import NoiseSettings, SimulatedPair, terrain_height
+from mgsgraph.simulation.ground import sine_height
+from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.ties import TiePoints
 
 SHIFT = 6e-4
@@ -184,7 +186,7 @@ def expected_discrepancy(pair: SimulatedPair, corrections: tuple[OrientationCorr
     height = np.zeros(in_first.shape[0])
     for _ in range(8):
         shown, _ = first.image_to_ground(in_first[:, 0], in_first[:, 1], height, pair.true_corrections[0])
-        height = terrain_height(shown, pair.settings.relief)
+        height = sine_height(shown, pair.settings.relief)
     homologous, _ = second.ground_to_image(shown, pair.true_corrections[1])
     return in_second - homologous
 
@@ -226,7 +228,7 @@ def test_a_profile_moved_over_the_ground_is_no_discrepancy() -> None:
     height = np.zeros(40)
     for _ in range(8):
         moved, _ = images[0].image_to_ground(places[:, 0], places[:, 1], height, corrections[0])
-        height = terrain_height(moved, pair.settings.relief)
+        height = sine_height(moved, pair.settings.relief)
     found = discrepancy(images, own, pair.ties, corrections, moved)
 
     assert np.linalg.norm(moved - own.footprints, axis=1).min() > 75.0

@@ -33,7 +33,8 @@ from mgsgraph.network.connectivity_words import (
 from mgsgraph.reports.inventory import inventory
 from mgsgraph.reports.tables import connectivity_table
 from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.pair import MARS, PairSettings, simulate_pair
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import DEG, KM
 
 

@@ -16,7 +16,7 @@ from mgsgraph.figures.sheet import plain_style
 from mgsgraph.figures.spacing import course_sheet, spacing_sheet, spectrum_sheet
 from mgsgraph.reports.spacing import node_statements, nodes_json, spacing_table, write_nodes
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_points import Matches
+from mgsgraph.simulation.hrsc_points import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.units import MGON
 
@@ -49,7 +49,7 @@ def test_words() -> None:
 
 def test_rays_put_aside_and_sigmas_that_are_wrong_are_named() -> None:
     settings = BlockSettings(
-        strips=1, length=150e3, points=500, terrain=None, spacing=20.0, matches=Matches(blunders=0.01),
+        strips=1, length=150e3, points=500, terrain=None, spacing=20.0, matches=PointMatching(blunders=0.01),
         jitter=Jitter(4.0 * MGON, 0.06, "pitch"),
     )  # fmt: skip
     made = simulate_hrsc_block(settings, 1)

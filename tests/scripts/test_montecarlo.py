@@ -18,12 +18,12 @@ import montecarlo_draw as draw  # noqa: E402
 import montecarlo_figure  # noqa: E402
 import montecarlo_judge as judge  # noqa: E402
 import montecarlo_page  # noqa: E402
+from redraw import Draw, redraw  # noqa: E402
 
 from mgsgraph.adjustment.adjust import adjust_network  # noqa: E402
 from mgsgraph.adjustment.analysis.posterior import Posterior  # noqa: E402
 from mgsgraph.errors import InputError  # noqa: E402
 from mgsgraph.geometry.orientation import OrientationCorrection  # noqa: E402
-from mgsgraph.simulation.redraw import Draw, redraw  # noqa: E402
 
 DIMENSIONS = [(kind, len(components)) for kind, components in draw.KINDS.items()]
 

@@ -20,8 +20,9 @@ import reproduce_papers  # noqa: E402
 from mgsgraph.case.reading import read_case  # noqa: E402
 from mgsgraph.errors import InputError  # noqa: E402
 from mgsgraph.network import PointClass  # noqa: E402
+from mgsgraph.simulation.case_files import papers_case  # noqa: E402
+from mgsgraph.simulation.files import write_site  # noqa: E402
 from mgsgraph.simulation.site import SimulationOptions, simulate_site  # noqa: E402
-from mgsgraph.simulation.site_files import papers_case, write_site  # noqa: E402
 
 PLAIN = SimulationOptions(pictures=False)
 

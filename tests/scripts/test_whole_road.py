@@ -12,9 +12,9 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import whole_road  # noqa: E402
+from archive_server import serving  # noqa: E402
+from simulated_archive import write_archive  # noqa: E402
 
-from mgsgraph.simulation.archive import write_archive  # noqa: E402
-from mgsgraph.simulation.archive_server import serving  # noqa: E402
 from mgsgraph.simulation.site import SimulationOptions, simulate_site  # noqa: E402
 
 

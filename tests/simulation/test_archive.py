@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import spiceypy
+from archive_server import serving
+from simulated_archive import ROOTS, write_archive
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
@@ -16,8 +18,6 @@ from mgsgraph.io.moc import read_moc
 from mgsgraph.io.pds3 import Pds3Label
 from mgsgraph.io.pedr import FRAME, HEADER_RECORDS, read_pedr
 from mgsgraph.io.pvl import Document, whole_label
-from mgsgraph.simulation.archive import ROOTS, write_archive
-from mgsgraph.simulation.archive_server import serving
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.terrain import GRID_VERTICAL
 from mgsgraph.units import DEG

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from redraw import redraw
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, planetocentric
@@ -11,23 +12,17 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import Basis
 from mgsgraph.network import Network, NodePrior
-from mgsgraph.simulation.hrsc_block import (
-    BlockSettings,
-    SimulatedBlock,
-    TerrainErrors,
-    simulate_hrsc_block,
-)
-from mgsgraph.simulation.hrsc_camera import PIXELS, STEREO
+from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
+from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TerrainErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Readout
-from mgsgraph.simulation.hrsc_points import Matches
+from mgsgraph.simulation.hrsc_points import PointMatching
 from mgsgraph.simulation.observations import MARGIN
-from mgsgraph.simulation.redraw import redraw
 from mgsgraph.simulation.strip_truth import Jitter, correction_at
 from mgsgraph.units import DEG, MGON
 
 SMALL = BlockSettings(strips=3, crossing=1, length=300e3, points=1500)
 TINY = BlockSettings(strips=1, length=100e3, points=20, terrain=None)
-EXACT = Matches(sigma=1e-9)
+EXACT = PointMatching(sigma=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -154,9 +149,9 @@ def test_orbits_climb_from_their_pericentre_as_kepler_has_it() -> None:
 def test_neighbours_overlap_by_the_stated_share() -> None:
     settings = replace(TINY, strips=2, altitudes=(265e3, 265e3), eccentricity=0.0, overlap=0.4, pericentre=0.5)
     first, second = (simulate_hrsc_block(settings).network.images[j] for j in (2, 7))
-    edge, _ = first.image_to_ground(np.full(1, 0.5 * first.lines), np.full(1, float(PIXELS)))
+    edge, _ = first.image_to_ground(np.full(1, 0.5 * first.lines), np.full(1, float(HRSC_PIXELS)))
     place, _ = second.ground_to_image(edge)
-    assert place[0, 1] / PIXELS == pytest.approx(0.4, abs=0.02)
+    assert place[0, 1] / HRSC_PIXELS == pytest.approx(0.4, abs=0.02)
 
 
 def test_strips_share_points_and_those_that_cross_fly_the_other_way(block: SimulatedBlock) -> None:
@@ -172,7 +167,7 @@ def test_strips_share_points_and_those_that_cross_fly_the_other_way(block: Simul
 
 
 def test_points_are_matched_in_as_many_lines_as_stated() -> None:
-    made = simulate_hrsc_block(replace(TINY, points=2000, matches=Matches(shares=(0.2, 0.3, 0.5))))
+    made = simulate_hrsc_block(replace(TINY, points=2000, matches=PointMatching(shares=(0.2, 0.3, 0.5))))
     counts = np.bincount(made.network.ray_counts, minlength=6)[3:] / 2000
     np.testing.assert_allclose(counts, [0.2, 0.3, 0.5], atol=0.06)  # fewer see the points at the swath's edges
 
@@ -188,18 +183,18 @@ def test_true_rays_meet_their_true_points(basis: Basis, jitter: Jitter | None) -
         mine = network.rays.image == j
         lines, samples = network.rays.places[mine].T
         origins, directions = image.sightlines(lines, samples, made.corrections[j])
-        offset = made.places[network.rays.point[mine]] - origins
+        offset = made.true_points[network.rays.point[mine]] - origins
         unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
         distance = np.linalg.norm(offset, axis=1)
         miss = np.linalg.norm(np.cross(offset, unit), axis=1) / (distance * image.pixel_angle)
         assert miss.max() < 1e-6
-    error = network.rays.places - exact_places(network, made.places, made.corrections)
+    error = network.rays.places - exact_places(network, made.true_points, made.corrections)
     assert np.abs(error).max() < 1e-6
 
 
 def test_measures_have_the_stated_noise_and_lie_on_their_images(block: SimulatedBlock) -> None:
     rays = block.network.rays
-    error = rays.places - exact_places(block.network, block.places, block.corrections)
+    error = rays.places - exact_places(block.network, block.true_points, block.corrections)
     assert_unit_variance(error / rays.sigmas)
     size = np.array([(image.lines, image.samples) for image in block.network.images])[rays.image]
     assert np.all((rays.places > 0.9 * MARGIN) & (rays.places < size - 0.9 * MARGIN))
@@ -209,8 +204,8 @@ def test_measures_have_the_stated_noise_and_lie_on_their_images(block: Simulated
 
 
 def test_blunders_are_those_marked() -> None:
-    made = simulate_hrsc_block(replace(SMALL, matches=Matches(blunders=0.05)))
-    error = made.network.rays.places - exact_places(made.network, made.places, made.corrections)
+    made = simulate_hrsc_block(replace(SMALL, matches=PointMatching(blunders=0.05)))
+    error = made.network.rays.places - exact_places(made.network, made.true_points, made.corrections)
     size = np.linalg.norm(error, axis=1)
     assert np.mean(made.blunders) == pytest.approx(0.05, abs=0.012)
     assert np.all((size > 2.5) == made.blunders)
@@ -218,7 +213,7 @@ def test_blunders_are_those_marked() -> None:
 
 
 def test_true_points_lie_on_the_ground(block: SimulatedBlock) -> None:
-    longitude, latitude, radius = planetocentric(block.places).T
+    longitude, latitude, radius = planetocentric(block.true_points).T
     np.testing.assert_allclose(radius, block.relief.ground_radius(longitude, latitude), rtol=0, atol=1e-6)
     assert np.ptp(block.relief.height(longitude, latitude)) > 500.0
 
@@ -228,13 +223,13 @@ def test_true_points_lie_on_the_ground(block: SimulatedBlock) -> None:
 
 def test_the_terrain_model_is_off_by_its_shift_and_its_noise(block: SimulatedBlock) -> None:
     """10 m rms in height where the shift is undone, its sign as adjustments have it, and worse where it is not."""
-    shift = block.truth.shifts[0]
+    shift = block.shifts[0]
     assert 20.0 < np.linalg.norm(shift) < 700.0
-    off = heights(block.network, block.places, shift)
+    off = heights(block.network, block.true_points, shift)
     assert np.sqrt(np.mean(off**2)) == pytest.approx(10.0, rel=0.1)
     assert abs(np.mean(off)) < 2.0
     for wrong in (0.0 * shift, -shift):
-        assert np.sqrt(np.mean(heights(block.network, block.places, wrong) ** 2)) > 11.0
+        assert np.sqrt(np.mean(heights(block.network, block.true_points, wrong) ** 2)) > 11.0
     assert block.network.surface is not None
     grid = block.network.surface.grid
     assert grid.longitude_step == grid.latitude_step == pytest.approx(DEG / 64)
@@ -243,16 +238,16 @@ def test_the_terrain_model_is_off_by_its_shift_and_its_noise(block: SimulatedBlo
 
 
 def test_shifts_have_the_stated_sigma(seeds: list[SimulatedBlock]) -> None:
-    assert_unit_variance(np.array([made.truth.shifts[0] for made in seeds]) / 200.0)
+    assert_unit_variance(np.array([made.shifts[0] for made in seeds]) / 200.0)
 
 
 def test_points_beside_missing_posts_have_no_surface_row() -> None:
     made = simulate_hrsc_block(replace(SMALL, terrain=TerrainErrors(missing=0.05, planimetric=0.0)))
     surface = made.network.surface
     assert surface is not None
-    assert np.array_equal(np.isinf(surface.sigmas), surface.grid.cells(made.places)[:, 0] < 0)
+    assert np.array_equal(np.isinf(surface.sigmas), surface.grid.cells(made.true_points)[:, 0] < 0)
     assert np.mean(np.isinf(surface.sigmas)) == pytest.approx(1.0 - 0.95**4, abs=0.05)
-    assert made.truth.shifts.shape == (0, 2)
+    assert made.shifts.shape == (0, 2)
     assert not made.network.terrain_moves
 
 
@@ -313,9 +308,9 @@ def test_the_same_seed_gives_the_same_block_and_another_a_different_one_on_the_s
     assert same.network.surface is not None
     np.testing.assert_array_equal(one.network.rays.places, same.network.rays.places)
     np.testing.assert_array_equal(one.network.surface.grid.radii, same.network.surface.grid.radii)
-    np.testing.assert_array_equal(one.places, same.places)
+    np.testing.assert_array_equal(one.true_points, same.true_points)
     np.testing.assert_array_equal(one.corrections[7].coefficients, same.corrections[7].coefficients)
-    assert not np.array_equal(one.places, other.places)
+    assert not np.array_equal(one.true_points, other.true_points)
     assert not np.array_equal(one.corrections[0].coefficients, other.corrections[0].coefficients)
     assert other.relief is one.relief
     assert simulate_hrsc_block(replace(settings, ground=2)).relief is not one.relief
@@ -363,9 +358,9 @@ def test_settings_that_make_no_sense_are_refused(change: dict[str, object], mess
 
 def test_parts_of_settings_that_make_no_sense_are_refused() -> None:
     with pytest.raises(InputError, match="add up to 1"):
-        Matches(shares=(0.5, 0.5, 0.5))
+        PointMatching(shares=(0.5, 0.5, 0.5))
     with pytest.raises(InputError, match="blunders: 2"):
-        Matches(blunders=2.0)
+        PointMatching(blunders=2.0)
     with pytest.raises(InputError, match="macropixels"):
         Readout(macropixels=(1, 2, 3, 1, 1))
     with pytest.raises(InputError, match="jitter, axis"):

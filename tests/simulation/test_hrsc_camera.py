@@ -9,7 +9,7 @@ from mex import FOLDER
 from outside import require
 
 from mgsgraph.errors import InputError
-from mgsgraph.simulation.hrsc_camera import LINES, line_camera
+from mgsgraph.simulation.camera import HRSC_LINES, hrsc_interior
 from mgsgraph.units import MM
 
 
@@ -24,9 +24,9 @@ def test_lines_are_the_addendum_s(shared_data: Path) -> None:
 
     codes = {"S2": 41211, "RED": 41212, "P2": 41213, "BLUE": 41214, "ND": 41215}
     codes |= {"GREEN": 41216, "P1": 41217, "IR": 41218, "S1": 41219}
-    assert codes.keys() == LINES.keys()
+    assert codes.keys() == HRSC_LINES.keys()
     for name, code in codes.items():
-        found = line_camera(name)
+        found = hrsc_interior(name)
         want = np.stack([numbers(code, "ITRANSL"), numbers(code, "ITRANSS")])
         np.testing.assert_allclose(found.to_pixel[:, 0], want[:, 0], rtol=0, atol=1e-3)
         np.testing.assert_allclose(found.to_pixel[:, 1:] * MM, want[:, 1:], rtol=0, atol=1e-5)
@@ -35,11 +35,11 @@ def test_lines_are_the_addendum_s(shared_data: Path) -> None:
 
 
 def test_macropixels_are_the_same_places() -> None:
-    fine, _ = line_camera("S1").focal_plane(np.array([0.0, 1000.0, 5184.0]))
-    coarse, _ = line_camera("S1", 4).focal_plane(np.array([0.0, 250.0, 1296.0]))
+    fine, _ = hrsc_interior("S1").focal_plane(np.array([0.0, 1000.0, 5184.0]))
+    coarse, _ = hrsc_interior("S1", 4).focal_plane(np.array([0.0, 250.0, 1296.0]))
     np.testing.assert_allclose(coarse, fine, atol=1e-15)
 
 
 def test_an_unknown_line_is_refused() -> None:
     with pytest.raises(InputError, match="line 'XX'"):
-        line_camera("XX")
+        hrsc_interior("XX")

@@ -15,8 +15,8 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.io.moc_label import read_moc_label
 from mgsgraph.io.moc_pixels import read_moc_pixels
 from mgsgraph.io.pedr import read_pedr
-from mgsgraph.simulation.moc_file import MocImageLabel, write_moc_image
-from mgsgraph.simulation.pedr_file import PedrFrames, write_pedr
+from mgsgraph.simulation.mgs_files import MocImageLabel, write_moc_image
+from mgsgraph.simulation.mola_files import PedrFrames, write_pedr
 from mgsgraph.units import DEG
 
 CM, MICRODEG = 1e-2, 1e-6 * DEG

@@ -15,7 +15,10 @@ from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.simulation.files import write_pair
-from mgsgraph.simulation.pair import MARS, NoiseSettings, PairSettings, SimulatedPair, simulate_pair, terrain_height
+from mgsgraph.simulation.ground import sine_height
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
 from mgsgraph.units import DEG, KM
 
 FILES = ("image_A.isd", "image_B.isd", "network.pvl", "lidar.json", "truth.json", "case.toml")
@@ -111,13 +114,13 @@ def test_true_points_lie_on_the_terrain_and_project_back(pair: SimulatedPair) ->
         for points in (pair.true_ties, pair.true_footprints):
             places, _ = image.ground_to_image(points, true)
             assert np.all((places > 0.0) & (places < [image.lines, image.samples]))
-            height = terrain_height(points, pair.settings.relief)
+            height = sine_height(points, pair.settings.relief)
             back, _ = image.image_to_ground(places[:, 0], places[:, 1], height, true)
             assert np.abs(back - points).max() < 1e-5  # 2e-6 px
 
 
 def test_points_are_far_from_coplanar(pair: SimulatedPair) -> None:
-    height = terrain_height(pair.true_ties, pair.settings.relief)
+    height = sine_height(pair.true_ties, pair.settings.relief)
     assert 50.0 < np.std(height) < 150.0
 
 

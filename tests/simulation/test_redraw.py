@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
+from redraw import redraw
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -12,9 +13,8 @@ from mgsgraph.case.reading import read_case
 from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass
-from mgsgraph.simulation.redraw import redraw
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import write_site
 
 
 def test_the_same_seed_draws_the_same() -> None:

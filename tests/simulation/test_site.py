@@ -17,8 +17,9 @@ from mgsgraph.io.moc import read_moc
 from mgsgraph.io.moc_label import read_moc_label
 from mgsgraph.io.moc_pixels import read_moc_pixels
 from mgsgraph.io.pedr import read_pedr
+from mgsgraph.simulation.files import write_site
+from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOptions, simulate_site
-from mgsgraph.simulation.site_files import shot_names, write_site
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import ARCSEC, DEG
 

@@ -16,11 +16,11 @@ from mgsgraph.io.control_net import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import PointClass
-from mgsgraph.simulation.circle import terrain_height
+from mgsgraph.simulation.files import write_strip
+from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings
-from mgsgraph.simulation.sighting import sighting
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
-from mgsgraph.simulation.strip_files import write_strip
+from mgsgraph.simulation.true_image import true_image
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG
 
@@ -116,7 +116,7 @@ def test_points_are_measured_in_all_images_that_show_them_and_in_no_other(strip:
 def test_true_points_lie_on_the_terrain(strip: SimulatedStrip) -> None:
     """Height as the difference of radii along the same direction; ellipsoids that grow by h are h apart to 1e-4."""
     for points in (strip.true_ties, *strip.true_footprints):
-        height = terrain_height(points, strip.settings.relief)
+        height = sine_height(points, strip.settings.relief)
         image, true = strip.images[0], strip.true_corrections[0]
         near = np.linalg.norm(points - points[0], axis=1) < 8e3
         places, _ = image.ground_to_image(points[near], true)
@@ -136,11 +136,11 @@ def test_polynomial_places_are_the_image_s_own(noise: NoiseSettings) -> None:
     image, true = simulate_strip(StripSettings(images=2, ties=1, shots=1, lines=20_000)).images[1], noise.correction(
         np.random.default_rng(3)
     )
-    found = sighting(image, true, 100.0)
+    found = true_image(image, true, 100.0)
     assert (found.error > 1e-4) == (noise.position > 100.0)
     lines, samples = np.random.default_rng(0).uniform(40.0, [19_960.0, 984.0], (300, 2)).T
     points, _ = image.image_to_ground(lines, samples, np.linspace(-180.0, 180.0, 300), true)
-    which, places = found.seen(points)
+    which, places = found.project(points)
     assert which.tolist() == list(range(300))
     assert np.abs(places - np.column_stack([lines, samples])).max() < 1e-4
 

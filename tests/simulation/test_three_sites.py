@@ -9,6 +9,7 @@ from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.simulation.files import write_three_sites
 from mgsgraph.simulation.site import SimulationOptions
 from mgsgraph.simulation.three_sites import (
     BRIDGE,
@@ -17,7 +18,6 @@ from mgsgraph.simulation.three_sites import (
     bridge_image,
     simulate_three_sites,
 )
-from mgsgraph.simulation.three_sites_files import write_three_sites
 from mgsgraph.units import DEG
 
 TIES = {"eos": 162, "gusev": 154, "isidis": 41}

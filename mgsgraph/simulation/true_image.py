@@ -1,7 +1,7 @@
 """An image as it was truly taken, and where ground points stand in it: polynomials, since a strip asks a million times.
 
-Line and sample are polynomials of a point's place along, across and above the image's ground, fitted to rays that the
-image itself gives, and checked between them; where they are not good enough, the image is asked.
+Line and sample are polynomials of a point's coordinates along, across and above the image's ground, fitted to rays that
+the image itself gives, and checked between them; where they are not good enough, the image itself projects.
 """
 
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ _DEGREES = np.array([
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
-    """An image as it was truly taken, and where on the ground."""
+class TrueImage:
+    """An image as it was truly taken, with the polynomials that project into it."""
 
     image: PushbroomImage
     """Nominal."""
@@ -38,36 +38,40 @@ class Sighting:
     middle: Array
     """(3,) m, body-fixed, of its ground."""
     axes: Array
-    """(3, 3) unit rows: along from the first line to the last, across, up."""
-    reach: Array
+    """(3, 3) unit rows, body-fixed: along from the first line to the last, across, up."""
+    half_size: Array
     """(3,) m, half of the ground's size in these directions."""
     coefficients: Array
     """(terms, 2) pixels, line and sample."""
     error: float
     """pixels, largest error of these between the rays fitted to."""
 
-    def seen(self, points: Array) -> tuple[Index, Array]:
-        """Which of points (n, 3) in m, body-fixed, it shows well inside its edges, (k,), and their places (k, 2)."""
-        scaled = (points - self.middle) @ self.axes.T / self.reach
+    def project(self, points: Array) -> tuple[Index, Array]:
+        """Which of points (n, 3) in m, body-fixed, it shows well inside its edges, (k,); lines and samples (k, 2).
+
+        The polynomials serve, or the image itself where they are not good enough.
+        """
+        scaled = (points - self.middle) @ self.axes.T / self.half_size
         near = np.flatnonzero(np.all(np.abs(scaled[:, :2]) < 1.0 + _SLACK, axis=1))
-        places = np.einsum("ni,ij->nj", _terms(scaled[near]), self.coefficients)
+        pixels = np.einsum("ni,ij->nj", _terms(scaled[near]), self.coefficients)
         if self.error > _TOLERANCE:
-            places, _ = self.image.ground_to_image(points[near], self.true, places[:, 0])
-        inside = well_inside(self.image, places)
-        return near[inside], places[inside]
+            pixels, _ = self.image.ground_to_image(points[near], self.true, pixels[:, 0])
+        inside = well_inside(self.image, pixels)
+        return near[inside], pixels[inside]
 
-    def meets(self, other: "Sighting") -> bool:
+    def may_overlap(self, other: "TrueImage") -> bool:
         """Whether the two may show the same ground."""
-        return bool(np.linalg.norm(other.middle - self.middle) < (1.0 + _SLACK) * (self.reach[0] + other.reach[0]))
+        distance = np.linalg.norm(other.middle - self.middle)
+        return bool(distance < (1.0 + _SLACK) * (self.half_size[0] + other.half_size[0]))
 
-    def lines_of(self, other: "Sighting") -> tuple[float, float]:
+    def lines_over(self, other: "TrueImage") -> tuple[float, float]:
         """The lines between which it may show ground of another image; they may lie outside."""
-        ends = other.middle + np.outer([-1.0 - _SLACK, 1.0 + _SLACK], other.reach[0] * other.axes[0])
-        lines = 0.5 * self.image.lines * (1.0 + (ends - self.middle) @ self.axes[0] / self.reach[0])
+        ends = other.middle + np.outer([-1.0 - _SLACK, 1.0 + _SLACK], other.half_size[0] * other.axes[0])
+        lines = 0.5 * self.image.lines * (1.0 + (ends - self.middle) @ self.axes[0] / self.half_size[0])
         return float(lines.min()), float(lines.max())
 
 
-def sighting(image: PushbroomImage, true: OrientationCorrection, relief: float) -> Sighting:
+def true_image(image: PushbroomImage, true: OrientationCorrection, relief: float) -> TrueImage:
     """An image as truly taken over ground whose heights stay within 2 `relief` (m) of the ellipsoid."""
     centre = np.array([0.5 * image.lines, 0.5 * image.samples])
     lines = np.array([0.0, centre[0], image.lines])
@@ -78,27 +82,28 @@ def sighting(image: PushbroomImage, true: OrientationCorrection, relief: float) 
     highest = 2.0 * relief + 1.0
     spread = [np.cos(np.pi * (np.arange(n) + 0.5) / n) for n in _NODES]  # Chebyshev's nodes: no error at the ends
     fitted, points = _rays(image, true, spread, highest)
-    reach = np.abs((points - middle) @ axes.T).max(axis=0)
-    scaled = (points - middle) @ axes.T / reach
-    terms = _terms(scaled)
+    half_size = np.abs((points - middle) @ axes.T).max(axis=0)
+    terms = _terms((points - middle) @ axes.T / half_size)
     # the terms are next to orthogonal, so normal equations lose nothing; einsum, for threads of BLAS that wait for each
     # other on a busy machine take seconds over such small products
     normal, right = np.einsum("ni,nj->ij", terms, terms), np.einsum("ni,nj->ij", terms, fitted)
     coefficients = np.linalg.solve(normal, right)
     between, others = _rays(image, true, [0.5 * (nodes[1:] + nodes[:-1]) for nodes in spread], highest)
-    again = np.einsum("ni,ij->nj", _terms((others - middle) @ axes.T / reach), coefficients)
+    again = np.einsum("ni,ij->nj", _terms((others - middle) @ axes.T / half_size), coefficients)
     error = np.abs(again - between).max()
-    return Sighting(image, true, middle, axes, reach, coefficients, float(error))
+    return TrueImage(image, true, middle, axes, half_size, coefficients, float(error))
 
 
 def _rays(
     image: PushbroomImage, true: OrientationCorrection, spread: list[Array], highest: float
 ) -> tuple[Array, Array]:
-    """Places (n, 2) in the image and points (n, 3) on their rays, spread over -1 .. 1 of lines, samples and heights."""
+    """Lines and samples (n, 2), and points (n, 3) in m on their rays; `spread` has lines, samples and heights, from
+    -1 to 1 each over the image, and over the heights up to the highest ground.
+    """
     lines, samples, heights = (grid.ravel() for grid in np.meshgrid(*spread, indexing="ij"))
-    places = 0.5 * np.column_stack([(lines + 1.0) * image.lines, (samples + 1.0) * image.samples])
-    points, _ = image.image_to_ground(places[:, 0], places[:, 1], highest * heights, true)
-    return places, points
+    pixels = 0.5 * np.column_stack([(lines + 1.0) * image.lines, (samples + 1.0) * image.samples])
+    points, _ = image.image_to_ground(pixels[:, 0], pixels[:, 1], highest * heights, true)
+    return pixels, points
 
 
 def _terms(scaled: Array) -> Array:

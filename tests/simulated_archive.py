@@ -13,18 +13,25 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from archive_index import IndexEntry, Value, write_indexes
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.megdr import REFERENCE_RADIUS
-from mgsgraph.simulation.archive_index import IndexEntry, Value, write_indexes
-from mgsgraph.simulation.megdr_file import MegdrLayout, write_megdr
-from mgsgraph.simulation.moc_file import write_moc_image
-from mgsgraph.simulation.pedr_file import write_pedr
+from mgsgraph.simulation.camera import BORESIGHT_SAMPLE
+from mgsgraph.simulation.files import writing
+from mgsgraph.simulation.mgs_files import (
+    image_label,
+    kernel_segment,
+    label_time,
+    pedr_file,
+    pedr_frames,
+    write_moc_image,
+)
+from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr, write_pedr
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
-from mgsgraph.simulation.site_files import image_label, kernel_segment, label_time, pedr_file, pedr_frames
-from mgsgraph.simulation.spice_files import ephemeris_time, instrument_text, write_kernels
+from mgsgraph.simulation.spice_files import CAMERA, CAMERA_FRAME_TEXT, ephemeris_time, write_kernels
 from mgsgraph.simulation.terrain import areoid_under, terrain_grid
 from mgsgraph.units import DEG, KM
 
@@ -40,6 +47,8 @@ _FIXED = {
 }
 """Kernels that don't go by mission phase: as the simulation calls them, and where the archive has them."""
 _INSTRUMENT = "kernels/ik/mgs_moc_v20.ti"
+_NOMINAL_FOCAL_LENGTH, _NOMINAL_PITCH = 3.5, 0.000013
+"""m, of the instrument kernel."""
 _PHASES = {
     "ext1": ("2001-02-01T00:00:04", "2001-04-03T23:59:55"),
     "ext2": ("2001-04-04T00:00:04", "2001-06-26T23:59:55"),
@@ -80,17 +89,15 @@ def write_archive(simulated: SimulatedSite, folder: Path, resolutions: Sequence[
     for ppd in resolutions:
         if ppd not in _LETTERS:
             raise InputError("simulated archive, resolution", f"{ppd} posts per degree", "4 or 16")
-    try:
+    with writing(folder):
         for root in ROOTS:
-            (folder / root).mkdir(parents=True, exist_ok=True)
+            (folder / root).mkdir(exist_ok=True)
         _write_images(simulated, folder / "images")
         _write_kernels(simulated, folder)
         for image in simulated.images:
             _write_profile(image, folder / "pedr")
         for ppd in resolutions:
             _write_grids(simulated, folder / "megdr", ppd)
-    except OSError as error:
-        raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder that may be written") from None
     return folder
 
 
@@ -175,12 +182,33 @@ def _write_kernels(simulated: SimulatedSite, folder: Path) -> None:
         places |= {f"mgs_sc_{phase}.bc": f"kernels/ck/mgs_sc_{phase}.bc" for phase in phases}
         for name, place in places.items():
             shutil.move(Path(aside) / name, _placed(folder / place))
-    _placed(folder / _INSTRUMENT).write_text(instrument_text(), encoding="ascii", newline="\n")
+    _placed(folder / _INSTRUMENT).write_text(_instrument_text(), encoding="ascii", newline="\n")
     for path in sorted((folder / "kernels").rglob("*.*")):
         if path.suffix != ".lbl":
             start, stop = _PHASES.get(path.stem.rpartition("_")[2], ("N/A", "N/A"))
             text = _kernel_label(path, start, stop)
             path.with_suffix(".lbl").write_text(text, encoding="ascii", newline="\r\n")
+
+
+def _instrument_text() -> str:
+    """The camera in the words of NAIF's instrument kernel (moc20.ti): metres, first pixel 0.
+
+    Its numbers are the nominal ones, as in the archive: 1 percent off the true scale, FOCAL_LENGTH_MM / PITCH_MM pixels
+    per radian, to which a focal length of 3.4669 m belongs.
+    """
+    return f"""KPL/IK
+
+MOC narrow angle camera. Focal length and pixel size in m, angles in radians; keywords as in NAIF's kernel.
+
+\\begindata
+INS{CAMERA}_FOCAL_LENGTH  = ( {_NOMINAL_FOCAL_LENGTH} )
+INS{CAMERA}_PIXEL_SAMPLES = ( 2048 )
+INS{CAMERA}_PIXEL_LINES   = ( 1 )
+INS{CAMERA}_CENTER        = ( {BORESIGHT_SAMPLE - 1.0!r} 0.5 )
+INS{CAMERA}_PIXEL_SIZE    = ( {_NOMINAL_PITCH} )
+
+{CAMERA_FRAME_TEXT}\\begintext
+"""
 
 
 def _kernel_label(path: Path, start: str, stop: str) -> str:

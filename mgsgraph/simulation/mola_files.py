@@ -1,19 +1,19 @@
-"""Simulated laser shots as a MOLA Precision Experiment Data Record (PEDR): a label of ten records, then frames.
+"""MOLA's files: laser shots as a Precision Experiment Data Record (PEDR), grids as gridded records (MEGDR).
 
-A frame keeps 20 shots' ranges and radii one by one, but their places as a midpoint, a change over the frame and the
-parallax: how far a place moves with the shot's radius, which follows from the line of sight. So what is read back
-differs from what was given:
+A PEDR is a label of ten records, then frames. A frame keeps 20 shots' ranges and radii one by one, but their longitudes
+and latitudes as a midpoint, a change over the frame and the parallax: how far a footprint moves with the shot's radius,
+which follows from the line of sight. So what is read back differs from what was given:
 
 * ranges and radii by the rounding to 1 cm;
-* places by the rounding to 1e-6 deg (3 cm, in each of midpoint and change) and by whatever in them isn't linear over
-  the two seconds of a frame: the curvature of the track, below 1 m; noise of single footprints is lost;
-* areoid radii and the spacecraft's place likewise (the orbit's curvature over a frame: below 1 m);
+* longitudes and latitudes by the rounding to 1e-6 deg (3 cm, in each of midpoint and change) and by whatever in them
+  isn't linear over the two seconds of a frame: the track's curvature, below 1 m; noise of single footprints is lost;
+* areoid radii and the spacecraft's position likewise (the orbit's curvature over a frame: below 1 m);
 * times by half a microsecond, and by the clock's rounding to 1 Hz (1e-8 s).
 
 `write_pedr` returns the shots as written.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -239,9 +239,9 @@ def _parallax(frames: PedrFrames, count: NDArray[np.int64]) -> Array:
     the middle shot of each frame.
     """
     middle = SHOTS * np.arange(count.size) + (count - 1) // 2
-    places = np.column_stack([frames.longitudes, frames.latitudes, frames.radii])[middle]
+    footprints = np.column_stack([frames.longitudes, frames.latitudes, frames.radii])[middle]
     craft = np.column_stack([frames.spacecraft_longitudes, frames.spacecraft_latitudes, frames.spacecraft_radii])
-    foot = from_planetocentric(places)
+    foot = from_planetocentric(footprints)
     look = from_planetocentric(craft[middle]) - foot
     step = 100.0 * look / np.linalg.norm(look, axis=1, keepdims=True)
     above, below = planetocentric(foot + step), planetocentric(foot - step)
@@ -269,3 +269,86 @@ def _whole(values: Array, name: str) -> NDArray[np.int64]:
         if not limits.min <= value <= limits.max:
             raise InputError(f"PEDR frames, {name}", f"{value} in the file's unit", f"{limits.min} .. {limits.max}")
     return whole
+
+
+# --- MEGDR
+
+
+@dataclass(frozen=True, slots=True)
+class MegdrLayout:
+    """Where a grid's posts lie, and what was taken off them."""
+
+    shape: tuple[int, ...]
+    """rows southward, columns eastward."""
+    first_longitude: float
+    """rad, east, of the first post."""
+    first_latitude: float
+    """rad, planetocentric."""
+    step: float
+    """rad, between posts in both directions."""
+    offset: float
+    """m, taken off before the posts are stored."""
+
+
+def write_megdr(folder: Path, name: str, layout: MegdrLayout, posts: Iterable[Array]) -> None:
+    """Write ``name.img`` and ``name.lbl``, which are replaced.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    name : str
+        ``megr...`` for radii of the planet, ``megt...`` for topography.
+    layout : MegdrLayout
+        Of the whole grid.
+    posts : iterable of arrays
+        m, the grid's rows from the north, some at a time.
+    """
+    with (folder / f"{name}.img").open("wb") as file:
+        for rows in posts:
+            file.write(np.rint(rows - layout.offset).astype(">i2").tobytes())
+    (folder / f"{name}.lbl").write_text(_megdr_label(name, layout), encoding="ascii", newline="\r\n")
+
+
+def _megdr_label(name: str, layout: MegdrLayout) -> str:
+    """LINE = LPO - RES (LAT - CLAT), SAMPLE = SPO + RES (LON - CLON) (dsmap.cat)."""
+    rows, columns = layout.shape
+    resolution = round(DEG / layout.step)
+    line_offset = 1.0 + layout.first_latitude / layout.step
+    sample_offset = 1.0 - (layout.first_longitude / DEG - 180.0) * resolution
+    return f"""PDS_VERSION_ID            = "PDS3"
+RECORD_TYPE               = FIXED_LENGTH
+RECORD_BYTES              = {2 * columns}
+FILE_RECORDS              = {rows}
+^IMAGE                    = "{name.upper()}.IMG"
+DATA_SET_ID               = "MGS-M-MOLA-5-MEGDR-L3-V1.0"
+PRODUCT_ID                = "{name.upper()}.IMG"
+SPACECRAFT_NAME           = "MARS GLOBAL SURVEYOR"
+INSTRUMENT_ID             = MOLA
+TARGET_NAME               = MARS
+PRODUCT_VERSION_ID        = "SIMULATED"
+OBJECT                    = IMAGE
+  LINES                   = {rows}
+  LINE_SAMPLES            = {columns}
+  SAMPLE_TYPE             = MSB_INTEGER
+  SAMPLE_BITS             = 16
+  UNIT                    = METER
+  SCALING_FACTOR          = 1
+  OFFSET                  = {layout.offset:.0f}
+END_OBJECT                = IMAGE
+OBJECT                    = IMAGE_MAP_PROJECTION
+  MAP_PROJECTION_TYPE     = "SIMPLE CYLINDRICAL"
+  A_AXIS_RADIUS           = 3396.0 <KM>
+  B_AXIS_RADIUS           = 3396.0 <KM>
+  C_AXIS_RADIUS           = 3396.0 <KM>
+  POSITIVE_LONGITUDE_DIRECTION = "EAST"
+  CENTER_LATITUDE         = 0.0 <DEGREE>
+  CENTER_LONGITUDE        = 180.0 <DEGREE>
+  MAP_RESOLUTION          = {resolution} <PIXEL/DEGREE>
+  LINE_PROJECTION_OFFSET  = {line_offset:.6f}
+  SAMPLE_PROJECTION_OFFSET = {sample_offset:.6f}
+  COORDINATE_SYSTEM_TYPE  = "BODY-FIXED ROTATING"
+  COORDINATE_SYSTEM_NAME  = "PLANETOCENTRIC"
+END_OBJECT                = IMAGE_MAP_PROJECTION
+END
+"""

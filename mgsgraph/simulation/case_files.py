@@ -1,0 +1,136 @@
+"""The case files (case.toml) of what is simulated: which files there are, and the sigmas that an adjustment assumes."""
+
+from collections.abc import Sequence
+
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.simulation.isis_files import image_file
+from mgsgraph.simulation.mgs_files import grid_file, moc_file, pedr_file
+from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
+from mgsgraph.simulation.three_sites import BRIDGE_PRIOR, SimulatedThreeSites
+from mgsgraph.units import ARCMIN, MRAD
+
+_RANGE_SIGMA, _GROUND_SIGMA, _SHIFT_SIGMA = 10.0, 10.0, 100.0
+"""m, a-priori sigmas of ranges, of footprints, and of a profile's common shift (Yoon & Shan; Kirk et al. 2002)."""
+_IMAGE_SIGMA, _TREND = 30.0, (1.0, 0.1, 0.01)
+"""pixels, the papers' sigma of back-projected footprints; factors of the orientation's sigmas for each power of u."""
+_EOS_IMAGE_SIGMA, _EOS_TREND = 125.0, (1.0, 1.0, 1.0)
+"""What Table 4 of the papers takes at Eos, where the stated 30 px and slow trends cannot give its sigmas."""
+
+Value = str | float | Sequence["str | float"] | dict[str, "Value"]
+"""Of a key in a case file."""
+Tables = list[str]
+"""Lines of a case file."""
+
+
+def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSettings) -> str:
+    """Case of simulated images beside network.pvl and lidar.json, with the sigmas of the simulation."""
+    lines = [line for image in images for line in _table("[[images]]", name=image.name, isd=image_file(image))]
+    lines += _table("[orientation]", degree=noise.prior.degree, **_orientation(noise))
+    lines += _table("[ties]", network="network.pvl", sigma_px=float(noise.tie))
+    lines += _table(
+        "[laser]", file="lidar.json", image_sigma_px=float(noise.shot_image), range_sigma_m=float(noise.range),
+        ground_sigma_m=float(noise.ground),
+    )  # fmt: skip
+    return _case(name, lines)
+
+
+def site_case(simulated: SimulatedSite) -> str:
+    """The rigorous case: footprints with their profile's unknown shift, ties on the terrain model."""
+    settings, grid = simulated.settings, simulated.grid
+    lines = _images(simulated, settings.angle_sigmas, settings.trend) + _ties(simulated)
+    lines += _profiles(simulated, shift_sigma_m=_SHIFT_SIGMA)
+    radius, topography = (f"{grid_file(simulated, kind)}.lbl" for kind in ("r", "t"))
+    sigmas = {"vertical_sigma_m": grid.vertical_sigma or 0.0, "planimetric_sigma_m": grid.planimetric_sigma or 0.0}
+    return _case(settings.title, lines + _table("[terrain]", radius=radius, topography=topography, **sigmas))
+
+
+def papers_case(simulated: SimulatedSite, stated: bool = False) -> str:
+    """The observations and weights of Yoon & Shan (2005), for reproduction: back-projected footprints, no shifts.
+
+    Parameters
+    ----------
+    simulated : SimulatedSite
+        As simulated.
+    stated : bool
+        True for the weights that the papers state at Eos too, in place of those which its Table 4 takes.
+    """
+    settings = simulated.settings
+    eos = settings.name == "eos" and not stated
+    trend, image_sigma = (_EOS_TREND, _EOS_IMAGE_SIGMA) if eos else (_TREND, _IMAGE_SIGMA)
+    lines = _images(simulated, (ARCMIN, ARCMIN, ARCMIN), trend) + _ties(simulated)
+    lines += _profiles(simulated, image_rows="back-projected", image_sigma_px=image_sigma)
+    return _case(f"{settings.title}, papers", lines + _table("[solver]", line="measured", angles="opk-paper"))
+
+
+def three_sites_case(simulated: SimulatedThreeSites) -> str:
+    """Case over all three sites, whose files lie in folders of their names, and the bridge image."""
+    lines, bridge = Tables(), simulated.bridge
+    for site in simulated.sites:
+        lines += _images(site, site.settings.angle_sigmas, site.settings.trend, f"{site.settings.name}/")
+    lines += _table("[[images]]", name=bridge.name, isd=image_file(bridge), orientation=_orientation(BRIDGE_PRIOR))
+    lines += _table("[ties]", network="network.pvl")
+    for site in simulated.sites:
+        lines += _profiles(site, f"{site.settings.name}/", shift_sigma_m=_SHIFT_SIGMA)
+    return _case("Eos, Gusev, Isidis and a bridge", lines)
+
+
+def _images(
+    simulated: SimulatedSite, angles: tuple[float, float, float], trend: tuple[float, ...], folder: str = ""
+) -> Tables:
+    """The site's images, whose files lie in `folder` ("x/") beside the case."""
+    lines, kernels = Tables(), [f"{folder}mgs.tm"]
+    for image in simulated.images:
+        label, orientation = folder + moc_file(image), _site_orientation(image, angles, trend)
+        lines += _table("[[images]]", name=image.settings.name, label=label, kernels=kernels, orientation=orientation)
+    return lines
+
+
+def _ties(simulated: SimulatedSite) -> Tables:
+    return _table("[ties]", network="network.pvl", sigma_px=simulated.options.tie_noise)
+
+
+def _profiles(simulated: SimulatedSite, folder: str = "", **more: Value) -> Tables:
+    """The site's profiles, with `more` keys of each; their files lie in `folder` ("x/") beside the case."""
+    lines, sigmas = Tables(), {"range_sigma_m": _RANGE_SIGMA, "ground_sigma_m": _GROUND_SIGMA}
+    for image in simulated.images:
+        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=image.settings.name, **sigmas, **more)
+    return lines
+
+
+def _orientation(noise: NoiseSettings) -> dict[str, Value]:
+    """A-priori sigmas of an image's orientation, as drawn from."""
+    return {
+        "position_sigma_m": float(noise.position), "angle_sigma_mrad": float(noise.angle / MRAD),
+        "trend": [float(factor) for factor in noise.trend],
+    }  # fmt: skip
+
+
+def _site_orientation(
+    image: SimulatedImage, angles: tuple[float, float, float], trend: tuple[float, ...]
+) -> dict[str, Value]:
+    """Polynomials of order 2 as nominal orientation, and a-priori sigmas, twice as large for a held image (Yoon & Shan:
+    100 and 200 m, and the angles that match).
+    """
+    factor = 2.0 if image.settings.held else 1.0
+    milli = [round(factor * angle / MRAD, 4) for angle in angles]
+    return {
+        "nominal": "polynomial", "position_sigma_m": 100.0 * factor, "angle_sigma_mrad": milli, "trend": list(trend)
+    }  # fmt: skip
+
+
+def _case(name: str, lines: Tables) -> str:
+    return "\n".join(["format = 1", f'name = "{name}"', *lines, ""])
+
+
+def _table(header: str, **values: Value) -> Tables:
+    """A TOML table, after an empty line."""
+    return ["", header, *(f"{key} = {_toml(value)}" for key, value in values.items())]
+
+
+def _toml(value: Value) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_toml(inner)}' for key, inner in value.items())} }}"
+    return repr(value) if isinstance(value, int | float) else f"[{', '.join(_toml(one) for one in value)}]"

@@ -1,0 +1,344 @@
+"""The simulated ground: its height, slope and brightness anywhere, and where rays meet it.
+
+`SiteTerrain` is the ground of the study sites (`make_terrain`) and under the HRSC blocks (`block_terrain`). Its heights
+count along the radius, from the ellipsoid at the same planetocentric latitude (MOLA's planetary radius minus the
+ellipsoid's). It is the regional level (three waves of some 400 km) plus two periodic surfaces that are smooth: pictures
+show no facets, and there is no edge at which the ground ends. Levels of the sites are those of the MOLA grids
+megr90n000cb and megt90n000cb at the sites' centres, rounded to 10 m.
+
+Pair and strip have a sum of three sines instead (`sine_height`), which is exact and fast for millions of points.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, in_turn, intersect_ellipsoid, planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array
+from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.orbit import on_ellipsoid
+from mgsgraph.simulation.relief import Float, PeriodicSurface, add_craters, canyon, fractal
+from mgsgraph.units import DEG
+
+CENTRE = (87.0 * DEG, 4.0 * DEG)
+"""rad, longitude and planetocentric latitude from which the sines of pair and strip count: Isidis Planitia."""
+
+_SINES = np.array([[1.0, 0.0, 9e3, 0.3], [0.6, 1.1, 4e3, 1.7], [0.3, 2.0, 2.3e3, 4.1]])
+"""Of each: share of the amplitude, direction (rad from east), wavelength (m), phase (rad)."""
+_DETAIL_ROTATION = 0.6
+"""rad by which the fine surface is turned, so that its repetition doesn't follow the flight direction."""
+_BLOCK = 1 << 14
+"""Points evaluated at once, so that the arrays between stay in the processor's cache."""
+_STEPS, _TOLERANCE = 40, 2e-5
+"""Newton steps at most, and height (m) above the ground at which a ray has met it."""
+_BLOCK_LEVEL = -1500.0
+"""m, mean height of the ground under a block above the ellipsoid."""
+_COARSE, _FINE = 1000.0, 50.0
+"""m between the coefficients of a block's relief and detail."""
+_ROUGHNESS, _HURST = 600.0, 0.6
+"""m rms of a block's relief, over 1024 km, and its Hurst exponent; chosen (see `block_terrain`), not fitted to Mars."""
+_DETAIL, _DETAIL_HURST = 15.0, 0.2
+"""m rms of a block's detail, over 51 km, and its exponent."""
+
+
+@dataclass(frozen=True, slots=True)
+class SiteGround:
+    """What the ground of a site is like."""
+
+    longitude: float
+    """rad, east, of the site's centre."""
+    latitude: float
+    """rad, planetocentric."""
+    level: float
+    """m above the ellipsoid, mean height about the centre."""
+    areoid: float
+    """m, areoid above the ellipsoid."""
+    roughness: float
+    """m rms, of the relief between craters."""
+    hurst: float
+    """Hurst exponent of the relief: small is rough, 1 is rolling."""
+    craters: float
+    """1/km^2, number of craters with diameters above 100 m."""
+    largest: float
+    """m, largest crater diameter."""
+    canyon: float
+    """m, height of the canyon's walls; zero for none."""
+    contrast: float
+    """rms of the soil's brightness, in units of its mean."""
+
+
+SITES: dict[str, SiteGround] = {
+    "eos": SiteGround(318.6 * DEG, -13.3 * DEG, -4460.0, -710.0, 45.0, 0.9, 0.5, 900.0, 2700.0, 0.05),
+    "gusev": SiteGround(175.3 * DEG, -14.6 * DEG, -2580.0, -680.0, 14.0, 0.8, 1.2, 2500.0, 0.0, 0.06),
+    "isidis": SiteGround(87.9 * DEG, 4.5 * DEG, -3750.0, 40.0, 10.0, 0.7, 2.0, 1400.0, 0.0, 0.05),
+}
+"""The study sites of Yoon & Shan (2005)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SiteTerrain:
+    """The true ground of a simulated site. Longitudes are east, latitudes planetocentric, both in rad."""
+
+    site: str
+    """Name of the site."""
+    seed: int
+    """Seed of everything drawn."""
+    ellipsoid: Ellipsoid
+    """Reference of heights."""
+    centre_lon: float
+    """rad east, longitude at which images of the site are aimed."""
+    centre_lat: float
+    """rad, planetocentric latitude of the same."""
+    ground: SiteGround
+    """What it is like."""
+    waves: Array
+    """(3, 4) regional level: amplitude (m), waves per radian of longitude and of latitude, phase (rad)."""
+    relief: PeriodicSurface
+    """m, hills, canyon, craters of more than 80 m."""
+    detail: PeriodicSurface
+    """m, small relief and craters of 15 to 80 m; turned."""
+    brightness: PeriodicSurface
+    """The soil's albedo in units of its mean; turned like the detail."""
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """m, east-west and north-south size of the ground before its relief repeats itself."""
+        return self.relief.period
+
+    def height(self, lon: Array, lat: Array) -> Array:
+        """Height (n,) in m above the ellipsoid, along the radius, at longitudes and latitudes (n,)."""
+        height = np.empty(lon.size)
+        for first in range(0, lon.size, _BLOCK):
+            part = slice(first, first + _BLOCK)
+            height[part] = self.level(lon[part], lat[part])[0] + self.local(*self.chart(lon[part], lat[part]))[0]
+        return height
+
+    def radius(self, points: Array) -> Array:
+        """Radius (n,) in m of the ground under or above body-fixed points (n, 3)."""
+        lon, lat, _ = planetocentric(points).T
+        return self.ground_radius(lon, lat)
+
+    def ground_radius(self, lon: Array, lat: Array) -> Array:
+        """Radius (n,) in m of the ground at longitudes and latitudes (n,)."""
+        return self._ellipsoid_radius(lat)[0] + self.height(lon, lat)
+
+    def normal(self, points: Array) -> Array:
+        """Outward unit normal (n, 3), body-fixed, of the ground under or above body-fixed points (n, 3)."""
+        lon, lat, _ = planetocentric(points).T
+        _, normal = self._clearance(self.on_ground(lon, lat))
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+    def on_ground(self, lon: Array, lat: Array) -> Array:
+        """Body-fixed points (n, 3) in m of the ground at longitudes and latitudes (n,)."""
+        return from_planetocentric(np.column_stack([lon, lat, self.ground_radius(lon, lat)]))
+
+    def areoid_radius(self, lon: Array, lat: Array) -> Array:
+        """Radius (n,) in m of the areoid at longitudes and latitudes (n,): 20 m of swell beside the ellipsoid's."""
+        swell = 20.0 * np.sin(9.0 * (lon - self.centre_lon)) * np.cos(7.0 * (lat - self.centre_lat))
+        return np.asarray(self._ellipsoid_radius(lat)[0] + self.ground.areoid + swell)
+
+    def intersect(self, origins: Array, directions: Array) -> Array:
+        """Points (n, 3) in m, body-fixed, where rays meet the ground, to 1e-4 m.
+
+        Newton's method on the distance along the ray. Looks within 25 degrees of nadir meet these sites' ground once.
+
+        Parameters
+        ----------
+        origins, directions : (n, 3)
+            m, body-fixed; directions of any length.
+
+        Returns
+        -------
+        (n, 3)
+            NaN where a ray misses the body.
+        """
+        points, _, _ = intersect_ellipsoid(origins, directions, self.ellipsoid, self.ground.level)
+        open_rays = np.flatnonzero(np.isfinite(points[:, 0]))
+        for step in range(_STEPS):
+            clearance, normal = self._clearance(points[open_rays])
+            late = np.abs(clearance) > _TOLERANCE
+            open_rays, clearance, normal = open_rays[late], clearance[late], normal[late]
+            if open_rays.size == 0:
+                break
+            along = directions[open_rays]
+            move = clearance / np.einsum("ni,ni->n", normal, along)
+            points[open_rays] -= (move if step < _STEPS // 4 else 0.5 * move)[:, None] * along
+        points[open_rays] = np.nan
+        return points
+
+    def chart(self, lon: Array, lat: Array) -> tuple[Array, Array]:
+        """Coordinates (n,) in m east and north of the centre in a plane chart."""
+        scale = self.metres_per_radian
+        turned = in_turn(lon - self.centre_lon)
+        return scale[0] * turned, scale[1] * (lat - self.centre_lat)
+
+    def level(self, lon: Array, lat: Array) -> tuple[Array, Array, Array]:
+        """Regional height (n,) in m above the ellipsoid, and its derivatives per rad of longitude and of latitude."""
+        height, by_lon, by_lat = np.full_like(lon, self.ground.level), np.zeros_like(lon), np.zeros_like(lon)
+        for amplitude, east, north, phase in self.waves:
+            angle = east * (lon - self.centre_lon) + north * (lat - self.centre_lat) + phase
+            height += amplitude * (np.sin(angle) - np.sin(phase))
+            by_lon += amplitude * east * np.cos(angle)
+            by_lat += amplitude * north * np.cos(angle)
+        return height, by_lon, by_lat
+
+    def local(self, east: Float, north: Float) -> tuple[Float, Float, Float]:
+        """Height (n,) in m above the regional level and its slopes east and north (n,) at chart coordinates (n,), in
+        their dtype.
+        """
+        value, by_east, by_north = self.relief.at(east, north)
+        sine, cosine = east.dtype.type(np.sin(_DETAIL_ROTATION)), east.dtype.type(np.cos(_DETAIL_ROTATION))
+        fine, by_first, by_second = self.detail.at(cosine * east + sine * north, cosine * north - sine * east)
+        by_east += cosine * by_first - sine * by_second
+        by_north += sine * by_first + cosine * by_second
+        return value + fine, by_east, by_north
+
+    def albedo(self, east: Float, north: Float) -> Float:
+        """Brightness (n,) of the soil at chart coordinates (n,), in units of its mean and in their dtype."""
+        sine, cosine = east.dtype.type(np.sin(_DETAIL_ROTATION)), east.dtype.type(np.cos(_DETAIL_ROTATION))
+        return self.brightness.value(cosine * east + sine * north, cosine * north - sine * east)
+
+    @property
+    def metres_per_radian(self) -> Array:
+        """(2,) m per rad of longitude and of latitude in the chart."""
+        return np.asarray(self._ellipsoid_radius(np.array([self.centre_lat]))[0] * [np.cos(self.centre_lat), 1.0])
+
+    def _ellipsoid_radius(self, lat: Array) -> tuple[Array, Array]:
+        """Radius (n,) in m of the ellipsoid at planetocentric latitudes (n,), and its derivative per rad."""
+        a, b = self.ellipsoid.equatorial, self.ellipsoid.polar
+        sine, cosine = np.sin(lat), np.cos(lat)
+        square = (b * cosine) ** 2 + (a * sine) ** 2
+        radius = a * b / np.sqrt(square)
+        return radius, -radius * (a * a - b * b) * sine * cosine / square
+
+    def _clearance(self, points: Array) -> tuple[Array, Array]:
+        """Radius of points (n, 3) above the ground's (n,) in m, and its gradient (n, 3): an outward normal."""
+        lon, lat, radius = planetocentric(points).T
+        east, north = self.chart(lon, lat)
+        height, by_east, by_north = self.local(east, north)
+        level, by_lon, by_lat = self.level(lon, lat)
+        body, body_by_lat = self._ellipsoid_radius(lat)
+        scale = self.metres_per_radian
+        along = (by_lon + scale[0] * by_east) / (radius * np.cos(lat))
+        across = (by_lat + scale[1] * by_north + body_by_lat) / radius
+        (sl, cl), (sb, cb) = (np.sin(lon), np.cos(lon)), (np.sin(lat), np.cos(lat))
+        gradient = points / radius[:, None]
+        gradient[:, 0] += along * sl + across * sb * cl
+        gradient[:, 1] += -along * cl + across * sb * sl
+        gradient[:, 2] -= across * cb
+        return radius - body - level - height, gradient
+
+
+@lru_cache(maxsize=2)
+def make_terrain(site_name: str, seed: int) -> SiteTerrain:
+    """Ground of a study site; the same name and seed give the same ground.
+
+    Parameters
+    ----------
+    site_name : str
+        ``eos``, ``gusev`` or ``isidis``.
+    seed : int
+        zero or positive.
+
+    Raises
+    ------
+    InputError
+        If there is no such site.
+    """
+    if site_name not in SITES:
+        raise InputError("simulated ground", f"site {site_name!r}", f"one of {', '.join(SITES)}")
+    if seed < 0:
+        raise InputError("simulated ground, seed", f"{seed}", "zero or a positive whole number")
+    ground = SITES[site_name]
+    of_level, of_relief, of_craters, of_detail, of_soil = np.random.default_rng(
+        [seed, list(SITES).index(site_name)]
+    ).spawn(5)
+    relief = ground.roughness * fractal((4096, 1024), ground.hurst, of_relief)
+    if ground.canyon:
+        relief += ground.canyon * canyon(relief.shape, 16.0, of_relief)
+    add_craters(relief, 16.0, ground.craters, (80.0, ground.largest), of_craters)
+    detail = 1.0 * fractal((1024, 1024), 0.35, of_detail)
+    add_craters(detail, 5.0, ground.craters, (15.0, 80.0), of_craters)
+    soil = 1.0 + ground.contrast * fractal((1024, 1024), 0.1, of_soil)
+    return SiteTerrain(
+        site=site_name,
+        seed=seed,
+        ellipsoid=MARS,
+        centre_lon=ground.longitude,
+        centre_lat=ground.latitude,
+        ground=ground,
+        waves=_waves(of_level),
+        relief=PeriodicSurface(16.0, relief),
+        detail=PeriodicSurface(5.0, detail),
+        brightness=PeriodicSurface(5.0, soil),
+    )
+
+
+@lru_cache(maxsize=2)
+def block_terrain(longitude: float, latitude: float, seed: int) -> SiteTerrain:
+    """True ground about a longitude and latitude in rad; the same ones and the same seed give the same ground.
+
+    The relief is fractal down to a kilometre and doesn't repeat itself within a block; a finer one lies over it.
+    Amplitudes are such that a grid of 1/64 degree tells the ground to some 7 m between its posts (rms), so that with
+    the posts' noise of 10 m a point lies 10 m off it, rms; slopes are 2 degrees at the posts' distance: what a shift of
+    the grid shows by.
+    """
+    of_relief, of_detail = np.random.default_rng(seed).spawn(2)
+    ground = SiteGround(longitude, latitude, _BLOCK_LEVEL, 0.0, _ROUGHNESS, _HURST, 0.0, 0.0, 0.0, 0.0)
+    return SiteTerrain(
+        site="block",
+        seed=seed,
+        ellipsoid=MARS,
+        centre_lon=longitude,
+        centre_lat=latitude,
+        ground=ground,
+        waves=np.zeros((0, 4)),
+        relief=PeriodicSurface(_COARSE, np.float32(_ROUGHNESS) * fractal((4096, 1024), _HURST, of_relief)),
+        detail=PeriodicSurface(_FINE, np.float32(_DETAIL) * fractal((1024, 1024), _DETAIL_HURST, of_detail)),
+        brightness=PeriodicSurface(_FINE, np.ones((1, 1), dtype=np.float32)),
+    )
+
+
+def _waves(rng: np.random.Generator) -> Array:
+    """Regional level: three waves, whole numbers of them about the body, of 350 to 600 km and at most 60 m each."""
+    direction = rng.uniform(0.0, np.pi, 3)
+    number = rng.uniform(35.0, 60.0, 3)
+    east, north = np.rint(number * np.cos(direction)), np.rint(number * np.sin(direction))
+    return np.column_stack([rng.uniform(20.0, 60.0, 3), east, north, rng.uniform(0.0, 2.0 * np.pi, 3)])
+
+
+# --- sines: the ground of pair and strip
+
+
+def sine_height(points: Array, relief: float) -> Array:
+    """True height (n,) in m above the ellipsoid at body-fixed points (n, 3) in m; `relief` in m is the amplitude of the
+    largest sine.
+
+    It is what `intersect_ellipsoid` calls height: the ground is where the ellipsoid with radii so much larger passes.
+    """
+    longitude, latitude, _ = planetocentric(points).T
+    east = MARS.equatorial * np.cos(CENTRE[1]) * (longitude - CENTRE[0])
+    north = MARS.equatorial * (latitude - CENTRE[1])
+    share, direction, wavelength, phase = _SINES.T[:, :, None]
+    along = east * np.cos(direction) + north * np.sin(direction)
+    return np.asarray(relief * np.sum(share * np.sin(2.0 * np.pi * along / wavelength + phase), axis=0))
+
+
+def on_sines(points: Array, relief: float) -> Array:
+    """Points (n, 3) in m of the ground under or above body-fixed points (n, 3), along the radius."""
+    return on_ellipsoid(points / np.linalg.norm(points, axis=1, keepdims=True), sine_height(points, relief))
+
+
+def rays_to_sines(
+    image: PushbroomImage, correction: OrientationCorrection, lines: Array, samples: Array, relief: float
+) -> Array:
+    """Points (n, 3) in m where the rays of a nadir image's lines and samples (n,) meet the ground."""
+    height = np.zeros_like(lines)
+    for _ in range(8):  # the rays are so steep that a step leaves a thousandth of the error
+        points, _ = image.image_to_ground(lines, samples, height, correction)
+        height = sine_height(points, relief)
+    return points
