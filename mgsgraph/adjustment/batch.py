@@ -32,7 +32,8 @@ _KEEP = 1e-5
 """Share of the cost that a step promises to gain, up to which the matrix counts as the same after it: rows then change
 by less than some thousandths of their sigma on average."""
 _SHORTER = 0.1
-"""Of the step before, the most that a step with a kept matrix may be long, or the matrix is renewed."""
+"""Of the step before, the most that a step may be long for its matrix to be kept: where convergence is slower, or steps
+are damped, keeping it would cost more sweeps than it saves."""
 _REMEDY = "look for blunders (reject), or try another loss"
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
 
@@ -78,6 +79,9 @@ class Outcome(Generic[State]):
 class LinearSystem(Protocol[Step]):
     """Normal equations at a state."""
 
+    kept: bool
+    """Whether their matrix is that of another state."""
+
     def step(self, damping: float) -> Step | None:
         """Solution of the damped equations; None when they are not positive definite."""
         ...
@@ -106,7 +110,7 @@ class Problem(Protocol[State]):
         ...
 
     def linear(self, state: State, kept: Any = None) -> LinearSystem[Any]:
-        """Linear system at the state whose cost was asked for last; its matrix may be that of the system `kept`."""
+        """Linear system at a state whose cost is known; its matrix may be that of the system `kept`."""
         ...
 
     def moved(self, state: State, step: Any) -> State:
@@ -141,7 +145,7 @@ def levenberg_marquardt(
     if not problem.adjusts:
         return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
     damping, rejected, before = _FIRST_DAMPING, 0, math.inf
-    linear, kept = problem.linear(state), False
+    linear = problem.linear(state)
     while len(history) < settings.max_iterations:
         step = linear.step(damping)
         if step is None:
@@ -150,10 +154,14 @@ def levenberg_marquardt(
                 raise SolverError("the normal equations can't be solved at any damping; the network is too weak")
             continue
         predicted, length = linear.gain(step), math.sqrt(max(linear.slope(step), 0.0))
-        if kept and length > _SHORTER * before:
-            linear, kept = problem.linear(state), False
+        shorter = length <= _SHORTER * before
+        if linear.kept and not shorter:
+            linear = problem.linear(state)
             continue
-        task = _next_task(predicted, length, cost, settings) if rejected == 0 else COSTS
+        task = COSTS
+        if rejected == 0:
+            settled = shorter and damping <= _FIRST_DAMPING
+            task = GRADIENT if settled and _near(predicted, length, cost, settings) else SYSTEM
         trial = problem.moved(state, step)
         new = problem.cost(trial, task)
         accepted = _lower(problem, state, trial, cost, new)
@@ -166,12 +174,12 @@ def levenberg_marquardt(
         if last:
             return Outcome(state, initial, cost, True, _converged(now, settings), tuple(history))
         if accepted and task == GRADIENT:
-            linear, kept, before = problem.linear(state, linear), True, length
+            linear, before = problem.linear(state, linear), length
         elif accepted:
             damping, rejected, before = max(damping * _EASE, _LEAST_DAMPING), 0, length
-            linear, kept = problem.linear(state), False
-        elif kept:
-            linear, kept = problem.linear(state), False
+            linear = problem.linear(state)
+        elif linear.kept:
+            linear = problem.linear(state)
         else:
             rejected += 1
             damping *= _TIGHTEN**rejected
@@ -182,13 +190,10 @@ def levenberg_marquardt(
     return Outcome(state, initial, cost, False, message, tuple(history))
 
 
-def _next_task(predicted: float, length: float, cost: float, settings: SolverSettings) -> int:
-    """What a step's trial should bring with it: the whole system, also at the optimum, for the posterior; or the
-    gradient alone.
-    """
-    if predicted > _KEEP * cost or predicted <= settings.cost_tolerance * cost or length < settings.step_tolerance:
-        return SYSTEM
-    return GRADIENT
+def _near(predicted: float, length: float, cost: float, settings: SolverSettings) -> bool:
+    """Whether a step will hardly change the matrix, and is not the last one: the posterior wants its own matrix."""
+    last = predicted <= settings.cost_tolerance * cost or length < settings.step_tolerance
+    return predicted <= _KEEP * cost and not last
 
 
 def _lower(problem: Problem[State], state: State, trial: State, cost: float, new: float) -> bool:

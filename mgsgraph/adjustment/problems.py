@@ -36,6 +36,7 @@ class ReducedEquations:
         self._graph, self._reduction, self._gradient = graph, reduction, graph.gradient(reduction)
         self._damping, self._inverse_squares = 0.0, graph.layout.scales**-2.0
         self._factor: Factor | None = None
+        self.kept = kept is not None
         if kept is not None:
             self._factor, self._damping = kept._factor, kept._damping
 
@@ -60,6 +61,8 @@ class ReducedEquations:
 
 class FactorEquations:
     """Normal equations of GTSAM's factors, eliminated by GTSAM (`batch.LinearSystem`); scales by key."""
+
+    kept = False
 
     def __init__(self, linear: gtsam.GaussianFactorGraph, scales: Mapping[int, Array]) -> None:
         self._linear, self._scales = linear, scales

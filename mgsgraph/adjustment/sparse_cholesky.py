@@ -115,7 +115,10 @@ class SparseCholesky:
 
     def solve(self, rows: list[tuple[Array, Array]], right: Array) -> Array:
         """Solution (columns,) of the factored equations."""
-        work = right.copy()
+        with _blas_threads(self._operations):
+            return self._solve(rows, right.copy())
+
+    def _solve(self, rows: list[tuple[Array, Array]], work: Array) -> Array:
         for front, (upper, across) in zip(self._fronts, rows, strict=True):
             own, rest = front.columns[: front.width], front.columns[front.width :]
             work[own] = blas.dtrsv(upper, work[own], trans=1)
@@ -169,7 +172,7 @@ def _controller() -> ThreadpoolController:
 
 @contextmanager
 def _blas_threads(operations: float) -> Iterator[None]:
-    """One thread for the BLAS unless there is much to do."""
+    """One thread for the BLAS, in the whole process, unless there is much to do."""
     if operations >= _WORTHWHILE:
         yield
     else:

@@ -174,10 +174,10 @@ def turn(count, columns, row, same, first, w, turned):
     """
     stride, a, b = fours(count), 0, 0
     for e in range(0, stride, FOUR):
-        first_number, a, b = number_place(a, b, columns, row, same)
-        second, a, b = number_place(a, b, columns, row, same)
-        third, a, b = number_place(a, b, columns, row, same)
-        fourth, a, b = number_place(a, b, columns, row, same)
+        first_number, a, b = register_of(a, b, columns, row, same)
+        second, a, b = register_of(a, b, columns, row, same)
+        third, a, b = register_of(a, b, columns, row, same)
+        fourth, a, b = register_of(a, b, columns, row, same)
         for l in range(0, LANES, FOUR):
             k = first + l
             turn_four(w, k + first_number, k + second, k + third, k + fourth, turned, l * stride + e, stride)
@@ -185,7 +185,7 @@ def turn(count, columns, row, same, first, w, turned):
 
 
 @inlined
-def number_place(a, b, columns, row, same):
+def register_of(a, b, columns, row, same):
     """Register of a number (a, b), from the first one on; and the next number. Beyond the last one all goes on."""
     place = min(a, b) * row + max(a, b) * LANES if same else a * row + b * LANES
     return (place, a, b + 1) if b + 1 < columns else (place, a + 1, 0)
@@ -286,22 +286,22 @@ def segment_sights(rows, segments, k, begin):
 
 
 @inlined
-def add_dots(rows, groups, target, segments, count, i, e, a, j, f, begin, w, register, factor, components, blocks):
-    """Add, to the block of column a of entry e of sight i and single column f of sight j, the product of `components`
-    registers each, summed over them and over lanes.
+def add_dots(rows, groups, target, segments, count, i, e, a, j, f, begin, w, one, other, components, blocks):
+    """Add, to the block of column a of entry e of sight i and entry f (a single column) of sight j, the product of
+    `components` registers each, from `one` and `other` on, summed over them and over lanes.
     """
     for k in range(count):
         group, first = segment_sights(rows, segments, k, begin)
         value = 0.0
         for c in range(components):
-            value += lane_dot(segments[k, BEGIN], segments[k, END], w, register + c * LANES, factor + c * LANES)
+            value += lane_dot(segments[k, BEGIN], segments[k, END], w, one + c * LANES, other + c * LANES)
         entry_i, entry_j = rows.sight_entry[first + i] + e, rows.sight_entry[first + j] + f
         add_entry(rows, groups, target, group, entry_i, a, entry_j, value, blocks)
 
 
 @inlined
 def sum_singles(rows, groups, target, segments, count, i, j, begin, w, s, t, blocks):
-    """The same for single columns: those of j with everything of i, then those of i with the terms of j."""
+    """Add K_ij of single columns to the blocks: of those of j with all of i, then of those of i with the terms of j."""
     width_i, width_j = rows.sight_width[i], rows.sight_width[j]
     terms_i, terms_j = rows.sight_terms[i], rows.sight_terms[j]
     singles_i, singles_j = s + BASIS + 2 * terms_i * LANES, t + BASIS + 2 * terms_j * LANES
@@ -348,8 +348,8 @@ def sum_right(rows, groups, target, segments, count, i, begin, w, s, room, gradi
 
 
 @inlined
-def eliminate_tile(rows, groups, target, model, segments, count, matrix, w, depth, y, room, blocks, gradient):
-    """Add a tile's solved points to the gradient and, if `matrix`, to the blocks of pairs of variables."""
+def eliminate_tile(rows, groups, target, model, segments, count, whole, w, depth, y, room, blocks, gradient):
+    """Add a tile's solved points to the gradient and, if `whole`, to the blocks of pairs of variables."""
     couple_all(rows, model, segments, w, depth, y)
     begin, end = sights_of(rows, segments)
     fixed, tile = rows.pattern_fixed[segments[0, PATTERN]] > 0, (rows, groups, target, segments, count)
@@ -357,7 +357,7 @@ def eliminate_tile(rows, groups, target, model, segments, count, matrix, w, dept
         s = TILE + (i - begin) * depth
         if sight_columns(rows, i)[1] > 0:
             sum_right(*tile, i, begin, w, s, room, gradient)
-        for j in range(i, end if matrix else i):
+        for j in range(i, end if whole else i):
             if not paired(rows, fixed, i, j):
                 continue
             t, widths = TILE + (j - begin) * depth, (rows.sight_width[i], rows.sight_width[j])

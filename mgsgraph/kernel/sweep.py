@@ -227,7 +227,7 @@ def sweep_all(
     """
     count = min(numba.get_num_threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
     edges = even_parts(rows, count) if count > 1 else np.array([0, rows.piece.shape[0]])
-    system, sloping = task == SYSTEM, task in (GRADIENT, SYSTEM)
+    whole, with_gradient = task == SYSTEM, task in (GRADIENT, SYSTEM)
     states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states
     costs = np.empty(rows.piece.shape[0]) if costs is None else costs
     values = np.empty((0, 0, 0)) if values is None else values
@@ -236,8 +236,8 @@ def sweep_all(
     rows = with_frozen_terrain(rows)
 
     def part(k: int) -> tuple[Array, Array]:
-        blocks = np.zeros(target.size) if system else none
-        gradient = np.zeros(target.columns) if sloping else none
+        blocks = np.zeros(target.size) if whole else none
+        gradient = np.zeros(target.columns) if with_gradient else none
         results = (scratch_for(rows), places, states, costs, blocks, gradient, values)
         sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
         return blocks, gradient
@@ -247,8 +247,8 @@ def sweep_all(
     running = _threads(count - 1).map(part, range(1, count))
     blocks, gradient = part(0)
     for more, slope in running:
-        if system:
+        if whole:
             blocks += more
-        if sloping:
+        if with_gradient:
             gradient += slope
     return blocks, gradient

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_bloc
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import partition
-from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
 
 TIES = 2100
 """Two pieces of ties; the laser's is a third."""
@@ -43,6 +43,8 @@ def test_partitions_add_up_to_the_whole(layout: Layout) -> None:
     for cuts in [range(pieces + 1), *([0, k, pieces] for k in range(1, pieces))]:
         mine = [partition(rows, first, last) for first, last in pairwise(cuts)]
         parts = [reduce(part, *constants, x) for part in mine]
+        slopes = sum(reduce(part, *constants, x, GRADIENT).gradient for part in mine)
+        np.testing.assert_allclose(slopes, whole.gradient, rtol=1e-13, atol=1e-13 * scale(whole.gradient))
         for name in ("blocks", "gradient"):
             total = getattr(whole, name)
             summed = sum(getattr(part, name) for part in parts)

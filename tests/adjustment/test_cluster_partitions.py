@@ -30,7 +30,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.kernel import reduction
-from mgsgraph.kernel.sweep import COSTS, RESIDUALS, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, RESIDUALS, SYSTEM
 from mgsgraph.network import Network
 
 TIES = 2100
@@ -263,7 +263,7 @@ def test_constants_go_out_once_and_iterations_carry_the_orientation_alone() -> N
     assert len(sent) % 2 == 0
     assert {name for order in village.orders for name in order.changes} == set(CHANGING)
     for order in village.orders[inside[1] : inside[2]]:  # between two iterations
-        assert order.task in (SYSTEM, COSTS)
+        assert order.task in (SYSTEM, GRADIENT, COSTS)
         assert order.points is None
         assert not order.changes
         assert order.after is not None  # where the last sweep ended

@@ -128,7 +128,7 @@ class Bent:
     def linear(self, state: float, kept: "Curvature | None" = None) -> "Curvature":
         self.kept.append(kept is not None)
         curvature = kept.curvature if kept else 1.0 + 3.0 * self.bend * state**2
-        return Curvature(state + self.bend * state**3, curvature)
+        return Curvature(state + self.bend * state**3, curvature, kept is not None)
 
     def moved(self, state: float, step: float) -> float:
         return state + step
@@ -139,9 +139,10 @@ class Curvature(NamedTuple):
 
     gradient: float
     curvature: float
+    kept: bool = False
 
     def step(self, damping: float) -> float:
-        return -self.gradient / self.curvature
+        return -self.gradient / (self.curvature + damping)
 
     def slope(self, step: float) -> float:
         return -self.gradient * step
@@ -166,6 +167,39 @@ def test_a_kept_matrix_is_renewed_where_it_no_longer_fits(bend: float) -> None:
     if bend > 1.0:
         assert sum(not kept for kept in problem.kept) > 1
 
+
+class Flattening:
+    """10 atan x, on which the first steps go too far, and a weak y / 3, beside a cost that nothing changes."""
+
+    def __init__(self) -> None:
+        self.adjusts = True
+
+    def cost(self, state: np.ndarray, task: int) -> float:
+        return self.exact_cost(state)
+
+    def exact_cost(self, state: np.ndarray) -> float:
+        return 1e7 + 50.0 * float(np.arctan(state[0]) ** 2) + 0.045 * float((state[1] - 5.0) ** 2)
+
+    def linear(self, state: np.ndarray, kept: FactorEquations | None = None) -> FactorEquations:
+        slope = np.array([10.0 / (1.0 + state[0] ** 2), 0.3])
+        residual = np.array([10.0 * np.arctan(state[0]), 0.3 * (state[1] - 5.0)])
+        graph = gtsam.GaussianFactorGraph()
+        graph.push_back(gtsam.HessianFactor(0, np.diag(slope**2), -slope * residual, 0.0))
+        found = FactorEquations(graph, {0: np.ones(2)})
+        found.kept = kept is not None
+        return found
+
+    def moved(self, state: np.ndarray, step: gtsam.VectorValues) -> np.ndarray:
+        return np.asarray(state + step.at(0))
+
+
+def test_damping_is_eased_near_the_optimum_too() -> None:
+    """Steps that damping holds back promise little: it must go before they count as the last ones."""
+    outcome = levenberg_marquardt(Flattening(), np.array([30.0, 0.0]), SolverSettings(), lambda _: None)
+    assert outcome.history[-1].damping > 1e-12
+    assert outcome.converged
+    assert sum(not now.accepted for now in outcome.history) > 2
+    np.testing.assert_allclose(outcome.state, [0.0, 5.0], rtol=0.0, atol=0.05)
 
 
 def test_the_kernel_is_compiled_for_one_signature() -> None:

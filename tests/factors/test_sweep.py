@@ -18,7 +18,7 @@ from mgsgraph.adjustment.graph import lay_out, patterns
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.kernel import sweep
 from mgsgraph.kernel.rows import Rows
-from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -105,6 +105,19 @@ def test_a_warm_start_saves_steps_and_changes_nothing(seed: int) -> None:
     scaled = cold.gradient * system.sigmas
     np.testing.assert_allclose(warm.gradient * system.sigmas, scaled, rtol=0.0, atol=1e-6 * np.abs(scaled).max())
     assert system.reduce(x, near, COSTS).cost == warm.cost
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_gradient_alone_is_that_of_the_system(name: str) -> None:
+    system = of_layout(made(name).layout)
+    x = state(system)
+    whole, alone = system.reduce(x), system.reduce(x, task=GRADIENT)
+    assert alone.blocks is None
+    assert alone.serves(x, COSTS)
+    assert not alone.serves(x, SYSTEM)
+    assert alone.cost == whole.cost
+    for part in ("gradient", "points", "states"):
+        np.testing.assert_array_equal(getattr(alone, part), getattr(whole, part))
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])

@@ -52,7 +52,7 @@ class Order:
     token: str
     """Of the partition, unlike any other."""
     task: int
-    """COSTS, SYSTEM, COVARIANCES, RESIDUALS, HOLD or PLACES."""
+    """COSTS, GRADIENT, SYSTEM, COVARIANCES, RESIDUALS, HOLD or PLACES."""
     orientation: Array
     """(columns,) m and rad."""
     source: Source | None = None
