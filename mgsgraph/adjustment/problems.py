@@ -107,7 +107,7 @@ class BundleProblem:
         return last
 
     def cost(self, state: Array, task: int) -> float:
-        """Full cost."""
+        """Cost of all points and of the priors at a state (columns,); the sweep of `task` is kept for `linear`."""
         return self.graph.cost(self.at(state, task))
 
     def exact_cost(self, state: Array) -> float:
@@ -115,7 +115,7 @@ class BundleProblem:
         return self.graph.cost(self.graph.reduction(state, COSTS))
 
     def linear(self, state: Array, kept: ReducedEquations | None = None) -> ReducedEquations:
-        """Linear system."""
+        """Normal equations at a state (columns,), with the factor of `kept` where it is given."""
         return ReducedEquations(self.graph, self.at(state, SYSTEM if kept is None else GRADIENT), kept)
 
     def moved(self, state: Array, step: Array) -> Array:
@@ -130,11 +130,11 @@ class GraphProblem:
         self.graph, self._scales, self.adjusts = graph, scales, len(scales) > 0
 
     def cost(self, state: gtsam.Values, task: int) -> float:
-        """Full cost."""
+        """Cost of all factors at GTSAM values."""
         return float(self.graph.error(state))
 
     def exact_cost(self, state: gtsam.Values) -> float:
-        """Full cost."""
+        """Cost of all factors at GTSAM values."""
         return float(self.graph.error(state))
 
     def linear(self, state: gtsam.Values, kept: FactorEquations | None = None) -> FactorEquations:

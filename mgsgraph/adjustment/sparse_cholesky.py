@@ -23,8 +23,6 @@ _RELAXED = 0.1
 """Share of a front that may be zeros for the sake of a larger one: a few large fronts take less time than many."""
 _POORLY = 2.0**-24
 """Share of a diagonal that elimination must leave of it, or its variable counts as hardly determined (as in GTSAM)."""
-
-
 _WORTHWHILE = 2e10
 """Operations from which on threads of the BLAS are worth their company: between two products they go on waiting, and so
 take the processors from the sweeps."""

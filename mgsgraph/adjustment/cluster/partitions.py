@@ -194,7 +194,7 @@ class Partitions:
         return made
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
-        """(n, 3, 3) m^2."""
+        """Covariances (n, 3, 3) of the points in m^2, zero for known ones."""
         self._take(layout)
 
         def order(part: _Part) -> Order:
@@ -204,7 +204,7 @@ class Partitions:
         return joined(self._sweep(rows, order), 0)
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
-        """(t, 2)."""
+        """Residuals (t, 2) of all sights: image rays in pixels, ranges and heights in m."""
         self._take(layout)
 
         def order(part: _Part) -> Order:

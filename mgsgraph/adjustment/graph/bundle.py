@@ -98,11 +98,11 @@ class InProcess:
         return reduce(rows, layout.groups, layout.blocks.target, layout.model, orientation, task, begin)
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
-        """(n, 3, 3) m^2."""
+        """Covariances (n, 3, 3) of the points in m^2, zero for known ones."""
         return point_covariances(rows, layout.groups, layout.blocks.target, layout.model, orientation, joint, points)
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
-        """(t, 2)."""
+        """Residuals (t, 2) of all sights: image rays in pixels, ranges and heights in m."""
         return all_residuals(rows, layout.groups, layout.blocks.target, layout.model, orientation, points)
 
 
