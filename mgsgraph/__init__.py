@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mgsgraph.adjustment.adjust import Adjustment as Adjustment
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
-    from mgsgraph.adjustment.analysis.posterior import Pixel as Pixel
-    from mgsgraph.adjustment.analysis.posterior import Posterior as Posterior
-    from mgsgraph.adjustment.incremental.impact import Impact as Impact
-    from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
     from mgsgraph.adjustment.solution import Solution as Solution
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
+    from mgsgraph.analysis.posterior import Pixel as Pixel
+    from mgsgraph.analysis.posterior import Posterior as Posterior
     from mgsgraph.case.reading import Case as Case
     from mgsgraph.case.reading import adjust as adjust
     from mgsgraph.case.reading import read_case as read_case
@@ -32,6 +30,8 @@ if TYPE_CHECKING:
     from mgsgraph.fetch.fetch import fetch_images as fetch_images
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
+    from mgsgraph.incremental.impact import Impact as Impact
+    from mgsgraph.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
     from mgsgraph.matching.files import match_into as match_into
     from mgsgraph.matching.settings import MatchSettings as MatchSettings
     from mgsgraph.network import Network as Network
@@ -52,8 +52,8 @@ _HOME = {
     "export_solution": "mgsgraph.export.export",
     "ExchangeSetting": "mgsgraph.export.exchange_setting",
     "fetch_images": "mgsgraph.fetch.fetch",
-    "Impact": "mgsgraph.adjustment.incremental.impact",
-    "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
+    "Impact": "mgsgraph.incremental.impact",
+    "IncrementalAdjustment": "mgsgraph.incremental.incremental",
     "InputError": "mgsgraph.errors",
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
@@ -64,8 +64,8 @@ _HOME = {
     "Network": "mgsgraph.network",
     "orientation_profile": "mgsgraph.adjustment.solution",
     "OrientationPrior": "mgsgraph.geometry.orientation",
-    "Pixel": "mgsgraph.adjustment.analysis.posterior",
-    "Posterior": "mgsgraph.adjustment.analysis.posterior",
+    "Pixel": "mgsgraph.analysis.posterior",
+    "Posterior": "mgsgraph.analysis.posterior",
     "read_case": "mgsgraph.case.reading",
     "read_scene": "mgsgraph.case.scene",
     "read_solution": "mgsgraph.reports.archive",

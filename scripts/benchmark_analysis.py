@@ -26,12 +26,12 @@ from benchmark_table import machine, table
 from peer_problem import network
 
 from mgsgraph.adjustment.adjust import adjust_network, versions
-from mgsgraph.adjustment.analysis.components import components_of
-from mgsgraph.adjustment.analysis.linearised import at_solution
-from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
-from mgsgraph.adjustment.analysis.reliability import reliability
-from mgsgraph.adjustment.analysis.suspects import suspects
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.components import components_of
+from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.posterior import Pixel, Posterior
+from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.suspects import suspects
 from mgsgraph.network import Network
 from mgsgraph.reports.reliability import reliability_table
 

@@ -22,9 +22,9 @@ from benchmark_run import require_writable, write_text
 from benchmark_table import table
 
 from mgsgraph.adjustment.adjust import adjust_network, versions
-from mgsgraph.adjustment.incremental.closing import CLOSE, EXACT, closing
-from mgsgraph.adjustment.incremental.impact import Impact
-from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
+from mgsgraph.incremental.closing import CLOSE, EXACT, closing
+from mgsgraph.incremental.impact import Impact
+from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "incremental_cost.md"

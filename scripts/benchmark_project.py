@@ -22,9 +22,9 @@ from benchmark_run import require_writable, write_text
 from benchmark_table import machine, table
 
 from mgsgraph.adjustment.adjust import adjust_network, versions
-from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.schema import OrientationInput
 from mgsgraph.errors import SolverError
+from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project.project import Project, open_project

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
 from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.demo.truth import nees
 from mgsgraph.geometry import rotation

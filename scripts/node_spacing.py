@@ -15,14 +15,14 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.spacing.choice import Choice, choose_spacing
-from mgsgraph.adjustment.spacing.course import course
-from mgsgraph.adjustment.spacing.densify import densify
-from mgsgraph.adjustment.spacing.held_out import hold_out, misfits, whitening
-from mgsgraph.adjustment.spacing.respaced import respaced
-from mgsgraph.adjustment.spacing.spectrum import Peak, spectra
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Jitter
+from mgsgraph.spacing.choice import Choice, choose_spacing
+from mgsgraph.spacing.course import course
+from mgsgraph.spacing.densify import densify
+from mgsgraph.spacing.held_out import hold_out, misfits, whitening
+from mgsgraph.spacing.respaced import respaced
+from mgsgraph.spacing.spectrum import Peak, spectra
 from mgsgraph.units import MGON
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "node_spacing.md"

@@ -8,8 +8,8 @@ import published
 from published import Scatter, Sigmas
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.merit import point_statistics
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import point_statistics
 from mgsgraph.case.reading import Case
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.stats import binom, norm
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.measures import MeasureKind
-from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.measures import MeasureKind
+from mgsgraph.analysis.reliability import Reliability, reliability
 from mgsgraph.network import Network
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))

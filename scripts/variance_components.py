@@ -17,11 +17,11 @@ import numpy as np
 from scipy.stats import binom, chi2, kstest
 
 from mgsgraph.adjustment.adjust import adjust_network, versions
-from mgsgraph.adjustment.analysis.components import Components, Judgement, components_of, honest_sigmas
-from mgsgraph.adjustment.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.adjustment.analysis.honesty import ALPHA, chi_square_test, residual_statistics
-from mgsgraph.adjustment.analysis.linearised import at_solution
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.components import Components, Judgement, components_of, honest_sigmas
+from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
+from mgsgraph.analysis.honesty import ALPHA, chi_square_test, residual_statistics
+from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.dem.dem import adjusted_scene
 from mgsgraph.dem.map import MapGrid

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.impact import Impact
-from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.incremental.impact import Impact
+from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, Unknown, without_images

@@ -8,15 +8,15 @@ import numpy as np
 from increments import NOISE, network_of, strip
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.planning.candidates import Candidate, PlannedTies, planned_image
-from mgsgraph.adjustment.planning.scene import Scene
-from mgsgraph.adjustment.planning.standing import Standing, standing_of
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage, joined
+from mgsgraph.planning.candidates import Candidate, PlannedTies, planned_image
+from mgsgraph.planning.scene import Scene
+from mgsgraph.planning.standing import Standing, standing_of
 from mgsgraph.simulation.strip import SimulatedStrip
 
 SMALL = 0.02

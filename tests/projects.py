@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from networks import network, pair, with_shift_and_surface
 
-from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared, Store
+from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared, Store
 from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage, Members, Unknown, bundles, part
 from mgsgraph.project.project import open_project

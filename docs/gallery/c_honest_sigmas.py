@@ -8,7 +8,7 @@ The tie points of this pair scatter by one pixel, but we state two. Do the resid
 from dataclasses import replace
 
 from mgsgraph import Adjustment, KnownImage
-from mgsgraph.adjustment.analysis.components import components_of
+from mgsgraph.analysis.components import components_of
 from mgsgraph.network.observations import observed
 from mgsgraph.simulation.pair import simulate_pair
 
@@ -22,7 +22,7 @@ print(components_of(solution).words())
 # %%
 # The same in one picture for each group: normalised residuals against the law that they should follow. Where sigmas are
 # too large they lie flatter than the line.
-from mgsgraph.adjustment.analysis.honesty import residual_statistics
+from mgsgraph.analysis.honesty import residual_statistics
 from mgsgraph.figures.quantiles import quantile_sheet
 
 quantiles = quantile_sheet(residual_statistics(solution), solution.name)

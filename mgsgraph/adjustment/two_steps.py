@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.forward import RaysAlone
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.passes import Progress, Selection, everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.forward import RaysAlone
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network

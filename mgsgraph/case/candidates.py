@@ -11,16 +11,6 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.planning.candidates import (
-    Candidate,
-    PlannedShots,
-    PlannedTies,
-    planned_control,
-    planned_image,
-    planned_profile,
-)
-from mgsgraph.adjustment.planning.scene import Scene
-from mgsgraph.adjustment.planning.standing import Standing
 from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.case.images import read_image
 from mgsgraph.case.reading import read_shots
@@ -32,6 +22,16 @@ from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network.parts import KnownImage
+from mgsgraph.planning.candidates import (
+    Candidate,
+    PlannedShots,
+    PlannedTies,
+    planned_control,
+    planned_image,
+    planned_profile,
+)
+from mgsgraph.planning.scene import Scene
+from mgsgraph.planning.standing import Standing
 from mgsgraph.registration.footprints import footprints_in_images
 from mgsgraph.units import DEG
 

@@ -82,8 +82,8 @@ def analyze(
 
     Exit status: 0, also where tests fail; 2 bad input.
     """
-    from mgsgraph.adjustment.analysis.levels import Levels
-    from mgsgraph.adjustment.analysis.posterior import Pixel
+    from mgsgraph.analysis.levels import Levels
+    from mgsgraph.analysis.posterior import Pixel
     from mgsgraph.output.folders import ANALYSIS, require_replaceable
     from mgsgraph.project.standing import read_posterior
     from mgsgraph.reports.analysis import Wanted, analysed, require_used, write_analysis

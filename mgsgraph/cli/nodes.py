@@ -32,12 +32,12 @@ def nodes(
 
     Exit status: 0, whatever is found; 2 bad input.
     """
-    from mgsgraph.adjustment.spacing.study import study_nodes
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.output.folders import NODES, require_replaceable
     from mgsgraph.reports.analysis import require_used
     from mgsgraph.reports.spacing import node_statements, seconds_of, spacing_table, write_nodes
+    from mgsgraph.spacing.study import study_nodes
 
     require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
     wanted = seconds_of(spacings)

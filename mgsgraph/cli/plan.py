@@ -29,10 +29,10 @@ def plan(
 
     Exit status: 0, also where nothing is worth anything; 2 bad input.
     """
-    from mgsgraph.adjustment.planning.plan import plan as make
     from mgsgraph.case.candidates import read_candidates
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.output.folders import PLAN, require_replaceable
+    from mgsgraph.planning.plan import plan as make
     from mgsgraph.project.standing import read_standing
     from mgsgraph.reports.plan import plan_table, statements, write_plan
 

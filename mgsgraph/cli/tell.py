@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.incremental.closing import Closing
-    from mgsgraph.adjustment.incremental.impact import Impact
+    from mgsgraph.incremental.closing import Closing
+    from mgsgraph.incremental.impact import Impact
 
 
 def tell(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:

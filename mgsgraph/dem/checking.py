@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.posterior import Posterior
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_mola, read_shots
 from mgsgraph.case.schema import CaseInput, MolaInput
 from mgsgraph.dem.gridding import HeightGrid

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.scene import read_scene
 from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.dem.checking import check_profiles

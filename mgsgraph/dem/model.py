@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.posterior import Posterior
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.dem.checking import CheckProfile, HeightChecks, checked, root_mean_square
 from mgsgraph.dem.gridding import HeightGrid, gridded
 from mgsgraph.dem.map import MapGrid

@@ -203,8 +203,8 @@ def _asp(solution: Solution, folder: Path, settings: ExportSettings) -> _Written
 
 
 def _gis(solution: Solution, folder: Path, settings: ExportSettings) -> _Written:
-    from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
-    from mgsgraph.adjustment.analysis.posterior import Posterior
+    from mgsgraph.analysis.overlap_sigmas import sigma_grid
+    from mgsgraph.analysis.posterior import Posterior
     from mgsgraph.export.gis import write_gis
 
     grid = sigma_grid(Posterior.of(solution)) if settings.raster else None

@@ -16,8 +16,8 @@ from types import ModuleType
 import numpy as np
 import shapely
 
-from mgsgraph.adjustment.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
 from mgsgraph.io.fresh_file import fresh_file

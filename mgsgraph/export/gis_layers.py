@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.merit import (
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import (
     adjusted_points,
     local_sigmas,
     ray_statistics,
     rejected_points,
     used_ray_counts,
 )
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.export.gis_shapes import Shapes, map_lines, map_points, map_polygon, map_polygons
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.footprint import Footprint, areas

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.merit import rejected_points
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import rejected_points
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
 from mgsgraph.export.lidar_out import lidar_text

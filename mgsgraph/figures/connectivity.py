@@ -9,8 +9,8 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mgsgraph.adjustment.analysis.merit import solution_connectivity
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import solution_connectivity
 from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.ground_map import frame
 from mgsgraph.figures.sheet import (

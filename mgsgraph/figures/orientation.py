@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mgsgraph.adjustment.analysis.strip_corrections import node_times, strip_course
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
+from mgsgraph.analysis.strip_corrections import node_times, strip_course
 from mgsgraph.figures.sheet import (
     AFTER,
     INK,

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
-from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.figures.closeups import closeup_sheets
 from mgsgraph.figures.connectivity import connectivity_sheet

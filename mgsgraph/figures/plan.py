@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mgsgraph.adjustment.planning.plan import Judged, Plan
 from mgsgraph.figures.sheet import (
     AFTER,
     BEFORE,
@@ -24,6 +23,7 @@ from mgsgraph.figures.sheet import (
     short,
     words,
 )
+from mgsgraph.planning.plan import Judged, Plan
 
 _MOST = 20
 """Candidates that are drawn."""

@@ -10,10 +10,6 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
-from mgsgraph.adjustment.spacing.choice import Choice
-from mgsgraph.adjustment.spacing.course import Course
-from mgsgraph.adjustment.spacing.spectrum import FALSE_ALARMS, Spectrum
-from mgsgraph.adjustment.spacing.study import NodeStudy, StripSpectra
 from mgsgraph.figures.sheet import (
     AFTER,
     BEFORE,
@@ -31,6 +27,10 @@ from mgsgraph.figures.sheet import (
     short,
     words,
 )
+from mgsgraph.spacing.choice import Choice
+from mgsgraph.spacing.course import Course
+from mgsgraph.spacing.spectrum import FALSE_ALARMS, Spectrum
+from mgsgraph.spacing.study import NodeStudy, StripSpectra
 from mgsgraph.units import ARCSEC, MGON
 
 _GREEN = "#009E73"

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.state import ImagesByName
 from mgsgraph.case.images import read_images
 from mgsgraph.case.reading import picture_of, read_case, read_shots
 from mgsgraph.case.schema import ImageInput, decode
@@ -16,6 +15,7 @@ from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Mask
+from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.closing import Closing
-from mgsgraph.adjustment.incremental.impact import Impact
-from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
-from mgsgraph.adjustment.incremental.rebundling import require_one_body, with_addition, without
-from mgsgraph.adjustment.incremental.state import Bundle
 from mgsgraph.adjustment.passes import Progress
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
+from mgsgraph.incremental.closing import Closing
+from mgsgraph.incremental.impact import Impact
+from mgsgraph.incremental.incremental import IncrementalAdjustment
+from mgsgraph.incremental.rebundling import require_one_body, with_addition, without
+from mgsgraph.incremental.state import Bundle
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.project.addition import Addition, NewImage

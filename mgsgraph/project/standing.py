@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.linearised import at_values
-from mgsgraph.adjustment.analysis.posterior import Posterior
-from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
-from mgsgraph.adjustment.planning.standing import Standing, standing, standing_of
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import at_values
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
+from mgsgraph.planning.standing import Standing, standing, standing_of
 from mgsgraph.project.change import is_solved
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import Project, open_project

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared
 from mgsgraph.network import Network, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
 from mgsgraph.project.rows import (
@@ -41,7 +41,7 @@ _SHARED = ("prior", "motion", "ground", "value", "covariance")
 
 
 class ProjectStore:
-    """Implements `mgsgraph.adjustment.incremental.state.Store`.
+    """Implements `mgsgraph.incremental.state.Store`.
 
     Images and terrain grids are read once and kept: what comes back twice is the same object.
     """

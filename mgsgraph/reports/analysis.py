@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.components import Components, components_of, honest_sigmas
-from mgsgraph.adjustment.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
-from mgsgraph.adjustment.analysis.levels import Levels
-from mgsgraph.adjustment.analysis.posterior import Posterior
-from mgsgraph.adjustment.analysis.reliability import Reliability, reliability
-from mgsgraph.adjustment.analysis.snooping import snoop
-from mgsgraph.adjustment.analysis.suspects import suspects
-from mgsgraph.adjustment.analysis.weak import weakest
+from mgsgraph.analysis.components import Components, components_of, honest_sigmas
+from mgsgraph.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
+from mgsgraph.analysis.levels import Levels
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.reliability import Reliability, reliability
+from mgsgraph.analysis.snooping import snoop
+from mgsgraph.analysis.suspects import suspects
+from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import write_json

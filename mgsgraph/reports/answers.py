@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.answers import (
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.analysis.answers import (
     Difference,
     ErrorEllipsoid,
     Estimate,
@@ -14,9 +15,8 @@ from mgsgraph.adjustment.analysis.answers import (
     PlaceEstimate,
     PoseEstimate,
 )
-from mgsgraph.adjustment.analysis.posterior import Pixel, Posterior
-from mgsgraph.adjustment.analysis.quantity import Quantity
-from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.analysis.posterior import Pixel, Posterior
+from mgsgraph.analysis.quantity import Quantity
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array

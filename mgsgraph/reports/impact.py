@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.errors import InputError
+from mgsgraph.incremental.impact import Impact
 from mgsgraph.io.fresh_file import beside, fresh_file
 from mgsgraph.output.table import Column, Table
 

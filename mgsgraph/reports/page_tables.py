@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.merit import (
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import (
     PLACES,
     range_statistics,
 )
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Index
 from mgsgraph.output.csv_json import picked
 from mgsgraph.output.table import Column, Table, cut

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.planning.plan import Judged, Plan
-from mgsgraph.adjustment.planning.targets import Sigmas
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PLAN, PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table
+from mgsgraph.planning.plan import Judged, Plan
+from mgsgraph.planning.targets import Sigmas
 from mgsgraph.units import KM
 from mgsgraph.wording import many
 

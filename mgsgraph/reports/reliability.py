@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.reliability import Reliability
-from mgsgraph.adjustment.analysis.snooping import Snooping
-from mgsgraph.adjustment.analysis.suspects import Suspect
+from mgsgraph.analysis.reliability import Reliability
+from mgsgraph.analysis.snooping import Snooping
+from mgsgraph.analysis.suspects import Suspect
 from mgsgraph.output.csv_json import picked
 from mgsgraph.output.table import Column, Table
 from mgsgraph.units import MRAD

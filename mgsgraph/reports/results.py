@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.merit import (
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import (
     ORIENTATION,
     PLACES,
     RayStatistics,
@@ -17,7 +18,6 @@ from mgsgraph.adjustment.analysis.merit import (
     ray_statistics,
     solution_connectivity,
 )
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_json
 from mgsgraph.network.records import PointClass

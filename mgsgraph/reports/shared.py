@@ -6,8 +6,8 @@
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.shared_unknowns import SharedEstimate, shared_estimates
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.shared_unknowns import SharedEstimate, shared_estimates
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.table import Column, Table
 from mgsgraph.wording import some

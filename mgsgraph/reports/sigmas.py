@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
-from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.io.fresh_file import fresh_file
 from mgsgraph.output.folders import PROGRAM

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.spacing.choice import Choice
-from mgsgraph.adjustment.spacing.course import AXES
-from mgsgraph.adjustment.spacing.densify import Densified
-from mgsgraph.adjustment.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
-from mgsgraph.adjustment.spacing.study import NodeStudy
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import NODES, PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table
+from mgsgraph.spacing.choice import Choice
+from mgsgraph.spacing.course import AXES
+from mgsgraph.spacing.densify import Densified
+from mgsgraph.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
+from mgsgraph.spacing.study import NodeStudy
 from mgsgraph.units import ARCSEC, MGON
 from mgsgraph.wording import many, some
 

@@ -5,7 +5,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.merit import (
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import (
     PLACES,
     RayStatistics,
     laser_gain,
@@ -15,7 +16,6 @@ from mgsgraph.adjustment.analysis.merit import (
     solution_connectivity,
     used_ray_counts,
 )
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import Connectivity

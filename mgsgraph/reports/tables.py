@@ -7,7 +7,8 @@ latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights
 
 import numpy as np
 
-from mgsgraph.adjustment.analysis.merit import (
+from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.analysis.merit import (
     PLACES,
     local_sigmas,
     orientation_statistics,
@@ -16,7 +17,6 @@ from mgsgraph.adjustment.analysis.merit import (
     rejected_points,
     used_ray_counts,
 )
-from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass

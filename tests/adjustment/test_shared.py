@@ -11,11 +11,11 @@ from sharing import block, camera_clock, drawn, shared, with_all_kinds
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster import open_cluster
 from mgsgraph.adjustment.graph import lay_out
-from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
+from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network, SharedKind
 from mgsgraph.network.parts import bundles, joined
 from mgsgraph.network.shared import ground_shift, image_effect

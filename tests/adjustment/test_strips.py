@@ -8,16 +8,16 @@ import pytest
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.grouping import group_rows, scaled
-from mgsgraph.adjustment.analysis.helmert import group_redundancy
-from mgsgraph.adjustment.analysis.linearised import at_solution
-from mgsgraph.adjustment.analysis.measures import MeasureKind
-from mgsgraph.adjustment.analysis.posterior import Posterior
-from mgsgraph.adjustment.analysis.reliability import reliability
-from mgsgraph.adjustment.analysis.weak import spectrum, weak_directions
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import orientation_profile
+from mgsgraph.analysis.grouping import group_rows, scaled
+from mgsgraph.analysis.helmert import group_redundancy
+from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.measures import MeasureKind
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.weak import spectrum, weak_directions
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior

@@ -8,8 +8,6 @@ import pytest
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.flight_sigmas import flight_axes_at, pose_sigmas
-from mgsgraph.adjustment.analysis.forward import RaysAlone, prior_covariance
 from mgsgraph.adjustment.datum.frames import flight_axes, flight_frame
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.passes import everything
@@ -24,6 +22,8 @@ from mgsgraph.adjustment.two_steps import (
     without_heights,
     without_terrain,
 )
+from mgsgraph.analysis.flight_sigmas import flight_axes_at, pose_sigmas
+from mgsgraph.analysis.forward import RaysAlone, prior_covariance
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior

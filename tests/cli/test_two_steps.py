@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from commands import run
 
-from mgsgraph.adjustment.analysis import step_merit
+from mgsgraph.analysis import step_merit
 from mgsgraph.cli import group
 from mgsgraph.units import DEG
 

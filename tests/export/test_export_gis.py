@@ -15,11 +15,11 @@ from gis_files import LAYERS, ODD, by_gdal, degrees, layer, level_axes, odd_solu
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.merit import rejected_points
-from mgsgraph.adjustment.analysis.overlap_sigmas import sigma_grid
-from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import rejected_points
+from mgsgraph.analysis.overlap_sigmas import sigma_grid
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis import write_gis
 from mgsgraph.geometry.body import Ellipsoid, geodetic, intersect_ellipsoid

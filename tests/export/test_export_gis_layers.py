@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from mgsgraph.adjustment.analysis.merit import adjusted_points
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import adjusted_points
 from mgsgraph.export.gis import write_gis
 from mgsgraph.export.gis_layers import exaggeration
 from mgsgraph.geometry.body import from_planetocentric, geodetic

@@ -11,9 +11,9 @@ import pytest
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.merit import local_sigmas
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.analysis.merit import local_sigmas
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_orientation import (

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from projects import ODD, StopHere, bundle_of, change, contents, differences, four_images, images
 
-from mgsgraph.adjustment.incremental.state import Bundle, InMemory
+from mgsgraph.incremental.state import Bundle, InMemory
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Members, bundles, joined, part, with_images
 from mgsgraph.project.project import Project, open_project

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import mgsgraph
-from mgsgraph.adjustment.analysis.merit import solution_connectivity
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.merit import solution_connectivity
 from mgsgraph.figures.connectivity import (
     _keep_off_others,
     connectivity_sheet,

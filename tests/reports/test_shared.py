@@ -12,10 +12,10 @@ from networks import network, pair, with_shift_and_surface
 from sharing import block, camera_clock, drawn, shared, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.shared_unknowns import pitch_axis, shared_estimates
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.shared_unknowns import pitch_axis, shared_estimates
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
 from mgsgraph.registration.measured import registration_offsets

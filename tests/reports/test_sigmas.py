@@ -10,9 +10,9 @@ from full_disk import files_of_at_most
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.analysis.overlap_sigmas import BANDS, SigmaGrid
-from mgsgraph.adjustment.analysis.posterior import Posterior
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.reports.answers import Questions, answered

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.spacing.study import NodeStudy, study_nodes
 from mgsgraph.figures.sheet import plain_style
 from mgsgraph.figures.spacing import course_sheet, spacing_sheet, spectrum_sheet
 from mgsgraph.reports.spacing import node_statements, nodes_json, spacing_table, write_nodes
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_points import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
+from mgsgraph.spacing.study import NodeStudy, study_nodes
 from mgsgraph.units import MGON
 
 

@@ -21,7 +21,7 @@ import montecarlo_page  # noqa: E402
 from redraw import Draw, redraw  # noqa: E402
 
 from mgsgraph.adjustment.adjust import adjust_network  # noqa: E402
-from mgsgraph.adjustment.analysis.posterior import Posterior  # noqa: E402
+from mgsgraph.analysis.posterior import Posterior  # noqa: E402
 from mgsgraph.errors import InputError  # noqa: E402
 from mgsgraph.geometry.orientation import OrientationCorrection  # noqa: E402
 

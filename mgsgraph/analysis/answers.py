@@ -1,0 +1,292 @@
+"""Answers of the posterior: places, differences, poses, pixels, each with its covariance and its local frame."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
+from mgsgraph.analysis.quantity import correlation
+from mgsgraph.geometry.body import east_north_up, planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.notebook import card
+from mgsgraph.units import DEG, MRAD
+
+
+def _roots(covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.diagonal(covariance), 0.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """m numbers with their joint covariance, for sigma0 = 1."""
+
+    names: tuple[str, ...]
+    """(m,) what they are."""
+    units: tuple[str, ...]
+    """(m,)"""
+    values: Array
+    """(m,)"""
+    covariance: Array
+    """(m, m) in the product of the units."""
+
+    @property
+    def sigmas(self) -> Array:
+        """(m,) standard deviations."""
+        return _roots(self.covariance)
+
+    @property
+    def correlation(self) -> Array:
+        """(m, m) correlation matrix; NaN where there is no variance."""
+        return correlation(self.covariance)
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        rows = [("", "value", "sigma", "unit")]
+        rows += [
+            (name, f"{value:.9g}", f"{sigma:.4g}", unit)
+            for name, value, sigma, unit in zip(self.names, self.values, self.sigmas, self.units, strict=True)
+        ]
+        return card(repr(self), (), rows, head=1)
+
+    def __repr__(self) -> str:
+        return f"Estimate({', '.join(self.names)})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorEllipsoid:
+    """Surface within which the truth lies with a probability, in the local frame east, north, up."""
+
+    probability: float
+    """Of the truth inside it."""
+    semi_axes: Array
+    """(3,) m, longest first."""
+    directions: Array
+    """(3, 3) rows: unit vectors of the axes, east, north, up; upward or level."""
+
+    @property
+    def azimuths(self) -> Array:
+        """(3,) rad, from north over east."""
+        return np.asarray(np.arctan2(self.directions[:, 0], self.directions[:, 1]) % (2.0 * np.pi))
+
+    @property
+    def elevations(self) -> Array:
+        """(3,) rad, above the level."""
+        return np.asarray(np.arcsin(np.clip(self.directions[:, 2], -1.0, 1.0)))
+
+
+def chi_square_radius(probability: float, dimension: int) -> float:
+    """Sigmas from the centre within which a normal vector lies with a probability."""
+    from scipy.stats import chi2  # slow to import
+
+    return math.sqrt(float(chi2.ppf(probability, dimension)))
+
+
+def error_ellipsoid(covariance: Array, probability: float) -> ErrorEllipsoid:
+    """Error ellipsoid of a covariance (3, 3) in east, north, up; m."""
+    values, vectors = np.linalg.eigh(covariance)
+    directions = vectors.T[::-1]
+    directions = directions * np.where(directions[:, [2]] < 0.0, -1.0, 1.0)
+    radius = chi_square_radius(probability, 3)
+    return ErrorEllipsoid(probability, radius * np.sqrt(np.maximum(values[::-1], 0.0)), directions)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceEstimate:
+    """A ground place."""
+
+    name: str
+    """Of the point."""
+    place: Array
+    """(3,) m, body-fixed."""
+    covariance: Array
+    """(3, 3) m^2, body-fixed, for sigma0 = 1."""
+    misfit: float | None = None
+    """Of a new intersection: by how many sigmas its rays miss each other."""
+
+    @property
+    def sigmas(self) -> Array:
+        """(3,) m in X, Y, Z."""
+        return _roots(self.covariance)
+
+    @property
+    def east_north_up(self) -> Array:
+        """(3, 3) m^2, covariance in the local frame."""
+        frame = east_north_up(self.place[None])[0]
+        return np.asarray(frame @ self.covariance @ frame.T)
+
+    def ellipsoid(self, probability: float = 0.95) -> ErrorEllipsoid:
+        """Error ellipsoid in the local frame."""
+        return error_ellipsoid(self.east_north_up, probability)
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        east, north, up = _roots(self.east_north_up)
+        longitude, latitude, radius = planetocentric(self.place)
+        rows = [
+            ("longitude, latitude", "radius", "sigma east", "north", "up"),
+            ("deg", "m", "m", "m", "m"),
+            (f"{longitude / DEG % 360.0:.6f}, {latitude / DEG:.6f}", f"{radius:.3f}", f"{east:.3g}", f"{north:.3g}",
+             f"{up:.3g}"),
+        ]  # fmt: skip
+        return card(repr(self), (), rows, head=2)
+
+    def __repr__(self) -> str:
+        east, north, up = _roots(self.east_north_up)
+        return f"PlaceEstimate({self.name!r}, sigma east {east:.3g} m, north {north:.3g} m, up {up:.3g} m)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Difference:
+    """From one point to another; what the two share cancels."""
+
+    first: str
+    """Name of the point it begins at."""
+    second: str
+    """Name of the point it ends at."""
+    begin: Array
+    """(3,) m, body-fixed."""
+    end: Array
+    """(3,) m, body-fixed."""
+    joint: Array
+    """(6, 6) m^2, of both places, for sigma0 = 1."""
+
+    @property
+    def vector(self) -> Array:
+        """(3,) m, body-fixed."""
+        return self.end - self.begin
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3) m^2 of the vector, body-fixed."""
+        jacobian = np.hstack([-np.eye(3), np.eye(3)])
+        return np.asarray(jacobian @ self.joint @ jacobian.T)
+
+    @property
+    def east_north_up(self) -> Array:
+        """(3, 3) m^2, covariance of the vector in the frame of the place half-way."""
+        frame = east_north_up(0.5 * (self.begin + self.end)[None])[0]
+        return np.asarray(frame @ self.covariance @ frame.T)
+
+    @property
+    def height(self) -> float:
+        """m, radius of the second point minus that of the first."""
+        return float(np.linalg.norm(self.end) - np.linalg.norm(self.begin))
+
+    @property
+    def height_sigma(self) -> float:
+        """m, its standard deviation, each height along its own vertical."""
+        jacobian = np.concatenate([-self.begin / np.linalg.norm(self.begin), self.end / np.linalg.norm(self.end)])
+        return math.sqrt(max(float(jacobian @ self.joint @ jacobian), 0.0))
+
+    @property
+    def height_sigma_if_independent(self) -> float:
+        """m, what it would be if nothing were shared by the two points."""
+        ups = self.begin / np.linalg.norm(self.begin), self.end / np.linalg.norm(self.end)
+        blocks = self.joint[:3, :3], self.joint[3:, 3:]
+        return math.sqrt(sum(float(up @ block @ up) for up, block in zip(ups, blocks, strict=True)))
+
+    @property
+    def distance(self) -> float:
+        """Length of the vector, m."""
+        return float(np.linalg.norm(self.vector))
+
+    @property
+    def distance_sigma(self) -> float:
+        """Its standard deviation, m."""
+        if self.distance == 0.0:
+            return math.sqrt(float(np.linalg.eigvalsh(self.covariance)[-1]))
+        along = self.vector / self.distance
+        return math.sqrt(max(float(along @ self.covariance @ along), 0.0))
+
+    @property
+    def chance(self) -> float:
+        """Probability of a height difference of this size or more if there were none (two-sided)."""
+        if self.height_sigma == 0.0:
+            return 0.0 if self.height else 1.0
+        return math.erfc(abs(self.height) / self.height_sigma / math.sqrt(2.0))
+
+    @property
+    def sentence(self) -> str:
+        """Whether the height difference is real, in words."""
+        ratio = abs(self.height) / self.height_sigma if self.height_sigma else math.inf
+        verdict = "is real" if self.chance < 0.01 else "may be chance" if self.chance > 0.05 else "is probably real"
+        return (
+            f"{self.second} lies {abs(self.height):.3g} m {'above' if self.height >= 0.0 else 'below'} {self.first}, "
+            f"sigma {self.height_sigma:.3g} m ({self.height_sigma_if_independent:.3g} m if their errors were "
+            f"independent): {ratio:.1f} sigma, the difference {verdict} (chance {self.chance:.2g})"
+        )
+
+    def __repr__(self) -> str:
+        return f"Difference({self.sentence})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEstimate:
+    """Exterior orientation of an image at a line."""
+
+    image: str
+    """Name of the image."""
+    line: float
+    """Line coordinate."""
+    position: Array
+    """(3,) m, body-fixed."""
+    velocity: Array
+    """(3,) m per line, body-fixed."""
+    matrix: Array
+    """(3, 3) body-fixed to camera frame."""
+    covariance: Array
+    """(6, 6) of the position along the body-fixed axes (m) and of a small rotation about the camera's axes (rad)."""
+
+    @property
+    def flight_turn(self) -> Array:
+        """(6, 6) from X, Y, Z and rotations about the camera's axes to the flight's: along, across (left), radial;
+        roll, pitch, yaw.
+        """
+        axes = flight_axes(self.position, self.velocity)
+        turn = np.zeros((6, 6))
+        turn[:3, :3], turn[3:, 3:] = axes, camera_axes(self.matrix @ axes[0])
+        return turn
+
+    @property
+    def flight(self) -> Array:
+        """(6, 6) covariance in the terms of the flight, m and rad."""
+        return np.asarray(self.flight_turn @ self.covariance @ self.flight_turn.T)
+
+    @property
+    def sigmas(self) -> Array:
+        """(6,) m and rad: along, across, radial, roll, pitch, yaw."""
+        return _roots(self.flight)
+
+    def __repr__(self) -> str:
+        along, across, radial, roll, pitch, yaw = self.sigmas
+        return (
+            f"PoseEstimate({self.image!r}, line {self.line:g}, sigma along {along:.3g} m, across {across:.3g} m, "
+            f"radial {radial:.3g} m; roll {roll / MRAD:.3g}, pitch {pitch / MRAD:.3g}, yaw {yaw / MRAD:.3g} mrad)"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelEstimate:
+    """Where a ground point falls in an image."""
+
+    point: str
+    """Name of the point."""
+    image: str
+    """Name of the image."""
+    place: Array
+    """(2,) line, sample."""
+    covariance: Array
+    """(2, 2) px^2, for sigma0 = 1; without the noise of a measure."""
+
+    @property
+    def sigmas(self) -> Array:
+        """(2,) px, line and sample."""
+        return _roots(self.covariance)
+
+    def __repr__(self) -> str:
+        line, sample = self.sigmas
+        return (
+            f"PixelEstimate(point {self.point!r} in image {self.image!r}: line {self.place[0]:.2f} sigma "
+            f"{line:.3g} px, sample {self.place[1]:.2f} sigma {sample:.3g} px)"
+        )

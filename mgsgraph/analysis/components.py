@@ -1,0 +1,379 @@
+"""Are the sigmas honest? Variance components: by what factor the sigmas of each group of rows are wrong, and how sure
+one can be of it.
+
+components = mgsgraph.analysis.components.components_of(solution)
+print(components.words())
+honest = honest_sigmas(network, settings)  # scaled and adjusted again, until all factors are one
+
+A pass solves Helmert's equations S s = q (see `helmert`) for the variance factors s. They are unbiased, and repeated
+until s = 1 they give what Foerstner's simpler v'v / r leads to as well, in fewer passes; for normal errors that is the
+restricted maximum likelihood (Foerstner 1979, 1985). There the covariance of the factors is 2 S^-1.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.passes import Selection, everything
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.entanglement import TIGHT, entanglement, given, nearest
+from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
+from mgsgraph.analysis.helmert import DENSE, Redundancy, group_redundancy
+from mgsgraph.analysis.linearised import Linearised, at_solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network
+
+LEAST = 1.0
+"""Redundancy, and degrees of freedom of the estimate, below which a group can't be judged."""
+SURE = 0.99
+"""Probability that a verdict goes by: sigmas are called wrong when this interval leaves out 1."""
+_VAGUE = 0.15
+"""Relative sigma of a factor from which on a verdict says that little can be told."""
+_FAR = 0.25
+"""Logarithm of a factor from which on a single pass is but a first look."""
+_STEP = 4.0
+"""Largest factor of a sigma in one pass."""
+_FLOOR, _CEILING = 0.02, 500.0
+"""Factors in total at which a group is held: its sigma can't be told from zero, or from infinity."""
+_UNDAMPED = 8
+"""Passes after which only half the step is taken (in logarithms), should they go to and fro."""
+
+
+class Judgement(StrEnum):
+    """Whether a group has a factor, and if not, why."""
+
+    JUDGED = "judged"
+    FEW = "too little redundancy"
+    """Redundancy below `LEAST`."""
+    ENTANGLED = "can't be told apart from another group"
+    """The factor of another group takes up what its own has."""
+    LOST = "runs away to where nothing can be said"
+    """Judged with the stated sigmas, not with those that were found; kept as stated. Corrections that fit priors of any
+    small sigma end like this: the smaller it is, the less redundancy the priors have."""
+    ZERO = "goes to zero"
+    """Residuals so small that others' sigmas explain them; held."""
+    UNBOUNDED = "goes to infinity"
+    """Held."""
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """What the residuals say of the sigmas of one group."""
+
+    name: str
+    """Of the group."""
+    judgement: Judgement
+    """Whether what follows means anything."""
+    rows: int
+    """Number of rows, priors among them."""
+    redundancy: float
+    """Sum of their redundancy numbers."""
+    squares: float
+    """Sum of their squared whitened residuals."""
+    factor: float
+    """By which the stated sigmas have to be multiplied; NaN where it can't be judged, the factor held otherwise."""
+    degrees: float
+    """Degrees of freedom of its square, chi-square with which it is distributed like, nearly; NaN where not judged."""
+    beside: str = ""
+    """The group that it is most entangled with."""
+    correlation: float = math.nan
+    """Of the two groups' squared factors."""
+    given: str = ""
+    """Group that can't be judged for this one's sake, or whose sigmas, wrong by half, matter by half of `sigma`."""
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of `factor`."""
+        return self.factor / math.sqrt(2.0 * self.degrees) if self.degrees > 0.0 else math.nan
+
+    @property
+    def foerstner(self) -> float:
+        """Square root of squares over redundancy: the factor if all other groups' sigmas are right."""
+        return math.sqrt(self.squares / self.redundancy) if self.redundancy > 0.0 else math.nan
+
+    def interval(self, probability: float = SURE) -> tuple[float, float]:
+        """Within which the factor lies, by the chi-square distribution; NaN where it can't be judged."""
+        from scipy.stats import chi2  # slow to import
+
+        if self.judgement is not Judgement.JUDGED:
+            return math.nan, math.nan
+        low, high = chi2.ppf([0.5 - 0.5 * probability, 0.5 + 0.5 * probability], self.degrees)
+        return self.factor * math.sqrt(self.degrees / high), self.factor * math.sqrt(self.degrees / low)
+
+    def deviation(self, truth: float) -> float:
+        """How far from a true factor it is, as a standard normal deviate (Wilson & Hilferty 1931)."""
+        spread = 2.0 / (9.0 * self.degrees)
+        return (math.pow(self.factor / truth, 2.0 / 3.0) - 1.0 + spread) / math.sqrt(spread)
+
+    @property
+    def honest(self) -> bool | None:
+        """Whether the sigmas may be right; None where it can't be judged."""
+        if self.judgement is not Judgement.JUDGED:
+            return None
+        low, high = self.interval()
+        return low <= 1.0 <= high
+
+    @property
+    def entangled(self) -> bool:
+        """Whether another group may have taken what is its own: `sigma` holds near the estimate, not beyond."""
+        return abs(self.correlation) > TIGHT or bool(self.given)
+
+    def verdict(self) -> str:
+        """One sentence."""
+        return f"{self.name}: {_VERDICTS[self.judgement](self)}"
+
+
+def _judged(one: Component) -> str:
+    notes = [f"entangled with {one.beside}, correlation {one.correlation:.2f}"] if abs(one.correlation) > TIGHT else []
+    notes += [f"if the stated sigmas of {one.given} are right"] if one.given else []
+    return "; ".join([_plainly(one), *notes])
+
+
+def _plainly(one: Component) -> str:
+    low, high = one.interval()
+    if one.honest and one.sigma > _VAGUE * one.factor:
+        return (
+            f"nothing wrong to be seen, with little to see it by (factor {one.factor:.2g}, "
+            f"{low:.2g} to {high:.2g} with {100 * SURE:.0f}%)"
+        )
+    if one.honest:
+        return f"honest (factor {_with_sigma(one.factor, one.sigma)})"
+    if one.factor > 1.0:
+        return f"too optimistic, sigmas too small by a factor of {_with_sigma(one.factor, one.sigma)}"
+    inverse = 1.0 / one.factor
+    return f"too pessimistic, sigmas too large by a factor of {_with_sigma(inverse, one.sigma * inverse**2)}"
+
+
+def _entangled(one: Component) -> str:
+    if not abs(one.correlation) > TIGHT:
+        return f"too little of its {one.redundancy:.2g} redundancy is its own (most of it is shared with {one.beside})"
+    return f"can't be told apart from {one.beside} (correlation {one.correlation:.2f}); {one.redundancy:.2g} redundancy"
+
+
+_VERDICTS: dict[Judgement, Callable[[Component], str]] = {
+    Judgement.JUDGED: _judged,
+    Judgement.FEW: lambda one: f"can't be judged ({max(one.redundancy, 0.0):.1g} redundancy)",
+    Judgement.ENTANGLED: _entangled,
+    Judgement.LOST: lambda one: (
+        "can't be judged, the estimate runs away to sigmas of which nothing can be said; kept as stated"
+    ),
+    Judgement.ZERO: lambda one: (
+        f"residuals too small for any sigma, the errors of other groups explain them; held at factor {one.factor:.2g}"
+    ),
+    Judgement.UNBOUNDED: lambda one: f"residuals too large for any sigma; held at factor {one.factor:.3g}",
+}
+
+
+def _with_sigma(value: float, sigma: float) -> str:
+    """1.03 +- 0.08, the sigma with two digits."""
+    digits = max(0, 1 - math.floor(math.log10(sigma))) if 0.0 < sigma < 10.0 else 0
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Components:
+    """Variance components of all groups."""
+
+    groups: tuple[Component, ...]
+    """g of them."""
+    correlation: Array
+    """(g, g) of the squared factors; NaN for groups that aren't judged."""
+    helmert: Array
+    """(g, g) Helmert's matrix; its rows add up to the redundancies."""
+    exact: bool
+    """False where one term of it is an estimate with random signs, as for very many images."""
+    rough: bool = False
+    """True of a single pass that found factors far from one: they and their sigmas are a first look."""
+
+    def __getitem__(self, name: str) -> Component:
+        """One group by its name."""
+        for one in self.groups:
+            if one.name == name:
+                return one
+        names = ", ".join(one.name for one in self.groups)
+        raise InputError(f"variance component {name!r}", "no such group", f"one of {names}")
+
+    @property
+    def factors(self) -> Array:
+        """(g,) factors, 1 where there is none."""
+        found = np.array([one.factor for one in self.groups])
+        return np.where(np.isfinite(found), found, 1.0)
+
+    def words(self) -> str:
+        """A sentence for each group, and one on how it was done."""
+        how = "exact" if self.exact else "one term estimated with random signs, for there are many unknowns"
+        lines = [*(one.verdict() for one in self.groups), f"Helmert's matrix: {how}."]
+        if self.rough:
+            lines.append("A first look: some factors are so far from 1 that only repeating it makes all of them right.")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HonestSigmas:
+    """A network whose sigmas agree with its residuals."""
+
+    network: Network
+    """With the new sigmas."""
+    solution: Solution
+    """Its adjustment."""
+    components: Components
+    """Factors in total, new sigmas over stated ones."""
+    converged: bool
+    """Whether the last pass found all factors to be one."""
+    history: Array
+    """(passes, g) factors in total with which each pass was adjusted."""
+
+    def words(self) -> str:
+        """What came of it."""
+        passes = len(self.history)
+        end = f"Came to rest after {passes} passes." if self.converged else f"NOT at rest after {passes} passes."
+        return f"{self.components.words()}\n{end}"
+
+
+def components_of(
+    solution: Solution | Linearised, grouping: Grouping | None = None, dense: int = DENSE
+) -> Components:
+    """Variance components from one adjustment.
+
+    With factors far from one they are rough, and their sigmas too small where other groups' sigmas are too small:
+    `honest_sigmas` repeats them. After a robust loss or a blunder pass the largest residuals are missing, and
+    factors are too small.
+
+    Parameters
+    ----------
+    solution : Solution or Linearised
+    grouping : Grouping, optional
+        `group_rows` when absent.
+    dense : int
+        Shared unknowns up to which Helmert's matrix is exact.
+    """
+    at = solution if isinstance(solution, Linearised) else at_solution(solution)
+    found = group_redundancy(at, grouping or group_rows(at.network), dense)
+    judgements = _judgements(found, {})
+    squared = _squared_factors(found, judgements)
+    plain = found.squares / np.maximum(found.redundancy, 1e-300)
+    components = _components(found, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
+    far = [abs(math.log(one.factor)) > _FAR for one in components.groups if one.judgement is Judgement.JUDGED]
+    return replace(components, rough=any(far))
+
+
+def honest_sigmas(
+    network: Network,
+    settings: SolverSettings,
+    grouping: Grouping | None = None,
+    most: int = 25,
+    tolerance: float = 0.01,
+    dense: int = DENSE,
+) -> HonestSigmas:
+    """Scale the sigmas of each group, adjust again, and so on until all factors are one.
+
+    Rays and ranges that the network marks as rejected stay out, unless `settings.reject` judges all of them anew.
+    Groups that can't be judged, or not any more with the sigmas found for them, keep their sigmas; those whose factor
+    goes to zero or infinity are held near it.
+
+    Parameters
+    ----------
+    network : Network
+    settings : SolverSettings
+    grouping : Grouping, optional
+        `group_rows` when absent.
+    most : int
+        Passes.
+    tolerance : float
+        By which factors of the last pass may differ from one.
+    dense : int
+        Shared unknowns up to which Helmert's matrix is exact.
+
+    Raises what `adjust_network` raises.
+    """
+    if most < 1 or not tolerance > 0.0:
+        raise InputError("variance components", f"{most} passes, tolerance {tolerance}", "at least 1, above zero")
+    grouping = grouping or group_rows(network)
+    total, held, history = np.ones(len(grouping.names)), dict[int, Judgement](), list[Array]()
+    left_in = _unmarked(network) if settings.reject == 0.0 else None
+    while True:
+        present = scaled(network, grouping, total)
+        solution = adjust_network(present, settings, left_in=left_in)
+        history.append(total.copy())
+        found = group_redundancy(at_solution(solution), grouping, dense)
+        judgements = _judgements(found, held)
+        free = np.array([one is Judgement.JUDGED for one in judgements], dtype=bool)
+        step = np.where(free, np.sqrt(np.clip(_squared_factors(found, judgements), _STEP**-2, _STEP**2)), 1.0)
+        lost = [g for g in np.flatnonzero(~free & (total != 1.0)).tolist() if g not in held]
+        converged = bool(np.all(np.abs(step - 1.0) <= tolerance)) and not lost and solution.converged
+        if converged or len(history) == most:
+            break
+        total = total * (step if len(history) < _UNDAMPED else np.sqrt(step))
+        for g in np.flatnonzero(free & ((total <= _FLOOR) | (total >= _CEILING))).tolist():
+            held[g] = Judgement.ZERO if total[g] <= _FLOOR else Judgement.UNBOUNDED
+        total = np.clip(total, _FLOOR, _CEILING)
+        for g in lost:  # with its new sigmas nothing can be said of them: neither for them nor against the stated ones
+            held[g], total[g] = Judgement.LOST, 1.0
+    components = _components(found, judgements, total)
+    return HonestSigmas(present, solution, components, converged, np.array(history))
+
+
+def _unmarked(network: Network) -> Selection:
+    """All but known blunders, as `at_values` takes them."""
+    rays, ranges = network.rays.rejected, network.ranges.rejected
+    assert rays is not None  # a network fills them in
+    assert ranges is not None
+    return Selection(~rays, ~ranges, everything(network).out)
+
+
+def _judgements(found: Redundancy, held: dict[int, Judgement]) -> list[Judgement]:
+    """Of each group; those held are as they were."""
+    judgements = [Judgement.FEW if r < LEAST else Judgement.JUDGED for r in found.redundancy]
+    for g, judgement in held.items():
+        judgements[g] = judgement
+    while True:
+        judged = _judged_groups(judgements)
+        degrees = _degrees(found.helmert[np.ix_(judged, judged)])
+        if not degrees.size or degrees.min() >= LEAST:
+            return judgements
+        judgements[int(judged[np.argmin(degrees)])] = Judgement.ENTANGLED
+
+
+def _judged_groups(judgements: list[Judgement]) -> Index:
+    return np.flatnonzero([one is Judgement.JUDGED for one in judgements])
+
+
+def _degrees(helmert: Array) -> Array:
+    """Degrees of freedom of each squared factor, 2 over its variance; 0 where Helmert's matrix is singular."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(helmert), 1e-300))
+    values, vectors = np.linalg.eigh(helmert * scale[:, None] * scale)
+    inverse = (vectors**2) @ (1.0 / np.maximum(values, 1e-12))
+    return np.asarray(1.0 / (inverse * scale**2))
+
+
+def _squared_factors(found: Redundancy, judgements: list[Judgement]) -> Array:
+    """(g,) solution of Helmert's equations for the groups that are judged, the others' factors being one; NaN there."""
+    judged, squared = _judged_groups(judgements), np.full(len(judgements), np.nan)
+    excess = (found.squares - found.redundancy)[judged]
+    squared[judged] = 1.0 + np.linalg.solve(found.helmert[np.ix_(judged, judged)], excess)
+    return squared
+
+
+def _components(found: Redundancy, judgements: list[Judgement], factors: Array) -> Components:
+    size, judged = len(judgements), _judged_groups(judgements)
+    part = found.helmert[np.ix_(judged, judged)]
+    covariance, degrees = 2.0 * np.linalg.inv(part), np.full(size, np.nan)
+    degrees[judged] = _degrees(part)
+    correlation, scale = np.full((size, size), np.nan), 1.0 / np.sqrt(np.diag(covariance))
+    correlation[np.ix_(judged, judged)] = covariance * scale[:, None] * scale
+    groups = []
+    for g, judgement in enumerate(judgements):
+        numbers = found.names[g], judgement, int(found.counts[g]), float(found.redundancy[g]), float(found.squares[g])
+        lost = judgement in (Judgement.ENTANGLED, Judgement.LOST)
+        beside, shared = nearest(found, g) if lost else entanglement(found, judged, g)
+        depends = given(found, judged, g, degrees[g])
+        known = judgement in (Judgement.JUDGED, Judgement.ZERO, Judgement.UNBOUNDED)
+        factor = float(factors[g]) if known else math.nan
+        groups.append(Component(*numbers, factor, float(degrees[g]), beside, shared, depends))
+    return Components(tuple(groups), correlation, found.helmert, found.exact)

@@ -1,0 +1,251 @@
+"""Do the residuals look as their sigmas promise? The global test, and normalised residuals group by group.
+
+A residual over its own sigma, w = v / sqrt(r) for a whitened residual v with the redundancy number r, is standard
+normal if the sigmas are right and the errors normal. Residuals of a group are correlated: of n of them only as many are
+worth an independent one as the group has redundancy (the eigenvalues of their covariance are at most one), and tests
+and bands count with that number. They err on the safe side: false alarms are rarer than stated.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.posterior import Fit
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.grouping import Grouping, group_rows
+from mgsgraph.analysis.linearised import Linearised, at_solution
+from mgsgraph.analysis.prior_rows import prior_rows
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.reduction import reliability
+
+ALPHA = 0.05
+"""Probability of a false alarm of the tests."""
+LEVELS = (1.0, 2.0, 3.0)
+"""Sigmas beyond which residuals are counted."""
+PROMISED = tuple(math.erfc(level / math.sqrt(2.0)) for level in LEVELS)
+"""Share beyond each that a normal law promises."""
+_CONTROLLED = 1e-3
+"""Redundancy number below which a residual says nothing but rounding."""
+_FEWEST = 5.0
+"""Independent residuals without which no test is made."""
+_MARKS = 200
+"""Places of a quantile plot."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChiSquareTest:
+    """The global test: weighted squares of all residuals against their degrees of freedom."""
+
+    squares: float
+    degrees: int
+    alpha: float
+    """Probability of a false alarm."""
+    larger: float
+    """Probability of so large a sum, or a larger one, if all sigmas are right."""
+    smaller: float
+    """Of so small a one, or a smaller one."""
+    bounds: tuple[float, float]
+    """Two-sided, at alpha."""
+    upper_bound: float
+    """One-sided, at alpha."""
+
+    @property
+    def two_sided(self) -> float:
+        """p-value of the two-sided test."""
+        return min(1.0, 2.0 * min(self.larger, self.smaller))
+
+    @property
+    def passed(self) -> bool:
+        """Whether the two-sided test finds nothing."""
+        return self.two_sided >= self.alpha
+
+    @property
+    def passed_one_sided(self) -> bool:
+        """Whether the sum is not too large."""
+        return self.larger >= self.alpha
+
+    def words(self) -> str:
+        """One sentence."""
+        low, high = self.bounds
+        found = "passed" if self.passed else "FAILED, " + ("too large" if self.squares > high else "too small")
+        return (
+            f"Global test {found}: squares {self.squares:.6g} for {self.degrees} degrees of freedom, "
+            f"{low:.6g} to {high:.6g} in {100 * (1 - self.alpha):g}% of cases (p = {self.two_sided:.3g}; one-sided "
+            f"{self.larger:.3g}, up to {self.upper_bound:.6g})"
+        )
+
+
+def chi_square_test(fit: Fit, alpha: float = ALPHA) -> ChiSquareTest:
+    """The global test at a probability alpha of a false alarm; without redundancy there is none."""
+    from scipy.stats import chi2  # slow to import
+
+    _require_probability(alpha)
+    degrees = fit.degrees_of_freedom
+    if degrees < 1:
+        raise InputError("global test", f"{degrees} degrees of freedom", "at least 1", "measure more")
+    low, high, upper = chi2.ppf([0.5 * alpha, 1.0 - 0.5 * alpha, 1.0 - alpha], degrees).tolist()
+    larger, smaller = float(chi2.sf(fit.squares, degrees)), float(chi2.cdf(fit.squares, degrees))
+    return ChiSquareTest(fit.squares, degrees, alpha, larger, smaller, (low, high), upper)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuantilePlot:
+    """Sorted residuals against what a normal law promises."""
+
+    promised: Array
+    """(m,) standard normal quantiles."""
+    found: Array
+    """(m,) those of the normalised residuals."""
+    low: Array
+    """(m,) pointwise band for `found`, 95%."""
+    high: Array
+    """(m,)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualStatistics:
+    """Normalised residuals of one group."""
+
+    name: str
+    """Of the group."""
+    values: Array
+    """(n,) sorted; of rows with a redundancy number of at least 0.001."""
+    uncontrolled: int
+    """Rows left out because no other row controls them."""
+    effective: float
+    """Number of independent residuals that they are worth."""
+
+    @property
+    def mean(self) -> float:
+        """0 is promised."""
+        return float(self.values.mean()) if self.values.size else math.nan
+
+    @property
+    def rms(self) -> float:
+        """1 is promised."""
+        return float(np.sqrt(np.mean(self.values**2))) if self.values.size else math.nan
+
+    @property
+    def skewness(self) -> float:
+        """Third moment about the mean, in standard deviations; 0 is promised."""
+        return self._moment(3)
+
+    @property
+    def kurtosis(self) -> float:
+        """Fourth moment about the mean less 3: 0 is promised, more means long tails."""
+        return self._moment(4) - 3.0
+
+    @property
+    def sigmas(self) -> tuple[float, float, float, float]:
+        """Of mean, rms, skewness and kurtosis, of that many independent normal residuals."""
+        n = self.effective if self.effective > 0.0 else math.nan
+        return math.sqrt(1.0 / n), math.sqrt(0.5 / n), math.sqrt(6.0 / n), math.sqrt(24.0 / n)
+
+    @property
+    def beyond(self) -> tuple[float, ...]:
+        """Share beyond 1, 2, 3 sigmas; `PROMISED` is what a normal law promises."""
+        return tuple(float(np.mean(np.abs(self.values) > level)) if self.values.size else math.nan for level in LEVELS)
+
+    @property
+    def distance(self) -> float:
+        """Largest difference of the cumulative shares from the standard normal law's (Kolmogorov & Smirnov)."""
+        from scipy.special import ndtr  # slow to import
+
+        if not self.values.size:
+            return math.nan
+        steps, law = np.arange(self.values.size + 1) / self.values.size, ndtr(self.values)
+        return float(max(np.max(steps[1:] - law), np.max(law - steps[:-1])))
+
+    @property
+    def p_value(self) -> float:
+        """Of that distance, for as many independent residuals (Stephens 1970); NaN for fewer than 5."""
+        from scipy.special import kolmogorov  # slow to import
+
+        if not self.effective >= _FEWEST:
+            return math.nan
+        root = math.sqrt(self.effective)
+        return float(kolmogorov(self.distance * (root + 0.12 + 0.11 / root)))
+
+    @property
+    def as_promised(self) -> bool | None:
+        """Whether neither the law nor the rms fails a test at 1%; None with too few residuals for either."""
+        if not self.effective >= _FEWEST:
+            return None
+        return self.p_value >= 0.01 and abs(self.rms - 1.0) <= 2.576 * self.sigmas[1]
+
+    def quantiles(self, most: int = _MARKS) -> QuantilePlot:
+        """Quantile plot of at most that many places."""
+        from scipy.special import ndtri  # slow to import
+        from scipy.stats import beta
+
+        n = self.values.size
+        ranks = np.unique(np.round(np.linspace(0, max(n - 1, 0), min(n, most))).astype(np.int64))
+        share = (ranks + 0.5) / max(n, 1)
+        worth = max(self.effective, 1.0)
+        # an order statistic of `worth` independent uniform numbers
+        low, high = (beta.ppf(side, worth * share + 0.5, worth * (1.0 - share) + 0.5) for side in (0.025, 0.975))
+        return QuantilePlot(ndtri(share), self.values[ranks], ndtri(low), ndtri(high))
+
+    def words(self) -> str:
+        """One sentence."""
+        if not self.values.size:
+            return f"{self.name}: no residual that anything controls"
+        pairs = zip(self.beyond, PROMISED, strict=True)
+        shares = ", ".join(f"{100 * one:.2g}% ({100 * law:.2g}%)" for one, law in pairs)
+        n, worth = self.values.size, f"{self.effective:.3g}" if self.effective < 1e3 else f"{self.effective:.0f}"
+        test = f"p = {self.p_value:.2g}" if math.isfinite(self.p_value) else "too few for a test"
+        test += "" if self.as_promised is not False else ": NOT as promised"
+        return (
+            f"{self.name}: {n} residuals worth {worth} independent ones, mean {self.mean:.2f}, rms "
+            f"{self.rms:.2f}, skewness {self.skewness:.2f}, excess kurtosis {self.kurtosis:.2f}; beyond 1, 2, 3 sigmas "
+            f"{shares}; {test}"
+        )
+
+    def _moment(self, order: int) -> float:
+        if self.values.size < 2:
+            return math.nan
+        away = self.values - self.mean
+        scale = math.sqrt(float(np.mean(away**2)))
+        return float(np.mean(away**order)) / scale**order if scale > 0.0 else math.nan
+
+
+def residual_statistics(
+    solution: Solution | Linearised, grouping: Grouping | None = None
+) -> tuple[ResidualStatistics, ...]:
+    """Statistics of the normalised residuals of each group (`group_rows` when absent); priors' are corrections."""
+    at = solution if isinstance(solution, Linearised) else at_solution(solution)
+    grouping = grouping or group_rows(at.network)
+    residuals, redundancy, groups = _all_rows(at, grouping)
+    controlled = redundancy >= _CONTROLLED
+    normalised = np.where(controlled, residuals / np.sqrt(np.where(controlled, redundancy, 1.0)), 0.0)
+    found = []
+    for g, name in enumerate(grouping.names):
+        mine = groups == g
+        values = np.sort(normalised[mine & controlled])
+        worth = min(float(redundancy[mine & controlled].sum()), float(values.size))
+        found.append(ResidualStatistics(name, values, int(np.count_nonzero(mine & ~controlled)), worth))
+    return tuple(found)
+
+
+def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
+    """Whitened residual, redundancy number and group of each row that takes part; points' rows, then priors."""
+    layout = at.layout
+    target, pairs = layout.blocks.target, at.pair_blocks(layout)
+    numbers = reliability(at.rows, layout.groups, target, layout.model, at.orientation, pairs, at.points)
+    # rows that don't take part are zero, those of points left out or undetermined NaN
+    taken = np.any(numbers != 0.0, axis=2) & np.all(np.isfinite(numbers), axis=2)
+    of_sight = np.repeat(grouping.of_sights(layout)[:, None], 3, axis=1)
+    shares = np.stack([numbers[:, row, 1 + row] for row in range(3)], axis=1)
+    known = prior_rows(at)
+    return (
+        np.concatenate([numbers[:, :, 0][taken], known.misfit]),
+        np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
+        np.concatenate([of_sight[taken], grouping.of_columns(layout)[known.about]]),
+    )
+
+
+def _require_probability(alpha: float) -> None:
+    if not 0.0 < alpha < 1.0:
+        raise InputError("global test, alpha", f"{alpha}", "a probability between 0 and 1")

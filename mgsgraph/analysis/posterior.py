@@ -1,0 +1,289 @@
+"""The posterior, to be asked: points, poses at any line, pairs, projections, new intersections, and their covariances.
+
+posterior = mgsgraph.Posterior.of(solution)
+posterior.point("T17").ellipsoid(0.95)
+posterior.difference("T17", "T42")
+posterior.pose("M07/02345", line=512.0)
+"""
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cached_property
+
+import numpy as np
+
+from mgsgraph.adjustment.graph import Layout
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.answers import Difference, Estimate, PixelEstimate, PlaceEstimate, PoseEstimate
+from mgsgraph.analysis.linearised import Linearised, PointRows, at_solution, point_rows
+from mgsgraph.analysis.quantity import Quantity, covariance, together
+from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import COMPONENTS, OrientationCorrection
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.kernel.reduction import point_covariances, reduce
+from mgsgraph.kernel.rows import FIXED, GOOD, OUT
+from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.network import ImageRays
+from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
+
+_AXES = COMPONENTS[:3]
+_CONTRADICTION = 10.0
+"""Sigmas by which new rays may miss each other: beyond, they are of two places."""
+_POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+
+@dataclass(frozen=True, slots=True)
+class Pixel:
+    """A place in an image, measured or to be measured."""
+
+    image: str
+    """Name of the image."""
+    line: float
+    """Line coordinate."""
+    sample: float
+    """Sample coordinate."""
+    sigma: float = 1.0
+    """Sigma of either, pixels."""
+
+
+class Posterior:
+    """What an adjustment knows, on demand. All covariances are for sigma0 = 1, as the a-priori sigmas imply.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The network where it was solved (`Posterior.of` makes it from a solution).
+    """
+
+    def __init__(self, linearised: Linearised) -> None:
+        self.linearised = linearised
+        self.network = linearised.network
+
+    @classmethod
+    def of(cls, solution: Solution) -> "Posterior":
+        """The posterior of a solution."""
+        return cls(at_solution(solution))
+
+    # --- answers
+
+    def point(self, name: str) -> PlaceEstimate:
+        """Place and covariance of an adjusted ground point."""
+        quantity = self.of_point(name)
+        return PlaceEstimate(name, quantity.values, self.covariance([quantity]))
+
+    def difference(self, first: str, second: str) -> Difference:
+        """From the first point to the second: vector, height difference and distance, with what they share left out."""
+        if first == second:
+            raise InputError(f"points {first}, {second}", "the same point twice", "two points")
+        both = [self.of_point(first), self.of_point(second)]
+        return Difference(first, second, both[0].values, both[1].values, self.covariance(both))
+
+    def pose(self, image: str, line: float) -> PoseEstimate:
+        """Exterior orientation of an image at a line."""
+        return self.poses(image, np.array([line]))[0]
+
+    def poses(self, image: str, lines: Array) -> list[PoseEstimate]:
+        """The same at several lines (n,): what a sigma curve is drawn from."""
+        j = self.image_number(image)
+        picture, correction = self.network.images[j], self.correction(j)
+        pose = picture.pose(lines, correction)
+        found = [covariance(one, self.linearised.joint) for one in self._of_poses(j, lines)]
+        return [
+            PoseEstimate(image, float(line), pose.position[k], pose.velocity[k], pose.matrix[k], found[k])
+            for k, line in enumerate(lines)
+        ]
+
+    def projection(self, point: str, image: str) -> PixelEstimate:
+        """Where an adjusted point falls in an image, measured there or not: line and sample with their covariance."""
+        quantity = self.of_projection(point, image)
+        return PixelEstimate(point, image, quantity.values, self.covariance([quantity]))
+
+    def intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> PlaceEstimate:
+        """Ground place of new measures, with their own noise and that of the orientation; two rays or more."""
+        rows, place = self._crossing(pixels, name)
+        quantity = self._of_crossing(rows, place, name)
+        misfit = self._misfit(rows, name)
+        return PlaceEstimate(name, quantity.values, self.covariance([quantity]), misfit)
+
+    def joint(self, quantities: Sequence[Quantity]) -> Estimate:
+        """Several quantities with their joint covariance and correlations."""
+        whole = together(quantities)
+        return Estimate(whole.names, whole.units, whole.values, covariance(whole, self.linearised.joint))
+
+    def covariance(self, quantities: Sequence[Quantity]) -> Array:
+        """(m, m) joint covariance of several quantities, one after another."""
+        return covariance(together(quantities), self.linearised.joint)
+
+    # --- quantities
+
+    def of_point(self, name: str) -> Quantity:
+        """X, Y, Z of an adjusted ground point."""
+        i = self._point(name)
+        place = self.linearised.place_of(i)
+        names = tuple(f"{axis} of point {name}" for axis in _AXES)
+        values = self.linearised.points[place]
+        if self.linearised.rows.kind[place] == FIXED:
+            return Quantity(names, ("m",) * 3, values, {}, {})
+        return self._of_point(names, values, self.linearised.rows_of(i), ("point", i))
+
+    def of_pose(self, image: str, line: float) -> Quantity:
+        """Position along the body-fixed axes (m), and rotation about the camera's axes (rad), of an image at a line."""
+        return self._of_poses(self.image_number(image), np.array([line]))[0]
+
+    def of_projection(self, point: str, image: str) -> Quantity:
+        """Line and sample of an adjusted point in an image."""
+        j, ground = self.image_number(image), self.of_point(point)
+        place, _ = self.image(j).ground_to_image(ground.values[None], self.correction(j))
+        if not np.all(np.isfinite(place)):
+            raise InputError(f"point {point}", f"image {image} does not see it", "a point in the image's field of view")
+        line, sample = place[0].tolist()
+        self._require_inside(j, line, sample, f"point {point}")
+        lone = ImageRays(np.zeros(1, dtype=np.int64), np.array([j]), place, np.ones((1, 2)))
+        layout = self.linearised.asked(ground.values[None], lone, known=True)
+        rows = point_rows(layout, layout.rows, self.linearised.orientation, ground.values[None])
+        names = (f"line of point {point} in image {image}", f"sample of point {point} in image {image}")
+        moved = ground.through(names, ("px", "px"), place[0], -rows.by_point[0])
+        by_shared = dict(moved.by_shared)
+        for variable, part in self._by_variable(rows.variables, -rows.by_shared[0]).items():
+            by_shared[variable] = by_shared[variable] + part if variable in by_shared else part
+        return replace(moved, by_shared=by_shared)
+
+    def of_intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> Quantity:
+        """X, Y, Z of the place where the rays of new measures meet."""
+        return self._of_crossing(*self._crossing(pixels, name), name)
+
+    def intersections(self, rays: ImageRays) -> tuple[Array, Array]:
+        """Places (m, 3) in m and covariances (m, 3, 3) in m^2 of many new points; NaN where their rays don't meet.
+
+        Parameters
+        ----------
+        rays : ImageRays
+            Measures of points 0 .. m - 1, with the sigmas they would have.
+        """
+        count = int(rays.point.max(initial=-1)) + 1
+        layout = self.linearised.asked(np.full((count, 3), np.nan), rays, known=False)
+        places, good = self._meet(layout)
+        groups, target, orientation = layout.groups, layout.blocks.target, self.linearised.orientation
+        pairs = self.linearised.pair_blocks(layout)
+        found = point_covariances(layout.rows, groups, target, layout.model, orientation, pairs, places)
+        found[~good], places[~good] = np.nan, np.nan
+        return layout.network_order(places), layout.network_order(found)
+
+    # --- what they are made of
+
+    def image(self, image: int) -> PushbroomImage:
+        """One image with its adjusted focal length; its trajectory is the nominal one (`correction`)."""
+        return adjusted_image(self.network, image, self.linearised.values)
+
+    def correction(self, image: int) -> OrientationCorrection:
+        """Whole orientation correction of an image: its own, and what shared unknowns do to it."""
+        return whole_correction(self.network, image, self.linearised.values, self.linearised.settings.angles)
+
+    def _require_inside(self, image: int, line: float, sample: float, where: str) -> None:
+        """Raise InputError unless a place lies in an image: beyond its edges orientation is known to nobody."""
+        picture = self.network.images[image]
+        if not (0.0 <= line <= picture.lines and 0.0 <= sample <= picture.samples):
+            raise InputError(
+                f"{where}, image {picture.name}", f"line {line:g}, sample {sample:g}",
+                f"a place in the image of {picture.lines} lines and {picture.samples} samples",
+            )  # fmt: skip
+
+    def _crossing(self, pixels: Sequence[Pixel], name: str) -> tuple[PointRows, Array]:
+        """Rows of new measures of one place, and where their rays meet (3,) m."""
+        images = np.array([self.image_number(pixel.image) for pixel in pixels], dtype=np.int64)
+        if images.size < 2:
+            raise InputError(name, f"{images.size} measures", "two or more, of images that look from different sides")
+        places = np.array([[pixel.line, pixel.sample] for pixel in pixels])
+        for j, (line, sample), pixel in zip(images.tolist(), places.tolist(), pixels, strict=True):
+            self._require_inside(j, line, sample, name)
+            if not (np.isfinite(pixel.sigma) and pixel.sigma > 0.0):
+                raise InputError(f"{name}, image {pixel.image}", f"sigma {pixel.sigma} px", "a positive number")
+        sigmas = np.array([[pixel.sigma] * 2 for pixel in pixels])
+        rays = ImageRays(np.zeros(images.size, dtype=np.int64), images, places, sigmas)
+        layout = self.linearised.asked(np.full((1, 3), np.nan), rays, known=False)
+        place, good = self._meet(layout)
+        if not good[0]:
+            raise InputError(name, "rays that don't meet before their cameras", "measures of the same place")
+        return point_rows(layout, layout.rows, self.linearised.orientation, place), place[0]
+
+    def _of_crossing(self, rows: PointRows, place: Array, name: str) -> Quantity:
+        return self._of_point(tuple(f"{axis} of {name}" for axis in _AXES), place, rows, object())
+
+    def _misfit(self, rows: PointRows, name: str) -> float:
+        """By how many sigmas new rays miss each other, their own noise and that of the orientation in mind.
+
+        Raises InputError where they can't be of one place.
+        """
+        own = rows.following()[0][0]
+        left = np.eye(rows.row.size) - own @ own.T
+        through = rows.by_shared[0]
+        spread = np.eye(rows.row.size) + through @ self.linearised.joint.of(rows.variables) @ through.T
+        seen = np.linalg.pinv(left @ spread @ left, rcond=1e-9, hermitian=True)
+        square = float(rows.residuals[0] @ seen @ rows.residuals[0]) / max(rows.row.size - 3, 1)
+        if square > _CONTRADICTION**2:
+            found = f"rays that miss each other by {np.sqrt(square):.3g} sigmas"
+            raise InputError(name, found, "measures of the same place", "check lines, samples and images")
+        return float(np.sqrt(square))
+
+    def _of_poses(self, image: int, lines: Array) -> list[Quantity]:
+        for line in lines.tolist():
+            self._require_inside(image, line, 0.0, "pose")
+        picture, correction = self.network.images[image], self.correction(image)
+        moments, nominal = picture.moments(lines), picture.pose(lines)
+        pose = correction.apply(nominal, moments)
+        turn = np.tile(np.eye(6), (lines.size, 1, 1))
+        turn[:, 3:, 3:] = correction.axes(nominal, moments)
+        turned = -rotation.logarithm(pose.matrix @ np.swapaxes(nominal.matrix, 1, 2))
+        first, found = self.linearised.layout.variables.first, []
+        follows = designs(self.network, image, correction.angles, lines)
+        for k, (line, felt) in enumerate(zip(lines, follows, strict=True)):
+            names = tuple(f"{name} of image {picture.name} at line {line:g}" for name in COMPONENTS)
+            values = np.concatenate([pose.position[k], turned[k]])
+            by_shared = {v: turn[k] @ part for v, part in felt.items() if first[v] >= 0}
+            found.append(Quantity(names, _POSE_UNITS, values, by_shared, {}))
+        return found
+
+    def _of_point(self, names: tuple[str, ...], values: Array, rows: PointRows, own: Hashable) -> Quantity:
+        """A place whose noise, apart from what it shares, goes by the key `own`."""
+        by_shared, noise = rows.eliminated()
+        return Quantity(names, ("m",) * 3, values, self._by_variable(rows.variables, by_shared[0]), {own: noise[0]})
+
+    def _by_variable(self, variables: Sequence[int], columns: Array) -> dict[int, Array]:
+        """Columns (m, c) of variables, one after another, taken apart; none where only held images are felt."""
+        if not variables:
+            return {}
+        width = self.linearised.layout.variables.width[list(variables)]
+        return dict(zip(variables, np.split(columns, np.cumsum(width)[:-1], axis=1), strict=True))
+
+    def _meet(self, layout: Layout) -> tuple[Array, Mask]:
+        """Places (m, 3), layout order, at which new rays meet, and which of them do."""
+        target, orientation = layout.blocks.target, self.linearised.orientation
+        found = reduce(layout.rows, layout.groups, target, layout.model, orientation, COSTS)
+        return found.points, (found.states == GOOD) & (layout.rows.kind != OUT)
+
+    @cached_property
+    def _numbers(self) -> tuple[dict[str, int], dict[str, int]]:
+        """Numbers of points and of images by their names."""
+        images = {image.name: j for j, image in enumerate(self.network.images)}
+        return {name: i for i, name in enumerate(self.network.points.ids)}, images
+
+    def _point(self, name: str) -> int:
+        return _number(self._numbers[0], name, "point")
+
+    def image_number(self, name: str) -> int:
+        """Number of an image in the network by its name; InputError where there is none."""
+        return _number(self._numbers[1], name, "image")
+
+
+def _number(numbers: Mapping[str, int], name: str, what: str) -> int:
+    """The number that a name has; InputError, with the names that come nearest, where there is none."""
+    if name not in numbers:
+        near = get_close_matches(name, numbers, n=3)
+        raise InputError(
+            f"{what} {name}", f"not in the solution, which has {len(numbers)} {what}s",
+            f"one of them, e.g. {', '.join(near or list(numbers)[:3])}",
+        )  # fmt: skip
+    return numbers[name]

@@ -1,0 +1,254 @@
+"""What data snooping takes out of a network: marks of it, the network without it, and what may come back."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.adjustment.graph import BundleGraph, lay_out
+from mgsgraph.adjustment.passes import Selection, everything
+from mgsgraph.adjustment.predicted_lines import exactly
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import Linearised, PointRows
+from mgsgraph.analysis.measures import UNCONTROLLED, MeasureKind
+from mgsgraph.analysis.suspects import PointIndex
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.kernel.rows import GROUND, OUT, SURFACE
+from mgsgraph.kernel.sweep import COSTS
+from mgsgraph.network import Network
+from mgsgraph.ties import PointKind
+
+SightName = tuple[MeasureKind, int]
+"""A whole ray, range, a-priori place or height, and its row in the network (of the latter two, the point)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """What went at one stroke: a sight, and those that can't be told apart from it."""
+
+    sights: tuple[SightName, ...]
+    """The one with the largest test first."""
+    names: tuple[str, ...]
+    """The same in words."""
+    point: int
+    """Network point that they belong to."""
+    test: float
+    """Joint test of the first when it went, chi-square (divided by sigma0 squared where `Levels.scaled` says so)."""
+    dimensions: int
+    """Its dimensions."""
+    critical: float
+    """Its critical value."""
+    adjustment: int
+    """Number of the adjustment after which it went, from 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taken:
+    """Marks of what is out, in network order."""
+
+    rays: Mask
+    """(k,) as `ImageRays.rejected`."""
+    ranges: Mask
+    """(r,) as `Ranges.rejected`."""
+    places: Mask
+    """(n,) points whose a-priori place is out."""
+    heights: Mask
+    """(n,) points whose height above the terrain is out."""
+
+    def changed(self, sights: Iterable[SightName], out: bool) -> "Taken":
+        """The same with some sights out, or in."""
+        masks = {
+            MeasureKind.RAY: self.rays.copy(),
+            MeasureKind.RANGE: self.ranges.copy(),
+            MeasureKind.GROUND: self.places.copy(),
+            MeasureKind.HEIGHT: self.heights.copy(),
+        }
+        for kind, row in sights:
+            masks[kind][row] = out
+        return Taken(*masks.values())
+
+    def marked(self, network: Network) -> Network:
+        """A network whose rays and ranges carry the marks, and whose points lack what else is out."""
+        left = without(network, self)
+        return replace(
+            left,
+            rays=replace(left.rays, rejected=self.rays),
+            ranges=replace(left.ranges, rejected=self.ranges),
+        )
+
+    def holds(self, sight: SightName) -> bool:
+        """Whether it is out."""
+        kind, row = sight
+        masks = (self.rays, self.ranges, self.places, self.heights)
+        return bool(masks[kind][row])
+
+
+def nothing_taken(network: Network) -> Taken:
+    """All in."""
+    sizes = network.rays.point.size, network.ranges.point.size, len(network.points), len(network.points)
+    return Taken(*(np.zeros(size, dtype=np.bool_) for size in sizes))
+
+
+def without(network: Network, taken: Taken) -> Network:
+    """A network without some a-priori places and heights; rays and ranges are left out by a `selection`."""
+    points, out = network.points, taken.places
+    if np.any(out):
+        covariances = np.where(out[:, None, None], 0.0, points.covariances)
+        points = replace(points, kinds=np.where(out, PointKind.FREE, points.kinds), covariances=covariances)
+    shifts, surface = network.shifts, network.surface
+    if shifts is not None:
+        shifts = replace(shifts, profile=np.where(out, -1, shifts.profile))
+    if surface is not None:
+        surface = replace(surface, sigmas=np.where(taken.heights, np.inf, surface.sigmas))
+    return replace(network, points=points, shifts=shifts, surface=surface)
+
+
+def selection(network: Network, taken: Taken) -> Selection:
+    """Rays and ranges of a network that take part."""
+    return Selection(~taken.rays, ~taken.ranges, everything(network).out)
+
+
+class SightIndex:
+    """Which sights each point of a linearised network has."""
+
+    def __init__(self, at: Linearised) -> None:
+        network, places, self._at = at.network, at.layout.places, at
+        self._measured = tuple(
+            (kind, PointIndex(points, len(network.points)), among)
+            for kind, points, among in (
+                (MeasureKind.RAY, network.rays.point, places.rays),
+                (MeasureKind.RANGE, network.ranges.point, places.ranges),
+            )
+        )
+
+    def of(self, point: int) -> dict[SightName, int]:
+        """Sights of a network point, and the place of each among those of its pattern (`PointRows.sight`)."""
+        rows, patterns = self._at.rows, self._at.layout.patterns
+        place = int(patterns.point_place[point])
+        pattern, first, count, _, sight = rows.piece[patterns.piece_of(place)].tolist()
+        found: dict[SightName, int] = {}
+        for kind, index, places in self._measured:
+            for k in index.of(point).tolist():
+                found[kind, k] = (int(places[k]) - sight - (place - first)) // count
+        for slot, k in enumerate(range(rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1])):
+            if rows.sight_kind[k] == GROUND:
+                found[MeasureKind.GROUND, point] = slot
+            elif rows.sight_kind[k] == SURFACE:
+                found[MeasureKind.HEIGHT, point] = slot
+        return found
+
+
+def direction(covariance: Array, residuals: Array, rows: Mask) -> tuple[Array, float, int]:
+    """Joint test of some rows of a point.
+
+    Parameters
+    ----------
+    covariance, residuals : (r, r), (r,)
+        Of the point's whitened residuals.
+    rows : (r,)
+        Which to test.
+
+    Returns
+    -------
+    combination : (r,)
+        c, zero but for the rows: of all c'v it has the largest (c'v)^2 / c'Qc.
+    test, dimensions
+        That value, chi-square with these degrees of freedom.
+    """
+    mine = np.flatnonzero(rows)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(mine, mine)])
+    seen = values > UNCONTROLLED
+    turned = vectors[:, seen].T @ residuals[mine]
+    combination = np.zeros(residuals.size)
+    combination[mine] = vectors[:, seen] @ (turned / values[seen])
+    return combination, float(np.sum(turned**2 / values[seen])), int(np.count_nonzero(seen))
+
+
+def readmissible(
+    network: Network,
+    at: Linearised,
+    solution: Solution,
+    taken: Taken,
+    removals: Sequence[Removal],
+    critical: Callable[[int], float],
+) -> list[Removal]:
+    """Removals that agree with what is left: whose error of prediction is below its critical value.
+
+    Parameters
+    ----------
+    network : Network
+        With all that has been taken out.
+    at, solution
+        The adjustment of what is left.
+    taken, removals
+        What is out.
+    critical : callable
+        Critical value of a test of so many dimensions, for sigma0 = 1.
+    """
+    if not removals:
+        return []
+    layout = lay_out(network, solution.settings, solution.places)
+    determined = solution.determined[layout.point_order]
+    by_all = BundleGraph(layout, layout.rows).reduction(at.orientation, COSTS).points
+    points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
+    layout, points = exactly(layout.following(points, at.orientation), at.orientation, points)
+    whole = Linearised(layout, at.settings, layout.rows, at.orientation, points, at.joint)
+    index = SightIndex(whole)
+    return [
+        one for one in removals if _agrees(whole, index, one, taken, bool(solution.determined[one.point]), critical)
+    ]
+
+
+def _agrees(
+    whole: Linearised,
+    index: SightIndex,
+    removal: Removal,
+    taken: Taken,
+    determined: bool,
+    critical: Callable[[int], float],
+) -> bool:
+    """Whether a removal's rows agree with the others."""
+    if whole.rows.kind[whole.layout.patterns.point_place[removal.point]] == OUT:
+        return False
+    rows, sights = whole.rows_of(removal.point), index.of(removal.point)
+    back = np.isin(rows.sight, [sights[one] for one in removal.sights])
+    used = np.isin(rows.sight, [slot for one, slot in sights.items() if not taken.holds(one)])
+    shared = whole.joint.of(rows.variables)
+    if determined:
+        test, dimensions = _prediction(rows, back, used, shared)
+    else:
+        test, dimensions = _closure(rows, back | used, shared)
+    return dimensions > 0 and test <= critical(dimensions)
+
+
+def _chosen_rows(rows: PointRows, chosen: Mask) -> PointRows:
+    """Some of a point's rows."""
+    return replace(
+        rows,
+        residuals=rows.residuals[:, chosen],
+        by_point=rows.by_point[:, chosen],
+        by_shared=rows.by_shared[:, chosen],
+        sight=rows.sight[chosen],
+        row=rows.row[chosen],
+    )
+
+
+def _prediction(rows: PointRows, back: Mask, used: Mask, shared: Array) -> tuple[float, int]:
+    """Test of rows by what others that are used predict for them, and its dimensions."""
+    own, through = np.zeros((rows.row.size, 3)), rows.by_shared[0]
+    if not rows.known:
+        carried, noise = _chosen_rows(rows, used).eliminated()
+        own, through = rows.by_point[0] @ noise[0], through + rows.by_point[0] @ carried[0]
+    own, through, error = own[back], through[back], rows.residuals[0, back]
+    covariance = np.eye(error.size) + own @ own.T + through @ shared @ through.T
+    return float(error @ np.linalg.solve(covariance, error)), error.size
+
+
+def _closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[float, int]:
+    """Test of how well rows that nothing predicts meet in a point: what is left of them beside those of its place."""
+    by_point, by_shared, error = rows.by_point[0, chosen], rows.by_shared[0, chosen], rows.residuals[0, chosen]
+    left = np.linalg.svd(by_point)[0][:, 3:]
+    through = left.T @ by_shared
+    closing = left.T @ error
+    covariance = np.eye(closing.size) + through @ shared @ through.T
+    return float(closing @ np.linalg.solve(covariance, closing)), closing.size

@@ -1,0 +1,340 @@
+"""How far the measures control each other: redundancy numbers, tests, and the blunders that would go unnoticed.
+
+Of every scalar measure that takes part: its redundancy number r (what of an error in it shows in its own residual), the
+w-test of its residual, the minimal detectable blunder, and what a blunder of that size, unnoticed, does to its point
+and to any result (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Rejected rows don't take part. With a robust loss
+a row of weight p keeps its own sigma in its test, while the others speak with their weights: the test is that of the
+residual against what the others predict. One without weight doesn't take part.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+
+from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.levels import Levels
+from mgsgraph.analysis.linearised import Linearised, at_solution
+from mgsgraph.analysis.measures import (
+    MeasureKind,
+    Measures,
+    Places,
+    Small,
+    judge_places,
+    judge_scalars,
+    pair_tests,
+    room,
+)
+from mgsgraph.analysis.naming import names_of, units_of
+from mgsgraph.analysis.prior_rows import PriorRows, prior_rows
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel import reduction
+from mgsgraph.kernel.reliability import NUMBERS
+from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR, partition
+
+_AT_A_TIME = 1 << 17
+"""Sights that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
+_RAYS = 1 << 18
+"""Rays: large pages of memory, which arrays of 4 MB and more get, cost least."""
+_Part = TypeVar("_Part")
+_BOTH = np.arange(2, dtype=np.int8)
+_EXACT = 1e-12
+"""Residual in sigmas without a robust weight to speak of."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reliability:
+    """Reliability of an adjustment: `measures`, in the order of kinds, and within these of the network's rows."""
+
+    at: Linearised
+    """What was asked about."""
+    levels: Levels
+    """Sizes of the tests."""
+    measures: Measures
+    """All that take part."""
+    critical: float
+    """Modulus that a good measure's test exceeds with probability alpha."""
+    sigma0: float
+    """A-posteriori standard deviation of unit weight; tests are divided by it where `levels.scaled` says so."""
+    degrees_of_freedom: float
+    """Sum of the redundancy numbers."""
+
+    def __len__(self) -> int:
+        return self.measures.test.size
+
+    @property
+    def uncontrolled(self) -> Index:
+        """(u,) measures that nothing controls: a blunder of any size goes unnoticed."""
+        return np.flatnonzero(np.isinf(self.measures.detectable))
+
+    @property
+    def suspected(self) -> Index:
+        """(s,) measures whose test exceeds the critical value, largest first."""
+        return self.order(int(np.count_nonzero(np.abs(self.measures.test) > self.critical)))
+
+    @property
+    def severity(self) -> Array:
+        """(m,) root of the joint test over its critical value: above 1, the ray, range or a-priori place is suspected.
+
+        By the B-method, so that tests of one, two and three dimensions compare.
+        """
+        limits = np.array([np.inf, *(self.critical_joint(k) for k in (1, 2, 3))])
+        return np.asarray(np.sqrt(self.measures.joint / limits[self.measures.dimensions]))
+
+    def critical_joint(self, dimensions: int) -> float:
+        """Critical value of a joint test of so many dimensions."""
+        return self.critical**2 if dimensions == 1 else self.levels.critical_squares(dimensions)
+
+    def order(self, most: int) -> Index:
+        """The `most` measures of the largest |w|, largest first."""
+        size = np.nan_to_num(np.abs(self.measures.test), nan=-1.0)
+        most = min(most, size.size)
+        if most == 0:
+            return np.zeros(0, dtype=np.int64)
+        chosen = np.argpartition(size, size.size - most)[size.size - most :]
+        return np.asarray(chosen[np.lexsort((chosen, -size[chosen]))])
+
+    def unit(self, measure: int) -> str:
+        """Unit of a measure: px, m, rad or s."""
+        return self.units(np.array([measure]))[0]
+
+    def name(self, measure: int) -> str:
+        """What a measure is, in words."""
+        return self.names(np.array([measure]))[0]
+
+    def units(self, measures: Index) -> list[str]:
+        """Units of many measures (k,)."""
+        return units_of(self.at.layout, self.measures, measures)
+
+    def names(self, measures: Index) -> list[str]:
+        """What many measures (k,) are."""
+        return names_of(self.at.layout, self.measures, measures)
+
+    def __repr__(self) -> str:
+        return (
+            f"Reliability({len(self)} measures, {self.degrees_of_freedom:.1f} degrees of freedom, "
+            f"{self.suspected.size} tests over {self.critical:.3g}, {self.uncontrolled.size} measures uncontrolled)"
+        )
+
+
+def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reliability:
+    """Reliability of all measures that take part.
+
+    Parameters
+    ----------
+    of : Linearised or Solution
+        At its solution.
+    levels : Levels, optional
+        Sizes of the tests; Baarda's customary ones when absent.
+    """
+    at, levels = (of if isinstance(of, Linearised) else at_solution(of)), levels or Levels()
+    points = np.flatnonzero(at.layout.network_order(at.rows.kind) == PRIOR)
+    places = _ground_places(at, points)
+    numbers, ground = _swept(at, places)
+    roots = _robust_roots(at, numbers)
+    used, shots, heights = _taking_part(at, roots)
+    known = prior_rows(at)
+    sizes = [2 * int(np.count_nonzero(used)), shots.size, 3 * points.size, heights.size, known.about.size]
+    ends = np.cumsum([0, *sizes]).tolist()
+    out = room(ends[-1])
+    rays, ranges, apriori, surface, priors = (out.part(a, b) for a, b in pairwise(ends))
+    squares = sum(_rays(rays, at, numbers, used, roots, levels))
+    squares += _ranges(ranges, at, numbers, shots, roots, levels)
+    thrice = np.repeat(points, 3)
+    apriori.say(MeasureKind.GROUND, np.tile(np.arange(3), points.size), thrice, thrice, -1, np.repeat(places, 3))
+    squares += judge_places(apriori, at.network.points.covariances[points], ground, levels)
+    squares += _heights(surface, at, numbers, heights, levels) + _priors(priors, at, known, levels)
+    degrees = float(out.redundancy.sum())
+    sigma0 = float(np.sqrt(squares / degrees)) if degrees > 0.0 else float("nan")
+    if levels.scaled:
+        for values, scale in ((out.test, sigma0), (out.joint, sigma0**2)):
+            values /= scale
+        for values in (out.detectable, out.effect, out.external):
+            values *= sigma0
+    critical = levels.critical_tau(degrees) if levels.scaled else levels.critical
+    return Reliability(at, levels, out, critical, sigma0, degrees)
+
+
+def _taking_part(at: Linearised, roots: tuple[Array, Array] | None) -> tuple[Mask, Index, Index]:
+    """Which rays (k,) take part; ranges, and heights by their place among the network's."""
+    network, places = at.network, at.layout.places
+    used = _used(at, places.rays, network.rays.point, None if roots is None else roots[0])
+    shots = np.flatnonzero(_used(at, places.ranges, network.ranges.point, None if roots is None else roots[1]))
+    if network.surface is None:
+        return used, shots, np.zeros(0, dtype=np.int64)
+    there = at.rows.terrain_cell[at.layout.patterns.point_place[places.on_terrain], 0] >= 0
+    return used, shots, np.flatnonzero(there & _used(at, places.heights, places.on_terrain, None))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Numbers:
+    """What the kernel says of the first two rows of sights."""
+
+    packed: Array
+    """(t, 8) side by side, lest each look-up of a sight cost several."""
+
+    def of(self, places: Index | Places | slice) -> "_Numbers":
+        """Of some sights."""
+        return _Numbers(self.packed[places])
+
+    @property
+    def misfit(self) -> Array:
+        """(t, 2) whitened residuals."""
+        return self.packed[:, :2]
+
+    @property
+    def share(self) -> Array:
+        """(t, 2) diagonal of H."""
+        return self.packed[:, 2:4]
+
+    @property
+    def effect(self) -> Array:
+        """(t, 2) m that an error of one sigma moves the point."""
+        return self.packed[:, 4:6]
+
+    @property
+    def between(self) -> Array:
+        """(t,) H between the two."""
+        return self.packed[:, 6]
+
+
+def _ground_places(at: Linearised, points: Index) -> Index:
+    """(g,) places among all sights of the a-priori places of network points."""
+    rows, place = at.rows, at.layout.patterns.point_place
+    of_pattern = np.full(rows.pattern_group.size, -1)
+    own = np.flatnonzero(rows.sight_kind == GROUND)
+    pattern = np.searchsorted(rows.pattern_sight, own, side="right") - 1
+    of_pattern[pattern] = own - rows.pattern_sight[pattern]
+    inside = place[points]
+    pattern, first, count, _, sight = rows.piece[at.layout.patterns.piece_of(inside)].T
+    return np.asarray(sight + of_pattern[pattern] * count + inside - first, dtype=np.int64)
+
+
+def _swept(at: Linearised, ground: Index) -> tuple[_Numbers, Array]:
+    """The kernel's numbers, and all of them (g, 3, 7) for some sights."""
+    rows, layout = at.rows, at.layout
+    pairs = at.pair_blocks(layout)
+    begins = np.append(rows.piece[:, 4], rows.weight.shape[1])
+    found, chosen = _Numbers(np.empty((begins[-1], 8))), np.empty((ground.size, 3, NUMBERS))
+    order = np.argsort(ground)
+
+    def part(first: int, last: int) -> None:
+        mine, point = partition(rows, first, last), int(rows.piece[first, 1])
+        points = at.points[point : point + mine.kind.size]
+        values = reduction.reliability(
+            mine, layout.groups, layout.blocks.target, layout.model, at.orientation, pairs, points
+        )
+        goal = found.of(slice(begins[first], begins[last]))
+        goal.misfit[:], goal.between[:] = values[:, :2, 0], values[:, 0, 2]
+        goal.share[:, 0], goal.share[:, 1] = values[:, 0, 1], values[:, 1, 2]
+        moved = values[:, :2, 4:]
+        goal.effect[:] = np.sqrt(np.einsum("tik,tik->ti", moved, moved))
+        own = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
+        chosen[own] = values[ground[own] - begins[first]]
+
+    edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
+    _in_threads(part, edges)
+    return found, chosen
+
+
+def _in_threads(part: Callable[[int, int], _Part], edges: list[int]) -> list[_Part]:
+    """What becomes of each stretch between edges, in their order; NumPy and the kernel let go of the interpreter."""
+    if len(edges) <= 2:
+        return [part(a, b) for a, b in pairwise(edges)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(part, edges[:-1], edges[1:]))
+
+
+def _robust_roots(at: Linearised, numbers: _Numbers) -> tuple[Array, Array] | None:
+    """Roots of the robust weights of all rays (k,) and ranges (r,), network order; None without a loss."""
+    if at.layout.model.loss == NO_LOSS:
+        return None
+    network, places = at.network, at.layout.places
+    found = residuals(at.layout, at.orientation, at.points)
+    plain = np.linalg.norm(found.image / network.rays.sigmas, axis=1), np.abs(found.ranges / network.ranges.sigmas)
+    scaled = np.linalg.norm(numbers.misfit[places.rays], axis=1), np.abs(numbers.misfit[places.ranges, 0])
+    rays, ranges = (
+        np.where(whole > _EXACT, part / np.maximum(whole, _EXACT), 1.0)
+        for part, whole in zip(scaled, plain, strict=True)
+    )
+    return rays, ranges
+
+
+def _rays(
+    out: Measures, at: Linearised, numbers: _Numbers, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
+) -> list[float]:
+    """Fill in the rays; sums of squares."""
+    rays, places = at.network.rays, at.layout.places.rays
+    edges = [*range(0, used.size, _RAYS), used.size]
+    counts = [int(np.count_nonzero(used[a:b])) for a, b in pairwise(edges)]
+    begins = dict(zip(edges, 2 * np.cumsum([0, *counts]), strict=True))
+
+    def part(first: int, last: int) -> float:
+        number = np.arange(first, last, dtype=np.int32)
+        chosen: slice | Index = slice(first, last)
+        if begins[last] - begins[first] < 2 * number.size:
+            number, chosen = number[used[first:last]], np.flatnonzero(used[first:last]) + first
+        place, root = places[chosen], None if roots is None else roots[0][chosen]
+        found, mine = numbers.of(place), out.part(begins[first], begins[last])
+        point, image = np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
+        mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(place, 2))
+        misfit, share, effect = (one.ravel() for one in (found.misfit, found.share, found.effect))
+        twice = None if root is None else np.repeat(root, 2)
+        judge_scalars(mine, rays.sigmas[chosen].ravel(), misfit, share, effect, twice, levels)
+        joint, dimensions = pair_tests(found.misfit, found.share, found.between, root)
+        mine.joint[:], mine.dimensions[:] = np.repeat(joint, 2), np.repeat(dimensions, 2)
+        return float(misfit @ misfit)
+
+    return _in_threads(part, edges)
+
+
+def _ranges(
+    out: Measures, at: Linearised, numbers: _Numbers, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
+) -> float:
+    """Fill in the ranges; their sum of squares."""
+    ranges, place = at.network.ranges, at.layout.places.ranges[shots]
+    out.say(MeasureKind.RANGE, _zeros(shots), shots, ranges.point[shots], ranges.image[shots], place)
+    found, root = numbers.of(place), None if roots is None else roots[1][shots]
+    misfit, share, effect = (one[:, 0] for one in (found.misfit, found.share, found.effect))
+    judge_scalars(out, ranges.sigmas[shots], misfit, share, effect, root, levels)
+    return float(misfit @ misfit)
+
+
+def _heights(out: Measures, at: Linearised, numbers: _Numbers, chosen: Index, levels: Levels) -> float:
+    """Fill in the heights above the terrain; their sum of squares."""
+    if at.network.surface is None:
+        return 0.0
+    point, place = at.layout.places.on_terrain[chosen], at.layout.places.heights[chosen]
+    out.say(MeasureKind.HEIGHT, _zeros(point), point, point, -1, place)
+    found, sigma = numbers.of(place), at.network.surface.sigmas[point]
+    misfit, share, effect = (one[:, 0] for one in (found.misfit, found.share, found.effect))
+    # the kernel's are heights of the points above the terrain: predicted, where 0 is measured
+    judge_scalars(out, sigma, -misfit, share, effect, None, levels)
+    return float(misfit @ misfit)
+
+
+def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> float:
+    """Fill in a-priori values of the shared unknowns, all of them zero; their sum of squares."""
+    about = known.about
+    variables = at.layout.variables
+    adjusted = np.array(variables.adjusted(), dtype=np.int64)
+    variable = np.repeat(adjusted, variables.width[adjusted])[about]
+    image = np.where(variable < variables.images, variable, -1)
+    out.say(MeasureKind.PRIOR, about - variables.first[variable], about, -1, image, -1)
+    judge_scalars(out, known.sigma, known.misfit, known.share, np.full(about.size, np.nan), None, levels)
+    return float(known.misfit @ known.misfit)
+
+
+def _used(at: Linearised, places: Index | Places, points: Index, root: Array | None) -> Mask:
+    """Which sights take part, by their places and points."""
+    used = (at.rows.weight[0, places] > 0.0) & (at.layout.network_order(at.rows.kind)[points] != OUT)
+    return np.asarray(used if root is None else used & (root > 0.0))
+
+
+def _zeros(like: Index) -> Small:
+    return np.zeros(like.size, dtype=np.int8)

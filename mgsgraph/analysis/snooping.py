@@ -1,0 +1,255 @@
+"""Data snooping: adjust, take out what has the largest test over its critical value, adjust again (Baarda 1968).
+
+What is taken out is a whole ray, range, a-priori place or height, by the joint test of its rows; what can't be told
+apart from it goes with it: the rays of a tie that only two images see, that is, the whole point. Several go at a time
+where they don't influence each other: different points, whose tests would exceed their critical values whatever the
+larger blunders have done to them. In the end each is judged by what the others predict for it, and taken back where it
+agrees. A-priori values of the orientation, shifts and biases are tested, but stay.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.levels import Levels
+from mgsgraph.analysis.linearised import Linearised, at_solution
+from mgsgraph.analysis.measures import MeasureKind
+from mgsgraph.analysis.rejection import (
+    Removal,
+    SightIndex,
+    SightName,
+    Taken,
+    direction,
+    nothing_taken,
+    readmissible,
+    selection,
+)
+from mgsgraph.analysis.reliability import Reliability, reliability
+from mgsgraph.analysis.suspects import INSEPARABLE, residual_covariance
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network
+
+_INDEPENDENT = 0.1
+"""Correlation of the tests of different points up to which both may go at a time."""
+_MOST_COLUMNS = 4000
+"""Shared unknowns whose dense covariance (128 MB) is made to compare candidates: the others wait."""
+_MOST_CANDIDATES = 2000
+"""Points that are compared at a time."""
+
+Told = Callable[[Removal], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snooping:
+    """What data snooping took out, and what is left."""
+
+    solution: Solution
+    """The last adjustment; its network lacks the a-priori places and heights that were taken out, and marks the rays
+    and ranges, as `rays_rejected` and `ranges_rejected` do."""
+    reliability: Reliability
+    """Of the measures that are left."""
+    removals: tuple[Removal, ...]
+    """What stays out, in the order in which it went."""
+    readmitted: tuple[Removal, ...]
+    """What was taken back in the end: the others agree with it, once the rest is out."""
+    taken: Taken
+    """Marks of what stays out; `taken.marked(network)` is the network with its rays and ranges marked as rejected."""
+    adjustments: int
+    """How many there were."""
+    complete: bool
+    """False where more tests exceed their critical value than might be taken out (`most`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidate:
+    """The most suspicious sight of a point, and those that can't be told apart from it."""
+
+    removal: Removal
+    variables: tuple[int, ...]
+    pull: Array
+    """(columns,) how the shared unknowns enter its test, before that is divided by its sigma."""
+    size: float
+    """Root of the joint test, for sigma0 = 1: what its best direction's test is, of unit variance."""
+
+    @property
+    def severity(self) -> float:
+        """Test over critical value."""
+        return float(np.sqrt(self.removal.test / self.removal.critical))
+
+
+def snoop(
+    network: Network,
+    settings: SolverSettings | None = None,
+    levels: Levels | None = None,
+    most: int = 1000,
+    name: str = "adjustment",
+    progress: Told = lambda _: None,
+) -> Snooping:
+    """Adjust a network without its blunders.
+
+    Parameters
+    ----------
+    network : Network
+    settings : SolverSettings, optional
+        Without a robust loss and a limit of its own for blunders: tests presume plain least squares.
+    levels : Levels, optional
+        Sizes of the tests.
+    most : int
+        Removals after which to stop.
+    name : str
+        What to call the adjustment in reports.
+    progress : callable
+        Called with every removal.
+    """
+    settings, levels = settings or SolverSettings(), levels or Levels()
+    if settings.loss != "none":
+        raise InputError("data snooping", f"loss {settings.loss!r}", "'none'", "tests presume plain least squares")
+    if settings.reject > 0.0:
+        raise InputError("data snooping", f"reject = {settings.reject:g}", "0", "choose one way of seeking blunders")
+    if most < 0:
+        raise InputError("data snooping, most", f"{most}", "0 or more")
+    run = _Run(network, settings, levels, most, name, progress)
+    run.take_out()
+    back = readmissible(network, run.at, run.solution, run.taken, run.removals, run.critical)
+    if back:
+        run.removals = [one for one in run.removals if one not in back]
+        run.taken = run.taken.changed([sight for one in back for sight in one.sights], False)
+        run.adjust()
+        run.take_out()
+        again = {sight for one in run.removals for sight in one.sights}
+        back = [one for one in back if not again.issuperset(one.sights)]
+    return Snooping(
+        run.solution,
+        run.found,
+        tuple(run.removals),
+        tuple(back),
+        run.taken,
+        run.adjustments,
+        run.complete,
+    )
+
+
+class _Run:
+    """One search, and where it stands."""
+
+    def __init__(
+        self, network: Network, settings: SolverSettings, levels: Levels, most: int, name: str, progress: Told
+    ) -> None:
+        self._network, self._settings, self._levels, self._name = network, settings, levels, name
+        self._most, self._progress = most, progress
+        self.taken, self.removals = nothing_taken(network), list[Removal]()
+        self.adjustments, self.complete = 0, True
+        self.adjust()
+
+    @property
+    def scale(self) -> float:
+        """What tests are divided by."""
+        return self.found.sigma0 if self._levels.scaled else 1.0
+
+    def critical(self, dimensions: int) -> float:
+        """Critical value of a joint test, before it is divided by sigma0 squared."""
+        return self.scale**2 * self.found.critical_joint(dimensions)
+
+    def take_out(self) -> None:
+        """Until no test exceeds its critical value."""
+        while candidates := _candidates(self.found, self.scale, self.adjustments):
+            room = self._most - len(self.removals)
+            if room <= 0:
+                self.complete = False
+                return
+            for one in _independent(candidates, self.at, self.scale)[:room]:
+                self.removals.append(one.removal)
+                self.taken = self.taken.changed(one.removal.sights, True)
+                self._progress(one.removal)
+            self.adjust()
+
+    def adjust(self) -> None:
+        """Adjust what is left."""
+        left = self.taken.marked(self._network)
+        self.solution = adjust_network(left, self._settings, self._name, left_in=selection(left, self.taken))
+        self.at = at_solution(self.solution)
+        self.found = reliability(self.at, self._levels)
+        self.adjustments += 1
+
+
+def _candidates(found: Reliability, scale: float, number: int) -> list[_Candidate]:
+    """One for each point that has a sight over its critical value, worst first."""
+    over = (found.severity > 1.0) & (found.measures.kind != MeasureKind.PRIOR)
+    worst = np.flatnonzero(over)[np.argsort(-found.severity[over], kind="stable")]
+    points, first = np.unique(found.measures.point[worst], return_index=True)
+    chosen = points[np.argsort(first)][:_MOST_CANDIDATES]
+    if not chosen.size:
+        return []
+    index = SightIndex(found.at)
+    candidates = [_candidate(found, index, int(point), scale, number) for point in chosen]
+    return sorted((one for one in candidates if one.severity > 1.0), key=lambda one: -one.severity)
+
+
+def _candidate(found: Reliability, index: SightIndex, point: int, scale: float, number: int) -> _Candidate:
+    """The worst sight of a point, by its direction of the largest test."""
+    at = found.at
+    rows, sights = at.rows_of(point), index.of(point)
+    covariance, through = residual_covariance(at, rows)
+    tests = list[tuple[SightName, Array, float, int]]()
+    for sight, slot in sights.items():
+        combination, test, dimensions = direction(covariance, rows.residuals[0], rows.sight == slot)
+        if dimensions and test > 0.0:
+            tests.append((sight, combination, test, dimensions))
+    worst = max(tests, key=lambda one: one[2] / found.critical_joint(one[3]))
+    _, combination, test, dimensions = worst
+    shadow = covariance @ combination
+    alike = [
+        one[0] for one in tests if abs(one[1] @ shadow) > INSEPARABLE * np.sqrt(one[2] * test) and one is not worst
+    ]
+    together = (worst[0], *alike)
+    names = tuple(_name(at, *sight) for sight in together)
+    critical = found.critical_joint(dimensions)
+    removal = Removal(together, names, point, test / scale**2, dimensions, critical, number)
+    return _Candidate(removal, rows.variables, through.T @ combination, float(np.sqrt(test)))
+
+
+def _name(at: Linearised, kind: MeasureKind, row: int) -> str:
+    """A whole sight in words."""
+    network = at.network
+    if kind is MeasureKind.RAY:
+        of, image = network.points.ids[network.rays.point[row]], network.images[network.rays.image[row]].name
+        return f"ray of point {of} in image {image}"
+    if kind is MeasureKind.RANGE:
+        of, image = network.points.ids[network.ranges.point[row]], network.images[network.ranges.image[row]].name
+        return f"range of point {of} in image {image}"
+    what = "a-priori place" if kind is MeasureKind.GROUND else "height above the terrain"
+    return f"{what} of point {network.points.ids[row]}"
+
+
+def _independent(candidates: Sequence[_Candidate], at: Linearised, scale: float) -> list[_Candidate]:
+    """The first, and those after it whose tests exceed their critical values whatever the ones before do to them."""
+    width, columns = at.layout.variables.width, dict[int, int]()
+    compared, total = list[_Candidate](), 0
+    for one in candidates:
+        new = [v for v in one.variables if v not in columns]
+        if compared and total + sum(int(width[v]) for v in new) > _MOST_COLUMNS:
+            continue
+        for v in new:
+            columns[v] = total
+            total += int(width[v])
+        compared.append(one)
+    pulls = np.zeros((len(compared), total))
+    for pull, one in zip(pulls, compared, strict=True):
+        places = [np.arange(columns[v], columns[v] + width[v]) for v in one.variables]
+        pull[np.concatenate([np.zeros(0, dtype=np.int64), *places])] = one.pull
+    size = np.array([one.size for one in compared])
+    correlation = np.abs(pulls @ at.joint.of(columns) @ pulls.T) / size[:, None] / size
+    limit = scale * np.sqrt([one.removal.critical for one in compared])
+    disturbed, nearest, taken = np.zeros(size.size), np.zeros(size.size), list[_Candidate]()
+    for j, one in enumerate(compared):
+        if taken and (nearest[j] > _INDEPENDENT or size[j] - disturbed[j] <= limit[j]):
+            continue
+        taken.append(one)
+        disturbed += correlation[j] * size[j]
+        nearest = np.maximum(nearest, correlation[j])
+    return taken

@@ -1,0 +1,228 @@
+"""Figures of merit of an adjustment in two steps: sigmas of points and orientation, and heights above the terrain, at
+each stage; by strip and for all. SI units, NaN for nothing.
+
+Heights are compared like with like: at every stage of the places where the rays alone put the points, with the
+orientation of the stage. (In step 2 each point has a height row of its own, which pulls it to the terrain; with that
+the heights would be smaller, whatever the orientation. `HeightMerit.rms_adjusted` has them.)
+
+Tables, words and figures all take their numbers here, so that they can't contradict each other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
+from mgsgraph.analysis.flight_sigmas import overhead, point_sigmas, pose_sigmas
+from mgsgraph.analysis.merit import mean_and_rms
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import Network, PointClass
+from mgsgraph.ties import PointKind
+
+STAGES = ("before", "step_1", "step_2")
+"""Nominal orientation and a-priori sigmas; adjusted without terrain; adjusted with it."""
+POINT_AXES = ("X", "Y", "Z")
+"""Flight direction, across track to the left, height."""
+POSE_AXES = FLIGHT_NAMES
+"""Components of `GroupMerit.poses`: m, then rad."""
+_LINES = 31
+"""Lines of an image at which its orientation is looked at, as the papers do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMerit:
+    """Heights of points above the terrain model."""
+
+    count: int
+    """Points whose height row took part in step 2."""
+    rms: Array
+    """(stages,) m, by rays alone."""
+    mean: Array
+    """(stages,) m, the same."""
+    rms_given: float
+    """m, the same after step 2, above the model where it is given: differs where its shift or tilt is unknown."""
+    rms_adjusted: float
+    """m, of the adjusted points of step 2, each pulled by its own height row."""
+
+    @property
+    def factors(self) -> Array:
+        """(stages,) by how much less than before, as a factor."""
+        return ratio(self.rms[0], self.rms)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupMerit:
+    """Of one strip, one image in no strip, or all."""
+
+    name: str
+    """Which."""
+    points: int
+    """Tie points that have a place after both steps."""
+    mean: Array
+    """(stages, 3) m, mean sigma of these along X (flight), Y (across), Z (height); for sigma0 = 1."""
+    median: Array
+    """(stages, 3) m, median of the same."""
+    poses: Array
+    """(stages, 6) m and rad, mean sigma of the orientation over evenly spaced lines, as POSE_AXES."""
+    heights: HeightMerit
+    """Of tie points over the terrain model."""
+
+    @property
+    def point_factors(self) -> Array:
+        """(stages, 3) by how much smaller than before the mean sigmas are."""
+        return ratio(self.mean[0], self.mean)
+
+    @property
+    def pose_factors(self) -> Array:
+        """(stages, 6) the same of the orientation."""
+        return ratio(self.poses[0], self.poses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepMerit:
+    """All of an adjustment in two steps."""
+
+    steps: TwoSteps
+    """What was adjusted."""
+    whole: GroupMerit
+    """All strips together; each point counts once, in the axes of the first strip that sees it."""
+    groups: tuple[GroupMerit, ...]
+    """Strips, then images in none; a point that two of them see counts in both."""
+    points: Index
+    """(m,) points of `heights`."""
+    heights: Array
+    """(stages, m) m above the terrain model, by rays alone; the model is where it is given, in step 2 where that puts
+    it."""
+    used: Mask
+    """(m,) whose row took part in step 2; the others were judged to be off."""
+    bare: int
+    """Tie points without a height row: beside the model, or of whose four posts some are missing."""
+    lost: int
+    """Tie points with one that lie there at some stage, or have no place: left out of `heights`."""
+
+
+def ratio(before: Array, after: Array) -> Array:
+    """Quotient of before and after; NaN where that is not defined."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(np.asarray(after) > 0.0, before / np.asarray(after), np.nan))
+
+
+def step_merit(steps: TwoSteps) -> StepMerit:
+    """Figures of merit of both steps.
+
+    A-priori sigmas of points are those of forward intersection (`analysis.forward`), of the rays that step 1 left in.
+    """
+    network = steps.network
+    before, covariances = steps.rays_alone.nominal()
+    ties = _ties(steps)
+    heights, others = _heights(steps, before)
+    assert network.surface is not None
+    of_ties, with_row = network.points.classes == PointClass.TIE, np.isfinite(network.surface.sigmas)
+    whole = np.all(np.isfinite(heights), axis=0) & np.all(np.isfinite(others), axis=0) & of_ties & with_row
+    used = whole & ~steps.off
+    groups = []
+    first = np.full(len(network.points), -1, dtype=np.int64)
+    for name, images in owners(network):
+        rays = _first_rays(steps, images)
+        mine = network.rays.point[rays]
+        fresh = first[mine] < 0
+        first[mine[fresh]] = rays[fresh]
+        heights_of = _height_merit(heights, others, mine[used[mine]])
+        poses = _poses(steps, int(images[images.size // 2]))
+        sigmas = _sigmas(steps, covariances, rays[ties[mine]])
+        groups.append(_group(name, sigmas, poses, heights_of))
+    rays = first[ties & (first >= 0)]
+    everything = _group(
+        "all",
+        _sigmas(steps, covariances, rays),
+        np.mean([group.poses for group in groups], axis=0),
+        _height_merit(heights, others, np.flatnonzero(used & (first >= 0))),
+    )
+    points = np.flatnonzero(whole)
+    bare, lost = (int(np.count_nonzero(of_ties & one)) for one in (~with_row, with_row & ~whole))
+    return StepMerit(steps, everything, tuple(groups), points, heights[:, points], used[points], bare, lost)
+
+
+def owners(network: Network) -> list[tuple[str, Index]]:
+    """Strips with their images; then every other image that is adjusted, or all where none is."""
+    strips = [(strip.name, strip.images) for strip in network.strips]
+    alone = np.flatnonzero(network.own)
+    if not strips and not alone.size:
+        alone = np.arange(len(network.images))
+    return strips + [(network.images[j].name, np.array([j])) for j in alone.tolist()]
+
+
+def _ties(steps: TwoSteps) -> Mask:
+    """(n,) tie points with an adjusted place after both steps."""
+    points = steps.network.points
+    mine = (points.classes == PointClass.TIE) & (points.kinds != PointKind.FIXED)
+    return np.asarray(mine & steps.free.determined & steps.fitted.determined)
+
+
+def _first_rays(steps: TwoSteps, images: Index) -> Index:
+    """The first ray that took part of each point that some images see."""
+    rays = steps.network.rays
+    mine = np.flatnonzero(np.isin(rays.image, images) & steps.free.rays_used)
+    _, first = np.unique(rays.point[mine], return_index=True)
+    return mine[first]
+
+
+def _sigmas(steps: TwoSteps, before: Array, rays: Index) -> Array:
+    """(stages, n, 3) m of the points of some rays, each in the flight of its ray's image."""
+    network = steps.network
+    points, image = network.rays.point[rays], network.rays.image[rays]
+    velocities = np.empty((rays.size, 3))
+    for j in np.unique(image).tolist():
+        mine = image == j
+        velocities[mine] = overhead(network.images[j], network.rays.places[rays[mine], 0])
+    places = steps.fitted.places[points]
+    covariances = (before, steps.free.covariances, steps.fitted.covariances)
+    return np.stack([point_sigmas(one[points], places, velocities) for one in covariances])
+
+
+def _poses(steps: TwoSteps, image: int) -> Array:
+    """(stages, 6) m and rad, mean over the lines of an image."""
+    lines = np.linspace(0.0, float(steps.network.images[image].lines), _LINES)
+    result = np.full((len(STAGES), 6), np.nan)
+    for k, solution in enumerate((steps.free, steps.fitted), start=1):
+        result[k] = _mean_pose(solution, image, lines)
+    joint = steps.rays_alone.joint
+    if joint is not None:
+        whole = steps.free.correction(image)
+        nominal = OrientationCorrection(np.zeros_like(whole.coefficients), whole.angles, whole.nodes)
+        result[0] = pose_sigmas(steps.free.network, image, nominal, joint, lines).mean(axis=0)
+    return result
+
+
+def _mean_pose(solution: Solution, image: int, lines: Array) -> Array:
+    correction, joint = solution.correction(image), solution.joint_covariance
+    return np.asarray(pose_sigmas(solution.network, image, correction, joint, lines).mean(axis=0))
+
+
+def _heights(steps: TwoSteps, before: Array) -> tuple[Array, Array]:
+    """(stages, n) m above the terrain model, and (2, n) m after step 2: the same above the model where it is given, and
+    of the adjusted points.
+    """
+    network, fitted = steps.network, steps.fitted
+    places, _ = steps.rays_alone.at(orientation_values(network, fitted))
+    stages = [(before, None), (steps.free.places, None), (places, fitted)]
+    heights = np.stack([heights_above(network, *stage)[0] for stage in stages])
+    others = [heights_above(network, places), heights_above(network, fitted.places, fitted)]
+    return heights, np.stack([one[0] for one in others])
+
+
+def _height_merit(heights: Array, others: Array, points: Index) -> HeightMerit:
+    mean, rms = mean_and_rms(heights[:, points].T)
+    given, adjusted = mean_and_rms(others[:, points].T)[1].tolist()
+    return HeightMerit(points.size, rms, mean, given, adjusted)
+
+
+def _group(name: str, sigmas: Array, poses: Array, heights: HeightMerit) -> GroupMerit:
+    count = sigmas.shape[1]
+    nothing = np.full((len(STAGES), 3), np.nan)
+    mean = sigmas.mean(axis=1) if count else nothing
+    median = np.median(sigmas, axis=1) if count else nothing
+    return GroupMerit(name, count, mean, median, poses, heights)

@@ -1,0 +1,375 @@
+"""The engine of incremental adjustment: bundles go into the tree and out of it until the linear system is the true one.
+
+A change makes the reduced systems of the bundles that it touches anew, and then those whose unknowns have moved farther
+than their slack, until none has. What has to be looked at afterwards is found by following the change outwards, from
+bundle to bundle, for as long as points can move by a noticeable part of a sigma.
+"""
+
+from collections import OrderedDict, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.incremental.motion import image_motion
+from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, Store, stretches
+from mgsgraph.incremental.sweep import Sweep, probes
+from mgsgraph.incremental.tree import Tree
+from mgsgraph.network import Network
+from mgsgraph.network.parts import Members, Unknown, known_images, part
+from mgsgraph.ties import PointKind
+
+_MOST_UPDATES = 12
+_REACH = 0.5 * NOTICEABLE
+"""Sigmas of a bundle's unknowns below which a change isn't followed any farther: its points can't move by more sigmas
+than they do, and several ways may lead farther, hence the half."""
+_LIKELY = 0.7 * NOTICEABLE
+"""Sigmas by which a probe has to move, or share by which its sigmas have to change, for its bundle to be looked at."""
+_KEPT = 150_000
+"""Points that stay laid out for the kernel between two changes (about 1 kB each)."""
+
+
+_Laid = TypeVar("_Laid")
+
+
+class _Kept(Generic[_Laid]):
+    """What was made last, up to a total size; what was asked for longest ago goes first."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._size = most, 0
+        self._all: OrderedDict[Members, tuple[int, _Laid]] = OrderedDict()
+
+    def get(self, members: Members) -> _Laid | None:
+        """What was kept for a bundle."""
+        if members not in self._all:
+            return None
+        self._all.move_to_end(members)
+        return self._all[members][1]
+
+    def put(self, members: Members, size: int, laid: _Laid) -> None:
+        """Keep it."""
+        self.drop(members)
+        self._all[members] = size, laid
+        self._size += size
+        while self._size > self._most and len(self._all) > 1:
+            _, (count, _) = self._all.popitem(last=False)
+            self._size -= count
+
+    def drop(self, members: Members) -> None:
+        """Forget it."""
+        if members in self._all:
+            self._size -= self._all.pop(members)[0]
+
+
+class Engine:
+    """Shared unknowns, reduced systems, and the tree over them; points stay in the store.
+
+    Parameters
+    ----------
+    settings : SolverSettings
+    store : Store
+        Read here, never written.
+    """
+
+    def __init__(self, settings: SolverSettings, store: Store) -> None:
+        self._settings, self._store = settings, store
+        self._begin(store.shared(), store.reduced())
+
+    def _begin(self, shared: dict[Unknown, Shared], systems: dict[Members, ReducedSystem]) -> None:
+        """Stand as unknowns and systems say, with no points laid out."""
+        self.shared, self.systems = shared, systems
+        self._lay_nothing_out()
+        self._grow()
+        self._take_values()
+
+    def _lay_nothing_out(self) -> None:
+        self._sweeps, self._probes = _Kept[Sweep](_KEPT), _Kept[tuple[Index, Sweep]](_KEPT)
+        self._changing = dict[Members, Sweep]()
+
+    def _grow(self) -> None:
+        """The tree of all unknowns and systems: from reduced systems, never from points."""
+        self._tree, self.value = Tree(), {unknown: one.value for unknown, one in self.shared.items()}
+        self._holding: defaultdict[Unknown, set[Members]] = defaultdict(set)
+        self._tree.change({unknown: one.prior for unknown, one in self.shared.items()}, self.systems)
+        self._hold(self.systems)
+
+    @contextmanager
+    def all_or_nothing(self) -> Iterator[None]:
+        """Whatever fails within, the engine stands as it did."""
+        before = dict(self.shared), dict(self.systems)
+        try:
+            yield
+        except BaseException:
+            self._begin(*before)
+            raise
+
+    def replaced(
+        self,
+        gone: Sequence[Members],
+        networks: Mapping[Members, Network],
+        new: Mapping[Unknown, Shared],
+        dropped: Sequence[Unknown] = (),
+    ) -> Settled:
+        """Put bundles in the place of others, with unknowns that come and go, and settle.
+
+        Raises
+        ------
+        PointBehindCamera
+            At the present values of the unknowns.
+        SolverError
+            When iSAM2 can't eliminate the change.
+        """
+        before = dict(self.value)
+        self.shared |= new
+        self.value |= {unknown: one.value for unknown, one in new.items()}
+        places = places_by_name(self._store.bundle(members) for members in gone)
+        self._forget(gone)
+        for members, network in networks.items():
+            self._changing[members] = Sweep(network, self._settings, _places_of(network, places))
+        systems = self._made(networks)
+        dropped = [*dropped, *self._unfelt(gone, networks)]
+        self._tree.change({unknown: one.prior for unknown, one in new.items()}, systems, gone, dropped)
+        for unknown in dropped:
+            del self.shared[unknown], self.value[unknown]
+        self._take(systems)
+        updates, others, converged = self._settle()
+        reached = self._reached(set(systems), gone, before)
+        self._note(reached, new)
+        bundles = self._placed(networks, reached)
+        far = {members: joint for members, joint in reached.items() if members not in networks}
+        bundles |= self._far(others - set(networks), far)
+        self._settle_down()
+        return Settled(bundles, reached, updates, len(systems) + len(others), converged)
+
+    def adopted(
+        self, shared: Mapping[Unknown, Shared], networks: Mapping[Members, Network], places: Mapping[str, Array]
+    ) -> dict[Members, Bundle]:
+        """Begin again from values of the unknowns and all bundles; places (3,) of points by name, as far as known."""
+        self._lay_nothing_out()
+        self.shared, kept = dict(shared), dict[Members, Bundle]()
+        self.value = {unknown: one.value for unknown, one in shared.items()}
+        sweeps = {m: Sweep(network, self._settings, _places_of(network, places)) for m, network in networks.items()}
+        found = {m: sweep.system(self.value, self._motion(m, sweep.network)) for m, sweep in sweeps.items()}
+        self.systems = {members: system for members, system in found.items() if system is not None}
+        self._grow()
+        for members, sweep in sweeps.items():
+            system = found[members]
+            joint = None if system is None else self.joint(system.unknowns)
+            kept[members] = sweep.placed(self.value, system, joint)
+        return kept
+
+    def refreshed(self, wanted: Iterable[Members]) -> dict[Members, Bundle]:
+        """Bundles with their points where the present unknowns put them."""
+        wanted = list(wanted)
+        joint = {members: self.joint(self.systems[members].unknowns) for members in wanted if members in self.systems}
+        return self._placed(wanted, joint)
+
+    def joint(self, unknowns: Sequence[Unknown]) -> Array:
+        """Joint covariance (d, d) of some unknowns, m and rad, straight from iSAM2."""
+        return self._tree.covariance(unknowns)
+
+    # --- books
+
+    def _hold(self, systems: Iterable[Members]) -> None:
+        for members in systems:
+            for unknown in members:
+                self._holding[unknown].add(members)
+
+    def _take(self, systems: Mapping[Members, ReducedSystem]) -> None:
+        self.systems |= systems
+        self._hold(systems)
+
+    def _forget(self, gone: Iterable[Members]) -> None:
+        for members in gone:
+            self._sweeps.drop(members)
+            self._probes.drop(members)
+            if self.systems.pop(members, None) is not None:
+                for unknown in members:
+                    self._holding[unknown].discard(members)
+
+    def _unfelt(self, gone: Sequence[Members], networks: Iterable[Members]) -> list[Unknown]:
+        """Shifts that no bundle feels any longer, not even one whose points have no place."""
+        felt = {unknown for members in gone for unknown in members if unknown.kind == "shift"}
+        doubtful = [unknown for unknown in felt if not self._holding[unknown]]
+        left = {*self._store.members()} - {*gone} | {*networks} if doubtful else set()  # all bundles are many to read
+        return [unknown for unknown in doubtful if not any(unknown in members for members in left)]
+
+    # --- to the true linear system
+
+    def _settle(self) -> tuple[int, set[Members], bool]:
+        """Make systems anew until all unknowns lie within their slack: how often the tree was changed, which systems
+        were made, and whether it came to rest.
+        """
+        others = set[Members]()
+        for updates in range(1, _MOST_UPDATES + 1):
+            stale = self._stale(self._take_values())
+            if not stale:
+                return updates, others, True
+            made = self._made(stale)
+            self._tree.change(systems=made)
+            self._take(made)
+            others |= set(made)
+        self._take_values()
+        return _MOST_UPDATES, others, False
+
+    def _made(self, bundles: Iterable[Members]) -> dict[Members, ReducedSystem]:
+        """Reduced systems at the present values."""
+        made = dict[Members, ReducedSystem]()
+        for members in bundles:
+            sweep = self._laid_out(members)
+            if (system := sweep.system(self.value, self._motion(members, sweep.network))) is not None:
+                made[members] = system
+        return made
+
+    def _motion(self, members: Members, network: Network) -> Array:
+        """(2,) pixels per m and per rad of the image of a bundle that has most of them."""
+        moving = [self.shared[unknown].motion for unknown in members if unknown.kind == "image"]
+        moving = moving or [image_motion(one) for one in known_images(network)]  # all of them held
+        return max((motion[[0, 3]] for motion in moving), key=lambda motion: float(motion[1]))
+
+    def _take_values(self) -> list[Unknown]:
+        """Values from the tree; which unknowns have moved."""
+        moved = self._tree.moved()
+        self.value |= moved
+        return list(moved)
+
+    def _stale(self, moved: Iterable[Unknown]) -> set[Members]:
+        """Bundles of unknowns that have moved farther from where their system was made than its slack."""
+        near = {members for unknown in moved for members in self._holding[unknown]}
+        return {members for members in near if self._distance(self.systems[members]) > self.systems[members].slack}
+
+    def _distance(self, system: ReducedSystem) -> float:
+        """Pixels by which image places can have moved since a system was made."""
+        farthest = 0.0
+        for unknown, mine in stretches(system.unknowns, self.value).items():
+            step = self.value[unknown] - system.at[mine]
+            farthest = max(farthest, float(np.abs(step) @ self.shared[unknown].motion))
+        return farthest
+
+    # --- how far a change reaches
+
+    def _reached(
+        self, changed: set[Members], gone: Iterable[Members], before: Mapping[Unknown, Array]
+    ) -> dict[Members, Array]:
+        """Bundles changed, and those whose unknowns have moved noticeably, outwards; with their joint covariance.
+
+        Points move by no more of their sigmas than the unknowns of their bundle do of theirs (in Mahalanobis' sense):
+        dp = A dx, and S_p is at least A S_x A'.
+        """
+        reached, looked_at = dict[Members, Array](), dict[Members, Array]()
+        start = {unknown for members in gone for unknown in members} & set(self.shared)
+        waiting = list(changed | {members for unknown in start for members in self._holding[unknown]})
+        seen = set(waiting)
+        while waiting:
+            waiting.sort(key=len)  # large ones first: their covariance has that of their parts in it
+            members = waiting.pop()
+            system = self.systems[members]
+            joint, step = self._joint_within(system.unknowns, looked_at), self._step(system, before)
+            if members not in changed and step @ np.linalg.solve(joint, step) < _REACH**2:
+                continue
+            reached[members] = joint
+            near = {other for unknown in members for other in self._holding[unknown]} - seen
+            seen |= near
+            waiting += near
+        return reached
+
+    def _joint_within(self, unknowns: Members, known: dict[Members, Array]) -> Array:
+        """Joint covariance of some unknowns, out of one that is known where they all are in it."""
+        wanted = set(unknowns)
+        for names, joint in known.items():
+            if wanted.issubset(names):
+                place, columns = stretches(names, self.value), np.arange(joint.shape[0])
+                mine = np.concatenate([columns[place[unknown]] for unknown in unknowns])
+                return np.asarray(joint[np.ix_(mine, mine)])
+        known[unknowns] = self.joint(unknowns)
+        return known[unknowns]
+
+    def _step(self, system: ReducedSystem, before: Mapping[Unknown, Array]) -> Array:
+        """(d,) by which a system's unknowns have moved; new ones from zero."""
+        return np.concatenate([self.value[unknown] - before.get(unknown, 0.0) for unknown in system.unknowns])
+
+    def _note(self, reached: Mapping[Members, Array], new: Iterable[Unknown]) -> None:
+        """Values and covariances of the unknowns reached, for the records of the store."""
+        found = dict[Unknown, Array]()
+        for members, joint in reached.items():
+            place = stretches(self.systems[members].unknowns, self.value)
+            found |= {unknown: joint[mine, mine] for unknown, mine in place.items()}
+        found |= {unknown: self.joint([unknown]) for unknown in new if unknown not in found}
+        for unknown, covariance in found.items():
+            self.shared[unknown] = replace(self.shared[unknown], value=self.value[unknown], covariance=covariance)
+
+    # --- points
+
+    def _settle_down(self) -> None:
+        """The bundles of a change are in the store from now on."""
+        for members, sweep in self._changing.items():
+            self._sweeps.put(members, len(sweep.network.points), sweep)
+        self._changing = {}
+
+    def _laid_out(self, members: Members) -> Sweep:
+        """The sweep of a bundle; laid out anew when it isn't at hand any longer."""
+        if members in self._changing:
+            return self._changing[members]
+        if (sweep := self._sweeps.get(members)) is None:
+            bundle = self._store.bundle(members)
+            sweep = Sweep(bundle.network, self._settings, bundle.places)
+            self._sweeps.put(members, len(bundle.network.points), sweep)
+        return sweep
+
+    def _placed(self, bundles: Iterable[Members], joint: Mapping[Members, Array]) -> dict[Members, Bundle]:
+        """Bundles with their points where the present unknowns put them."""
+        return {
+            members: self._laid_out(members).placed(self.value, self.systems.get(members), joint.get(members))
+            for members in bundles
+        }
+
+    def _far(self, made: Iterable[Members], joint: Mapping[Members, Array]) -> dict[Members, Bundle]:
+        """Bundles whose points are the same as before: those whose system was made anew, with it; and of those reached
+        (with the covariance of their unknowns) the ones that have moved noticeably, with their places now, and their
+        covariances, if their sigmas have changed by as much.
+        """
+        found = {members: self._renewed(members) for members in made}
+        for members, spread in joint.items():
+            moved, changed = self._told(members, spread)
+            if moved and changed:
+                found |= self._placed([members], joint)
+            elif moved:
+                found[members] = replace(self._renewed(members), places=self._laid_out(members).places(self.value))
+        return found
+
+    def _renewed(self, members: Members) -> Bundle:
+        return replace(self._store.bundle(members), reduced=self.systems.get(members))
+
+    def _told(self, members: Members, joint: Array) -> tuple[bool, bool]:
+        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed: its probes tell."""
+        bundle = self._store.bundle(members)
+        if (found := self._probes.get(members)) is None:
+            chosen = probes(bundle)
+            if chosen.size == 0:
+                return False, False
+            found = chosen, Sweep(part(bundle.network, chosen), self._settings, bundle.places[chosen])
+            self._probes.put(members, chosen.size, found)
+        chosen, sweep = found
+        now = sweep.placed(self.value, None, joint)
+        sigmas = np.sqrt(np.diagonal(bundle.covariances[chosen], axis1=1, axis2=2))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            moved = np.abs(now.places - bundle.places[chosen]) / sigmas
+            changed = np.abs(now.sigmas / sigmas - 1.0)
+        return bool(np.any(moved > _LIKELY)), bool(np.any(changed > _LIKELY))
+
+
+def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:
+    """Places (3,) in m of all points, NaN for undetermined ones."""
+    return {name: place for one in bundles for name, place in zip(one.network.points.ids, one.places, strict=True)}
+
+
+def _places_of(network: Network, places: Mapping[str, Array]) -> Array:
+    """(n, 3) m, NaN where a point isn't among those known, or is where its a-priori place says."""
+    nowhere = np.full(3, np.nan)
+    found = np.array([places.get(name, nowhere) for name in network.points.ids]).reshape(-1, 3)
+    found[network.points.kinds == PointKind.FIXED] = np.nan
+    return found

@@ -1,0 +1,341 @@
+"""What a change has done: which images and points moved, by how much and by how many of their sigmas."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.incremental.state import NOTICEABLE, Bundle, Settled, Shared
+from mgsgraph.network.parts import Members, Unknown
+from mgsgraph.notebook import card
+from mgsgraph.units import MRAD
+from mgsgraph.wording import many
+
+_FAR = 5.0
+"""A-priori sigmas beyond which a new image's correction is remarkable."""
+_SHOWN = 12
+"""Rows of a printed table."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedImages:
+    """Images that a change reached; i of them."""
+
+    names: tuple[str, ...]
+    """(i)"""
+    new: Mask
+    """(i,) whether the change brought them."""
+    moves: Array
+    """(i, 6) m and rad, change of the constant term of the orientation: position, rotation about the camera axes."""
+    in_sigmas: Array
+    """(i,) largest change of a coefficient, in its sigmas before."""
+    sigmas_before: Array
+    """(i, 6) m and rad, of the constant term."""
+    sigmas_after: Array
+    """(i, 6) m and rad."""
+    on_ground: Array
+    """(i,) m, by which the ground under the image's middle moved."""
+    ground_before: Array
+    """(i,) m, sigma of that place, root of the trace of its covariance along the ground."""
+    ground_after: Array
+    """(i,) m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovedPoints:
+    """Points that moved by more than `NOTICEABLE` of a sigma, or that the change brought; n of them."""
+
+    ids: tuple[str, ...]
+    """(n)"""
+    new: Mask
+    """(n,) whether they had no place before."""
+    moves: Array
+    """(n, 3) m, body-fixed; NaN for new ones."""
+    in_sigmas: Array
+    """(n,) largest of x, y, z in sigmas before; NaN for new ones."""
+    sigmas_before: Array
+    """(n, 3) m; NaN for new ones."""
+    sigmas_after: Array
+    """(n, 3) m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Impact:
+    """What adding or removing images has done to the rest."""
+
+    verb: str
+    """What was done: add or remove."""
+    subjects: tuple[str, ...]
+    """Images added or removed."""
+    images: MovedImages
+    """Images that the change reached."""
+    points: MovedPoints
+    """Points that it moved."""
+    neighbours: dict[str, int]
+    """Images that share determined points with those added, and how many."""
+    unconnected: tuple[str, ...]
+    """Images added that share no points with any other."""
+    lost: tuple[str, ...]
+    """Points that no image sees any longer, and that have gone with the one removed."""
+    undetermined: tuple[str, ...]
+    """Points that had a place, and have too few rays left."""
+    updates: int
+    """How often iSAM2's tree was changed until everything lay within its slack."""
+    systems: int
+    """Reduced systems that were made."""
+    converged: bool
+    """Whether it came to rest."""
+    seconds: float = float("nan")
+    """Wall time of all of it."""
+
+    def __repr__(self) -> str:
+        moved = int(np.count_nonzero(~self.points.new))
+        return (
+            f"Impact({self.verb} {', '.join(self.subjects)}: {len(self.images.names)} images reached, {moved} points "
+            f"moved by more than {NOTICEABLE} of a sigma, {len(self.points.ids) - moved} new)"
+        )
+
+    def after(self, seconds: float) -> "Impact":
+        """The same, with the wall time it took."""
+        return replace(self, seconds=seconds)
+
+    def sentences(self) -> list[str]:
+        """What a reader should know first."""
+        said = list[str]()
+        if self.unconnected:
+            names = ", ".join(self.unconnected)
+            said.append(f"Unconnected: {names}. No point is shared with another image; tie points would join it.")
+        if self.neighbours:
+            most = sorted(self.neighbours.items(), key=lambda pair: -pair[1])[:5]
+            said.append("Shared points: " + ", ".join(f"{count} with {name}" for name, count in most) + ".")
+        said += [*self._of_images(), *self._of_points()]
+        if self.undetermined:
+            said.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
+        if self.lost:
+            said.append(f"{many(len(self.lost), 'point')} that no other image saw: gone.")
+        if not self.converged:
+            said.append("It did not come to rest; solve the project anew.")
+        return said
+
+    def _of_images(self) -> list[str]:
+        images, old = self.images, ~self.images.new
+        said = [
+            f"{images.names[k]} lies {images.in_sigmas[k]:.2g} of its a-priori sigmas from where it was thought to be: "
+            "look whether file, name and measures belong together."
+            for k in np.flatnonzero(~old & (images.in_sigmas > _FAR)).tolist()
+        ]
+        if not np.any(old):
+            return said
+        k = int(np.argmax(np.where(old, self.images.in_sigmas, -1.0)))
+        return [
+            *said,
+            f"{many(int(np.count_nonzero(old)), 'image')} reached; most moved is {self.images.names[k]}: "
+            f"{self.images.in_sigmas[k]:.2g} of its sigmas, {self.images.on_ground[k]:.3g} m on the ground."
+        ]
+
+    def _of_points(self) -> list[str]:
+        said, points, moved = list[str](), self.points, ~self.points.new
+        if np.any(moved):
+            k = int(np.nanargmax(np.where(moved, points.in_sigmas, -1.0)))
+            said.append(
+                f"{many(int(np.count_nonzero(moved)), 'point')} moved by more than {NOTICEABLE} of a sigma; most "
+                f"of all {points.ids[k]}: {np.linalg.norm(points.moves[k]):.3g} m, {points.in_sigmas[k]:.2g} sigmas."
+            )
+        if np.any(points.new):
+            mean = ", ".join(f"{value:.3g}" for value in np.nanmean(points.sigmas_after[points.new], axis=0))
+            said.append(f"{many(int(np.count_nonzero(points.new)), 'new point')}; mean sigmas x, y, z {mean} m.")
+        return said
+
+    def table(self) -> str:
+        """The images reached as text, most moved first."""
+        return _aligned(self._rows(), _WIDTHS)
+
+    def points_table(self) -> str:
+        """The points that moved most as text; empty where none did."""
+        points = self.points
+        order = np.argsort(-np.where(points.new, -1.0, points.in_sigmas), kind="stable")
+        order = order[: min(_SHOWN, int(np.count_nonzero(~points.new)))]
+        if order.size == 0:
+            return ""
+        sigmas = [np.linalg.norm(part, axis=1) for part in (points.sigmas_before, points.sigmas_after)]
+        rows: list[tuple[str, ...]] = [_POINT_HEAD, ("", "sigmas", "m", "m", "m", "m", "m")]
+        for k in order.tolist():
+            numbers = (points.in_sigmas[k], *points.moves[k], sigmas[0][k], sigmas[1][k])
+            rows.append((points.ids[k][-_WIDTHS[0] :], *(f"{number:.3g}" for number in numbers)))
+        if (more := int(np.count_nonzero(~points.new)) - order.size) > 0:
+            rows.append((f"and {more} more", *[""] * 6))
+        return _aligned(rows, _WIDTHS)
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        images = self.images
+        order = np.argsort(-np.where(images.new, np.inf, images.in_sigmas), kind="stable")
+        rows: list[tuple[str, ...]] = [_HEAD, _UNITS]
+        for k in order[:_SHOWN].tolist():
+            before = "-" if images.new[k] else f"{images.ground_before[k]:.3g}"
+            angle = float(np.linalg.norm(images.moves[k, 3:])) / MRAD
+            rows.append(
+                (
+                    images.names[k][-_WIDTHS[0] :],
+                    "new" if images.new[k] else f"{images.in_sigmas[k]:.3f}",
+                    f"{np.linalg.norm(images.moves[k, :3]):.3g}",
+                    f"{angle:.3g}",
+                    f"{images.on_ground[k]:.3g}",
+                    before,
+                    f"{images.ground_after[k]:.3g}",
+                )
+            )
+        if order.size > _SHOWN:
+            rows.append((f"and {order.size - _SHOWN} more", *[""] * (len(_HEAD) - 1)))
+        return rows
+
+    def _repr_html_(self) -> str:
+        """For notebooks."""
+        return card(repr(self), self.sentences(), self._rows(), head=2)
+
+
+def _aligned(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> str:
+    lines = (zip(row, widths, strict=True) for row in rows)
+    return "\n".join("  ".join(cell.rjust(width) for cell, width in line).rstrip() for line in lines)
+
+
+_HEAD = ("image", "moved", "position", "pointing", "ground", "sigma before", "after")
+_POINT_HEAD = ("point", "moved", "x", "y", "z", "sigma before", "after")
+_UNITS = ("", "sigmas", "m", "mrad", "m", "m", "m")
+_WIDTHS = (28, 8, 9, 9, 9, 13, 9)
+
+
+def impact(
+    verb: str,
+    subjects: Sequence[str],
+    settled: Settled,
+    old: Mapping[Members, Bundle],
+    before: Mapping[Unknown, Shared],
+    after: Mapping[Unknown, Shared],
+) -> Impact:
+    """Put the record of a change together.
+
+    Parameters
+    ----------
+    verb, subjects
+        What was done with which images.
+    settled : Settled
+        How the change came to rest, and where the points are now.
+    old : mapping
+        The bundles changed and reached, as they were.
+    before, after : mapping
+        Shared unknowns.
+    """
+    kept = settled.bundles
+    was = _Was(old, kept)
+    reached = {unknown for members in settled.reached for unknown in members} | set(after) - set(before)
+    names = sorted(u.name for u in reached if u.kind == "image" and u in after)
+    now = {name for members, one in kept.items() if members not in was for name in one.network.points.ids}
+    adding = verb == "add"
+    neighbours, linked = _neighbours(subjects, kept)
+    return Impact(
+        verb,
+        tuple(subjects),
+        _moved_images(names, before, after),
+        _moved_points(kept, was),
+        neighbours if adding else {},
+        tuple(name for name in subjects if name not in linked) if adding else (),
+        tuple(name for name in was.row if name not in now),
+        _left_undetermined(kept, was),
+        settled.updates,
+        settled.systems,
+        settled.converged,
+    )
+
+
+def _moved_images(
+    names: Sequence[str], before: Mapping[Unknown, Shared], after: Mapping[Unknown, Shared]
+) -> MovedImages:
+    unknowns = [Unknown("image", name) for name in names]
+    table = np.array([_moved_image(before.get(u), after[u]) for u in unknowns]).reshape(len(unknowns), 22)
+    moves, in_sigmas, first, second, ground = np.split(table, [6, 7, 13, 19], axis=1)
+    new = np.array([unknown not in before for unknown in unknowns], dtype=bool)
+    return MovedImages(tuple(names), new, moves, in_sigmas[:, 0], first, second, *ground.T)
+
+
+def _moved_image(before: Shared | None, after: Shared) -> list[float]:
+    """Six moves, their size in sigmas, six sigmas before and after, move on the ground, its sigma before and after."""
+    was = before or replace(after, value=np.zeros_like(after.value), covariance=np.diag(after.prior**2))
+    step, sigmas = after.value - was.value, was.sigmas
+    spread = [float(np.sqrt(np.trace(after.ground @ one.covariance @ after.ground.T))) for one in (was, after)]
+    size = float(np.max(np.abs(step) / sigmas))
+    return [*step[:6], size, *sigmas[:6], *after.sigmas[:6], float(np.linalg.norm(after.ground @ step)), *spread]
+
+
+class _Was:
+    """Points of some bundles as they were."""
+
+    def __init__(self, old: Mapping[Members, Bundle], kept: Mapping[Members, Bundle]) -> None:
+        same = {members for members, one in kept.items() if members in old and one.network is old[members].network}
+        self._same = {members: old[members] for members in same}
+        mixed = [one for members, one in old.items() if members not in same]
+        nothing = np.full((1, 3), np.nan)
+        self.row = {name: k for k, name in enumerate(name for one in mixed for name in one.network.points.ids)}
+        self._places = np.concatenate([*(one.places for one in mixed), nothing])
+        self._sigmas = np.concatenate([*(one.sigmas for one in mixed), nothing])
+
+    def __contains__(self, members: Members) -> bool:
+        """Whether a bundle has the same points as before."""
+        return members in self._same
+
+    def of(self, members: Members, bundle: Bundle) -> tuple[Array, Array]:
+        """Places and sigmas (n, 3) of a bundle's points; NaN for those that had none."""
+        if (one := self._same.get(members)) is not None:
+            return one.places, one.sigmas
+        rows = np.array([self.row.get(name, -1) for name in bundle.network.points.ids], dtype=np.int64)
+        return self._places[rows], self._sigmas[rows]
+
+
+def _moved_points(kept: Mapping[Members, Bundle], was: _Was) -> MovedPoints:
+    """Points that have moved noticeably, and new ones."""
+    parts = [_moved_of(bundle, *was.of(members, bundle)) for members, bundle in kept.items()]
+    ids = tuple(name for names, _ in parts for name in names)
+    table = np.concatenate([np.zeros((0, 11)), *(values for _, values in parts)])
+    return MovedPoints(ids, table[:, 0] > 0.0, table[:, 1:4], table[:, 4], table[:, 5:8], table[:, 8:11])
+
+
+def _moved_of(bundle: Bundle, places: Array, sigmas: Array) -> tuple[list[str], Array]:
+    """Names, and whether new, three moves, their size in sigmas, three sigmas before and after, (n, 11)."""
+    moves = bundle.places - places
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.max(np.abs(moves) / sigmas, axis=1)
+    new = np.isnan(places[:, 0]) & np.isfinite(bundle.places[:, 0])
+    chosen = np.flatnonzero(new | (size > NOTICEABLE))
+    table = np.column_stack([new, moves, size, sigmas, bundle.sigmas])
+    ids = bundle.network.points.ids
+    return [ids[k] for k in chosen.tolist()], table[chosen]
+
+
+def _left_undetermined(kept: Mapping[Members, Bundle], was: _Was) -> tuple[str, ...]:
+    """Points that had a place and have none now."""
+    found = list[str]()
+    for members, bundle in kept.items():
+        missing = np.isnan(bundle.places[:, 0])
+        if np.any(missing):
+            had = np.isfinite(was.of(members, bundle)[0][:, 0])
+            found += [bundle.network.points.ids[k] for k in np.flatnonzero(missing & had).tolist()]
+    return tuple(found)
+
+
+def _neighbours(subjects: Sequence[str], kept: Mapping[Members, Bundle]) -> tuple[dict[str, int], set[str]]:
+    """Images that share determined points with some others, and how many; and all images that share such points."""
+    shared, linked, own = dict[str, int](), set[str](), set(subjects)
+    for bundle in kept.values():
+        network = bundle.network
+        number = {image.name: j for j, image in enumerate(network.images)}
+        mine = np.zeros((len(number), len(network.points)), dtype=bool)
+        mine[network.rays.image, network.rays.point] = True
+        mine &= np.isfinite(bundle.places[:, 0])
+        several = mine.sum(axis=0) > 1
+        with_own = np.any(mine[[number[name] for name in own if name in number]], axis=0)
+        for name, j in number.items():
+            if np.any(mine[j] & several):
+                linked.add(name)
+            if name not in own and (count := int(np.count_nonzero(mine[j] & with_own))):
+                shared[name] = shared.get(name, 0) + count
+    return shared, linked

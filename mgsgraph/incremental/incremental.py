@@ -1,0 +1,317 @@
+"""Incremental adjustment: images come and go, iSAM2 holds the shared unknowns, points stay in their bundles."""
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.passes import Progress
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import LaserProfile
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.geometry.records import Array
+from mgsgraph.incremental.closing import Closing, closing, shared_image, shared_of, shared_shift
+from mgsgraph.incremental.engine import Engine
+from mgsgraph.incremental.impact import Impact, impact
+from mgsgraph.incremental.motion import image_motion
+from mgsgraph.incremental.rebundling import require_one_body, with_addition, without
+from mgsgraph.incremental.state import ImagesByName, InMemory, KnownImage, Settled, Shared, Store
+from mgsgraph.incremental.sweep import Sweep
+from mgsgraph.network import Network
+from mgsgraph.network.observations import observed
+from mgsgraph.network.parts import Members, Unknown, bundles, joined, known_images, with_images
+from mgsgraph.notebook import card
+from mgsgraph.ties import TiePoints
+from mgsgraph.units import MRAD
+
+Observations = TiePoints | LaserProfile | Sequence[TiePoints | LaserProfile]
+
+
+class IncrementalAdjustment:
+    """Images and their observations, adjusted as they come.
+
+    Parameters
+    ----------
+    settings : SolverSettings, optional
+        Measurement model and loss; the defaults when absent. Blunders are sought by batch alone (`close`).
+    store : Store, optional
+        Where the state lies; in memory when absent.
+    """
+
+    def __init__(self, settings: SolverSettings | None = None, store: Store | None = None) -> None:
+        self.settings = settings or SolverSettings()
+        self.store: Store = InMemory() if store is None else store
+        if self.settings.form != "bundle":
+            raise InputError("incremental adjustment", f"the {self.settings.form} form", "the bundle form")
+        self._engine = Engine(self.settings, self.store)
+
+    @classmethod
+    def of(cls, solution: Solution, store: Store | None = None) -> "IncrementalAdjustment":
+        """Go on from a batch solution."""
+        found = cls(solution.settings, store)
+        found.adopt(solution)
+        return found
+
+    def __repr__(self) -> str:
+        return f"IncrementalAdjustment({len(self.images)} images, {len(self.store.members())} bundles of points)"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: each image with the sigmas of its constant term."""
+        rows = [("image", "position", "pointing"), ("", "m", "mrad")]
+        for name in self.images:
+            if (one := self._engine.shared.get(Unknown("image", name))) is None:
+                rows.append((name, "held", "held"))
+                continue
+            position, pointing = (float(np.linalg.norm(part)) for part in np.split(one.sigmas[:6], 2))
+            rows.append((name, f"{position:.3g}", f"{pointing / MRAD:.3g}"))
+        return card(repr(self), ["Sigmas of the images' position and pointing, as they were last looked at."], rows, 2)
+
+    # --- what may be asked
+
+    @property
+    def images(self) -> list[str]:
+        """Names of all images, in the order in which they came."""
+        return self.store.image_names()
+
+    @property
+    def values(self) -> Mapping[Unknown, Array]:
+        """Present values (d,) of all shared unknowns, m and rad."""
+        return dict(self._engine.value)
+
+    def correction(self, image: str) -> OrientationCorrection:
+        """Present orientation correction of an image; zero for a held one."""
+        known, unknown = self._known(image), Unknown("image", image)
+        value = np.zeros(known.prior.sigmas.size) if known.held else self._engine.value[unknown]
+        return OrientationCorrection(value.reshape(-1, 6), self.settings.angles)
+
+    def covariance(self, *images: str) -> Array:
+        """Joint covariance (d, d) of the coefficients of some images, m and rad, straight from iSAM2."""
+        for image in images:
+            if self._known(image).held:
+                raise InputError(f"image {image}", "held: it has no unknowns", "an adjusted image")
+        return self._engine.joint([Unknown("image", image) for image in images])
+
+    def points(self, ids: Sequence[str] | None = None) -> tuple[tuple[str, ...], Array, Array]:
+        """Names, places (n, 3) in m and covariances (n, 3, 3) in m^2 of points, refreshed; all of them when absent.
+
+        Undetermined points have NaN. Raises InputError for an unknown name.
+        """
+        homes = set(self.store.members()) if ids is None else set(self.store.homes(ids).values())
+        fresh = list(self._engine.refreshed(sorted(homes)).values())
+        names = tuple(name for one in fresh for name in one.network.points.ids)
+        places = np.concatenate([np.zeros((0, 3)), *(one.places for one in fresh)])
+        covariances = np.concatenate([np.zeros((0, 3, 3)), *(one.covariances for one in fresh)])
+        if ids is None:
+            return names, places, covariances
+        where = {name: k for k, name in enumerate(names)}
+        for name in ids:
+            if name not in where:
+                raise InputError(f"point {name}", "no such point", "one of the adjustment's")
+        chosen = [where[name] for name in ids]
+        return tuple(ids), places[chosen], covariances[chosen]
+
+    @property
+    def network(self) -> Network:
+        """Everything as one network, images in the order in which they came."""
+        return self._everything()[0]
+
+    def _everything(self) -> tuple[Network, Array]:
+        """All of it as one network, and the places (n, 3) in m of its points as they are in store."""
+        read = map(self.store.bundle, sorted(self.store.members()))
+        parts = [(one.network, one.places) for one in read]  # covariances, nine numbers a point, aren't kept meanwhile
+        if not parts:
+            raise InputError("incremental adjustment", "no points", "observations in at least one image")
+        networks, places = zip(*parts, strict=True)
+        images = [self.store.image(name) for name in self.images]
+        return with_images(joined(networks), images), np.concatenate(places)
+
+    # --- what may be done
+
+    def add(
+        self,
+        images: Network | PushbroomImage | KnownImage | Sequence[KnownImage],
+        observations: Observations = (),
+        prior: OrientationPrior | None = None,
+        tie_sigma: float = 1.0,
+        shot_sigma: float = 30.0,
+    ) -> Impact:
+        """Add images with what is observed in them (and, of points that were there before, in others).
+
+        Parameters
+        ----------
+        images : Network, PushbroomImage, KnownImage, or several of the latter
+            A network brings its observations with it; those of its images that are known already are not new.
+        observations : TiePoints, LaserProfile, or several
+            Points known already come again by their ids, with their new measures.
+        prior : OrientationPrior, optional
+            Of a PushbroomImage; that of the image added last when absent.
+        tie_sigma, shot_sigma : float
+            px, of the image coordinates of tie points for which their file says nothing, and of laser footprints.
+
+        Raises
+        ------
+        InputError
+            When an image is there already, a measure names an unknown image or is there already, or parts contradict.
+        PointBehindCamera
+            With the nominal orientation of a new image. In all cases nothing has changed then.
+        """
+        if isinstance(images, Network):
+            there = set(self.images)
+            named = ((one.image.name, one) for one in known_images(images))
+            known = [self.store.image(name) if name in there else one for name, one in named]
+            more = [one for one in known if one.image.name not in there]
+            # of images that are there, a network doesn't say anew what is known of them
+            return self._added(more, with_images(images, known))
+        new = self._new_images(images, prior)
+        every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
+        addition = observed(ImagesByName(self.store, new), every, tie_sigma, shot_sigma)
+        return self._added(new, addition)
+
+    def remove(self, *images: str) -> Impact:
+        """Take images out with their measures; points that nothing else sees go, too.
+
+        Raises InputError for an unknown image.
+        """
+        images = tuple(dict.fromkeys(images))
+        for image in images:
+            self._known(image)
+        return self._change("remove", list(images), [], *without(self.store, images))
+
+    def close(self, name: str = "adjustment", progress: Progress = lambda _: None) -> tuple[Closing, Solution]:
+        """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.
+
+        Where anything is farther off than `EXACT` sigmas, what batch has found takes the place of what was there.
+        """
+        network, stored = self._everything()
+        places = Sweep(network, self.settings, stored).places(self._engine.value)
+        solution = adjust_network(network, self.settings, name, progress)
+        found = closing(solution, self._engine.value, places)
+        if found.adopted:
+            self.adopt(solution)
+        return found, solution
+
+    def adopt(self, solution: Solution) -> None:
+        """Take a batch solution over: its images, points and unknowns in the place of all that was there."""
+        engine, network = self._engine, _with_rejections(solution)
+        there = set(self.images)
+        with engine.all_or_nothing():
+            for one in known_images(network):
+                _require_finite_prior(one)
+            places = dict(zip(network.points.ids, solution.places, strict=True))
+            kept = engine.adopted(shared_of(solution), bundles(network), places)
+            for one in known_images(network):
+                if one.image.name not in there or not _alike(one, self.store.image(one.image.name)):
+                    self.store.put_image(one)
+            self.store.replace(self.store.members(), kept)
+            for name in there - {image.name for image in network.images}:
+                self.store.drop_image(name)
+            self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
+            self.store.put_shared(engine.shared)
+
+    # --- how
+
+    def _added(self, new: Sequence[KnownImage], addition: Network | None) -> Impact:
+        return self._change("add", [one.image.name for one in new], new, *with_addition(self.store, addition))
+
+    def _known(self, image: str) -> KnownImage:
+        if image not in set(self.images):
+            known = ", ".join(self.images[:4])
+            raise InputError(f"image {image}", "no such image", f"one of the adjustment's ({known or 'it has none'})")
+        return self.store.image(image)
+
+    def _new_images(
+        self, images: PushbroomImage | KnownImage | Sequence[KnownImage], prior: OrientationPrior | None
+    ) -> list[KnownImage]:
+        if isinstance(images, PushbroomImage):
+            if prior is None and not self.images:
+                raise InputError(f"image {images.name}", "no a-priori sigmas", "a prior for the first image")
+            images = KnownImage(images, prior or self.store.image(self.images[-1]).prior)
+        new, there = [images] if isinstance(images, KnownImage) else list(images), set(self.images)
+        for name, count in Counter(one.image.name for one in new).items():
+            if name in there or count > 1:
+                found = "in the adjustment already" if name in there else "named twice"
+                raise InputError(f"image {name}", found, "an image that is new", "remove it first to replace it")
+        return new
+
+    def _new_unknowns(self, new: Sequence[KnownImage], networks: Mapping[Members, Network]) -> dict[Unknown, Shared]:
+        """Orientation of new images, and shifts that come with an addition; at zero."""
+        found = dict[Unknown, Shared]()
+        for one in new:
+            _require_finite_prior(one)
+            if not one.held:
+                unknown = Unknown("image", one.image.name)
+                found[unknown] = shared_image(one, self.settings.angles)
+        for members, network in networks.items():
+            for unknown in members:
+                if unknown.kind == "shift" and unknown not in self._engine.shared:
+                    motion = max(image_motion(one)[0] for one in known_images(network))
+                    found[unknown] = shared_shift(network.shift_sigma(unknown.name), motion)
+        return found
+
+    def _change(
+        self,
+        verb: str,
+        subjects: Sequence[str],
+        new: Sequence[KnownImage],
+        gone: Sequence[Members],
+        networks: Mapping[Members, Network],
+    ) -> Impact:
+        """Put bundles in the place of others, keep what has come of it, and say what has happened."""
+        began, engine, removing = time.perf_counter(), self._engine, verb == "remove"
+        require_one_body(self.store, new)
+        before = dict(engine.shared)
+        old = {members: self.store.bundle(members) for members in gone}
+        with engine.all_or_nothing():
+            dropped = [u for name in subjects if removing and (u := Unknown("image", name)) in before]
+            settled = engine.replaced(gone, networks, self._new_unknowns(new, networks), dropped)
+            old |= {members: self.store.bundle(members) for members in settled.bundles if members not in networks}
+            report = impact(verb, subjects, settled, old, before, engine.shared)
+            self._keep(settled, gone, networks, new, before)
+            for name in subjects if removing else ():
+                self.store.drop_image(name)
+        return report.after(time.perf_counter() - began)
+
+    def _keep(
+        self,
+        settled: Settled,
+        gone: Sequence[Members],
+        networks: Iterable[Members],
+        new: Sequence[KnownImage],
+        before: Mapping[Unknown, Shared],
+    ) -> None:
+        """Write the new state to the store."""
+        shared = self._engine.shared
+        for one in new:
+            self.store.put_image(one)
+        there = {members: one for members, one in settled.bundles.items() if members not in networks}
+        self.store.replace(gone, {members: settled.bundles[members] for members in networks})
+        self.store.renew(there)
+        self.store.put_shared({unknown: one for unknown, one in shared.items() if one is not before.get(unknown)})
+        self.store.drop_shared([unknown for unknown in before if unknown not in shared])
+
+
+def _alike(one: KnownImage, other: KnownImage) -> bool:
+    return one.image is other.image and one.prior is other.prior and one.held == other.held
+
+
+def _with_rejections(solution: Solution) -> Network:
+    """The network of a solution, its blunders marked."""
+    network = solution.network
+    return replace(
+        network,
+        rays=replace(network.rays, rejected=solution.rays_rejected),
+        ranges=replace(network.ranges, rejected=solution.ranges_rejected),
+    )
+
+
+def _require_finite_prior(one: KnownImage) -> None:
+    """Raise InputError unless every coefficient has an a-priori sigma."""
+    if not np.all(np.isfinite(one.prior.sigmas)):
+        found, expected = "a coefficient without an a-priori sigma", "finite sigmas, which iSAM2 needs to begin with"
+        raise InputError(f"image {one.image.name}", found, expected)

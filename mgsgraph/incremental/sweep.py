@@ -1,0 +1,172 @@
+"""One bundle laid out for the kernel: its points solved and eliminated, placed, and their covariances."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from mgsgraph.adjustment.determined import without_weak
+from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.graph.patterns import group_blocks
+from mgsgraph.adjustment.passes import Selection, determined_points
+from mgsgraph.adjustment.predicted_lines import about_predicted_lines
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.incremental.state import Bundle, ReducedSystem
+from mgsgraph.kernel.reduction import Reduction, dense, point_covariances, reduce, sparse
+from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.network import Network
+from mgsgraph.network.parts import Unknown, unknowns
+
+TOLERANCE = 2e-3
+"""Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`closing.CLOSE`),
+for the errors of bundles add up."""
+_ROBUST_SHARE = 0.01
+"""Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
+_PROBES = 48
+"""Points that stand for all of a bundle: their moves are polynomials of the line, of low degree."""
+
+
+def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array) -> float:
+    """Pixels by which image places of a bundle may move before its reduced system has to be made anew.
+
+    The orientation enters the collinearity equations by sines of small angles: a move of p pixels, of w radians each,
+    leaves p (p w) pixels that the linear system doesn't know. And it moves points along their rays: one whose place has
+    the sigma d by its rows alone, by p d / s of them at the distance r, which changes its rows by p (p d / s) / r. If
+    all rows of sigma s lie wrong the same way, the unknowns do by the root of the sum of these squares over s, of their
+    sigmas at most, which shall be no more than TOLERANCE.
+
+    Parameters
+    ----------
+    network : Network
+    settings : SolverSettings
+    motion : (2,)
+        Pixels per m and per rad, of the image that has most of them.
+    spread : (n,)
+        m^2, variance of each point's place in all directions by its rows alone; NaN for those that take no part.
+    """
+    distance, squares, least = motion[1] / motion[0], 0.0, math.inf
+    if network.rays.point.size:
+        least = float(network.rays.sigmas.min())
+        by_distance = np.nan_to_num(spread)[network.rays.point] / (least * distance) ** 2
+        squares += float(np.maximum(by_distance, motion[1] ** -2).sum()) / least**2
+    # a range at r turns with the camera: by x across it, it grows by x^2 / 2r
+    squares += float(np.sum((0.5 / (motion[0] ** 2 * distance * network.ranges.sigmas)) ** 2))
+    if squares == 0.0:
+        return math.inf
+    allowed = math.sqrt(TOLERANCE / math.sqrt(squares))
+    return allowed if settings.loss == "none" else min(allowed, _ROBUST_SHARE * least)
+
+
+class Sweep:
+    """A bundle that the kernel goes over.
+
+    Parameters
+    ----------
+    network : Network
+        Points that feel the same shared unknowns; for `reduce` and `places`, any.
+    settings : SolverSettings
+    places : (n, 3), optional
+        m, where its points are thought to be; NaN where nothing is known.
+
+    Raises
+    ------
+    InputError
+        When a point lies on a ray that misses the body.
+    """
+
+    def __init__(self, network: Network, settings: SolverSettings, places: Array | None = None) -> None:
+        self.network, self._settings = network, settings
+        self._names = unknowns(network)
+        layout = lay_out(network, settings, places)
+        rays, ranges = network.rays.rejected, network.ranges.rejected
+        assert rays is not None
+        assert ranges is not None
+        self._select(layout, Selection(~rays, ~ranges, network.undetermined.copy()))
+        self._last: Reduction | None = None
+        self._spread: Array | None = None
+
+    def reduce(self, values: Mapping[Unknown, Array], task: int = SYSTEM) -> Reduction:
+        """All points solved and eliminated at values of the unknowns; points that nothing determines are left out.
+
+        Raises PointBehindCamera. Terrain patches follow their points.
+        """
+        shared, last = self._vector(values), self._last
+        if last is not None and last.serves(shared, task):
+            return last
+        found = self._reduced(shared, task)
+        strong = without_weak(self._layout, found, self._selection)
+        if not np.array_equal(strong.out, self._selection.out):
+            self._select(self._layout, strong)
+            found = self._reduced(shared, task)
+        followed = self._layout.following(found.points, shared)
+        if followed is not self._layout:
+            self._select(followed, self._selection)
+            found = self._reduced(shared, task)
+        exact = about_predicted_lines(self._layout, shared, found.points)
+        if exact is not self._layout:
+            self._select(exact, self._selection)
+            self._last = None  # its points are in another order
+            found = self._reduced(shared, task)
+        self._last = found
+        return found
+
+    def system(self, values: Mapping[Unknown, Array], motion: Array) -> ReducedSystem | None:
+        """The reduced system; None without adjusted unknowns or determined points. `motion` as in `slack`."""
+        found, layout = self.reduce(values), self._layout
+        if layout.columns == 0 or not np.any(determined_points(self._rows)):
+            return None
+        (group,) = layout.group_variables
+        normal, gradient = dense(found, layout.groups, self._blocks, 0)
+        names = tuple(self._names[v] for v in group)
+        if self._spread is None:  # hardly changes where the points are as near as this
+            self._spread = np.trace(self._covariances(found, None), axis1=1, axis2=2)
+        allowed = slack(self.network, self._settings, motion, self._spread)
+        return ReducedSystem(names, found.orientation, normal, gradient, found.cost, allowed)
+
+    def placed(self, values: Mapping[Unknown, Array], system: ReducedSystem | None, joint: Array | None) -> Bundle:
+        """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of the unknowns in
+        the order of the system, absent where it has none.
+        """
+        found = self.reduce(values, COSTS)
+        return Bundle(self.network, system, self._ordered(found.points), self._covariances(found, joint))
+
+    def _covariances(self, found: Reduction, joint: Array | None) -> Array:
+        """(n, 3, 3) m^2 of the points, NaN for undetermined ones; without `joint`, as if the unknowns were known."""
+        layout, target = self._layout, self._blocks
+        blocks = np.zeros(target.size) if joint is None else sparse(joint, layout.groups, target, 0)
+        return self._ordered(
+            point_covariances(
+                self._rows, layout.groups, target, layout.model, found.orientation, blocks, found.points
+            )
+        )
+
+    def places(self, values: Mapping[Unknown, Array]) -> Array:
+        """(n, 3) m, where the unknowns put the points; NaN for undetermined ones."""
+        return self._ordered(self.reduce(values, COSTS).points)
+
+    def _select(self, layout: Layout, selection: Selection) -> None:
+        """Which points take part, in which patches of the terrain."""
+        self._layout, self._selection, self._rows = layout, selection, selection.rows(layout)
+        self._blocks = group_blocks(layout.groups)
+
+    def _reduced(self, shared: Array, task: int) -> Reduction:
+        layout, begin = self._layout, None if self._last is None else self._last.points
+        return reduce(self._rows, layout.groups, self._blocks, layout.model, shared, task, begin)
+
+    def _vector(self, values: Mapping[Unknown, Array]) -> Array:
+        vector, layout = np.zeros(self._layout.columns), self._layout
+        for v in layout.variables.adjusted():
+            vector[layout.columns_of(v)] = values[self._names[v]]
+        return vector
+
+    def _ordered(self, values: Array) -> Array:
+        ordered = self._layout.network_order(values)
+        ordered[~self._layout.network_order(determined_points(self._rows))] = np.nan
+        return ordered
+
+
+def probes(bundle: Bundle) -> Index:
+    """Some determined points of a bundle, evenly chosen."""
+    there = np.flatnonzero(np.isfinite(bundle.places[:, 0]))
+    return there[np.unique(np.linspace(0, there.size - 1, min(_PROBES, there.size)).astype(np.int64))]

@@ -1,0 +1,298 @@
+"""Candidates: images, laser profiles and control points that might be observed, with the measures that they would get.
+
+The measures are projections of planned places where the network stands, so that the geometry, which is all that a
+covariance needs, is that of real ones. Their residuals are zero.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network.parts import KnownImage, image_columns, joined, part
+from mgsgraph.planning.scene import Scene, Shows, View, even_places
+from mgsgraph.planning.standing import ReducedNetwork
+from mgsgraph.ties import PointKind
+
+Kind = Literal["image", "profile", "control point"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """Something that might be observed."""
+
+    name: str
+    """Of the image, the profile or the control point."""
+    kind: Kind
+    """Which of them."""
+    addition: Network | None
+    """The measures it would bring, points at their planned places; None where there are none."""
+    reason: str = ""
+    """Why it brings none."""
+    images: tuple[str, ...] = ()
+    """Images of the network in which it would be measured, or whose trajectory carries it."""
+    overlap: float = float("nan")
+    """m^2, area that an image has in common with images of the network, pair by pair; NaN for others."""
+
+    @property
+    def rays(self) -> int:
+        """Number of image coordinates (pairs of line and sample) to measure."""
+        return 0 if self.addition is None else int(self.addition.rays.point.size)
+
+    @property
+    def ranges(self) -> int:
+        """Number of laser ranges."""
+        return 0 if self.addition is None else int(self.addition.ranges.point.size)
+
+    @property
+    def measures(self) -> int:
+        """Number of image coordinates and ranges."""
+        return self.rays + self.ranges
+
+    def __repr__(self) -> str:
+        what = self.reason or f"{self.rays} image measures, {self.ranges} ranges"
+        return f"Candidate({self.kind} {self.name!r}: {what})"
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedTies:
+    """Tie points that a candidate image would get."""
+
+    count: int = 20
+    """New ones in each overlap with an image of the network."""
+    per_cell: float | None = None
+    """New ones in each cell of the overlap, instead of a count."""
+    cell: float = 512.0
+    """px, side of such a cell in the image of the two that covers less ground."""
+    sigma: float = 1.0
+    """px, of line and sample."""
+    own_sigma: float | None = None
+    """px, of those in the candidate itself; the same when absent."""
+    existing: bool = False
+    """Whether tie points of the network that it shows are measured in it, too."""
+    everywhere: bool = True
+    """Whether a new one is measured in all images that show it, or in the two of the overlap alone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedShots:
+    """Laser shots of a candidate profile; n of them."""
+
+    times: Array
+    """(n,) s TDB past J2000."""
+    footprints: Array
+    """(n, 3) m, body-fixed."""
+    image: str | None
+    """Image whose trajectory carries the ranges; None for a profile without ranges."""
+    range_sigmas: Array
+    """(n,) m."""
+    covariances: Array
+    """(n, 3, 3) m^2, of the footprints."""
+    shift_sigma: float | None = None
+    """m, of a shift that they share; None for none."""
+    image_sigma: float | None = None
+    """px, of their places in the images that show them; None for no such measures."""
+
+
+def planned_image(scene: Scene, known: KnownImage, ties: PlannedTies) -> Candidate:
+    """A candidate image with its tie points; images of the network in their order, and then the candidate."""
+    name = known.image.name
+    if name in scene.views:
+        found = "a candidate that is an image of the network already"
+        raise InputError(f"candidate {name}", found, "a new image", "take it out of the candidates")
+    view = scene.newcomer(known)
+    near = scene.overlapping(view)
+    if not near:
+        return Candidate(name, "image", None, "no overlap with an image of the network", overlap=0.0)
+    area = sum(common for _, common, _ in near)
+    parts = (_new_ties(scene, view, [one for one, _, _ in near], ties), _again(scene, view, ties))
+    there = [one for one in parts if one is not None]
+    if not there:
+        reason = "no tie point can be had where it overlaps: too little ground, or rays all but parallel"
+        return Candidate(name, "image", None, reason, overlap=area)
+    addition = joined(there)
+    seen = {image.name for image in addition.images} - {name}
+    return Candidate(name, "image", addition, "", tuple(one for one in scene.views if one in seen), area)
+
+
+def _new_ties(scene: Scene, view: View, near: Sequence[View], ties: PlannedTies) -> Network | None:
+    """New tie points in the overlaps with the images near; None where there are none that their rays determine."""
+    grids = [_tie_places(scene, view, other, ties) for other in near]
+    points = np.concatenate(grids)
+    if points.shape[0] == 0:
+        return None
+    if ties.everywhere:
+        point, images, places = scene.rays(points, [*near, view])
+    else:
+        first = np.cumsum([0, *(grid.shape[0] for grid in grids)]).tolist()
+        found = [scene.rays(grid, [other, view]) for grid, other in zip(grids, near, strict=True)]
+        point = np.concatenate([one[0] + start for one, start in zip(found, first, strict=False)])
+        images, places = [name for one in found for name in one[1]], np.concatenate([one[2] for one in found])
+    n = points.shape[0]
+    ground = GroundPoints(
+        tuple(f"{view.image.name}:tie:{k + 1}:{i + 1}" for k, grid in enumerate(grids) for i in range(grid.shape[0])),
+        np.full(n, int(PointClass.TIE)), np.full(n, int(PointKind.FREE)), points, np.zeros((n, 3, 3)),
+    )  # fmt: skip
+    network = _network(scene, ground, (point, images, places, _sigmas(images, view, ties)), newcomer=view.known)
+    if network is None:
+        return None
+    standing = scene.standing
+    kept = ReducedNetwork(network, standing.settings, standing.values, points).determined
+    return part(network, np.flatnonzero(kept)) if np.any(kept) else None
+
+
+def _tie_places(scene: Scene, view: View, other: View, ties: PlannedTies) -> Array:
+    """(n, 3) m, new tie points on an even grid over the overlap of two images."""
+    small, large = sorted((view, other), key=lambda one: one.footprint.area)
+    shows = Shows(scene, small, large, other.height)
+    shape = (small.image.lines, small.image.samples)
+    count = ties.count
+    if ties.per_cell is not None:
+        count = max(round(ties.per_cell * _shared_pixels(shape, shows) / ties.cell**2), 1)
+    return shows.ground(even_places(shape, shows, count)) if count else np.zeros((0, 3))
+
+
+def _shared_pixels(shape: tuple[int, int], shows: Shows) -> float:
+    """Pixels of an image that show ground of another."""
+    lines, samples = (np.arange(64) + 0.5) / 64.0 * shape[0], (np.arange(16) + 0.5) / 16.0 * shape[1]
+    raster = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
+    return float(shows(raster).mean() * shape[0] * shape[1])
+
+
+def _again(scene: Scene, view: View, ties: PlannedTies) -> Network | None:
+    """Tie points of the network that the candidate shows, each with its measure in it; None unless they're wanted."""
+    if not ties.existing:
+        return None
+    network, standing = scene.network, scene.standing
+    members = np.flatnonzero((network.points.classes == PointClass.TIE) & (network.ray_counts > 0))
+    some, places = view.shown(standing.places[members])
+    if some.size == 0:
+        return None
+    old, n = members[some], some.size
+    points = GroundPoints(
+        tuple(network.points.ids[i] for i in old.tolist()), network.points.classes[old],
+        np.full(n, int(PointKind.FREE)), standing.places[old], np.zeros((n, 3, 3)),
+    )  # fmt: skip
+    names = [view.image.name] * n
+    return _network(scene, points, (np.arange(n), names, places, _sigmas(names, view, ties)), view.known, old=True)
+
+
+def _sigmas(images: Sequence[str], view: View, ties: PlannedTies) -> Array:
+    own = ties.sigma if ties.own_sigma is None else ties.own_sigma
+    column = np.where(np.array(images) == view.image.name, own, ties.sigma)
+    return np.column_stack([column, column])
+
+
+def planned_profile(scene: Scene, name: str, shots: PlannedShots) -> Candidate:
+    """A candidate laser profile: footprints known by their covariances, ranges, and image places if they are wanted."""
+    n = shots.times.size
+    if name in scene.network.shift_names:
+        raise InputError(f"candidate {name}", "a profile of the network", "a new profile", "give it another name")
+    if n == 0:
+        return Candidate(name, "profile", None, "no shot falls in an image of the network")
+    ids = tuple(f"{name}:{i + 1}" for i in range(n))
+    _require_new(scene, ids, name)
+    points = GroundPoints(
+        ids, np.full(n, int(PointClass.LASER)), np.full(n, int(PointKind.CONSTRAINED)), shots.footprints,
+        shots.covariances,
+    )  # fmt: skip
+    rays: _Rays = (np.zeros(0, dtype=np.int64), [], np.zeros((0, 2)), np.zeros((0, 2)))
+    if shots.image_sigma is not None:
+        point, images, places = scene.rays(shots.footprints, scene.near(shots.footprints))
+        rays = point, images, places, np.full(places.shape, shots.image_sigma)
+    ranges: _Ranges | None = None
+    if shots.image is not None:
+        values = np.linalg.norm(scene.views[shots.image].positions(shots.times) - shots.footprints, axis=1)
+        ranges = np.arange(n), shots.image, shots.times, values, shots.range_sigmas
+    shifts = None
+    if shots.shift_sigma is not None:
+        shifts = ProfileShifts((name,), np.zeros(n, dtype=np.int64), np.array([shots.shift_sigma]))
+    addition = _network(scene, points, rays, ranges=ranges, shifts=shifts)
+    if addition is None:
+        reason = "no image was taken along with it, and no image coordinates are planned (image_sigma_px)"
+        return Candidate(name, "profile", None, reason)
+    return Candidate(name, "profile", addition, "", tuple(image.name for image in addition.images))
+
+
+def planned_control(
+    scene: Scene, name: str, place: Array, covariance: Array, sigma: float, images: Sequence[str] | None = None
+) -> Candidate:
+    """A candidate control point.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+    place : (3,)
+        m, body-fixed.
+    covariance : (3, 3)
+        m^2, body-fixed, of the place.
+    sigma : float
+        px, of its image coordinates.
+    images : sequence of str, optional
+        In which it would be measured; all that show it when absent.
+    """
+    _require_new(scene, (name,), name)
+    views = scene.near(place[None]) if images is None else [scene.views[one] for one in images]
+    point, seen, places = scene.rays(place[None], views)
+    if not seen:
+        return Candidate(name, "control point", None, "no image of the network shows it")
+    points = GroundPoints(
+        (name,), np.array([int(PointClass.CONTROL)]), np.array([int(PointKind.CONSTRAINED)]), place[None],
+        covariance[None],
+    )  # fmt: skip
+    addition = _network(scene, points, (point, seen, places, np.full(places.shape, sigma)))
+    return Candidate(name, "control point", addition, "", tuple(seen))
+
+
+def _require_new(scene: Scene, ids: Sequence[str], name: str) -> None:
+    there = set(scene.network.points.ids)
+    for one in ids:
+        if one in there:
+            found = f"the point {one!r}, which is in the network already"
+            raise InputError(f"candidate {name}", found, "a new point", "give it another name")
+
+
+_Rays = tuple[Index, Sequence[str], Array, Array]
+"""Point (k,), image, place (k, 2) and sigma (k, 2) of image rays."""
+_Ranges = tuple[Index, str, Array, Array, Array]
+"""Point (r,), image of all, time (r,), value (r,) and sigma (r,) of ranges."""
+
+
+def _network(
+    scene: Scene, points: GroundPoints, rays: _Rays, newcomer: KnownImage | None = None,
+    ranges: _Ranges | None = None, shifts: ProfileShifts | None = None, old: bool = False,
+) -> Network | None:  # fmt: skip
+    """Points with their rows and the images that they name; None without any row. `old` points lie on the terrain
+    already, as far as they do.
+    """
+    point, names, places, sigmas = rays
+    used = {*names, *([ranges[1]] if ranges else [])}
+    if not used:
+        return None
+    known = [view.known for name, view in scene.views.items() if name in used]
+    known += [newcomer] if newcomer is not None and newcomer.image.name in used else []
+    number = {one.image.name: j for j, one in enumerate(known)}
+    nothing = np.zeros(0, dtype=np.int64)
+    shots = Ranges(nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
+    if ranges is not None:
+        shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])
+    image = np.array([number[name] for name in names], dtype=np.int64)
+    network = Network(*image_columns(known), points, ImageRays(point, image, places, sigmas), shots, shifts)
+    return network if old else replace(network, surface=_surface(scene, points))
+
+
+def _surface(scene: Scene, points: GroundPoints) -> Surface | None:
+    """New tie points on the network's terrain model, as its own are."""
+    surface = scene.network.surface
+    if surface is None:
+        return None
+    over = np.isfinite(surface.grid.at(points.places)) & (points.classes == PointClass.TIE)
+    finite = surface.sigmas[np.isfinite(surface.sigmas)]
+    if not (np.any(over) and finite.size):
+        return None
+    return replace(surface, sigmas=np.where(over, np.median(finite), np.inf))

@@ -1,0 +1,215 @@
+"""The ground under a network, and what its images show of it, where they stand."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network.connectivity import network_footprints
+from mgsgraph.network.parts import KnownImage, known_images
+from mgsgraph.planning.standing import Standing
+
+EDGE = 0.01
+"""Share of an image's lines and samples along its edges in which nothing is planned."""
+_NEAR, _RELIEF = 1.2, 20e3
+"""Radii of a footprint, and m, within which a point may show in its image: relief moves oblique ones."""
+_RASTER = 1024.0
+"""Places at which an overlap is looked for."""
+_TERRAIN_STEPS = 12
+"""Corrections of a height over terrain; each leaves the part slope times tangent of the incidence angle."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """An image where it stands."""
+
+    known: KnownImage
+    """Geometry and prior."""
+    correction: OrientationCorrection
+    """Of its nominal orientation."""
+    height: float
+    """m above the ellipsoid, of the ground that it shows."""
+    footprint: Footprint
+    """At that height."""
+
+    @property
+    def image(self) -> PushbroomImage:
+        """Its geometry."""
+        return self.known.image
+
+    def shown(self, points: Array) -> tuple[Index, Array]:
+        """Which of points (n, 3) in m it shows well inside its edges and from above, (k,), and their places (k, 2)."""
+        image, eye, outline = self.image, self._eye(), self.footprint
+        near = np.flatnonzero(np.einsum("ni,ni->n", points, eye - points) > 0.0)
+        if outline.outline.shape[0]:  # Newton over all points of a large network takes seconds
+            away = np.linalg.norm(points[near] - outline.centre, axis=1)
+            near = near[away < _NEAR * _radius(outline) + _RELIEF]
+        places, _ = image.ground_to_image(points[near], self.correction)
+        size = np.array([image.lines, image.samples])
+        with np.errstate(invalid="ignore"):
+            inside = np.all((places > EDGE * size) & (places < (1.0 - EDGE) * size), axis=1)
+        return near[inside], places[inside]
+
+    def _eye(self) -> Array:
+        return np.asarray(self.image.pose(np.array([0.5 * self.image.lines]), self.correction).position[0])
+
+    def positions(self, times: Array) -> Array:
+        """(n, 3) m, where the camera is at times (n,) in s TDB past J2000."""
+        lines = self.image.timing.lines(times - self.image.trajectory.epoch)
+        return self.image.pose(lines, self.correction).position
+
+
+class Scene:
+    """All images of a network and the ground under them.
+
+    Parameters
+    ----------
+    standing : Standing
+    """
+
+    def __init__(self, standing: Standing) -> None:
+        network = standing.network
+        self.standing, self.network = standing, network
+        self.grid = None if network.surface is None else network.surface.grid
+        heights = geodetic(standing.places, network.images[0].body)[:, 2]
+        self._height = float(np.median(heights))
+        footprints = network_footprints(network, standing.places, lambda j: standing.correction(network.images[j].name))
+        self.views = {
+            known.image.name: View(
+                known, standing.correction(known.image.name), self._height_of(heights, j), footprints[j]
+            )
+            for j, known in enumerate(known_images(network))
+        }
+
+    def _height_of(self, heights: Array, image: int) -> float:
+        mine = heights[self.network.rays.point[self.network.rays.image == image]]
+        return float(np.median(mine)) if mine.size else self._height
+
+    def newcomer(self, known: KnownImage) -> View:
+        """An image that is not in the network, with its nominal orientation."""
+        nominal = OrientationCorrection(np.zeros((1, 6)), self.standing.settings.angles)
+        return View(known, nominal, self._height, footprint(known.image, self._height))
+
+    def overlapping(self, one: View) -> list[tuple[View, float, float]]:
+        """Images of the network that overlap with another, with the area in m^2 and its share of the smaller one."""
+        views = list(self.views.values())
+        reach = [_radius(view.footprint) for view in views]
+        centre, own = one.footprint.centre, _radius(one.footprint)
+        near = [
+            view for view, radius in zip(views, reach, strict=True)
+            if np.linalg.norm(view.footprint.centre - centre) <= 1.1 * (radius + own)
+        ]  # fmt: skip
+        found = []
+        for view in near:
+            both = overlaps([one.footprint, view.footprint])
+            if both.areas.size:
+                found.append((view, float(both.areas[0]), float(both.shares[0])))
+        return found
+
+    def ground(self, view: View, lines: Array, samples: Array, height: float) -> Array:
+        """(n, 3) m, where rays of an image meet the terrain model, or where there is none a height (m) above the
+        ellipsoid; NaN where they miss the body.
+        """
+        points, _ = view.image.image_to_ground(lines, samples, height, view.correction)
+        heights = np.full(lines.size, height)
+        for _ in range(_TERRAIN_STEPS if self.grid is not None else 0):
+            assert self.grid is not None
+            above = np.linalg.norm(points, axis=1) - self.grid.at(points)
+            heights -= np.where(np.isfinite(above), above, 0.0)
+            points, _ = view.image.image_to_ground(lines, samples, heights, view.correction)
+        return points
+
+    def below(self, places: Array, height: float) -> Array:
+        """(n, 3) m, the ground below places (n, 3): on the terrain model, or at a height (m) above the ellipsoid."""
+        body = self.network.images[0].body
+        up = places / np.linalg.norm(places, axis=1)[:, None]
+        level = np.array([body.equatorial, body.equatorial, body.polar]) + height
+        radius = 1.0 / np.linalg.norm(up / level, axis=1)
+        if self.grid is not None:
+            over = self.grid.at(places)
+            radius = np.where(np.isfinite(over), over, radius)
+        return np.asarray(up * radius[:, None])
+
+    def rays(self, points: Array, views: Iterable[View]) -> tuple[Index, list[str], Array]:
+        """Image places of points (n, 3) in all of these images that show them: point (k,), image, places (k, 2)."""
+        index, names, places = [np.zeros(0, dtype=np.int64)], list[str](), [np.zeros((0, 2))]
+        for view in views:
+            some, where = view.shown(points)
+            index.append(some)
+            names += [view.image.name] * some.size
+            places.append(where)
+        return np.concatenate(index), names, np.concatenate(places)
+
+    def near(self, points: Array) -> list[View]:
+        """Images of the network whose ground lies about points (n, 3) in m."""
+        middle = points.mean(axis=0)
+        reach = float(np.linalg.norm(points - middle, axis=1).max(initial=0.0))
+        return [
+            view for view in self.views.values()
+            if np.linalg.norm(view.footprint.centre - middle) <= _NEAR * (_radius(view.footprint) + reach) + _RELIEF
+        ]  # fmt: skip
+
+
+def _radius(one: Footprint) -> float:
+    """m, from the middle of a footprint to its farthest place; infinite where it has no outline."""
+    if one.outline.shape[0] == 0:
+        return float("inf")
+    return float(np.linalg.norm(one.outline - one.centre, axis=1).max())
+
+
+def even_places(shape: tuple[int, int], shows: Callable[[Array], Mask], count: int) -> Array:
+    """(count, 2) lines and samples on an even grid of square cells over the part of an image that `shows` accepts.
+
+    Fewer where the part is too small to be found on a raster of a thousand places; none where there is no such part.
+    """
+    size = np.array(shape, dtype=np.float64)
+    raster = _grid(size, np.zeros(2), size, float(np.sqrt(size.prod() / _RASTER)))
+    seen = raster[shows(raster)]
+    if seen.shape[0] == 0:
+        return seen
+    cell = float(np.sqrt(size.prod() / raster.shape[0]))
+    low, high = np.maximum(seen.min(axis=0) - cell, 0.0), np.minimum(seen.max(axis=0) + cell, size)
+    step = float(np.sqrt(size.prod() * seen.shape[0] / raster.shape[0] / count))
+    found = seen
+    for _ in range(80):
+        trial = _grid(size, low, high, step)
+        found = trial[shows(trial)]
+        if found.shape[0] >= count:
+            break
+        step *= 0.96
+    return found[np.unique(np.linspace(0, found.shape[0] - 1, count).round().astype(np.int64))]
+
+
+def _grid(size: Array, low: Array, high: Array, step: float) -> Array:
+    """(n, 2) middles of cells of about `step` pixels between two corners, inside the edges."""
+    low, high = np.maximum(low, EDGE * size), np.minimum(high, (1.0 - EDGE) * size)
+    axes = []
+    for a, b in zip(low, high, strict=True):
+        cells = max(round((b - a) / step), 1)
+        axes.append(a + (b - a) * (np.arange(cells) + 0.5) / cells)
+    lines, samples = np.meshgrid(*axes, indexing="ij")
+    return np.column_stack([lines.ravel(), samples.ravel()])
+
+
+class Shows:
+    """Which places of one image show ground that another shows, too."""
+
+    def __init__(self, scene: Scene, one: View, other: View, height: float) -> None:
+        self._scene, self._one, self._other, self._height = scene, one, other, height
+
+    def __call__(self, places: Array) -> Mask:
+        """(n,) for places (n, 2)."""
+        mask, ground = np.zeros(places.shape[0], dtype=bool), self.ground(places)
+        there = np.flatnonzero(np.isfinite(ground[:, 0]))
+        some, _ = self._other.shown(ground[there])
+        mask[there[some]] = True
+        return mask
+
+    def ground(self, places: Array) -> Array:
+        """(n, 3) m."""
+        return self._scene.ground(self._one, places[:, 0], places[:, 1], self._height)

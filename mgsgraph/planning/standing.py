@@ -1,0 +1,192 @@
+"""Where a plan begins: a network as it was adjusted, linearised there once more, with its joint covariance."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsgraph.adjustment.datum.datum import require_strength
+from mgsgraph.adjustment.determined import without_weak
+from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
+from mgsgraph.adjustment.passes import Selection, determined_points, everything
+from mgsgraph.adjustment.posterior import orientation_covariance
+from mgsgraph.adjustment.predicted_lines import exactly
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import require_covariance
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.incremental.closing import shared_of
+from mgsgraph.kernel.reduction import Reduction
+from mgsgraph.kernel.rows import Rows
+from mgsgraph.network import Network
+from mgsgraph.network.parts import Unknown, joined, known_images, part, unknowns, with_images
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """A network with the values of its unknowns."""
+
+    network: Network
+    """Points that have a place, and the rows that take part."""
+    settings: SolverSettings
+    """Measurement model and loss."""
+    values: Mapping[Unknown, Array]
+    """Shared unknowns (d,), m and rad; those that are missing stand at zero."""
+    places: Array
+    """(n, 3) m, of the points."""
+
+    def correction(self, image: str) -> OrientationCorrection:
+        """Orientation correction of one image; zero for a held one."""
+        value = self.values.get(Unknown("image", image), np.zeros(6))
+        return OrientationCorrection(value.reshape(-1, 6), self.settings.angles)
+
+    def extended(self, additions: Sequence[Network]) -> "Standing":
+        """The same with planned measures: new unknowns at zero, new points where they are planned."""
+        network = joined([self.network, *additions])
+        places = network.points.places.copy()
+        places[: self.places.shape[0]] = self.places  # the points of the first part come first, in their order
+        return Standing(network, self.settings, self.values, places)
+
+
+def standing_of(solution: Solution) -> Standing:
+    """Where a batch solution stands.
+
+    Raises
+    ------
+    InputError
+        For a solution without a covariance: one whose points have none.
+    """
+    require_covariance(solution)
+    there = solution.determined
+    values = {unknown: one.value for unknown, one in shared_of(solution).items()}
+    return standing(
+        solution.network, solution.settings, values, np.where(there[:, None], solution.places, np.nan),
+        solution.rays_used, solution.ranges_used,
+    )  # fmt: skip
+
+
+def standing(
+    network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array, rays: Mask, ranges: Mask
+) -> Standing:
+    """Leave out of a network what takes no part.
+
+    Parameters
+    ----------
+    network : Network
+    settings : SolverSettings
+    values : mapping
+        Shared unknowns, m and rad.
+    places : (n, 3)
+        m, of the points; NaN for undetermined ones.
+    rays, ranges : (k,), (r,)
+        False for those that were rejected.
+    """
+    for one in network.shared:
+        found = f"shared unknown {one.name!r}"
+        raise InputError("plan", found, "orientation and shifts alone, for now", "plan with an adjustment without it")
+    for strip in network.strips:
+        found, remedy = f"strip {strip.name!r}", "plan with an adjustment without [[strips]]"
+        raise InputError("plan", found, "images with an orientation of their own, for now", remedy)
+    kept = np.flatnonzero(np.isfinite(places[:, 0]))
+    if kept.size == 0:
+        raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
+    used = replace(
+        network,
+        rays=replace(network.rays.chosen(rays), rejected=None),
+        ranges=replace(network.ranges.chosen(ranges), rejected=None),
+    )
+    left = with_images(part(used, kept), known_images(network))
+    return Standing(left, settings, values, places[kept])
+
+
+class ReducedNetwork:
+    """A network's points eliminated at given values: the information of the shared unknowns.
+
+    Parameters
+    ----------
+    network : Network
+    settings : SolverSettings
+    values : mapping
+        Shared unknowns; those that are missing stand at zero.
+    places : (n, 3)
+        m, where the points are.
+    """
+
+    def __init__(
+        self, network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array
+    ) -> None:
+        self.network, self.names = network, unknowns(network)
+        layout = lay_out(network, settings, places)
+        self.values = np.zeros(layout.columns)
+        for v in layout.variables.adjusted():
+            if self.names[v] in values:
+                self.values[layout.columns_of(v)] = values[self.names[v]]
+        begin = places[layout.point_order]
+        self.layout: Layout
+        self.layout, begin = exactly(layout.following(begin, self.values), self.values, begin)
+        selection = everything(network)
+        found = self._reduced(selection, begin)
+        strong = without_weak(self.layout, found, selection)
+        if not np.array_equal(strong.out, selection.out):
+            selection, found = strong, self._reduced(strong, begin)
+        self.rows: Rows = selection.rows(self.layout)
+        self.reduction: Reduction = found
+
+    def _reduced(self, selection: Selection, places: Array) -> Reduction:
+        return BundleGraph(self.layout, selection.rows(self.layout)).reduction(self.values, points=places)
+
+    @property
+    def determined(self) -> Mask:
+        """(n,) points that take part, network order."""
+        return self.layout.network_order(determined_points(self.rows))
+
+    def columns(self, names: Sequence[Unknown]) -> Index:
+        """Columns of some unknowns, one after another."""
+        number = {name: v for v, name in enumerate(self.names)}
+        parts = [np.arange(*self.layout.columns_of(number[name]).indices(self.layout.columns)[:2]) for name in names]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+
+    @property
+    def adjusted(self) -> list[Unknown]:
+        """Unknowns that have columns, in their order."""
+        return [self.names[v] for v in self.layout.variables.adjusted()]
+
+    def information(self, names: Sequence[Unknown], priors: bool = False) -> Array:
+        """Information matrix (d, d) of some unknowns, all others known, per m and rad; with or without their priors."""
+        layout, number = self.layout, {name: v for v, name in enumerate(self.names)}
+        wanted = [number[name] for name in names]
+        first = dict(zip(wanted, np.cumsum([0, *(layout.variables.width[v] for v in wanted)]).tolist(), strict=False))
+        size = int(sum(layout.variables.width[v] for v in wanted))
+        matrix = np.zeros((size, size))
+        assert self.reduction.blocks is not None
+        for v, w, block in layout.blocks.each(self.reduction.blocks, layout.variables.width):
+            if v in first and w in first:
+                rows, across = slice(first[v], first[v] + block.shape[0]), slice(first[w], first[w] + block.shape[1])
+                matrix[rows, across] += block
+                if v != w:
+                    matrix[across, rows] += block.T
+        if priors:
+            matrix[np.diag_indices(size)] += 1.0 / layout.sigmas[self.columns(names)] ** 2
+        return matrix
+
+
+class Present(ReducedNetwork):
+    """A whole network linearised where it stands, with the joint covariance of its shared unknowns.
+
+    Raises WeakNetwork where nothing determines some direction of the orientation.
+    """
+
+    def __init__(self, standing: Standing) -> None:
+        super().__init__(standing.network, standing.settings, standing.values, standing.places)
+        self.standing = standing
+        require_strength(self.layout, self.reduction)
+        self.joint = orientation_covariance(BundleGraph(self.layout, self.rows), self.reduction)
+        self.place = {name: i for i, name in enumerate(standing.network.points.ids)}
+
+    def covariance_with(self, names: Sequence[Unknown]) -> Array:
+        """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another."""
+        number = {name: v for v, name in enumerate(self.names)}
+        ones = np.array([number[name] for name in names], dtype=np.int64)
+        return self.joint.square_root.cross(ones, self.joint.adjusted).T

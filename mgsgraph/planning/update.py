@@ -1,0 +1,185 @@
+"""What planned measures do to the joint covariance: an update of low rank.
+
+With the information D that they add on the unknowns they touch (points and new unknowns eliminated), D = L L',
+
+    S' = (S^-1 + D)^-1 = S - U U',    U = S L C'^-1,    C C' = 1 + L' S L,
+
+and the determinant of S falls by that of C C': half its binary logarithm is the information gained, in bits. Points
+that are measured again count with what they add to what they said before: D is a difference then.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS
+from mgsgraph.errors import WeakNetwork
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import Network
+from mgsgraph.network.parts import Unknown, joined, part
+from mgsgraph.planning.standing import Present, ReducedNetwork
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Added:
+    """Information that planned measures add to a network; the same for as long as its points that they touch are."""
+
+    after: ReducedNetwork
+    """The points that the measures touch, with all their rows, old and planned."""
+    touched: tuple[Unknown, ...]
+    """Unknowns of the present network that feel them."""
+    new: tuple[Unknown, ...]
+    """Unknowns that they bring."""
+    root: Array
+    """(d, d) L on the touched unknowns, per m and rad."""
+    own: Array
+    """(w, w) covariance of the new unknowns, were the touched ones known."""
+    lean: Array
+    """(w, d) how the new unknowns follow the touched ones."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Update:
+    """Planned measures over a network as it stands."""
+
+    present: Present
+    """What is there."""
+    added: Added
+    """What the measures add."""
+    fall: Array
+    """(columns, d) U on all present unknowns."""
+    bits: float
+    """Information gained on all present unknowns."""
+
+    def bits_on(self, others: Sequence[Unknown]) -> float:
+        """Information gained on the present unknowns but for some others, which may be known as badly as they like."""
+        if not others:
+            return self.bits
+        # det S of a part is det(information of the others) / det(information of all)
+        before = self.present.information(others, priors=True)
+        after, place = before.copy(), self._places_among(others)
+        mine = np.flatnonzero(place >= 0)
+        added = self.added.root @ self.added.root.T
+        after[np.ix_(place[mine], place[mine])] += added[np.ix_(mine, mine)]
+        scale = 1.0 / np.sqrt(np.diagonal(before))
+        logs = [np.linalg.slogdet(one * scale[:, None] * scale)[1] for one in (before, after)]
+        return self.bits - float(0.5 * (logs[1] - logs[0]) / np.log(2.0))
+
+    def _places_among(self, others: Sequence[Unknown]) -> Index:
+        """(d,) place of each touched column among those of others; -1 for none."""
+        columns, wanted = self.present.columns(self.added.touched), self.present.columns(others)
+        number = {column: k for k, column in enumerate(wanted.tolist())}
+        return np.array([number.get(column, -1) for column in columns.tolist()], dtype=np.int64)
+
+    def pairs(self) -> Array:
+        """The joint covariance after, in the blocks of the present layout, flat."""
+        blocks, layout = self.present.layout.blocks, self.present.layout
+        flat = blocks.filled(self.present.joint)
+        for v, w, block in blocks.each(flat, layout.variables.width):
+            block -= self.fall[layout.columns_of(v)] @ self.fall[layout.columns_of(w)].T
+        return flat
+
+    def covariance(self, unknown: Unknown) -> Array:
+        """(d, d) m and rad, of one present unknown."""
+        v = self.present.names.index(unknown)
+        fall = self.fall[self.present.layout.columns_of(v)]
+        return self.present.joint.block(v, v) - fall @ fall.T
+
+    def point_covariances(self) -> tuple[Array, Mask]:
+        """(n, 3, 3) m^2 of the points touched, network order, and (n,) which of them have a place."""
+        added, after = self.added, self.added.after
+        layout, columns = after.layout, self.present.columns(added.touched)
+        known = self.present.covariance_with(added.touched)[columns] - self.fall[columns] @ self.fall[columns].T
+        across = added.lean @ known
+        joint = np.block([[known, across.T], [across, added.own + across @ added.lean.T]])
+        order = np.argsort(after.columns([*added.touched, *added.new]))
+        joint, flat = joint[np.ix_(order, order)], np.zeros(layout.blocks.target.size)
+        for v, w, block in layout.blocks.each(flat, layout.variables.width):
+            block[:] = joint[layout.columns_of(v), layout.columns_of(w)]
+        found = IN_PROCESS.covariances(layout, after.rows, after.values, flat, after.reduction.points)
+        return layout.network_order(found), after.determined
+
+
+def added(present: Present, additions: Sequence[Network]) -> Added:
+    """What planned measures add to what is known.
+
+    Parameters
+    ----------
+    present : Present
+        The network as it stands.
+    additions : sequence of Network
+        Measures of new points, with their planned places, and of points known already, by their ids; on images known
+        already and new ones. At least one.
+
+    Raises
+    ------
+    WeakNetwork
+        When nothing determines a new unknown.
+    PointBehindCamera
+        At the present values of the unknowns.
+    """
+    standing, place = present.standing, present.place
+    ids = dict.fromkeys(name for one in additions for name in one.points.ids)
+    again = np.array([place[name] for name in ids if name in place], dtype=np.int64)
+    before = part(standing.network, again) if again.size else None
+    network = joined([*([before] if before else []), *additions])
+    places = network.points.places.copy()
+    places[: again.size] = standing.places[again]
+    after = ReducedNetwork(network, standing.settings, standing.values, places)
+    known = set(present.adjusted)
+    touched = tuple(name for name in after.adjusted if name in known)
+    new = tuple(name for name in after.adjusted if name not in known)
+    gained, own, lean = _on_touched(after, touched, new)
+    if before is not None:
+        old = ReducedNetwork(before, standing.settings, standing.values, standing.places[again])
+        felt = [name for name in touched if name in set(old.adjusted)]
+        place_of = _places(after, touched, felt)
+        gained[np.ix_(place_of, place_of)] -= old.information(felt)
+    root = _root(gained, present.layout.scales[present.columns(touched)])
+    return Added(after, touched, new, root, own, lean)
+
+
+def updated(present: Present, adds: Added) -> Update:
+    """What added information does to the joint covariance of a network as it stands."""
+    touched, root = adds.touched, adds.root
+    spread = present.covariance_with(touched) @ root if touched else np.zeros((present.layout.columns, 0))
+    inner = np.eye(root.shape[1]) + root.T @ spread[present.columns(touched)]
+    factor = np.linalg.cholesky(0.5 * (inner + inner.T))
+    fall = np.linalg.solve(factor, spread.T).T
+    return Update(present, adds, fall, float(np.sum(np.log2(np.diagonal(factor)))))
+
+
+def _places(after: ReducedNetwork, touched: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
+    """Places of the columns of some of the touched unknowns among those of all of them."""
+    number = {column: k for k, column in enumerate(after.columns(touched).tolist())}
+    return np.array([number[column] for column in after.columns(some).tolist()], dtype=np.int64)
+
+
+def _on_touched(
+    after: ReducedNetwork, touched: Sequence[Unknown], new: Sequence[Unknown]
+) -> tuple[Array, Array, Array]:
+    """Information (d, d) on the touched unknowns with the new ones eliminated, the covariance (w, w) of these were the
+    touched ones known, and how they follow them (w, d).
+    """
+    whole = after.information([*touched, *new])
+    d = after.columns(touched).size
+    columns = after.columns(new)
+    own = whole[d:, d:] + np.diag(1.0 / after.layout.sigmas[columns] ** 2)
+    scales = after.layout.scales[columns]
+    try:
+        factor = np.linalg.cholesky(own * scales[:, None] * scales)
+    except np.linalg.LinAlgError:
+        raise WeakNetwork([f"the orientation of {name}" for name in new[:2]], len(new)) from None
+    half = np.linalg.solve(factor, np.diag(scales))
+    covariance = half.T @ half
+    lean = -covariance @ whole[d:, :d]
+    across = half @ whole[d:, :d]
+    return whole[:d, :d] - across.T @ across, covariance, lean
+
+
+def _root(information: Array, scales: Array) -> Array:
+    """L with L L' = the information (d, d), which rounding may have left slightly indefinite; per m and rad."""
+    scaled = information * scales[:, None] * scales
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / scales[:, None])

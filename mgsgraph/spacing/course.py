@@ -1,0 +1,158 @@
+"""The corrections of a strip over time in the terms of its flight: along, across, radial; roll, pitch, yaw; with what
+their errors are made of.
+
+Of the estimate x of the nodes the posterior covariance is C = (L + P)^-1, L being what the data say of them and P the
+prior. Were there nothing to correct, x would still not be zero: the noise of the data puts C L C = C - C P C into it.
+And of a true correction t it shows C L t = (1 - C P) t: what the prior pulls towards zero is missing. Both are needed
+to tell jitter from noise; the posterior covariance alone also holds what the prior leaves open, and no noise.
+
+C follows from the stated sigmas, by which the adjustment weighed, right or wrong. What noise does put into x follows
+from how much rays do scatter (`scatter`): f times as much as stated puts f squared C L C into it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.datum.frames import FLIGHT
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.flight_sigmas import strip_turns
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.network import NodePrior, Strip
+from mgsgraph.network.strips import normalised
+from mgsgraph.spacing.scatter import ray_scatter
+
+AXES = FLIGHT
+"""The six components of a course; the first three in m, the others in rad."""
+_MOST = 2000
+"""Nodes of a strip whose joint covariance is taken as a whole: it takes 1.2 GB then."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """Corrections of a strip at its orientation images; k times, of each six axes (`AXES`), m and rad."""
+
+    strip: str
+    """Its name."""
+    epoch: float
+    """s TDB past J2000."""
+    times: Array
+    """(k,) s past the epoch; of a spline without the outer nodes, which lie beyond what it describes."""
+    values: Array
+    """(k, 6) corrections."""
+    covariance: Array
+    """(6 k, 6 k) of their errors, for sigma0 = 1: node after node."""
+    noise: Array
+    """(6 k, 6 k) of what the noise of the data, as it is, would put into them, were there nothing to correct."""
+    response: Array
+    """(6 k, 6 k) what is shown of true corrections there."""
+    wander: Array | None
+    """(6 k, 6 k) covariance of the departures from bias and drift that the prior expects, where it says how soon they
+    forget themselves; else None."""
+    known: Array
+    """(6,) m and rad, the prior's sigma of departures from the trend, axis by axis; infinite where it knows nothing."""
+    factor: float = 1.0
+    """Times their stated sigmas that rays scatter: what `noise` holds."""
+
+    def __post_init__(self) -> None:
+        k = np.size(self.times)
+        assign(self, times=frozen(self.times, "course, times", (None,)))
+        assign(self, values=frozen(self.values, "course, values", (k, 6)))
+        for name in ("covariance", "noise", "response"):
+            assign(self, **{name: frozen(getattr(self, name), f"course, {name}", (6 * k, 6 * k))})
+
+    @property
+    def sigmas(self) -> Array:
+        """(k, 6) m and rad, of the values, for sigma0 = 1."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 6)
+
+    def axis(self, matrix: Array, axis: int) -> Array:
+        """(k, k) part of one of the matrices that belongs to one axis."""
+        return matrix[axis::6, axis::6]
+
+
+def course(solution: Solution, strip: int, factor: float | None = None) -> Course:
+    """The corrections of a strip at its nodes.
+
+    Parameters
+    ----------
+    solution : Solution
+    strip : int
+    factor : float, optional
+        Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
+    """
+    factor = ray_scatter(solution).factor if factor is None else factor
+    one = solution.network.strips[strip]
+    count = len(one.nodes)
+    if count > _MOST:
+        found = f"{count} nodes, whose joint covariance would be too large"
+        raise InputError(f"strip {one.name!r}", found, f"{_MOST} at the most")
+    first, end = solution.network.first_of_strips[strip : strip + 2].tolist()
+    joint, prior = solution.joint_covariance.of(range(first, end)), _prior_information(one)
+    through = joint @ prior
+    own = slice(0, 6 * count)
+    noise = (joint - through @ joint)[own, own]
+    response = np.eye(6 * count) - through[own, own]
+    times = one.nodes.inner
+    to_values, _ = one.nodes.dense(times, one.nodes.epoch)
+    turns = strip_turns(solution.network, strip, times + one.nodes.epoch, solution.settings.angles)
+    turn = _block_diagonal(turns) @ np.kron(to_values, np.eye(6))
+    # of a spline the coefficients at the outer nodes have no values; the rest stands for the whole
+    back = np.linalg.pinv(turn)
+    wander = _wander(one)
+    return Course(
+        strip=one.name,
+        epoch=one.nodes.epoch,
+        times=times,
+        values=(turn @ solution.nodes[strip].ravel()).reshape(-1, 6),
+        covariance=_symmetric(turn @ joint[own, own] @ turn.T),
+        noise=factor**2 * _symmetric(turn @ noise @ turn.T),
+        response=turn @ response @ back,
+        wander=None if wander is None else _symmetric(turn @ wander @ turn.T),
+        known=_known(one, turns),
+        factor=factor,
+    )
+
+
+def _known(strip: Strip, turns: Array) -> Array:
+    """(6,) rms over the nodes of the prior's sigmas along each axis."""
+    if isinstance(strip.prior, NodePrior):
+        sigmas = np.broadcast_to(strip.prior.sigmas, turns.shape[:2])
+    else:
+        sigmas = strip.prior.node_sigmas(normalised(strip.nodes))[: turns.shape[0]]
+    with np.errstate(invalid="ignore"):  # an axis that an unknown component has no share in
+        squares = np.where(turns == 0.0, 0.0, turns**2 * sigmas[:, None, :] ** 2)
+    return np.asarray(np.sqrt(squares.sum(axis=2).mean(axis=0)))
+
+
+def _prior_information(strip: Strip) -> Array:
+    """(c, c) P, of the nodes and the trend."""
+    widths = strip.widths
+    ends = np.concatenate([[0], np.cumsum(widths)])
+    found = np.zeros((int(ends[-1]), int(ends[-1])))
+    for factor in strip.prior.factors(strip.nodes):
+        for v, left in zip(factor.unknowns, factor.blocks, strict=True):
+            for w, right in zip(factor.unknowns, factor.blocks, strict=True):
+                found[ends[v] : ends[v + 1], ends[w] : ends[w + 1]] += left.T @ right
+    return found
+
+
+def _block_diagonal(blocks: Array) -> Array:
+    count = blocks.shape[0]
+    found = np.zeros((count, 6, count, 6))
+    found[np.arange(count), :, np.arange(count), :] = blocks
+    return found.reshape(6 * count, 6 * count)
+
+
+def _wander(strip: Strip) -> Array | None:
+    """(6 k, 6 k) of the departures from the trend; None where each node has its own, or nothing is known."""
+    prior = strip.prior
+    if not isinstance(prior, NodePrior) or prior.correlation_time == 0.0 or not np.all(np.isfinite(prior.sigmas)):
+        return None
+    apart = np.abs(strip.nodes.times[:, None] - strip.nodes.times)
+    return np.asarray(np.kron(np.exp(-apart / prior.correlation_time), np.diag(prior.sigmas**2)), dtype=np.float64)
+
+
+def _symmetric(matrix: Array) -> Array:
+    return np.asarray(0.5 * (matrix + matrix.T))

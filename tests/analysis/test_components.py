@@ -1,0 +1,400 @@
+"""Variance components: Helmert's matrix against R itself, planted factors found, and what can't be judged named."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from networks import network, pair, with_shift_and_surface
+from odd_networks import seen_by_the_held_one_alone, with_fixed
+from redraw import redraw
+from scipy.stats import kstest
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.posterior import Fit
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.components import (
+    Component,
+    Judgement,
+    _components,
+    _judgements,
+    components_of,
+    honest_sigmas,
+)
+from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
+from mgsgraph.analysis.helmert import Redundancy, group_redundancy
+from mgsgraph.analysis.honesty import (
+    PROMISED,
+    ResidualStatistics,
+    chi_square_test,
+    residual_statistics,
+)
+from mgsgraph.analysis.linearised import Linearised, at_values
+from mgsgraph.errors import InputError
+from mgsgraph.figures.quantiles import quantile_sheet
+from mgsgraph.kernel.rows import OUT
+from mgsgraph.network import Network
+from mgsgraph.simulation.observations import NoiseSettings
+
+SETTINGS = SolverSettings()
+NAMES = ["pair", "shift and surface", "one held", "held alone", "both held", "fixed points", "a blunder"]
+CLEAR = NoiseSettings(tie=1.0, shot_image=1.0, range=10.0, ground=3.0)
+"""Under which ties, laser image points, ranges and ground priors of a pair can all be judged."""
+
+
+@cache
+def solved(name: str) -> Solution:
+    nets: dict[str, Network] = {
+        "pair": network(pair()),
+        "shift and surface": with_shift_and_surface(network(pair())),
+        "one held": network(pair(), held=(True, False)),
+        "held alone": seen_by_the_held_one_alone(network(pair(), held=(True, False))),
+        "both held": network(pair(), held=(True, True)),
+        "fixed points": with_fixed(network(pair())),
+        "a blunder": with_blunder(network(pair())),
+    }
+    return adjust_network(nets[name], SolverSettings(reject=4.0 if name == "a blunder" else 0.0))
+
+
+def with_blunder(net: Network) -> Network:
+    places = net.rays.places.copy()
+    places[net.rays.point == 14] += 400.0
+    return replace(net, rays=replace(net.rays, places=places))
+
+
+def at_rest(solution: Solution) -> Linearised:
+    """Where it was solved, with the covariance of exactly that place."""
+    marked = replace(
+        solution.network,
+        rays=replace(solution.network.rays, rejected=~solution.rays_used),
+        ranges=replace(solution.network.ranges, rejected=~solution.ranges_used),
+    )
+    return at_values(marked, solution.settings, solution.values, solution.places)
+
+
+def whole_system(at: Linearised, grouping: Grouping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All whitened rows on all unknowns, points among them, their residuals and groups; nothing eliminated."""
+    rows, of_sight, columns = at.rows, grouping.of_sights(at.layout), at.layout.columns
+    wide = columns + 3 * at.points.shape[0]
+    matrix, residuals, groups = list[np.ndarray](), list[float](), list[int]()
+    for piece, (pattern, first, count, _, among) in enumerate(rows.piece.tolist()):
+        part = at.rows_of_piece(piece)
+        own = [np.arange(columns)[at.layout.columns_of(v)] for v in part.variables]
+        mine = np.concatenate([np.zeros(0, dtype=int), *own])
+        for i in range(count):
+            for k in range(part.sight.size):
+                if rows.kind[first + i] == OUT or not (np.any(part.by_point[i, k]) or np.any(part.by_shared[i, k])):
+                    continue
+                row = np.zeros(wide)
+                row[mine] = part.by_shared[i, k]
+                if not rows.pattern_fixed[pattern]:
+                    row[columns + 3 * (first + i) : columns + 3 * (first + i) + 3] = part.by_point[i, k]
+                matrix.append(row)
+                residuals.append(part.residuals[i, k])
+                groups.append(int(of_sight[among + part.sight[k] * count + i]))
+    priors = np.eye(columns, wide) / at.layout.sigmas[:, None]
+    values = -at.orientation / at.layout.sigmas
+    return np.vstack([*matrix, priors]), np.append(residuals, values), np.append(groups, grouping.of_columns(at.layout))
+
+
+def projector(matrix: np.ndarray) -> np.ndarray:
+    """R = 1 - A (A'A)^-1 A', by the orthogonal basis of A's columns."""
+    used = matrix[:, np.any(matrix != 0.0, axis=0)]
+    basis = np.linalg.svd(used / np.linalg.norm(used, axis=0), full_matrices=False)[0]
+    return np.asarray(np.eye(len(matrix)) - basis @ basis.T)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_helmert_s_matrix_is_that_of_the_whole_projector(name: str) -> None:
+    at = at_rest(solved(name))
+    grouping = group_rows(at.network)
+    found = group_redundancy(at, grouping)
+    matrix, residuals, groups = whole_system(at, grouping)
+    cofactors = projector(matrix)
+    size = len(grouping.names)
+    right = np.array([
+        [np.sum(cofactors[np.ix_(groups == g, groups == k)] ** 2) for k in range(size)] for g in range(size)
+    ])  # fmt: skip
+    assert np.array_equal(found.counts, np.bincount(groups, minlength=size))
+    assert np.allclose(found.redundancy, np.bincount(groups, np.diag(cofactors), size), atol=1e-6)
+    assert np.allclose(found.squares, np.bincount(groups, residuals**2, size), rtol=1e-9)
+    assert np.allclose(found.helmert, right, atol=1e-6 * right.max())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rows_of_helmert_s_matrix_add_up_to_the_redundancies(name: str) -> None:
+    solution = solved(name)
+    found = group_redundancy(at_rest(solution), group_rows(solution.network))
+    assert np.allclose(found.helmert.sum(axis=1), found.redundancy, atol=1e-6)
+    assert found.redundancy.sum() == pytest.approx(solution.fit.degrees_of_freedom, abs=1e-4)
+    assert found.squares.sum() == pytest.approx(solution.fit.squares, rel=1e-5)
+    assert found.counts.sum() == solution.fit.observations
+
+
+def test_random_signs_come_near_the_exact_matrix() -> None:
+    at = at_rest(solved("shift and surface"))
+    exact, estimate = (group_redundancy(at, group_rows(at.network), dense) for dense in (2000, 0))
+    assert exact.exact
+    assert not estimate.exact
+    assert 0.0 < np.abs(exact.helmert - estimate.helmert).max() < 0.1
+    assert np.allclose(estimate.helmert.sum(axis=1), exact.redundancy, atol=1e-6)
+
+
+def test_groups_of_image_kinds_are_parts_of_the_ties() -> None:
+    at = at_rest(solved("pair"))
+    whole, parts = (group_redundancy(at, group_rows(at.network, kinds)) for kinds in (None, ["nadir", "aside"]))
+    assert parts.names[:2] == ("tie image points, nadir", "tie image points, aside")
+    assert parts.redundancy[:2].sum() == pytest.approx(whole.redundancy[0], rel=1e-9)
+    assert parts.helmert[:2, :2].sum() == pytest.approx(whole.helmert[0, 0], rel=1e-9)
+    with pytest.raises(InputError, match="image kinds: 1; expected one for each of 2 images"):
+        group_rows(at.network, ["nadir"])
+
+
+def test_scaling_a_group_scales_its_sigmas_and_no_others() -> None:
+    net = with_shift_and_surface(network(pair()))
+    grouping = group_rows(net)
+    assert net.shifts is not None
+    assert net.surface is not None
+    for g, name in enumerate(grouping.names):
+        factors = np.ones(len(grouping.names))
+        factors[g] = 3.0
+        new = scaled(net, grouping, factors)
+        assert new.shifts is not None
+        assert new.surface is not None
+        ratios = {
+            "tie image points": new.rays.sigmas[0] / net.rays.sigmas[0],
+            "laser image points": new.rays.sigmas[-1] / net.rays.sigmas[-1],
+            "ranges": new.ranges.sigmas / net.ranges.sigmas,
+            "ground priors": np.sqrt(np.diag(new.points.covariances[-1]) / np.diag(net.points.covariances[-1])),
+            "surface heights": new.surface.sigmas[0] / net.surface.sigmas[0],
+            "position priors": new.priors[1].sigmas[:, :3] / net.priors[1].sigmas[:, :3],
+            "pointing priors": new.priors[0].sigmas[:, 3:] / net.priors[0].sigmas[:, 3:],
+            "shifts": np.array([new.shifts.sigmas[0] / net.shifts.sigmas[0], new.surface.shift_sigma / 150.0]),
+        }
+        for other, ratio in ratios.items():
+            assert np.allclose(ratio, 3.0 if other == name else 1.0), (name, other)
+    with pytest.raises(InputError, match="factors of sigmas"):
+        scaled(net, grouping, np.zeros(len(grouping.names)))
+    with pytest.raises(InputError, match="variance components: 0 passes"):
+        honest_sigmas(net, SETTINGS, most=0)
+
+
+@cache
+def clear_pair() -> Network:
+    return network(pair(120, 90, 1, CLEAR))
+
+
+def drawn(truth: dict[str, float], seed: int) -> tuple[Network, np.ndarray]:
+    """The pair with errors that are so many times larger than the sigmas that it states; and these factors."""
+    net: Network = clear_pair()
+    grouping = group_rows(net)
+    factors = np.array([truth.get(name, 1.0) for name in grouping.names])
+    larger = redraw(scaled(net, grouping, factors), np.random.default_rng(seed)).network
+    return scaled(larger, grouping, 1.0 / factors), factors
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        {"tie image points": 0.5, "laser image points": 2.0, "ranges": 5.0},
+        {"tie image points": 5.0, "laser image points": 0.5, "ranges": 2.0, "ground priors": 5.0},
+    ],
+)
+def test_planted_factors_are_found_within_their_uncertainty(truth: dict[str, float]) -> None:
+    net, factors = drawn(truth, 5)
+    found = honest_sigmas(net, SETTINGS)
+    assert found.converged
+    for one, factor in zip(found.components.groups[:4], factors, strict=False):
+        assert one.judgement is Judgement.JUDGED
+        assert abs(one.deviation(factor)) < 2.6
+        assert one.sigma < 0.25 * one.factor
+        assert one.honest is bool(factor == 1.0), one.verdict()
+    again = components_of(found.solution)
+    for one in again.groups[:4]:
+        assert one.factor == pytest.approx(1.0, abs=0.011)
+    ratio = found.network.rays.sigmas[0, 0] / net.rays.sigmas[0, 0]
+    assert ratio == pytest.approx(found.components["tie image points"].factor)
+
+
+def test_what_can_t_be_judged_keeps_its_sigmas_and_is_named() -> None:
+    net = network(pair(60, 30))
+    found = honest_sigmas(net, SETTINGS)
+    one = found.components["ranges"]
+    assert one.judgement in (Judgement.FEW, Judgement.ENTANGLED)
+    assert np.isnan(one.factor)
+    assert one.honest is None
+    assert np.array_equal(found.network.ranges.sigmas, net.ranges.sigmas)
+    assert "ranges: can't be" in found.words()
+    with pytest.raises(InputError, match="no such group; expected one of tie image points"):
+        _ = found.components["stars"]
+
+
+def test_ranges_that_only_move_their_own_footprint_are_not_told_apart_from_it() -> None:
+    found = components_of(solved_default())
+    one = found["ranges"]
+    assert one.redundancy > 1.0
+    assert one.judgement is Judgement.ENTANGLED
+    assert one.beside == "ground priors"
+    assert one.correlation < -0.5
+
+
+@cache
+def solved_default() -> Solution:
+    return adjust_network(network(pair(60, 120)), SETTINGS)
+
+
+def test_residuals_that_are_none_are_held_not_chased_to_zero() -> None:
+    truth = {"tie image points": 1e-6}
+    net, _ = drawn(truth, 3)
+    found = honest_sigmas(net, SETTINGS)
+    assert found.components["tie image points"].judgement is Judgement.ZERO
+    assert found.components["tie image points"].factor == pytest.approx(0.02)
+    assert "residuals too small for any sigma" in found.words()
+    assert found.components["laser image points"].honest
+
+
+def component(factor: float, degrees: float) -> Component:
+    return Component("pointing", Judgement.JUDGED, 10, 8.0, 8.0, factor, degrees)
+
+
+def test_verdicts_in_words() -> None:
+    assert component(1.03, 80.0).verdict() == "pointing: honest (factor 1.030 +- 0.081)"
+    assert "too pessimistic, sigmas too large by a factor of 2.10 +- 0.17" in component(1.0 / 2.1, 80.0).verdict()
+    assert "too optimistic, sigmas too small by a factor of 2.10 +- 0.17" in component(2.1, 80.0).verdict()
+    assert "nothing wrong to be seen, with little to see it by" in component(1.4, 4.0).verdict()
+    few = Component("position", Judgement.FEW, 10, 0.3, 0.1, np.nan, np.nan)
+    assert few.verdict() == "position: can't be judged (0.3 redundancy)"
+
+
+def test_deviations_and_intervals_are_chi_square_s() -> None:
+    rng, degrees = np.random.default_rng(1), 6.0
+    factors = np.sqrt(rng.chisquare(degrees, 4000) / degrees)
+    z = np.array([component(factor, degrees).deviation(1.0) for factor in factors])
+    assert abs(z.mean()) < 0.05
+    assert abs(z.std() - 1.0) < 0.04
+    covered = [low <= 1.0 <= high for low, high in (component(f, degrees).interval(0.9) for f in factors[:500])]
+    assert np.mean(covered) == pytest.approx(0.9, abs=0.04)
+
+
+def test_the_global_test_has_the_table_s_bounds() -> None:
+    # Abramowitz & Stegun, table 26.8, 10 degrees of freedom
+    found = chi_square_test(Fit(squares=18.3070, observations=15, unknowns=5))
+    assert found.bounds == pytest.approx((3.24697, 20.4831), rel=1e-5)
+    assert found.upper_bound == pytest.approx(18.3070, rel=1e-5)
+    assert found.larger == pytest.approx(0.05, rel=1e-4)
+    assert found.two_sided == pytest.approx(0.1, rel=1e-4)
+    assert found.passed
+    assert "FAILED, too small" in chi_square_test(Fit(1.0, 15, 5)).words()
+    with pytest.raises(InputError, match="0 degrees of freedom"):
+        chi_square_test(Fit(0.0, 5, 5))
+    with pytest.raises(InputError, match="alpha: 0"):
+        chi_square_test(Fit(5.0, 15, 5), 0.0)
+
+
+def test_p_values_of_honest_draws_are_uniform() -> None:
+    net, p = network(pair(20, 8)), []
+    for seed in range(20):
+        solution = adjust_network(redraw(net, np.random.default_rng(seed)).network, SETTINGS)
+        p.append(chi_square_test(solution.fit).larger)
+    assert kstest(p, "uniform").pvalue > 0.01
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_normalised_residuals_have_the_groups_redundancy(name: str) -> None:
+    at = at_rest(solved(name))
+    grouping = group_rows(at.network)
+    groups, found = group_redundancy(at, grouping), residual_statistics(at, grouping)
+    matrix, residuals, of_row = whole_system(at, grouping)
+    r = np.diag(projector(matrix))
+    for g, one in enumerate(found):
+        assert one.values.size + one.uncontrolled == groups.counts[g]
+        assert one.effective == pytest.approx(groups.redundancy[g], abs=0.02)
+        mine = (of_row == g) & (r >= 1e-3)
+        assert np.allclose(one.values, np.sort(residuals[mine] / np.sqrt(r[mine])), atol=1e-4)
+
+
+def test_statistics_of_normal_and_other_residuals() -> None:
+    rng = np.random.default_rng(2)
+    plain = ResidualStatistics("normal", np.sort(rng.standard_normal(3000)), 0, 3000.0)
+    tails = ResidualStatistics("tails", np.sort(rng.standard_t(3, 3000)), 0, 3000.0)
+    assert plain.as_promised
+    assert tails.as_promised is False
+    assert plain.distance == pytest.approx(kstest(plain.values, "norm").statistic)
+    assert plain.p_value == pytest.approx(kstest(plain.values, "norm").pvalue, abs=0.02)
+    assert plain.beyond[0] == pytest.approx(PROMISED[0], abs=0.03)
+    assert pytest.approx((0.3173, 0.0455, 0.0027), abs=1e-4) == PROMISED
+    assert abs(plain.kurtosis) < 3.0 * plain.sigmas[3] < tails.kurtosis
+    assert abs(plain.skewness) < 3.0 * plain.sigmas[2]
+    few = ResidualStatistics("few", plain.values[:3], 2, 1.5)
+    assert np.isnan(few.p_value)
+    assert few.as_promised is None
+    assert "too few for a test" in few.words()
+    assert ResidualStatistics("none", np.zeros(0), 4, 0.0).words() == "none: no residual that anything controls"
+
+
+def test_the_band_of_a_quantile_plot_holds_95_percent_at_each_place() -> None:
+    rng, inside = np.random.default_rng(3), []
+    for _ in range(300):
+        plot = ResidualStatistics("normal", np.sort(rng.standard_normal(60)), 0, 60.0).quantiles(20)
+        inside.append((plot.low <= plot.found) & (plot.found <= plot.high))
+    assert plot.promised.size == 20
+    assert np.allclose(np.mean(inside, axis=0), 0.95, atol=0.05)
+    wide = ResidualStatistics("half", plot.found, 0, 5.0).quantiles()
+    assert np.all(wide.high - wide.low > 0.5)
+
+
+def test_a_first_look_says_so() -> None:
+    net, _ = drawn({"tie image points": 5.0}, 5)
+    rough = components_of(adjust_network(net, SETTINGS))
+    assert rough.rough
+    assert "A first look" in rough.words()
+
+
+def test_a_group_whose_estimate_runs_away_keeps_its_sigmas() -> None:
+    """A pair's pointing, drawn far better than stated: any smaller sigma fits, so that none can be named."""
+    net, _ = drawn({"pointing priors": 0.01, "position priors": 0.01}, 4)
+    found = honest_sigmas(net, SETTINGS)
+    assert found.converged
+    for name in ("pointing priors", "position priors"):
+        one = found.components[name]
+        assert one.judgement in (Judgement.LOST, Judgement.ENTANGLED, Judgement.FEW)
+    assert "can't be judged, the estimate runs away" in found.words()
+    assert np.array_equal(found.network.priors[0].sigmas, net.priors[0].sigmas)
+    assert found.components["laser image points"].honest
+
+
+def test_quantile_sheet_shows_each_group_with_its_band() -> None:
+    statistics = residual_statistics(solved("one held"))
+    sheet = quantile_sheet(statistics, "pair")
+    shown = [panel for panel in sheet.figure.axes if panel.axison]
+    assert [panel.get_title() for panel in shown] == [one.name for one in statistics if one.values.size]
+    for panel, one in zip(shown, (one for one in statistics if one.values.size), strict=True):
+        dots = panel.lines[1]
+        assert np.array_equal(dots.get_ydata(), one.quantiles().found)
+        assert len(panel.collections) == 1
+    assert shown[0].get_ylabel() == "found (sigmas)"
+    assert shown[-1].get_xlabel() == "promised by a normal law (sigmas)"
+    assert "bands count correlated residuals" in sheet.caption
+    none = quantile_sheet([ResidualStatistics("none", np.zeros(0), 4, 0.0)], "nothing")
+    assert none.caption == "No residual is controlled by other rows."
+
+
+def test_a_verdict_names_what_it_depends_on() -> None:
+    one = replace(component(1.3, 9.0), beside="ground priors", correlation=-0.99, given="position")
+    assert one.verdict().endswith("with ground priors, correlation -0.99; if the stated sigmas of position are right")
+
+
+def test_a_factor_that_hangs_on_the_sigmas_of_a_group_that_is_not_judged_says_so() -> None:
+    """Pointing (1) and position (2) share all they have; ties (0) have nothing to do with either."""
+    helmert = np.array([[90.0, 0.0, 0.0], [0.0, 10.0, 9.9], [0.0, 9.9, 10.0]])
+    r = helmert.sum(axis=1)
+    names = ("ties", "pointing", "position")
+    found = Redundancy(names, np.array([200, 40, 40]), r, r, helmert, True)
+    judgements = [Judgement.JUDGED, Judgement.JUDGED, Judgement.ENTANGLED]
+    assert _judgements(found, {}).count(Judgement.ENTANGLED) == 1
+    groups = _components(found, judgements, np.ones(3)).groups
+    assert [one.given for one in groups] == ["", "position", ""]
+    assert groups[1].beside == "ties"
+    assert groups[2].beside == "pointing"
+    assert groups[2].correlation == pytest.approx(-0.99, abs=1e-6)

@@ -1,0 +1,381 @@
+"""Redundancy, tests and minimal detectable blunders, held against adjustments without the measure and against draws.
+
+The cost of a network falls by half the square of a measure's test when the measure gets an unknown of its own: that is
+its w-test, whatever the formula.
+"""
+
+import csv
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from networks import network, pair, with_shift_and_surface
+from odd_networks import with_fixed
+from scipy.stats import binom, chi2, ncx2, norm
+from sharing import with_all_kinds
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import Loss, SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.levels import Levels
+from mgsgraph.analysis.measures import UNCONTROLLED, MeasureKind, inverse, pair_tests
+from mgsgraph.analysis.reliability import Reliability, reliability
+from mgsgraph.analysis.suspects import (
+    PointIndex,
+    combinations,
+    correlations_of_tests,
+    residual_covariance,
+    suspects,
+)
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.orientation import COMPONENTS
+from mgsgraph.network import Network
+from mgsgraph.reports.reliability import reliability_table
+
+PLAIN = SolverSettings(cost_tolerance=1e-14)
+
+
+@cache
+def net(name: str) -> Network:
+    return {
+        "pair": lambda: network(pair()),
+        "shift and surface": lambda: with_shift_and_surface(network(pair())),
+        "one held": lambda: network(pair(), held=(True, False)),
+        "fixed points": lambda: with_fixed(network(pair())),
+    }[name]()
+
+
+@cache
+def solved(name: str, loss: Loss = "none") -> Solution:
+    return adjust_network(net(name), replace(PLAIN, loss=loss))
+
+
+@cache
+def known(name: str, loss: Loss = "none") -> Reliability:
+    return reliability(solved(name, loss))
+
+
+NAMES = ["pair", "shift and surface", "one held", "fixed points"]
+
+
+def of_kind(found: Reliability, kind: MeasureKind, least: float = 0.01) -> np.ndarray:
+    """Measures of a kind that others control."""
+    return np.flatnonzero((found.measures.kind == kind) & (found.measures.redundancy > least))
+
+
+def freed(whole: Network, found: Reliability, k: int) -> Network:
+    """A network in which a measure has an unknown of its own: a thousand times its sigma."""
+    table = found.measures
+    row, component = int(table.row[k]), int(table.component[k])
+    kind = table.kind[k]
+    if kind == MeasureKind.RAY:
+        sigmas = whole.rays.sigmas.copy()
+        sigmas[row, component] *= 1e5
+        return replace(whole, rays=replace(whole.rays, sigmas=sigmas))
+    if kind == MeasureKind.RANGE:
+        sigmas = whole.ranges.sigmas.copy()
+        sigmas[row] *= 1e5
+        return replace(whole, ranges=replace(whole.ranges, sigmas=sigmas))
+    if kind == MeasureKind.HEIGHT:
+        sigmas = whole.surface.sigmas.copy()
+        sigmas[row] *= 1e5
+        return replace(whole, surface=replace(whole.surface, sigmas=sigmas))
+    if kind == MeasureKind.GROUND:
+        covariances = whole.points.covariances.copy()
+        covariances[row, component, component] += 1e10
+        return replace(whole, points=replace(whole.points, covariances=covariances))
+    image, inside = int(table.image[k]), component
+    sigmas = whole.priors[image].sigmas.copy()
+    sigmas[divmod(inside, 6)] *= 1e4
+    priors = list(whole.priors)
+    priors[image] = replace(priors[image], sigmas=sigmas)
+    return replace(whole, priors=tuple(priors))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("loss", ["none", "huber"])
+def test_redundancy_numbers_add_up_to_the_degrees_of_freedom(name: str, loss: Loss) -> None:
+    found, fit = known(name, loss), solved(name, loss).fit
+    # the covariance is of where the last step began: on rough terrain that shows
+    share = 1e-5 if "surface" in name else 1e-6
+    assert found.measures.redundancy.sum() == pytest.approx(fit.degrees_of_freedom, abs=share)
+    assert found.sigma0 == pytest.approx(fit.sigma0, rel=1e-6)
+    assert len(found) == fit.observations
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("shift and surface", kind) for kind in MeasureKind if kind != MeasureKind.PRIOR]
+    + [("pair", MeasureKind.PRIOR), ("pair", MeasureKind.GROUND), ("fixed points", MeasureKind.RAY)],
+)
+def test_a_measure_with_an_unknown_of_its_own_lowers_the_cost_by_its_test(name: str, kind: MeasureKind) -> None:
+    found = known(name)
+    mine = of_kind(found, kind, 1e-4 if kind == MeasureKind.RANGE else 0.05)
+    mine = mine[np.argsort(-np.abs(found.measures.test[mine]))][:3]
+    assert mine.size
+    for k in mine:
+        cost = adjust_network(freed(net(name), found, int(k)), PLAIN).cost_final
+        drop = 2.0 * (solved(name).cost_final - cost)
+        assert drop == pytest.approx(found.measures.test[k] ** 2, rel=0.03, abs=0.003)
+
+
+@pytest.mark.parametrize("kind", [MeasureKind.RAY, MeasureKind.GROUND])
+def test_a_sight_with_unknowns_of_its_own_lowers_the_cost_by_its_joint_test(kind: MeasureKind) -> None:
+    found = known("shift and surface")
+    mine = of_kind(found, kind, 0.05)
+    worst = mine[np.argsort(-found.measures.joint[mine])]
+    rows, first = np.unique(found.measures.row[worst], return_index=True)
+    for row in rows[np.argsort(first)][:3]:
+        changed = net("shift and surface")
+        for k in np.flatnonzero((found.measures.kind == kind) & (found.measures.row == row)):
+            changed = freed(changed, found, int(k))
+        drop = 2.0 * (solved("shift and surface").cost_final - adjust_network(changed, PLAIN).cost_final)
+        assert drop == pytest.approx(found.measures.joint[k], rel=0.03, abs=0.003)
+
+
+@pytest.mark.parametrize("kind", [MeasureKind.RAY, MeasureKind.RANGE, MeasureKind.GROUND])
+def test_an_unnoticed_blunder_moves_its_point_as_far_as_is_said(kind: MeasureKind) -> None:
+    found, whole = known("shift and surface"), net("shift and surface")
+    for k in of_kind(found, kind, 0.1)[:3] if kind != MeasureKind.RANGE else of_kind(found, kind, 1e-3)[:3]:
+        row, component = int(found.measures.row[k]), int(found.measures.component[k])
+        size = found.measures.detectable[k]
+        if kind == MeasureKind.RAY:
+            places = whole.rays.places.copy()
+            places[row, component] += size
+            changed = replace(whole, rays=replace(whole.rays, places=places))
+        elif kind == MeasureKind.RANGE:
+            values = whole.ranges.values.copy()
+            values[row] += size
+            changed = replace(whole, ranges=replace(whole.ranges, values=values))
+        else:
+            places = whole.points.places.copy()
+            places[row, component] += size
+            changed = replace(whole, points=replace(whole.points, places=places))
+        point = found.measures.point[k]
+        moved = adjust_network(changed, PLAIN).places[point] - solved("shift and surface").places[point]
+        assert np.linalg.norm(moved) == pytest.approx(found.measures.effect[k], rel=0.03)
+
+
+def test_signs_are_measured_minus_predicted() -> None:
+    found, whole = known("shift and surface"), net("shift and surface")
+    solution, table = solved("shift and surface"), known("shift and surface").measures
+    rays = table.kind == MeasureKind.RAY
+    assert np.allclose(table.residual[rays].reshape(-1, 2), solution.residuals, atol=1e-6)
+    ranges = table.kind == MeasureKind.RANGE
+    assert np.allclose(table.residual[ranges], solution.range_residuals, atol=1e-6)
+    ground = table.kind == MeasureKind.GROUND
+    points = table.point[ground][::3]
+    shift = np.einsum("k,nkj->nj", solution.shifts[0], east_north(whole.points.places[points]))
+    offset = whole.points.places[points] + shift - solution.places[points]
+    assert np.allclose(table.residual[ground].reshape(-1, 3), offset, atol=1e-4)
+    heights = table.kind == MeasureKind.HEIGHT
+    north = east_north(solution.places[table.point[heights]])
+    at = solution.places[table.point[heights]] - np.einsum("k,nkj->nj", solution.shifts[1], north)
+    assert np.allclose(table.residual[heights], -whole.surface.grid.height_above(at)[0], atol=0.05)
+    prior = (table.kind == MeasureKind.PRIOR) & (table.image == 0)
+    assert np.allclose(table.residual[prior], -solution.coefficients[0].ravel(), atol=1e-9)
+    assert np.nanmin((table.test * table.residual)[~ground]) >= 0.0
+    assert len(found) == table.test.size
+
+
+def test_levels_are_the_tables() -> None:
+    levels = Levels()
+    assert levels.critical == pytest.approx(3.29, abs=0.001)  # Baarda 1968: 0.1 %, 80 %: delta0 = 4.13
+    assert levels.shift**2 == pytest.approx(17.075, abs=0.001)
+    assert Levels(alpha=0.05).shift**2 == pytest.approx(7.849, abs=0.001)
+    for q in (1, 2, 3, 50):
+        assert ncx2.sf(levels.critical_squares(q), q, levels.shift**2) == pytest.approx(0.80, abs=1e-6)
+        assert chi2.sf(levels.critical_squares(q), q) == pytest.approx(levels.alpha_of(q), rel=1e-6)
+    assert levels.critical_tau(1e7) == pytest.approx(levels.critical, abs=1e-3)
+    assert levels.critical_tau(5.0) < np.sqrt(5.0)  # tau is bounded by the root of the degrees of freedom
+
+
+@pytest.mark.parametrize(("alpha", "power"), [(0.0, 0.8), (0.6, 0.8), (0.001, 1.0), (0.01, 0.005), (np.nan, 0.8)])
+def test_impossible_levels_are_refused(alpha: float, power: float) -> None:
+    with pytest.raises(InputError, match=r"levels, (alpha|power): .*; expected a number between"):
+        Levels(alpha, power)
+
+
+def test_what_nothing_controls_is_counted_and_named() -> None:
+    found = known("pair")
+    loose = found.uncontrolled
+    assert 0 < loose.size < len(found)
+    assert np.all(found.measures.redundancy[loose] <= UNCONTROLLED)
+    assert np.all(np.isnan(found.measures.test[loose]))
+    assert f"{loose.size} measures uncontrolled" in repr(found)
+    assert any("sample of point TIE" in found.name(int(k)) for k in loose)  # along the parallax of a pair side by side
+
+
+def test_every_measure_has_a_name_of_its_own_and_a_unit() -> None:
+    found = known("shift and surface")
+    names = [found.name(k) for k in range(len(found))]
+    assert len(set(names)) == len(names)
+    assert {found.unit(k) for k in range(len(found))} == {"px", "m", "rad"}
+    for text in ("height above the terrain of point", "a-priori east shift of profile", "rotation y of image SIM/A"):
+        assert any(text in name for name in names)
+
+
+WORDS = {
+    MeasureKind.RAY: ("line", "sample"),
+    MeasureKind.RANGE: ("range",),
+    MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
+    MeasureKind.HEIGHT: ("height above the terrain",),
+}
+COUNTED = {"line": "px", "sample": "px", "range": "m", "a-priori": "m", "height": "m"}
+
+
+def said(found: Reliability, k: int) -> tuple[str, str]:
+    """Name and unit of a measure, from its own row of the table alone."""
+    table, network, first = found.measures, found.at.network, found.at.layout.variables.first
+    row, component = int(table.row[k]), int(table.component[k])
+    if table.kind[k] != MeasureKind.PRIOR:
+        what = WORDS[MeasureKind(int(table.kind[k]))]
+        where = f" in image {network.images[table.image[k]].name}" if table.image[k] >= 0 else ""
+        name = f"{what[component]} of point {network.points.ids[table.point[k]]}{where}"
+        return name, COUNTED[name.split()[0]]
+    variable = max((v for v in range(first.size) if 0 <= first[v] <= row), key=lambda v: int(first[v]))
+    if variable < len(network.images):
+        power, axis = divmod(row - int(first[variable]), 6)
+        term = ("constant", "linear", "quadratic")[power]
+        name = f"a-priori {term} {COMPONENTS[axis]} of image {network.images[variable].name}"
+        return name, "m" if axis < 3 else "rad"
+    shift = variable - len(network.images)
+    if shift < len(network.shift_names):
+        return f"a-priori {('east', 'north')[component]} shift of {network.shift_names[shift]}", "m"
+    shared = network.shared[shift - len(network.shift_names)]
+    return f"a-priori {shared.name} {shared.kind.components[component]}".rstrip(), shared.kind.unit
+
+
+@pytest.mark.parametrize("held", [(False, False), (True, False), (True, True)])
+def test_names_and_units_of_all_measures_at_once(held: tuple[bool, bool], tmp_path: Path) -> None:
+    whole = with_shift_and_surface(network(pair(), held=held))
+    whole = whole if all(held) else with_all_kinds(whole)
+    ids = ('with "quotes", and commas', *whole.points.ids[1:])
+    whole = replace(whole, points=replace(whole.points, ids=ids))
+    found = reliability(adjust_network(whole, SolverSettings()))
+    assert set(found.measures.kind.tolist()) == {int(kind) for kind in MeasureKind}
+    order = found.order(len(found))
+    expected = [said(found, int(k)) for k in order]
+    assert list(zip(found.names(order), found.units(order), strict=True)) == expected
+    assert [(found.name(int(k)), found.unit(int(k))) for k in order[::7]] == expected[::7]
+    assert (found.names(order[:0]), found.units(order[:0])) == ([], [])
+    reliability_table(found).write_csv(tmp_path / "reliability.csv")
+    with (tmp_path / "reliability.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["measure"], row["unit"]) for row in rows] == expected
+    table = found.measures
+    assert [row["point"] for row in rows] == [ids[i] if i >= 0 else "" for i in table.point[order]]
+    assert [row["image"] for row in rows] == [whole.images[j].name if j >= 0 else "" for j in table.image[order]]
+
+
+def test_rejected_rays_do_not_take_part() -> None:
+    whole = net("pair")
+    left = adjust_network(whole, replace(PLAIN, reject=2.5))
+    found = reliability(left)
+    assert np.any(~left.rays_used)
+    rays = found.measures.kind == MeasureKind.RAY
+    assert not np.any(np.isin(found.measures.row[rays], np.flatnonzero(~left.rays_used)))
+    assert found.measures.redundancy.sum() == pytest.approx(left.fit.degrees_of_freedom, abs=1e-6)
+
+
+def test_a_wide_loss_is_none() -> None:
+    wide = reliability(adjust_network(net("pair"), replace(PLAIN, loss="huber", loss_width=1e3))).measures
+    plain = known("pair").measures
+    for name in ("test", "detectable", "effect", "external", "joint", "redundancy"):
+        assert np.allclose(getattr(wide, name), getattr(plain, name), rtol=1e-4, equal_nan=True)
+
+
+def test_a_robust_test_is_that_of_the_prediction() -> None:
+    """With weights p held, leaving a measure out altogether gives the prediction that its test is made of."""
+    rng = np.random.default_rng(3)
+    design, weight = rng.normal(size=(9, 3)), rng.uniform(0.2, 1.0, 9)
+    observed = rng.normal(size=9) * 2.0
+    weight[1] = weight[0]  # the rows of a ray have one weight
+    scaled = design * np.sqrt(weight)[:, None]
+    hat = scaled @ np.linalg.inv(scaled.T @ scaled) @ scaled.T
+    left = np.sqrt(weight) * observed - hat @ (np.sqrt(weight) * observed)
+    others = slice(2, None)
+    cofactor = np.linalg.inv(scaled[others].T @ scaled[others])
+    error = observed[:2] - design[:2] @ cofactor @ scaled[others].T @ (np.sqrt(weight) * observed)[others]
+    covariance = np.eye(2) + design[:2] @ cofactor @ design[:2].T
+    found, dimensions = pair_tests(left[None, :2], np.diag(hat)[None, :2], hat[0, 1:2], np.sqrt(weight[:1]))
+    assert dimensions == 2
+    assert found[0] == pytest.approx(error @ np.linalg.solve(covariance, error), rel=1e-9)
+
+
+def test_scaled_tests_are_the_plain_ones_over_sigma0() -> None:
+    plain, scaled = known("pair"), reliability(solved("pair"), Levels(scaled=True))
+    assert np.allclose(scaled.measures.test * plain.sigma0, plain.measures.test, equal_nan=True)
+    assert scaled.critical == pytest.approx(Levels().critical_tau(plain.degrees_of_freedom))
+    assert np.allclose(scaled.severity * plain.sigma0, plain.severity, rtol=0.1)
+
+
+def test_inverses_by_cofactors() -> None:
+    roots = np.random.default_rng(2).normal(size=(20, 3, 3))
+    full = roots @ np.swapaxes(roots, 1, 2) + 0.1 * np.eye(3)
+    assert np.allclose(inverse(full), np.linalg.inv(full), rtol=1e-8)
+
+
+def test_ties_with_two_rays_are_one_group_and_others_are_not() -> None:
+    found = known("pair")
+    groups = suspects(found, len(found))
+    listed = np.concatenate([one.measures for one in groups])
+    assert np.unique(listed).size == listed.size
+    assert np.isin(np.flatnonzero(np.isfinite(found.measures.test)), listed).all()
+    ties = [one for one in groups if one.point >= 0 and found.at.network.points.ids[one.point].startswith("TIE")]
+    assert len(ties) == 12
+    assert all(one.measures.size == 4 for one in ties)
+    shots = [one for one in groups if one.point >= 0 and one.point not in {tie.point for tie in ties}]
+    assert all(one.measures.size < 4 for one in shots)
+    sizes = [abs(one.test) for one in groups]
+    assert sizes == sorted(sizes, reverse=True)
+    assert [one.measures.tolist() for one in suspects(found, 3)] == [one.measures.tolist() for one in groups[:3]]
+
+
+def dense_shares(found: Reliability) -> np.ndarray:
+    """Correlations of all tests of one point from the kernel's own table."""
+    point = 13
+    mine, matrix = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), point)
+    assert np.all(found.measures.point[mine] == point)
+    return matrix
+
+
+def test_correlations_of_tests_are_those_of_draws() -> None:
+    found = known("shift and surface")
+    matrix = dense_shares(found)
+    assert np.allclose(np.diagonal(matrix), 1.0)
+    assert np.abs(matrix).max() <= 1.0 + 1e-9
+    mine, _ = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), 13)
+    rays = np.flatnonzero(found.measures.kind[mine] == MeasureKind.RAY)
+    a, b = 1.0 - found.measures.redundancy[mine[rays[:2]]]
+    joint, w0, w1 = found.measures.joint[mine[rays[0]]], *found.measures.test[mine[rays[:2]]]
+    rho = matrix[rays[0], rays[1]]
+    assert joint == pytest.approx((w0**2 - 2.0 * rho * w0 * w1 + w1**2) / (1.0 - rho**2), rel=1e-6)
+    assert max(a, b) < 1.0
+
+
+@pytest.mark.parametrize("kind", [MeasureKind.RAY, MeasureKind.RANGE, MeasureKind.GROUND])
+def test_a_blunder_is_found_at_baardas_power(kind: MeasureKind) -> None:
+    """2000 draws of the residuals v = (1 - H) e of a point's rows, with one measure off by one MDB."""
+
+    found = known("shift and surface")
+    k = int(of_kind(found, kind, 1e-3)[-1])
+    point = int(found.measures.point[k])
+    rows = found.at.rows_of(point)
+    covariance, _ = residual_covariance(found.at, rows)
+    chosen = combinations(found, np.array([k]), rows)[:, 0]
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    noise = np.random.default_rng(8).normal(size=(2000, values.size)) @ root.T
+    sigma = np.sqrt(chosen @ covariance @ chosen)
+    # the blunder, in sigmas of the measure, enters the rows by `chosen` and the residuals by the covariance
+    shift = covariance @ chosen * found.measures.detectable[k] / found.measures.sigma[k]
+    power = np.count_nonzero(np.abs((noise + shift) @ chosen / sigma) > found.critical)
+    alarms = np.count_nonzero(np.abs(noise @ chosen / sigma) > found.critical)
+    low, high = binom.ppf([0.005, 0.995], 2000, 0.80)
+    assert low <= power <= high
+    assert alarms <= binom.ppf(0.995, 2000, 0.001)
+    assert norm.sf(found.critical - found.levels.shift) == pytest.approx(0.80)
