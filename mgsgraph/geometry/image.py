@@ -10,7 +10,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import transform
-from mgsgraph.factors.collinearity import by_point, focal_plane, image_by_ray, image_motion, ray_motion
+from mgsgraph.factors.collinearity import by_point, by_rotation, focal_plane, image_by_ray, image_motion, ray_motion
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
@@ -237,6 +237,18 @@ class PushbroomImage:
         unseen = ~(off < 1e3 * _PIXEL_TOLERANCE)
         place[unseen], derivative[unseen] = np.nan, np.nan
         return place, derivative
+
+    def by_correction(self, points: Array, places: Array, correction: OrientationCorrection) -> Array:
+        """(n, 2, 6) derivatives of the image places (n, 2) of ground points (n, 3), as `ground_to_image` finds them, by
+        the position (m) and the rotation (rad) with which the orientation is corrected at their lines.
+        """
+        _, jacobian, in_plane = self._misplacement(points, places, correction)
+        lines = places[:, 0]
+        pose, axes = self.pose(lines, correction), correction.axes(self.pose(lines), self.moments(lines))
+        ray = transform(rotation.rows(pose.matrix), rotation.components(points - pose.position))
+        of_rays = image_by_ray(ray, self.interior.focal_length)
+        turned = np.stack([rotation.stacked(by_rotation(row, ray, rotation.rows(axes))) for row in of_rays], axis=1)
+        return -_solve(jacobian, np.concatenate([-in_plane, turned], axis=2))
 
     def _misplacement(
         self, points: Array, place: Array, correction: OrientationCorrection | None

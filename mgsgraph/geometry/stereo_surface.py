@@ -1,0 +1,291 @@
+"""The ground as two images show it, averaged over a footprint, and how high a point lies above it.
+
+Dense matches say where a pixel x = (line, sample) of the first image lies in the second: y = D(x). Averaged over what a
+laser spot (or a cell of a terrain model) covers, D is a smooth function that no orientation changes. A point P, which
+is x1(P) in the first image and x2(P) in the second, lies on that surface when its height parallax is none:
+
+    F(P) = e' (x2(P) - D(x1(P))),    h = F / |grad F|       m, along the surface's normal grad F / |grad F|,
+
+where e is the direction in which the second image moves when the ground comes towards the first camera (along the
+epipolar line). The orientation corrections move x1 and x2, and the surface with them. F is continuous, whatever P and
+the orientation are: nothing is associated with anything.
+
+D is made of local planes: at each node the matches' least-squares plane with Gaussian weights, whose width is that of
+the footprint; between nodes it is a cubic spline.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.records import Array, Mask, assign, frozen
+
+_NODES_PER_WIDTH = 2.0
+"""Nodes per standard deviation of the footprint: the spline between them is exact to 1e-3 of what the average lost."""
+_REACH = 4.0
+"""Standard deviations up to which matches count."""
+_LEAST_SHARE = 0.5
+"""Of the usual weight of matches about a node, below which it has no average: a hole, or the edge."""
+_OUTLIER = 4.0
+"""Robust standard deviations from the average beyond which a match is left out of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class StereoSurface:
+    """Averaged disparity of two images at nodes of the first; r rows of nodes, c columns."""
+
+    first: Array
+    """(2,) line and sample of the first node."""
+    step: Array
+    """(2,) lines between rows, samples between columns."""
+    places: Array
+    """(r, c, 2) line and sample in the second image of what is at each node."""
+    covered: Mask
+    """(r, c) where there were matches enough; elsewhere `places` are a smooth continuation."""
+    sigmas: Array
+    """(r, c) pixels along the disparity, of the average by matching."""
+    roughness: Array
+    """(r, c) pixels along the disparity, rms of the ground's height within the footprint about its plane."""
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.covered)
+        where = "stereo surface"
+        assign(
+            self,
+            first=frozen(self.first, f"{where}, first node", (2,)),
+            step=frozen(self.step, f"{where}, step", (2,)),
+            places=frozen(self.places, f"{where}, places", (*shape, 2)),
+            sigmas=frozen(self.sigmas, f"{where}, sigmas", shape),
+            roughness=frozen(self.roughness, f"{where}, roughness", shape),
+        )
+
+    @cached_property
+    def _splines(self) -> tuple[Any, Any]:
+        """Cubic splines of line and sample in the second image, over rows and columns of nodes."""
+        from scipy.interpolate import RectBivariateSpline
+
+        rows, columns = (np.arange(size, dtype=np.float64) for size in self.covered.shape)
+        line, sample = (RectBivariateSpline(rows, columns, self.places[:, :, k]) for k in range(2))
+        return line, sample
+
+    def values(self, places: Array) -> Array:
+        """Line and sample (n, 2) in the second image of places (n, 2) in the first; beyond the nodes the last goes on."""
+        row, column = ((places - self.first) / self.step).T
+        return np.stack([spline.ev(row, column) for spline in self._splines], axis=1)
+
+    def disparity(self, places: Array) -> tuple[Array, Array]:
+        """The same `values` (n, 2), and (n, 2, 2) derivatives by the places."""
+        row, column = ((places - self.first) / self.step).T
+        values = self.values(places)
+        slopes = [
+            [spline.ev(row, column, dx=1 - k, dy=k) / self.step[k] for k in range(2)] for spline in self._splines
+        ]
+        return values, np.moveaxis(np.array(slopes), 2, 0)
+
+    def at_nodes(self, places: Array) -> tuple[Mask, Array, Array]:
+        """Of places (n, 2) in the first image: whether all nodes around are covered; sigma and roughness (n,) in pixels of
+        the nearest.
+        """
+        spot = (places - self.first) / self.step
+        shape = np.array(self.covered.shape)
+        inside = np.all((spot >= 0.0) & (spot <= shape - 1.0), axis=1)
+        low = np.clip(np.nan_to_num(np.floor(spot)), 0, shape - 2).astype(np.int64)
+        around = np.all([self.covered[low[:, 0] + i, low[:, 1] + j] for i in (0, 1) for j in (0, 1)], axis=0)
+        near = tuple(np.clip(np.nan_to_num(np.rint(spot)), 0, shape - 1).astype(np.int64).T)
+        return inside & around, self.sigmas[near], self.roughness[near]
+
+
+def averaged_surface(
+    anchors: Array, places: Array, variances: Array, ground_pixel: Array, width: float, window: float
+) -> StereoSurface:
+    """Average dense matches over a footprint.
+
+    Parameters
+    ----------
+    anchors, places : (n, 2)
+        Line and sample of each match in the first and in the second image.
+    variances : (n,)
+        pixels^2, of each along the disparity.
+    ground_pixel : (2,)
+        m on the ground of a line and of a sample of the first image.
+    width : float
+        m, standard deviation of the Gaussian footprint: a quarter of its diameter.
+    window : float
+        m, width of the matching window: matches nearer to one another are not independent.
+
+    Raises
+    ------
+    InputError
+        When the matches cover no footprint.
+    """
+    step = width / _NODES_PER_WIDTH / ground_pixel
+    first = anchors.min(axis=0) - _REACH * width / ground_pixel
+    shape = tuple((np.ceil((anchors.max(axis=0) - first) / step + _REACH * _NODES_PER_WIDTH) + 1).astype(int))
+    spots = (anchors - first) / step
+    trend = _Trend(anchors, places)
+    left = places - trend.at(anchors)
+    taken = np.ones(len(anchors), dtype=bool)
+    for _ in range(2):
+        found = _local_planes(spots[taken], left[taken], variances[taken], shape)
+        if not np.any(found.covered):
+            raise InputError(
+                "stereo surface", f"{len(anchors)} dense matches, nowhere as many as a footprint of {4 * width:.0f} m takes",
+                "images that overlap and match", "take a smaller spacing of the matches",
+            )  # fmt: skip
+        row, column = np.rint(spots).astype(np.int64).T
+        off = np.abs(left - found.values[row, column])
+        taken = np.all(off <= _OUTLIER * 1.4826 * np.median(off, axis=0) + 1e-12, axis=1)
+    rows, columns = np.meshgrid(*(np.arange(size) for size in shape), indexing="ij")
+    nodes = first + np.stack([rows, columns], axis=2).reshape(-1, 2) * step
+    whole = trend.at(nodes).reshape(*shape, 2) + _continued(found.values, found.covered)
+    independent = max(1.0, 4.0 * np.pi * width**2 / window**2)  # windows that the Gaussian's equivalent area holds
+    sigmas = np.sqrt(np.where(found.covered, found.variance / independent, 0.0))
+    return StereoSurface(first, step, whole, found.covered, sigmas, np.where(found.covered, found.roughness, 0.0))
+
+
+class _Trend:
+    """A polynomial of second order through the disparities, so that the rest is small."""
+
+    def __init__(self, anchors: Array, places: Array) -> None:
+        self._middle, self._half = anchors.mean(axis=0), np.maximum(np.ptp(anchors, axis=0) / 2.0, 1.0)
+        self._coefficients = np.linalg.lstsq(self._terms(anchors), places, rcond=None)[0]
+
+    def _terms(self, places: Array) -> Array:
+        u, v = ((places - self._middle) / self._half).T
+        return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+
+    def at(self, places: Array) -> Array:
+        return np.asarray(self._terms(places) @ self._coefficients)
+
+
+class _Planes(NamedTuple):
+    """Least-squares planes about nodes; r rows, c columns."""
+
+    values: Array
+    """(r, c, 2) at the node; zero where it is not covered."""
+    covered: Mask
+    """(r, c)"""
+    variance: Array
+    """(r, c) mean variance of the matches."""
+    roughness: Array
+    """(r, c) rms of the values about the plane, along the larger of both."""
+
+
+def _local_planes(spots: Array, values: Array, variances: Array, shape: tuple[int, ...]) -> _Planes:
+    """Planes with Gaussian weights about nodes: moments of the matches, gathered at nodes and smoothed.
+
+    `spots` (n, 2) are places counted in nodes; `values` (n, 2).
+    """
+    from scipy.ndimage import gaussian_filter
+
+    low = np.floor(spots).astype(np.int64)
+    part = spots - low
+    number = np.stack([(low[:, 0] + i) * shape[1] + low[:, 1] + j for i in (0, 1) for j in (0, 1)])
+    share = np.stack([np.abs(1 - i - part[:, 0]) * np.abs(1 - j - part[:, 1]) for i in (0, 1) for j in (0, 1)])
+
+    def moment(weights: Array) -> Array:
+        gathered = np.bincount(number.ravel(), (share * weights).ravel(), shape[0] * shape[1]).reshape(shape)
+        return np.asarray(gaussian_filter(gathered, _NODES_PER_WIDTH, mode="constant", truncate=_REACH))
+
+    r, c = np.meshgrid(*(np.arange(size, dtype=np.float64) for size in shape), indexing="ij")
+    y, x = spots.T
+    ones = np.ones(len(spots))
+    sums = [moment(weights) for weights in (ones, y, x, y * y, y * x, x * x)]
+    s, sy, sx = sums[0], sums[1] - r * sums[0], sums[2] - c * sums[0]
+    syy = sums[3] - 2.0 * r * sums[1] + r * r * sums[0]
+    syx = sums[4] - r * sums[2] - c * sums[1] + r * c * sums[0]
+    sxx = sums[5] - 2.0 * c * sums[2] + c * c * sums[0]
+    usual = np.median(s[s > 0.1 * s.max()])
+    normal = np.stack([np.stack(row, axis=2) for row in ((s, sy, sx), (sy, syy, syx), (sx, syx, sxx))], axis=2)
+    spread = np.linalg.det(normal) > 1e-3 * np.prod(np.diagonal(normal, axis1=2, axis2=3), axis=2)
+    covered = (s > _LEAST_SHARE * usual) & spread
+    normal = np.where(covered[:, :, None, None], normal, np.eye(3))
+    found, scatter = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    for k in range(2):
+        f = values[:, k]
+        t = [moment(weights) for weights in (f, y * f, x * f)]
+        right = np.stack([t[0], t[1] - r * t[0], t[2] - c * t[0]], axis=2)
+        plane = np.linalg.solve(normal, right[:, :, :, None])[:, :, :, 0]
+        squares = moment(f * f) - np.einsum("rcp,rcp->rc", plane, right)
+        scatter[:, :, k] = np.sqrt(np.maximum(squares, 0.0) / np.maximum(s, 1e-12))
+        found[:, :, k] = np.where(covered, plane[:, :, 0], 0.0)
+    return _Planes(found, covered, moment(variances) / np.maximum(s, 1e-12), scatter.max(axis=2))
+
+
+def _continued(values: Array, covered: Mask) -> Array:
+    """Values (r, c, 2) of nodes that are not covered are averages of what is near, however far that is."""
+    from scipy.ndimage import gaussian_filter
+
+    result, known = np.where(covered[:, :, None], values, 0.0), covered.copy()
+    width = _NODES_PER_WIDTH
+    while not known.all() and width < 2.0 * max(covered.shape):
+        weight = gaussian_filter(known.astype(np.float64), width, mode="constant")
+        new = ~known & (weight > 1e-3)
+        for k in range(2):
+            near = gaussian_filter(np.where(known, result[:, :, k], 0.0), width, mode="constant")
+            result[new, k] = near[new] / weight[new]
+        known, width = known | new, 2.0 * width
+    return result
+
+
+class SurfaceHeights(NamedTuple):
+    """Heights of n points above a stereo surface, with their derivatives."""
+
+    heights: Array
+    """(n,) m, along the normal; NaN for a point that one of the images doesn't see."""
+    normals: Array
+    """(n, 3) unit, body-fixed, upward: derivative by the point."""
+    by_first: Array
+    """(n, 6) m per m and rad: derivative by the correction of the first image's pose at its line."""
+    by_second: Array
+    """(n, 6) the same of the second."""
+    lines: Array
+    """(n, 2) lines of the two images in which the points are."""
+    covered: Mask
+    """(n,) whether the surface is known there."""
+    sigmas: Array
+    """(n,) m along the normal, by matching."""
+    roughness: Array
+    """(n,) m along the normal, rms of the ground within the footprint about its plane."""
+    parallax: Array
+    """(n,) pixels across the epipolar line: what the orientation leaves, no height."""
+
+
+def heights_above(
+    surface: StereoSurface,
+    first: PushbroomImage,
+    second: PushbroomImage,
+    points: Array,
+    corrections: tuple[OrientationCorrection, OrientationCorrection],
+) -> SurfaceHeights:
+    """Heights of points (n, 3), m, above a surface, by the corrections of the two images."""
+    (places, by_point), (others, other_by_point) = (
+        image.ground_to_image(points, one) for image, one in zip((first, second), corrections, strict=True)
+    )
+    seen = np.isfinite(places[:, 0]) & np.isfinite(others[:, 0])
+    known = np.where(seen[:, None], places, surface.first)
+    disparity, slopes = surface.disparity(known)
+    towards = -first.sightlines(known[:, 0], known[:, 1], corrections[0])[1]
+    epipolar = np.einsum("nij,nj->ni", other_by_point, towards)
+    epipolar /= np.linalg.norm(epipolar, axis=1, keepdims=True)
+    back = -np.einsum("ni,nij->nj", epipolar, slopes)
+    gradient = np.einsum("ni,nij->nj", epipolar, other_by_point) + np.einsum("ni,nij->nj", back, by_point)
+    size = np.linalg.norm(gradient, axis=1, keepdims=True)
+    off = others - disparity
+    covered, sigmas, roughness = surface.at_nodes(places)
+    return SurfaceHeights(
+        np.einsum("ni,ni->n", epipolar, off) / size[:, 0],
+        gradient / size,
+        np.einsum("ni,nij->nj", back, first.by_correction(points, places, corrections[0])) / size,
+        np.einsum("ni,nij->nj", epipolar, second.by_correction(points, others, corrections[1])) / size,
+        np.stack([places[:, 0], others[:, 0]], axis=1),
+        covered & seen,
+        sigmas / size[:, 0],
+        roughness / size[:, 0],
+        epipolar[:, 0] * off[:, 1] - epipolar[:, 1] * off[:, 0],
+    )
