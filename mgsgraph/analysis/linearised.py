@@ -1,4 +1,4 @@
-"""A network linearised at its solution: the rows of its points, and those of measures that nobody has made."""
+"""A network linearised at its solution: the rows of its points, of planned measures, and of the priors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,10 +13,10 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.design import OWN_NUMBERS
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.reduction import design
 from mgsgraph.kernel.rows import OUT, Rows, of_points
+from mgsgraph.kernel.sweep import ROW_NUMBERS
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.ties import PointKind
 
@@ -34,8 +34,8 @@ class PointRows:
     """(m, r, 3) per m."""
     by_shared: Array
     """(m, r, c) per m and rad."""
-    sight: Index
-    """(r,) sight, counted within the points' pattern, that each row belongs to."""
+    observation: Index
+    """(r,) observation, counted within the points' pattern, that each row belongs to."""
     row: Index
     """(r,) which row of it: line 0, sample 1; x, y, z of a ground prior."""
     known: bool
@@ -147,30 +147,30 @@ class Linearised:
 def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) -> PointRows:
     """Rows of the points (m, 3) of one piece, which is all that `rows` holds of the layout's."""
     pattern, _, count, _, _ = rows.piece[0].tolist()
-    group, first = int(rows.pattern_group[pattern]), int(rows.pattern_sight[pattern])
-    sights = np.arange(first, rows.pattern_sight[pattern + 1])
+    group, first = int(rows.pattern_group[pattern]), int(rows.pattern_observation[pattern])
+    observations = np.arange(first, rows.pattern_observation[pattern + 1])
     numbers = design(rows, layout.groups, layout.blocks.target, layout.model, orientation, points)
-    counts = map(row_count.py_func, rows.sight_kind[sights].tolist())
+    counts = map(row_count.py_func, rows.observation_kind[observations].tolist())
     of_row = [(i, row) for i, count_of in enumerate(counts) for row in range(count_of)]
-    sight, row = np.array(of_row, dtype=np.int64).reshape(-1, 2).T
-    mine = numbers.reshape(-1, count, *numbers.shape[1:])[sight, :, row].transpose(1, 0, 2)
+    observation, row = np.array(of_row, dtype=np.int64).reshape(-1, 2).T
+    mine = numbers.reshape(-1, count, *numbers.shape[1:])[observation, :, row].transpose(1, 0, 2)
     members = slice(*layout.groups.member_first[group : group + 2])
     width = layout.groups.member_width[members]
-    by_shared = np.zeros((count, sight.size, int(width.sum())))
-    for k, places in enumerate(_columns(rows, first + sight, np.cumsum(width) - width)):
+    by_shared = np.zeros((count, observation.size, int(width.sum())))
+    for k, places in enumerate(_columns(rows, first + observation, np.cumsum(width) - width)):
         for n, column in enumerate(places.tolist()):
-            by_shared[:, k, column] += mine[:, k, OWN_NUMBERS + n]
+            by_shared[:, k, column] += mine[:, k, ROW_NUMBERS + n]
     known = bool(rows.pattern_fixed[pattern])
-    by_point = mine[:, :, 1:OWN_NUMBERS]
-    return PointRows(layout.group_variables[group], mine[:, :, 0], by_point, by_shared, sight, row, known)
+    by_point = mine[:, :, 1:ROW_NUMBERS]
+    return PointRows(layout.group_variables[group], mine[:, :, 0], by_point, by_shared, observation, row, known)
 
 
-def _columns(rows: Rows, sights: Index, first_of_member: Index) -> list[Index]:
-    """Of each row's sight, where its numbers go among the columns of the group."""
+def _columns(rows: Rows, observations: Index, first_of_member: Index) -> list[Index]:
+    """Of each row's observation, where its numbers go among the columns of the group."""
     found = []
-    for i in sights.tolist():
-        entry, terms, shared = (int(table[i]) for table in (rows.sight_entry, rows.sight_terms, rows.sight_shared))
-        mine = slice(entry, entry + terms + shared)
+    for i in observations.tolist():
+        entry, terms = int(rows.observation_entry[i]), int(rows.observation_terms[i])
+        mine = slice(entry, entry + terms + int(rows.observation_shared[i]))
         begin = first_of_member[rows.entry_member[mine]] + rows.entry_inside[mine]
         found.append(np.concatenate([(begin[:terms, None] + np.arange(6)).ravel(), begin[terms:]]))
     return found
@@ -224,3 +224,40 @@ def _placed(layout: Layout, values: Sequence[Array], places: Array) -> tuple[Arr
 def _unmarked(rejected: Mask | None) -> Mask:
     assert rejected is not None  # a network fills them in
     return ~rejected
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorRows:
+    """What is known a priori of the shared unknowns, as m rows.
+
+    Most rows are the a-priori value of one unknown. Those of a strip's orientation images join a node to the one
+    before it and to the trend (`network.strips`); they count as measures of the node.
+    """
+
+    about: Index
+    """(m,) column of the shared unknowns that each is chiefly about."""
+    sigma: Array
+    """(m,) its a-priori sigma, all else held, m, rad or s."""
+    misfit: Array
+    """(m,) whitened residual, measured (zero) minus predicted."""
+    share: Array
+    """(m,) covariance of the adjusted row in its own units; 1 minus it is the redundancy number."""
+
+
+def prior_rows(at: Linearised) -> PriorRows:
+    """Rows of the priors of a linearised network."""
+    prior = at.layout.prior
+    own = np.flatnonzero(prior.weights)
+    sigma, share = [1.0 / prior.weights[own]], [(at.joint.sigmas[own] * prior.weights[own]) ** 2]
+    flat, begin = at.joint.of_each([factor.variables for factor in prior.factors]), 0
+    for variables, blocks, about in prior.factors:
+        rows = np.concatenate(blocks, axis=1)
+        width = rows.shape[1]
+        covariance = flat[begin : begin + width**2].reshape(width, width)
+        begin += width**2
+        share.append(np.einsum("ri,ij,rj->r", rows, covariance, rows))
+        columns = np.concatenate([np.arange(*at.layout.columns_of(v).indices(prior.columns)) for v in variables])
+        chief = rows[np.arange(about.size), np.argmax(columns == about[:, None], axis=1)]
+        sigma.append(1.0 / np.abs(chief))
+    misfit = -(prior.every @ at.orientation)
+    return PriorRows(prior.about, np.concatenate(sigma), misfit, np.concatenate(share))

@@ -264,15 +264,15 @@ def _pointing_table(tables: RefinedTables, body: AttitudeTable, original: Mappin
     to_camera = rotation.to_matrix(tables.quaternions)
     to_body, body_turning = body.at(times)
     matrix = to_camera @ to_body
-    turning = tables.turnings + np.einsum("nij,nj->ni", to_camera, body_turning)
-    return _attitude_table(tables.epoch + times, matrix, turning, original.get("instrument_pointing"))
+    angular_rate = tables.angular_rates + np.einsum("nij,nj->ni", to_camera, body_turning)
+    return _attitude_table(tables.epoch + times, matrix, angular_rate, original.get("instrument_pointing"))
 
 
 def _body_table(epoch: float, body: AttitudeTable, original: Mapping[str, Any]) -> dict[str, Any]:
     return _attitude_table(epoch + body.times, *body.at(body.times), original.get("body_rotation"))
 
 
-def _attitude_table(times: Array, matrices: Array, turnings: Array, said: Any) -> dict[str, Any]:
+def _attitude_table(times: Array, matrices: Array, angular_rates: Array, said: Any) -> dict[str, Any]:
     """Rotation table of attitudes (n, 3, 3), inertial to the frame, that turn with (n, 3) rad/s about its axes; the
     angular velocities of ALE and NAIF are about inertial ones.
     """
@@ -285,16 +285,16 @@ def _attitude_table(times: Array, matrices: Array, turnings: Array, said: Any) -
         "ck_table_original_size": times.size,
         "ephemeris_times": times.tolist(),
         "quaternions": continuous(rotation.from_matrix(matrices)).tolist(),
-        "angular_velocities": np.einsum("nji,nj->ni", matrices, turnings).tolist(),
+        "angular_velocities": np.einsum("nji,nj->ni", matrices, angular_rates).tolist(),
         "constant_rotation": np.eye(3).ravel().tolist(),
         "reference_frame": _INERTIAL,
     }
 
 
 def _position_table(tables: RefinedTables, body: AttitudeTable) -> dict[str, Any]:
-    to_body, turning = body.at(tables.position_times)
+    to_body, angular_rate = body.at(tables.position_times)
     times = tables.epoch + tables.position_times
-    motion = tables.velocities + np.cross(turning, tables.positions)
+    motion = tables.velocities + np.cross(angular_rate, tables.positions)
     return {
         "spk_table_start_time": float(times[0]),
         "spk_table_end_time": float(times[-1]),

@@ -19,8 +19,7 @@ from sharing import with_all_kinds
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.levels import Levels
-from mgsgraph.analysis.measures import UNCONTROLLED, MeasureKind, inverse, pair_tests
+from mgsgraph.analysis.measures import UNCONTROLLED, Levels, MeasureKind, inverse, pair_tests
 from mgsgraph.analysis.reliability import Reliability, reliability
 from mgsgraph.analysis.suspects import (
     PointIndex,
@@ -123,7 +122,7 @@ def test_a_measure_with_an_unknown_of_its_own_lowers_the_cost_by_its_test(name: 
 
 
 @pytest.mark.parametrize("kind", [MeasureKind.RAY, MeasureKind.GROUND])
-def test_a_sight_with_unknowns_of_its_own_lowers_the_cost_by_its_joint_test(kind: MeasureKind) -> None:
+def test_a_observation_with_unknowns_of_its_own_lowers_the_cost_by_its_joint_test(kind: MeasureKind) -> None:
     found = known("shift and surface")
     mine = of_kind(found, kind, 0.05)
     worst = mine[np.argsort(-found.measures.joint[mine])]
