@@ -52,6 +52,8 @@ class Residuals:
     """(r,) m."""
     heights: Array
     """(n,) m above the terrain model; NaN for points without such a row, or without terrain."""
+    stereo: Array
+    """(n,) m above the stereo surface, along its normal; NaN for points without such a row."""
 
 
 def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweeper = IN_PROCESS) -> Residuals:
@@ -60,7 +62,10 @@ def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweepe
     values = sweeper.residuals(layout, layout.rows, orientation, points)
     heights = np.full(points.shape[0], np.nan)
     heights[places.on_terrain] = values[places.heights, 0]
-    return Residuals(values[places.rays], values[places.ranges, 0], heights)
+    stereo = np.full(points.shape[0], np.nan)
+    if layout.stereo is not None:
+        stereo[layout.stereo.points] = values[places.stereo, 0]
+    return Residuals(values[places.rays], values[places.ranges, 0], heights, stereo)
 
 
 def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals) -> Fit:
@@ -76,14 +81,17 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
     ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
     on_surface = np.isfinite(found.heights) & (kind != OUT)
     sigmas = network.surface.sigmas[on_surface] if network.surface is not None else np.zeros(0)
+    on_stereo = np.isfinite(found.stereo) & (kind != OUT)
+    stereo_sigmas = network.stereo.sigmas[on_stereo] if network.stereo is not None else np.zeros(0)
     corrections = layout.prior.residuals(orientation)
     parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(offset * ground)]
     parts.append(np.sum((found.heights[on_surface] / sigmas) ** 2))
+    parts.append(np.sum((found.stereo[on_stereo] / stereo_sigmas) ** 2))
     priors = layout.prior.rows + 3 * known.size
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
         squares=float(sum(parts) + corrections @ corrections),
-        observations=2 * int(used.sum()) + int(range_used.sum()) + int(on_surface.sum()) + priors,
+        observations=2 * int(used.sum()) + sum(int(mask.sum()) for mask in (range_used, on_surface, on_stereo)) + priors,
         unknowns=layout.columns + 3 * free,
     )
 

@@ -1,4 +1,5 @@
-"""Rays laid out about the lines in which their points are seen, so that every row is that of the true trajectory there.
+"""Rays laid out about the lines in which their points are seen, so that every row is that of the true trajectory there;
+heights above stereo surfaces linear about the state that counts.
 
 The kernel takes the pose from the line about which a ray is laid out, the measured one to begin with, to the predicted
 line by its rates. Over some lines that is right to 1e-9 of a line, but not across a sample of the attitude (where the
@@ -27,10 +28,15 @@ _BEYOND = 0.5
 
 def about_predicted_lines(layout: Layout, orientation: Array, points: Array) -> Layout:
     """The layout itself where its rays are laid out about the lines predicted by shared unknowns (columns,) and points
-    (n, 3), layout order; else one where they are. Nothing to do in the measured-line form.
+    (n, 3), layout order, and its stereo rows are linear about these; else one where they are. In the measured-line form
+    lines are what they are.
     """
-    if layout.model.line != PREDICTED:
-        return layout
+    now = layout if layout.model.line != PREDICTED else _about_lines(layout, orientation, points)
+    return now.about_stereo(layout.network_order(points), orientation)
+
+
+def _about_lines(layout: Layout, orientation: Array, points: Array) -> Layout:
+    """The layout, or one whose rays are laid out about their predicted lines."""
     network, now = layout.network, layout
     size = np.array([image.lines for image in network.images], dtype=np.float64)[network.rays.image]
     places, taken = layout.network_order(points), (layout.network_order(layout.rows.kind) != OUT)[network.rays.point]

@@ -239,8 +239,9 @@ class PushbroomImage:
         return place, derivative
 
     def by_correction(self, points: Array, places: Array, correction: OrientationCorrection) -> Array:
-        """(n, 2, 6) derivatives of the image places (n, 2) of ground points (n, 3), as `ground_to_image` finds them, by
-        the position (m) and the rotation (rad) with which the orientation is corrected at their lines.
+        """(n, 2, 7) derivatives of the image places (n, 2) of ground points (n, 3), as `ground_to_image` finds them, by
+        the position (m) and the rotation (rad) with which the orientation is corrected at their lines, and by the focal
+        length (m).
         """
         _, jacobian, in_plane = self._misplacement(points, places, correction)
         lines = places[:, 0]
@@ -248,7 +249,8 @@ class PushbroomImage:
         ray = transform(rotation.rows(pose.matrix), rotation.components(points - pose.position))
         of_rays = image_by_ray(ray, self.interior.focal_length)
         turned = np.stack([rotation.stacked(by_rotation(row, ray, rotation.rows(axes))) for row in of_rays], axis=1)
-        return -_solve(jacobian, np.concatenate([-in_plane, turned], axis=2))
+        longer = np.stack([ray[0] / ray[2], ray[1] / ray[2]], axis=1)[:, :, None]
+        return -_solve(jacobian, np.concatenate([-in_plane, turned, longer], axis=2))
 
     def _misplacement(
         self, points: Array, place: Array, correction: OrientationCorrection | None

@@ -74,7 +74,7 @@ class StereoSurface:
         return line, sample
 
     def values(self, places: Array) -> Array:
-        """Line and sample (n, 2) in the second image of places (n, 2) in the first; beyond the nodes the last goes on."""
+        """Line and sample (n, 2) in the second image of places (n, 2) in the first; beyond the nodes, the last."""
         row, column = ((places - self.first) / self.step).T
         return np.stack([spline.ev(row, column) for spline in self._splines], axis=1)
 
@@ -88,8 +88,8 @@ class StereoSurface:
         return values, np.moveaxis(np.array(slopes), 2, 0)
 
     def at_nodes(self, places: Array) -> tuple[Mask, Array, Array]:
-        """Of places (n, 2) in the first image: whether all nodes around are covered; sigma and roughness (n,) in pixels of
-        the nearest.
+        """Of places (n, 2) in the first image: whether all nodes around are covered; sigma and roughness (n,) in
+        pixels, of the nearest node.
         """
         spot = (places - self.first) / self.step
         shape = np.array(self.covered.shape)
@@ -134,7 +134,7 @@ def averaged_surface(
         found = _local_planes(spots[taken], left[taken], variances[taken], shape)
         if not np.any(found.covered):
             raise InputError(
-                "stereo surface", f"{len(anchors)} dense matches, nowhere as many as a footprint of {4 * width:.0f} m takes",
+                "stereo surface", f"{len(anchors)} dense matches, nowhere enough for a footprint of {4 * width:.0f} m",
                 "images that overlap and match", "take a smaller spacing of the matches",
             )  # fmt: skip
         row, column = np.rint(spots).astype(np.int64).T
@@ -240,10 +240,9 @@ class SurfaceHeights(NamedTuple):
     """(n,) m, along the normal; NaN for a point that one of the images doesn't see."""
     normals: Array
     """(n, 3) unit, body-fixed, upward: derivative by the point."""
-    by_first: Array
-    """(n, 6) m per m and rad: derivative by the correction of the first image's pose at its line."""
-    by_second: Array
-    """(n, 6) the same of the second."""
+    by_pose: Array
+    """(n, 2, 7) derivative by the correction of the first and the second image's position (m per m), rotation (m per
+    rad) and focal length (m per m) at their lines."""
     lines: Array
     """(n, 2) lines of the two images in which the points are."""
     covered: Mask
@@ -277,12 +276,13 @@ def heights_above(
     gradient = np.einsum("ni,nij->nj", epipolar, other_by_point) + np.einsum("ni,nij->nj", back, by_point)
     size = np.linalg.norm(gradient, axis=1, keepdims=True)
     off = others - disparity
+    of_first = np.einsum("ni,nij->nj", back, first.by_correction(points, places, corrections[0]))
+    of_second = np.einsum("ni,nij->nj", epipolar, second.by_correction(points, others, corrections[1]))
     covered, sigmas, roughness = surface.at_nodes(places)
     return SurfaceHeights(
         np.einsum("ni,ni->n", epipolar, off) / size[:, 0],
         gradient / size,
-        np.einsum("ni,nij->nj", back, first.by_correction(points, places, corrections[0])) / size,
-        np.einsum("ni,nij->nj", epipolar, second.by_correction(points, others, corrections[1])) / size,
+        np.stack([of_first, of_second], axis=1) / size[:, :, None],
         np.stack([places[:, 0], others[:, 0]], axis=1),
         covered & seen,
         sigmas / size[:, 0],

@@ -25,6 +25,7 @@ from mgsgraph.factors.ground import ground_residual, upper_triangle
 from mgsgraph.factors.laser_range import range_residual
 from mgsgraph.factors.loss import cauchy, huber, tukey
 from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer, perspective_centre
+from mgsgraph.factors.stereo_surface import stereo_height
 from mgsgraph.factors.surface import bilinear, cell_position, height_above
 from mgsgraph.kernel.lanes import (
     ACTIVE,
@@ -77,6 +78,7 @@ from mgsgraph.kernel.rows import (
     OPK_PAPER,
     PREDICTED,
     RANGE,
+    STEREO,
 )
 from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_of, point_of
 
@@ -252,6 +254,19 @@ def surface_rows(rows, segments, count, w):
         w[_STATE + r] = -w[_LINE + r]
 
 
+@lane
+def stereo_rows(w):
+    """Row of a height above a stereo surface; its state is what both images' corrections add."""
+    for l in range(LANES):
+        weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
+        used, normal = weight > 0.0, vector(w, _C + ROOT, l)
+        point, reference = vector(w, POINT, l), vector(w, _C + POSITION, l)
+        value = stereo_height(w[_C + DISTANCE + l], normal, point, reference, w[DELTA + l])
+        w[ROWS + RESIDUAL + l] = weight * value if used else 0.0
+        put(w, _LINE, l, (weight * normal[0], weight * normal[1], weight * normal[2]), used)
+        w[_STATE + l] = weight
+
+
 @inlined
 def row_count(kind):
     """Rows of an observation."""
@@ -341,6 +356,8 @@ def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
                 range_rows(w)
             elif kind == GROUND:
                 ground_rows(w)
+            elif kind == STEREO:
+                stereo_rows(w)
             else:
                 surface_rows(rows, segments, count, w)
         add_rows(model, robust and (kind == IMAGE or kind == RANGE), kind, rows.observation_width[i], w)

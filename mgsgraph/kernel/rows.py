@@ -18,8 +18,9 @@ Small = NDArray[np.int8]
 FREE, PRIOR, FIXED, OUT = 0, 1, 2, 3
 """What a point is: unknown; unknown with an a-priori position; known; not determined and left out."""
 
-IMAGE, RANGE, GROUND, SURFACE = 0, 1, 2, 3
-"""What an observation is: an image ray, a laser range, the a-priori position, the height above the terrain model."""
+IMAGE, RANGE, GROUND, SURFACE, STEREO = 0, 1, 2, 3, 4
+"""What an observation is: an image ray, a laser range, the a-priori position, the height above the terrain model, the
+height above a surface that two images show."""
 
 PREDICTED, MEASURED = 0, 1
 """Line at which the pose is taken: the predicted one (strict form), or the measured one (the papers' form)."""
@@ -47,7 +48,8 @@ class Rows(NamedTuple):
     data: Array
     """Constants of all observations, in the order in which `tile.load_observation` takes them."""
     weight: Array
-    """(2, t) 1/sigma per line and per sample (an image ray), 1/m in the first row (range, surface); 0 leaves it out."""
+    """(2, t) 1/sigma per line and per sample (an image ray), 1/m in the first row (range, surface, stereo); 0 leaves
+    it out."""
     piece: Index
     """(m, 5) pattern, first point, number of points, where its constants begin in `data`, and its observations among
     all t of them (observation by observation, contiguous over its points).
@@ -61,10 +63,10 @@ class Rows(NamedTuple):
     pattern_shape: Index
     """(q,) shape: observations of the same kinds and sizes, whatever unknowns they depend on (`shapes`)."""
     observation_kind: Index
-    """(s,) IMAGE, RANGE, GROUND or SURFACE."""
+    """(s,) IMAGE, RANGE, GROUND, SURFACE or STEREO."""
     observation_width: Index
-    """(s,) components of its state: 6 (7 with the focal length) of an image, 3 (4 with the bias) of a
-    range, 3 of a ground prior or a surface row."""
+    """(s,) components of its state: 6 (7 with the focal length) of an image, 3 (4 with the bias) of a range, 3 of a
+    ground prior or a surface row, 1 of a stereo row."""
     observation_terms: Index
     """(s,) number of basis terms, each of six columns."""
     observation_shared: Index
@@ -155,7 +157,8 @@ def numbers_stored(
     predicted line) rates, then directions.
     """
     predicted = model.line == PREDICTED
-    constants = np.array([9 + (4 if model.angles == CAMERA else 3) + (5 if predicted else 0), 3 + 1, 3 + 6, 0])
+    of_ray = 9 + (4 if model.angles == CAMERA else 3) + (5 if predicted else 0)
+    constants = np.array([of_ray, 3 + 1, 3 + 6, 0, 3 + 3 + 1])
     of_basis = terms * np.where((kind == IMAGE) & predicted, 2, 1)
     return np.asarray(constants[kind] + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
 

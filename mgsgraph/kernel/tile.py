@@ -38,7 +38,7 @@ from mgsgraph.kernel.lanes import (
     put_four,
     registers,
 )
-from mgsgraph.kernel.rows import CAMERA, GOOD, GROUND, IMAGE, OUT, PREDICTED, RANGE, SURFACE, Rows
+from mgsgraph.kernel.rows import CAMERA, GOOD, GROUND, IMAGE, OUT, PREDICTED, RANGE, STEREO, SURFACE, Rows
 
 PIECE_OF, FIRST, BEGIN, END, PATTERN = 0, 1, 2, 3, 4
 """Columns of the table of segments: piece, first point counted in it, lanes from BEGIN up to END, pattern."""
@@ -157,6 +157,9 @@ def load_observation(rows, model, segments, count, begin, i, at, w, s):
         at = copied(rows, segments, count, at, w, s + DISTANCE, 1)
     elif kind == GROUND:
         at = copied(rows, segments, count, at, w, s + ROOT, 6)
+    elif kind == STEREO:
+        at = copied(rows, segments, count, at, w, s + ROOT, 3)
+        at = copied(rows, segments, count, at, w, s + DISTANCE, 1)
     terms = rows.observation_terms[i]
     if rows.observation_rate[i] != 0.0 and terms > 0:
         at = copied(rows, segments, count, at, w, s + BASIS + LANES, 1)

@@ -17,6 +17,7 @@ from mgsgraph.network.records import (
     ProfileShifts,
     Ranges,
     ShiftTerm,
+    StereoControl,
     Surface,
     frozen_mask,
 )
@@ -52,6 +53,9 @@ class Network:
     """Unknowns that several images share: biases of clocks and ranges, boresights, focal lengths."""
     strips: tuple[Strip, ...] = ()
     """Images on one trajectory, whose orientation follows from common orientation images."""
+
+    stereo: StereoControl | None = None
+    """Points on the surfaces that images show."""
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
@@ -93,6 +97,24 @@ class Network:
             for j in one.images[one.images >= m][:1]:
                 raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
         self._require_strips()
+        self._require_stereo()
+
+    def _require_stereo(self) -> None:
+        if self.stereo is None:
+            return
+        n, s = len(self.points), len(self.stereo.surfaces)
+        surface = frozen_index(np.asarray(self.stereo.surface) + 1, "stereo control, surfaces", n, s + 1) - 1
+        images = frozen_index(self.stereo.images, "stereo control, images", 2 * s, len(self.images)).reshape(s, 2)
+        sigmas = np.where(surface >= 0, np.asarray(self.stereo.sigmas, dtype=np.float64), np.inf)
+        for i in np.flatnonzero((surface >= 0) & ~((sigmas > 0.0) & np.isfinite(sigmas)))[:1]:
+            where = f"ground point {self.points.ids[i]}, sigma above the stereo surface"
+            raise InputError(where, f"{sigmas[i]} m", "a positive number")
+        for i in np.flatnonzero((surface >= 0) & (self.points.kinds == PointKind.FREE))[:1]:
+            found = "on a stereo surface without an a-priori position"
+            raise InputError(f"ground point {self.points.ids[i]}", found, "both")
+        for array in (surface, images, sigmas):
+            array.flags.writeable = False
+        assign(self, stereo=replace(self.stereo, images=images, surface=surface, sigmas=sigmas))
 
     def _require_strips(self) -> None:
         require_unique(tuple(strip.name for strip in self.strips), "strips")

@@ -5,8 +5,8 @@ fitted and removed (the orientation's part, which the adjustment finds), and wha
 
     chi^2 = n / m sum_i rho(h_i / sigma_i),
 
-over the m of n shots that are on the surface, with Huber's loss. Over the image a shift moves a shot by its linear part: a
-footprint moves by a kilometre or two, the camera is 100 km and more away.
+over the m of n shots that are on the surface, with Huber's loss. A shift moves a shot over the images by its linear
+part: a footprint moves by a kilometre or two, the camera is 100 km and more away.
 
 Each minimum gets a weight: the probability that its neighbourhood is the right one when all shifts are alike
 beforehand, exp(-chi^2 / 2) times the root of its covariance's determinant, chi^2 being counted in units of the best
@@ -23,7 +23,7 @@ import numpy as np
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import StereoSurface, heights_above
 
 REACH = 1500.0
@@ -189,15 +189,16 @@ def _moved(pair: StereoPair, footprints: Array, sigmas: Array) -> _Moved:
     _, slopes = pair.surface.disparity(places)
     parallax = np.einsum("ni,nij,nj->n", epipolar, other_by_point - slopes @ by_point, up)
     number = every[seen].astype(np.float64)
-    middle, half = 0.5 * (number.max(initial=0) + number.min(initial=0)), max(np.ptp(number) / 2.0, 1.0) if number.size else 1.0
+    first, last = (number[0], number[-1]) if number.size else (0.0, 0.0)
+    along = (2.0 * number - first - last) / max(last - first, 1.0)
     return _Moved(
-        places, others, by_point @ ways, other_by_point @ ways, epipolar, parallax, sigmas[every][seen],
-        (number - middle) / half,
-    )  # fmt: skip
+        places, others, by_point @ ways, other_by_point @ ways, epipolar, parallax, sigmas[every][seen], along
+    )
 
 
 def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Array, int]:
-    """chi^2 (s,) of shifts (s, 2) in m, NaN where too few shots are on the surface, and most shots that any has there."""
+    """chi^2 (s,) of shifts (s, 2) in m, NaN where too few shots are on the surface, and most shots that any has there.
+    """
     result, counts = np.full(len(shifts), np.nan), np.zeros(len(shifts), dtype=np.int64)
     at_once = max(1, 200_000 // max(len(moved.places), 1))
     for begin in range(0, len(shifts), at_once):
@@ -235,7 +236,8 @@ def _left(heights: Array, weights: Array, along: Array) -> Array:
 
 
 def minima(shifts: Array, misfits: Array, shots: int) -> tuple[Minimum, ...]:
-    """Local minima of a misfit (k, k) over shifts (k,), refined by the paraboloid through their neighbours; best first."""
+    """Local minima of a misfit (k, k) over shifts (k,), refined by the paraboloid through their neighbours; best first.
+    """
     filled = np.where(np.isfinite(misfits), misfits, np.inf)
     inner = filled[1:-1, 1:-1]
     around = [filled[1 + i : filled.shape[0] - 1 + i, 1 + j : filled.shape[1] - 1 + j] for i, j in _NEIGHBOURS]
@@ -246,8 +248,8 @@ def minima(shifts: Array, misfits: Array, shots: int) -> tuple[Minimum, ...]:
     logs = np.array([-0.5 * (misfit - best) / scale + 0.5 * np.linalg.slogdet(one)[1] for _, misfit, one in found])
     weights = np.exp(logs - logs.max(initial=-np.inf)) if len(found) else logs
     every = [
-        Minimum(shift, misfit, scale * covariance, float(weight))
-        for (shift, misfit, covariance), weight in zip(found, weights / weights.sum() if len(found) else weights, strict=True)
+        Minimum(shift, misfit, scale * covariance, float(weight / weights.sum()))
+        for (shift, misfit, covariance), weight in zip(found, weights, strict=True)
     ]
     return tuple(sorted(every, key=lambda one: one.misfit))
 

@@ -11,6 +11,7 @@ from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows
+from mgsgraph.adjustment.graph.stereo import StereoRows, at_rest, linear_rows
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables, make_variables
 from mgsgraph.adjustment.settings import SolverSettings
@@ -62,6 +63,8 @@ class Layout:
     """Network rows among all observations."""
     lines: Array
     """(k,) line about which each network ray is laid out."""
+    stereo: StereoRows | None
+    """Heights above stereo surfaces, linear about a state; None without any."""
 
     @cached_property
     def cholesky(self) -> SparseCholesky:
@@ -124,12 +127,24 @@ class Layout:
             return self
         return replace(self, rows=self.rows._replace(terrain_cell=cells))
 
+    def about_stereo(self, points: Array, shared: Array) -> "Layout":
+        """The same with heights above stereo surfaces that are linear about points (n, 3), network order, and shared
+        unknowns (columns,); itself when they say the same.
+        """
+        if self.stereo is None:
+            return self
+        anew = linear_rows(self.network, self.model, self.variables, shared, points)
+        assert anew is not None
+        if at_rest(self.stereo, anew, self.network, self.variables, shared):
+            return self
+        return replace(self, stereo=anew).about(self.lines)
+
     def about(self, lines: Array) -> "Layout":
-        """The same network, points in and out, starting places and terrain patches, its rays laid out about other lines
-        (k,).
+        """The same network, points in and out, starting places, terrain patches and stereo rows, its rays laid
+        out about other lines (k,).
         """
         starts, kinds = self.network_order(self.rows.start), self.network_order(self.rows.kind)
-        anew = _lay_out(self.network, self.model, None, lines, (starts, kinds))
+        anew = _lay_out(self.network, self.model, self.variables, None, lines, (starts, kinds), self.stereo)
         if not self.rows.terrain_cell.size:
             return anew
         cells = self.network_order(self.rows.terrain_cell)[anew.point_order]
@@ -165,19 +180,31 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
         When a point that nothing else places lies on a ray that misses the body.
     """
     model = Model(_LINES[settings.line], ANGLE_CODES[settings.angles], _LOSSES[settings.loss], settings.width)
-    return _lay_out(network, model, None if model.line == MEASURED else places, network.rays.places[:, 0], None)
+    variables, points = make_variables(network), network.points.places
+    for known in (network.stereo.starts if network.stereo else None, places):
+        points = points if known is None else np.where(np.isfinite(known), known, points)
+    stereo = linear_rows(network, model, variables, np.zeros(variables.sigmas.size), points)
+    known = None if model.line == MEASURED else places
+    return _lay_out(network, model, variables, known, network.rays.places[:, 0], None, stereo)
 
 
 def _lay_out(
-    network: Network, model: Model, known: Array | None, lines: Array, like: tuple[Array, NDArray[np.int8]] | None
+    network: Network,
+    model: Model,
+    variables: Variables,
+    known: Array | None,
+    lines: Array,
+    like: tuple[Array, NDArray[np.int8]] | None,
+    stereo: StereoRows | None,
 ) -> Layout:
     """The same with rays laid out about lines (k,); `like` are starting places and kinds to keep, network order."""
-    variables = make_variables(network)
     terms = Terms(network, variables, lines)
-    patterns, rays_of = sort_points(network, terms)
-    observations, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like)
+    patterns, rays_of = sort_points(network, terms, stereo)
+    observations, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like, stereo)
     groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
     blocks = pair_blocks(variables, groups, prior.pairs)
     information = prior.information(blocks)
-    return Layout(network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines)
+    return Layout(
+        network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines, stereo
+    )

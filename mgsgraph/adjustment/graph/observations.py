@@ -11,9 +11,10 @@ from mgsgraph.factors.explicit import Correction, Measurement, measurement_facto
 from mgsgraph.factors.ground import GroundPrior
 from mgsgraph.factors.laser_range import Range
 from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer
+from mgsgraph.factors.stereo_surface import StereoHeight
 from mgsgraph.factors.surface import SurfaceHeight
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.rows import CAMERA, GROUND, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, RANGE, Model, Rows
+from mgsgraph.kernel.rows import CAMERA, GROUND, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, RANGE, STEREO, Model, Rows
 
 _ATTITUDES = {CAMERA: about_axes, OPK_PAPER: opk_paper, OPK_PEER: opk_peer}
 
@@ -49,6 +50,8 @@ def _measurement(rows: Rows, model: Model, kind: int, own: list[float]) -> Any:
         return Range(own[3], tuple(own[:3]))
     if kind == GROUND:
         return GroundPrior(tuple(own[:3]), tuple(own[3:]))
+    if kind == STEREO:
+        return StereoHeight(tuple(own[:3]), tuple(own[3:6]), own[6])
     (row, left, right), frame = rows.terrain_cell[0].tolist(), rows.terrain_frame.tolist()
     posts: Any = None
     if row >= 0:

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.sorting import by_point, counted, distinct, mix_rows, mix_values
+from mgsgraph.adjustment.graph.stereo import StereoRows, columns
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target, shapes
+from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, Target, shapes
 from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
 
@@ -23,7 +24,7 @@ class Observation(NamedTuple):
     """One observation of a pattern."""
 
     kind: int
-    """IMAGE, RANGE, GROUND or SURFACE."""
+    """IMAGE, RANGE, GROUND, SURFACE or STEREO."""
     image: int
     """Image that carries it; -1 for none."""
     width: int
@@ -51,7 +52,8 @@ class Patterns:
     """
 
     first: Index
-    """(q + 1,) first observation of each pattern: rays by image, ranges by image, a-priori place, terrain."""
+    """(q + 1,) first observation of each pattern: rays by image, ranges by image, a-priori place, terrain, stereo
+    surface."""
     fixed: Mask
     """(q,) whether the points are known."""
     shape: Index
@@ -63,7 +65,7 @@ class Patterns:
     group_member: Index
     """Variables of the groups, ascending within each."""
     kind: Index
-    """(s,) IMAGE, RANGE, GROUND or SURFACE."""
+    """(s,) IMAGE, RANGE, GROUND, SURFACE or STEREO."""
     image: Index
     """(s,) image that carries it; -1 for none."""
     node: Index
@@ -119,7 +121,9 @@ class Patterns:
         return tuple(tuple(one[a:b]) for a, b in pairwise(self.first.tolist()))
 
 
-def sort_points(network: Network, terms: Terms) -> tuple[Patterns, tuple[Index, NDArray[np.int32]]]:
+def sort_points(
+    network: Network, terms: Terms, stereo: StereoRows | None
+) -> tuple[Patterns, tuple[Index, NDArray[np.int32]]]:
     """Find the patterns of a network's points, told apart by 64-bit signatures of what they see; and the rays of each
     point (`sorting.by_point`: begin, order).
     """
@@ -133,10 +137,13 @@ def sort_points(network: Network, terms: Terms) -> tuple[Patterns, tuple[Index, 
     on_surface = np.zeros(n, dtype=np.int64)
     if network.surface is not None:
         on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
-    for values in (network.points.kinds, moved, on_surface, *beams):
+    on_stereo, sides = _on_stereo(n, stereo)
+    for values in (network.points.kinds, moved, on_surface, on_stereo, *beams):
         mix_values(signature, values)
     example, number = distinct(signature)
-    of_example = _PatternObservations(network, terms, example, of_rays, of_ranges, moved, on_surface, beams)
+    of_example = _PatternObservations(
+        network, terms, example, of_rays, of_ranges, moved, on_surface, (on_stereo, sides), beams
+    )
     member, group_first, group_member, group = _groups(of_example.pattern_of_entry, of_example.variable, example.size)
     fixed = network.points.kinds[example] == PointKind.FIXED
     polynomial = (of_example.image >= 0) & (of_example.node < 0)
@@ -168,6 +175,16 @@ def _runs(first: Index, order: Index) -> tuple[Index, Index]:
     return np.repeat(first[:-1][order] - begin[:-1], sizes) + np.arange(begin[-1]), begin
 
 
+def _on_stereo(n: int, stereo: StereoRows | None) -> tuple[Index, Index]:
+    """(n,) which of the combinations of images and nodes (c, 4) the stereo row of each point has; -1 for none."""
+    found = np.full(n, -1, dtype=np.int64)
+    if stereo is None:
+        return found, np.zeros((0, 4), dtype=np.int64)
+    sides, number = np.unique(stereo.sides, axis=0, return_inverse=True)
+    found[stereo.points] = number.reshape(-1)
+    return found, sides
+
+
 def _moved(network: Network) -> Index:
     """(n,) variable of the shift that moves each point's a-priori place; -1 for none."""
     if network.shifts is None:
@@ -192,11 +209,11 @@ class _PatternObservations:
 
     def __init__(
         self, network: Network, terms: Terms, example: Index, of_rays: _Rows, of_ranges: _Rows, moved: Index,
-        on_surface: Index, beams: list[Index],
+        on_surface: Index, on_stereo: tuple[Index, Index], beams: list[Index],
     ) -> None:  # fmt: skip
         known = network.points.kinds[example] == PointKind.CONSTRAINED
-        surfaces = on_surface[example] > 0
-        counts = [np.diff(begin)[example] for begin, _, _ in (of_rays, of_ranges)] + [known, surfaces]
+        surfaces, of_stereo = on_surface[example] > 0, on_stereo[0][example]
+        counts = [np.diff(begin)[example] for begin, _, _ in (of_rays, of_ranges)] + [known, surfaces, of_stereo >= 0]
         each = np.stack([np.asarray(count, dtype=np.int64) for count in counts], axis=1)
         self.first = np.concatenate([[0], np.cumsum(each.sum(axis=1))])
         begin = (np.cumsum(each.ravel()) - each.ravel()).reshape(each.shape)
@@ -212,14 +229,17 @@ class _PatternObservations:
             at = np.repeat(begin[:, column], each[:, column]) + _within(each[:, column])
             self.kind[at], self.image[at], self.node[at] = kind, table[rows[1][source]], node[rows[1][source]]
         ground, surface = begin[known, 2], begin[surfaces, 3]
-        self.kind[ground], self.kind[surface] = GROUND, SURFACE
+        stereo = begin[of_stereo >= 0, 4]
+        self.kind[ground], self.kind[surface], self.kind[stereo] = GROUND, SURFACE, STEREO
+        self._on_stereo = [columns(network, tuple(one)) for one in on_stereo[1].tolist()]
+        self._stereo, self._combination = stereo, of_stereo[of_stereo >= 0]
         self._feel(network, terms, ground, surface, [felt[example[known]] for felt in (moved, *beams)])
 
     def _feel(self, network: Network, terms: Terms, ground: Index, surface: Index, moved: list[Index]) -> None:
         """Numbers of terms and single columns, widths, and the entries."""
         carried = self.image >= 0
         self.terms = np.where(carried, terms.counts[self.image], 0)
-        self.width = np.where(self.kind == IMAGE, 6, 3)
+        self.width = np.where(self.kind == IMAGE, 6, np.where(self.kind == STEREO, 1, 3))
         size = self.kind.size
         observation, variable, inside = [], [], []
         mine = np.repeat(np.flatnonzero(carried), self.terms[carried])
@@ -243,6 +263,10 @@ class _PatternObservations:
             _add_singles(observation, variable, inside, own, number, shared.kind.width)
             if not shared.kind.moves_pose:
                 self.width[own] = np.where(self.kind[own] == IMAGE, 7, 4)
+        for at, k in zip(self._stereo.tolist(), self._combination.tolist(), strict=True):
+            observation.append(np.full(self._on_stereo[k][0].size, at))
+            variable.append(self._on_stereo[k][0])
+            inside.append(self._on_stereo[k][1])
         observations = np.concatenate(observation)
         order = np.argsort(observations, kind="stable")
         counts = np.bincount(observations, minlength=size)
@@ -283,16 +307,6 @@ def _groups(pattern: Index, variable: Index, patterns: int) -> tuple[Index, Inde
     there = sets >= 0
     first = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
     return (np.arange(unique.size) - begin[owner])[back.reshape(-1)], first, sets[there], group.reshape(-1)
-
-
-def felt_by(network: Network, kind: int) -> list[list[int]]:
-    """Of each image the shared unknowns that its rays (IMAGE) or its ranges (RANGE) feel, ascending."""
-    felt: list[list[int]] = [[] for _ in network.images]
-    for k, shared in enumerate(network.shared):
-        if shared.kind.felt_by_rays if kind == IMAGE else shared.kind.felt_by_ranges:
-            for j in shared.images.tolist():
-                felt[j].append(k)
-    return felt
 
 
 def make_groups(variables: Variables, first: Index, member: Index) -> Groups:

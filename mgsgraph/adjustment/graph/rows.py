@@ -20,6 +20,7 @@ from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.sorting import counted
+from mgsgraph.adjustment.graph.stereo import StereoRows
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
@@ -99,6 +100,8 @@ class ObservationRows:
     """(h,) of the heights above the terrain."""
     on_terrain: Index
     """(h,) network points that they belong to."""
+    stereo: Index
+    """(k,) of the heights above stereo surfaces, in the order of `StereoRows.points`."""
 
 
 def lay_out_rows(
@@ -110,6 +113,7 @@ def lay_out_rows(
     terms: Terms,
     known: Array | None,
     like: tuple[Array, NDArray[np.int8]] | None,
+    stereo: StereoRows | None,
 ) -> tuple[ObservationRows, Rows]:
     """Rows of a network in the kernel's order, and where each is.
 
@@ -126,7 +130,8 @@ def lay_out_rows(
     starts, kinds = like or _starting_points(network, store, rays_of, units, known)
     if model.line == MEASURED and model.angles != OPK_PEER:
         _fill_scales(network, model, store, parts, starts)
-    places = ObservationRows(rays, ranges, *_fill_surface(network, store, starts, weight))
+    on_terrain = _fill_surface(network, store, starts, weight)
+    places = ObservationRows(rays, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
     order, surface = patterns.point_order, network.surface
     grid = None if surface is None else surface.grid
     rows = Rows(
@@ -307,6 +312,24 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     if network.terrain_moves:
         store.put(place, stride, 0, network.surface.directions(starts[mine]))
     return among, mine
+
+
+def _fill_stereo(network: Network, store: _Store, stereo: StereoRows | None, weight: Array) -> Index:
+    """Heights above stereo surfaces; their places among all observations."""
+    if stereo is None or network.stereo is None:
+        return np.zeros(0, dtype=np.int64)
+    points, before = stereo.points, _observations_before(network)[stereo.points]
+    before += network.points.kinds[points] == PointKind.CONSTRAINED
+    if network.surface is not None:
+        before += np.isfinite(network.surface.sigmas[points])
+    place, stride, among = store.place(points, before)
+    weight[0, among] = 1.0 / network.stereo.sigmas[points]
+    at = store.put(place, stride, 0, stereo.reference)
+    at = store.put(place, stride, at, stereo.normals)
+    at = store.put(place, stride, at, stereo.heights)
+    for part, directions in stereo.parts:
+        store.put(place[part], stride[part], at, directions)
+    return among
 
 
 def _starting_points(

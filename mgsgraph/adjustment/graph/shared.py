@@ -3,7 +3,7 @@
 import numpy as np
 
 from mgsgraph.adjustment.graph.angles import angles_of
-from mgsgraph.adjustment.graph.patterns import felt_by
+from mgsgraph.adjustment.graph.terms import felt_by
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index

@@ -7,6 +7,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.network import Network
 
 
@@ -52,3 +53,13 @@ class Terms:
         nodes = self._network.strips[self._strip[image]].nodes
         values, slopes = nodes.around(node, moments.times, moments.epoch)
         return nothing, np.hstack([values, slopes * moments.periods[:, None]]) if rates else values
+
+
+def felt_by(network: Network, kind: int) -> list[list[int]]:
+    """Of each image the shared unknowns that its rays (IMAGE) or its ranges (RANGE) feel, ascending."""
+    felt: list[list[int]] = [[] for _ in network.images]
+    for k, shared in enumerate(network.shared):
+        if shared.kind.felt_by_rays if kind == IMAGE else shared.kind.felt_by_ranges:
+            for j in shared.images.tolist():
+                felt[j].append(k)
+    return felt

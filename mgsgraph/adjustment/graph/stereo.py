@@ -1,0 +1,175 @@
+"""Heights above stereo surfaces as rows: linear in the point and in the orientation of both images, about a state.
+
+The orientation acts through single columns, one for each coefficient of either image and for what these share with
+others, each with its direction: metres of height per unit. `Layout.following` makes the rows anew about the state that
+an optimisation has found, until they stay what they are: then they are exact where they count.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.graph.angles import angles_of
+from mgsgraph.adjustment.graph.shared import SharedEffects
+from mgsgraph.adjustment.graph.terms import felt_by
+from mgsgraph.adjustment.graph.variables import Variables
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import polynomial
+from mgsgraph.geometry.orientation_images import SUPPORT
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.stereo_surface import heights_above
+from mgsgraph.kernel.rows import IMAGE, Model
+from mgsgraph.network import Network
+from mgsgraph.network.corrections import adjusted_image, whole_correction
+
+_TOLERANCE = 1e-6
+"""Sigmas by which a row may differ from the one about the present state, and its normal from that one's."""
+
+
+class StereoRows(NamedTuple):
+    """Of the k points on stereo surfaces, surface by surface."""
+
+    points: Index
+    """(k,) network points."""
+    sides: Index
+    """(k, 4) first image and the first of the four nodes that it depends on there (-1: none), second image and node."""
+    reference: Array
+    """(k, 3) m, about which they are linear."""
+    heights: Array
+    """(k,) m above the surface there, less what the unknowns count there."""
+    normals: Array
+    """(k, 3) unit, body-fixed."""
+    directions: tuple[Array, ...]
+    """Of each surface (k_s, c) m per unit of each column that a row depends on: `columns` of both images."""
+
+    @property
+    def parts(self) -> list[tuple[slice, Array]]:
+        """Rows of each surface, and their directions."""
+        ends = np.cumsum([0, *(len(one) for one in self.directions)]).tolist()
+        return [(slice(a, b), one) for a, b, one in zip(ends, ends[1:], self.directions, strict=False)]
+
+
+def columns(network: Network, side: tuple[int, ...]) -> tuple[Index, Index]:
+    """Variables (c,), and columns (c,) within them, that a row depends on; `side` is of `StereoRows.sides`."""
+    variable, inside = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+
+    def add(first: int, count: int, width: int) -> None:
+        variable.append(np.repeat(first + np.arange(count), width))
+        inside.append(np.tile(np.arange(width), count))
+
+    for image, node in (side[:2], side[2:]):
+        if node >= 0:
+            add(int(network.first_of_strips[network.strip_of[image]]) + node, SUPPORT, 6)
+        elif network.own[image]:
+            add(image, 1, network.priors[image].sigmas.size)
+        for k in felt_by(network, IMAGE)[image]:
+            add(network.first_shared + k, 1, network.shared[k].kind.width)
+    return np.concatenate(variable), np.concatenate(inside)
+
+
+def linear_rows(
+    network: Network, model: Model, variables: Variables, orientation: Array, points: Array
+) -> StereoRows | None:
+    """Rows about shared unknowns (columns,) and points (n, 3) in m, network order; None without stereo surfaces.
+
+    Raises
+    ------
+    InputError
+        When one of the images doesn't see a point.
+    """
+    control = network.stereo
+    if control is None:
+        return None
+    found = [
+        _of_surface(network, model, variables, orientation, s, np.flatnonzero(control.surface == s), points)
+        for s in range(len(control.surfaces))
+    ]
+    mine, sides, heights, normals, directions = zip(*found, strict=True)
+    chosen = np.concatenate(mine)
+    return StereoRows(
+        chosen, np.concatenate(sides), points[chosen], np.concatenate(heights), np.concatenate(normals), directions
+    )
+
+
+def _of_surface(
+    network: Network, model: Model, variables: Variables, orientation: Array, s: int, mine: Index, points: Array
+) -> tuple[Index, Index, Array, Array, Array]:
+    """Points, sides, heights, normals and directions of the rows of one surface."""
+    assert network.stereo is not None
+    first, second = network.stereo.images[s].tolist()
+    angles, effects = angles_of(model), SharedEffects(network, model)
+    values = [
+        orientation[variables.columns_of(v)] if variables.first[v] >= 0 else np.zeros(variables.width[v])
+        for v in range(variables.first.size)
+    ]
+    at = heights_above(
+        network.stereo.surfaces[s],
+        adjusted_image(network, first, values),
+        adjusted_image(network, second, values),
+        points[mine],
+        (whole_correction(network, first, values, angles), whole_correction(network, second, values, angles)),
+    )
+    for k in np.flatnonzero(~np.isfinite(at.heights))[:1]:
+        raise InputError(
+            f"ground point {network.points.ids[mine[k]]}", "on a stereo surface whose images don't see it",
+            "points that both images show",
+        )  # fmt: skip
+    sides, parts = np.full((mine.size, 4), -1, dtype=np.int64), []
+    for side, image in enumerate((first, second)):
+        sides[:, 2 * side] = image
+        sides[:, 2 * side + 1], part = _directions(network, effects, image, at.lines[:, side], at.by_pose[:, side])
+        parts.append(part)
+    directions = np.hstack(parts)
+    counted = _counted(network, variables, orientation, sides, directions)
+    return mine, sides, at.heights - counted, at.normals, directions
+
+
+def _directions(
+    network: Network, effects: SharedEffects, image: int, lines: Array, by_pose: Array
+) -> tuple[Index | int, Array]:
+    """First of the four nodes at lines (n,) of an image (-1: none), and (n, c) m per unit of its `columns`.
+
+    `by_pose` (n, 7) is the height's derivative by position, rotation and focal length.
+    """
+    picture, strip = network.images[image], int(network.strip_of[image])
+    moments = picture.moments(lines)
+    node: Index | int = -1
+    basis = np.zeros((lines.size, 0))
+    if strip >= 0:
+        nodes = network.strips[strip].nodes
+        node = nodes.first_of_four(moments.times, moments.epoch)
+        basis = nodes.around(node, moments.times, moments.epoch)[0]
+    elif network.own[image]:
+        basis = polynomial(moments.u, network.priors[image].degree)[0]
+    own = np.einsum("nt,nc->ntc", basis, by_pose[:, :6]).reshape(lines.size, -1)
+    shared = effects.of(IMAGE, image, moments.u)
+    return node, np.hstack([own, np.einsum("nce,ne->nc", shared, by_pose[:, : shared.shape[2]])])
+
+
+def heights_at(rows: StereoRows, network: Network, variables: Variables, shared: Array, points: Array) -> Array:
+    """(k,) m above the surfaces, by the rows, of points (k, 3) with shared unknowns (columns,)."""
+    found = rows.heights + np.einsum("kc,kc->k", rows.normals, points - rows.reference)
+    for part, directions in rows.parts:
+        found[part] += _counted(network, variables, shared, rows.sides[part], directions)
+    return np.asarray(found)
+
+
+def at_rest(before: StereoRows, after: StereoRows, network: Network, variables: Variables, shared: Array) -> bool:
+    """Whether rows about another state say of it what the rows before said."""
+    assert network.stereo is not None
+    if not np.array_equal(before.sides, after.sides):
+        return False
+    said, say = (heights_at(rows, network, variables, shared, after.reference) for rows in (before, after))
+    off = np.abs(said - say) / network.stereo.sigmas[after.points]
+    turned = np.abs(before.normals - after.normals)
+    return bool(max(off.max(initial=0.0), turned.max(initial=0.0)) <= _TOLERANCE)
+
+
+def _counted(network: Network, variables: Variables, shared: Array, sides: Index, directions: Array) -> Array:
+    """(n,) m by which shared unknowns (columns,) move the surface, of rows with sides (n, 4) and directions (n, c)."""
+    found = np.zeros(len(sides))
+    for one in np.unique(sides, axis=0):
+        rows = np.all(sides == one, axis=1)
+        variable, inside = columns(network, tuple(one.tolist()))
+        found[rows] = directions[rows] @ shared[variables.first[variable] + inside]
+    return found
