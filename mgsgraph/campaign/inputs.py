@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.errors import InputError
-from mgsgraph.io.checksum import sha256_of
+from mgsgraph.io.files import sha256_of
 
 _BESIDE = (".lbl", ".img", ".imq", ".cub")
 """Endings of files that belong together: a label, and the pixels or posts that it describes."""

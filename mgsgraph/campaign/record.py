@@ -13,7 +13,7 @@ import msgspec
 
 from mgsgraph.campaign.entry import Entry
 from mgsgraph.errors import InputError
-from mgsgraph.io.claim import claim
+from mgsgraph.io.files import claim
 
 RECORD = "campaign.jsonl"
 """Name of the file in the folder of the results."""
