@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.merit import PLACES
+from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
 from mgsgraph.demo.demonstration import DRAWING, INPUTS, Demonstration, demonstrate, demonstrate_pair, true_points
 from mgsgraph.demo.simulate import PAIR
