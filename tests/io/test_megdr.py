@@ -204,5 +204,5 @@ def test_rasters_that_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_terrain(tmp_path / "none.tif")
     (tmp_path / "text.tif").write_text("no raster")
-    with pytest.raises(InputError, match="can't read it"):
+    with pytest.raises(InputError, match="can't be read"):
         read_terrain(tmp_path / "text.tif")
