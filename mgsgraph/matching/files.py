@@ -24,12 +24,9 @@ from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.output.csv_json import picked, plain, write_json
 from mgsgraph.output.folders import MATCH, PROGRAM, fresh_folder
-<<<<<<< HEAD
 from mgsgraph.output.table import Column, Table
-from mgsgraph.units import ISIS_OFFSET
-=======
 from mgsgraph.stages import Progress, no_progress
->>>>>>> main
+from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.wording import many
 
 FORMAT = 1
