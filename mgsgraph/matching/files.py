@@ -18,13 +18,14 @@ from mgsgraph.io.control.binary import write_binary_network
 from mgsgraph.io.control.pvl_writing import write_pvl_network
 from mgsgraph.io.control.ties import control_network
 from mgsgraph.matching.coarse import Agreement
-from mgsgraph.matching.match import Progress, digest, match_scene
+from mgsgraph.matching.match import digest, match_scene
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.output.csv_json import picked, plain, write_json
 from mgsgraph.output.folders import MATCH, PROGRAM, fresh_folder
 from mgsgraph.output.table import ISIS, Column, Table
+from mgsgraph.stages import Progress, no_progress
 from mgsgraph.wording import many
 
 FORMAT = 1
@@ -77,7 +78,7 @@ class KeptTiles:
 
 def match_into(
     name: str, scene: Scene, out: Path, settings: MatchSettings, workers: int | None = None, figures: bool = True,
-    progress: Progress = lambda what, done, most: None,
+    progress: Progress = no_progress,
 ) -> Matches:
     """Match a scene and write what was found to a folder that appears whole or not at all.
 
@@ -96,7 +97,7 @@ def match_into(
     figures : bool
         False leaves the figure out.
     progress : callable, optional
-        Told what is being done.
+        Called with the stage, and how much of it is done.
     """
     store = KeptTiles(out, digest(scene, settings))
     try:
