@@ -18,7 +18,7 @@ from peer_problem import network, read_problem
 
 from mgsgraph.adjustment.settings import Line
 from mgsgraph.errors import InputError
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import fresh_file
 
 MEGABYTE = 2.0**20
 """bytes; as the peer counts its own."""

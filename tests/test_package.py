@@ -19,7 +19,7 @@ STOREYS = [
     ("mgsgraph.demo",),
     ("mgsgraph.export", "mgsgraph.review"),
     (
-        "mgsgraph.reports", "mgsgraph.dem.dem", "mgsgraph.dem.files", "mgsgraph.matching.files",
+        "mgsgraph.reports", "mgsgraph.dem.production", "mgsgraph.dem.files", "mgsgraph.matching.files",
         "mgsgraph.registration.tables",
     ),
     ("mgsgraph.figures",),
