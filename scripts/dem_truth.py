@@ -23,8 +23,8 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.reading import read_case
 from mgsgraph.case.scene import read_scene
 from mgsgraph.dem.checking import check_merit
-from mgsgraph.dem.dem import make_dem
 from mgsgraph.dem.model import Dem
+from mgsgraph.dem.production import make_dem
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.files import match_into

@@ -25,7 +25,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
-from mgsgraph.analysis.step_merit import POINT_AXES, POSE_AXES, STAGES, StepMerit, step_merit
+from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, TwoStepStatistics, two_step_statistics
 from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
@@ -71,7 +71,7 @@ of the nodes is a chi-square's for independent strips, and so a little too narro
 class Row:
     """One seed."""
 
-    merit: StepMerit
+    merit: TwoStepStatistics
     nodes: Array
     """(2, strips) squares of the nodes' errors, normalised; steps 1 and 2."""
     freedom: Array
@@ -101,7 +101,8 @@ def one_seed(settings: BlockSettings, seed: int) -> Row:
     networks = (steps.free.network, steps.free.network, steps.fitted.network)
     stated = np.array([_stated(network, joint) for network, joint in zip(networks, joints, strict=True)])
     freedom = np.array([6 * len(strip.nodes) for strip in block.network.strips])
-    return Row(step_merit(steps), np.array(pairs), freedom, np.array(points), attitude, stated, steps.converged)
+    found = two_step_statistics(steps)
+    return Row(found, np.array(pairs), freedom, np.array(points), attitude, stated, steps.converged)
 
 
 def _stated(network: Network, joint: JointCovariance | None) -> Array:

@@ -33,7 +33,7 @@ from mgsgraph.io.image_label import read_label
 from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.moc_label import MocLabel, read_moc_label
-from mgsgraph.io.moc_pixels import read_moc_pixels
+from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene

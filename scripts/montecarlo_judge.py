@@ -14,7 +14,7 @@ from montecarlo_draw import KINDS, Drawn
 from scipy.stats import binom
 from study import chi_square_band, student
 
-from mgsgraph.analysis.answers import chi_square_radius
+from mgsgraph.analysis.estimates import chi_square_radius
 from mgsgraph.geometry.records import Array, Index
 
 LEVELS = (0.68, 0.95, 0.99)

@@ -18,11 +18,10 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Jitter
-from mgsgraph.spacing.choice import Choice, choose_spacing
-from mgsgraph.spacing.course import course
+from mgsgraph.spacing.choice import Choice, choose_spacing, respaced
+from mgsgraph.spacing.corrections import correction_series
 from mgsgraph.spacing.densify import densify
-from mgsgraph.spacing.held_out import hold_out, misfits, whitening
-from mgsgraph.spacing.respaced import respaced
+from mgsgraph.spacing.rays import hold_out, misfits, whitening
 from mgsgraph.spacing.spectrum import Peak, spectra
 from mgsgraph.units import MGON
 
@@ -90,7 +89,7 @@ def run(errors: TrajectoryErrors, jitter: Jitter | None, stated: float, seed: in
     held = hold_out(net, SHARE, np.random.default_rng(seed))
     closer = densify(respaced(net, SPACINGS[-1]), plain, left_in=held.left_in(net)).solution
     white = np.einsum("hij,hj->hi", whitening(net, held, closer.places), misfits(closer, held))
-    fine = course(adjust_network(respaced(net, SPACINGS[0]), plain), 0)
+    fine = correction_series(adjust_network(respaced(net, SPACINGS[0]), plain), 0)
     found = [(spectrum.axis, peak) for spectrum in spectra(fine) for peak in spectrum.vibrations]
     nodes = sum(len(strip.nodes) for strip in closer.network.strips)
     return Run(choice, nodes, float(np.sqrt(np.nanmean(white**2))), found)

@@ -2,7 +2,7 @@
 
 Planted: in each draw the groups of rows have errors 0.5, 2 or 5 times as large as their stated sigmas, by turns, all of
 them at once (of position and pointing one in turn: on narrow images neither is worth much against the other);
-`honest_sigmas` must find the factors. Null: all sigmas are right; one adjustment each, for the p-values
+`iterated_components` must find the factors. Null: all sigmas are right; one adjustment each, for the p-values
 of the tests. Writes docs/variance_components.md by default.
 
     python scripts/variance_components.py [--planted 90] [--null 60] [--images 24] [--out FILE]
@@ -18,10 +18,10 @@ from study import DOCS, Z99, at_least, command, show, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network, versions
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.components import Components, Judgement, components_of, honest_sigmas
+from mgsgraph.analysis.components import Components, Judgement, components_of, iterated_components
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.honesty import ALPHA, chi_square_test, residual_statistics
 from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.residual_tests import ALPHA, chi_square_test, residual_statistics
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage
@@ -40,8 +40,8 @@ A strip, {network}, is drawn anew from its
 sigmas, but with the errors of each group of rows 0.5, 2 or 5 times as large as the sigmas that the adjustment is given,
 by turns and all groups at once, in {planted} draws; but of position and pointing priors one in turn is right (1), for
 they can hardly be told apart on narrow images, and what one of them is thought to be decides what the other is found to
-be. `honest_sigmas` scales and adjusts until all factors are one within 1%. Made by `scripts/variance_components.py`;
-seeds 0 .. N-1, {seconds:.0f} s on a busy machine.
+be. `iterated_components` scales and adjusts until all factors are one within 1%. Made by
+`scripts/variance_components.py`; seeds 0 .. N-1, {seconds:.0f} s on a busy machine.
 
 * *z*: the factor found against the planted one as a standard normal deviate (Wilson & Hilferty's transform of the
   chi-square with the stated degrees of freedom). Mean 0 and rms 1 are promised; in brackets their 99% bands. *beyond*:
@@ -94,7 +94,7 @@ def planted(network: Network, grouping: Grouping, draws: int) -> tuple[list[np.n
     for seed in range(draws):
         truth = planted_factors(seed, len(grouping.names))
         drawn = redraw(scaled(network, grouping, truth), np.random.default_rng([1, seed])).network
-        honest = honest_sigmas(scaled(drawn, grouping, 1.0 / truth), SolverSettings())
+        honest = iterated_components(scaled(drawn, grouping, 1.0 / truth), SolverSettings())
         restless += not honest.converged
         truths.append(truth)
         found.append(honest.components)

@@ -4,16 +4,78 @@ A case that is done again gets another line; its last one counts. A line that a 
 taken off. One campaign at a time may write.
 """
 
+import dataclasses
 import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Literal, Self
 
 import msgspec
 
-from mgsgraph.campaign.entry import Entry
+from mgsgraph.adjustment.settings import Form, Loss, SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.io.claim import claim
+from mgsgraph.io.files import claim
+
+Status = Literal["done", "not converged", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Overrides:
+    """What overrules all case files alike."""
+
+    form: Form | None = None
+    """Form of the factors."""
+    loss: Loss | None = None
+    """Robust loss."""
+    reject: float | None = None
+    """Blunder limit in robust standard deviations."""
+    laser: bool = True
+    """False leaves the laser rows out."""
+    figures: bool = True
+    """False leaves the figures out."""
+
+    def over(self, settings: SolverSettings) -> SolverSettings:
+        """A case file's settings with these over them."""
+        chosen: dict[str, Any] = {"form": self.form, "loss": self.loss, "reject": self.reject}
+        return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
+
+
+AS_WRITTEN = Overrides()
+"""Nothing overrules the case files."""
+
+
+class CampaignEntry(msgspec.Struct, frozen=True):
+    """How one case ended."""
+
+    case: str
+    """Path of the case file, relative to the record's folder."""
+    folder: str
+    """Name of the folder with its results."""
+    status: Status
+    """not converged: results are written; failed: there are none of this run."""
+    message: str
+    """Why it stopped, in words."""
+    seconds: float
+    """Wall time on the worker."""
+    converged: bool
+    sigma0: float | None
+    """A-posteriori standard deviation of unit weight; None where there is none."""
+    cost: float | None
+    """Half the weighted sum of squares at the end."""
+    iterations: int | None
+    """Number of steps tried."""
+    checksums: dict[str, str | None]
+    """SHA-256 of the case file and of its inputs, by path as the case writes it."""
+    overrides: Overrides = msgspec.field(name="wishes")
+    """What overruled the case file."""
+    version: str
+    """Of this program."""
+    machine: str
+    """Who did it."""
+    finished: str
+    """UTC, ISO 8601."""
+
 
 RECORD = "campaign.jsonl"
 """Name of the file in the folder of the results."""
@@ -25,17 +87,17 @@ class Record:
     Attributes
     ----------
     path : Path
-    entries : dict of str to Entry
-        The last one of each case, by `Entry.case`.
+    entries : dict of str to CampaignEntry
+        The last one of each case, by `CampaignEntry.case`.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:
         self.path = path
         self._descriptor = descriptor
         self._new = False
-        self.entries: dict[str, Entry] = {}
+        self.entries: dict[str, CampaignEntry] = {}
 
-    def append(self, entry: Entry) -> None:
+    def append(self, entry: CampaignEntry) -> None:
         """Add a line: all of it or nothing, and on the disk before this returns."""
         _append(self._descriptor, msgspec.json.encode(entry) + b"\n", self.path)
         self.entries[entry.case] = entry
@@ -110,11 +172,11 @@ def _append(descriptor: int, line: bytes, path: Path) -> None:
         raise InputError(str(path), "can't be written (the disk is full)", remedy="free some space, and run this again")
 
 
-def _entries(lines: list[bytes], path: Path) -> list[Entry]:
+def _entries(lines: list[bytes], path: Path) -> list[CampaignEntry]:
     found = []
     for number, line in enumerate(lines, start=2):
         try:
-            found.append(msgspec.json.decode(line, type=Entry))
+            found.append(msgspec.json.decode(line, type=CampaignEntry))
         except msgspec.MsgspecError as error:
             remedy = "take that line out: its case will be done again"
             raise InputError(f"{path}, line {number}", f"no entry of a campaign ({error})", remedy=remedy) from None

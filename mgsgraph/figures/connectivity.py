@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import solution_connectivity
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.ground_map import frame
 from mgsgraph.figures.sheet import (

@@ -16,12 +16,21 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.closing import Closing, closing, shared_image, shared_of, shared_shift
+from mgsgraph.incremental.closing import Closing, closing
 from mgsgraph.incremental.engine import Engine
 from mgsgraph.incremental.impact import Impact, impact
-from mgsgraph.incremental.motion import image_motion
-from mgsgraph.incremental.rebundling import require_one_body, with_addition, without
-from mgsgraph.incremental.state import ImagesByName, InMemory, KnownImage, Settled, Shared, Store
+from mgsgraph.incremental.shared import image_motion, shared_image, shared_of, shared_shift
+from mgsgraph.incremental.state import (
+    ImagesByName,
+    InMemory,
+    KnownImage,
+    Settled,
+    Shared,
+    StateStore,
+    require_one_body,
+    with_addition,
+    without,
+)
 from mgsgraph.incremental.sweep import Sweep
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
@@ -40,19 +49,19 @@ class IncrementalAdjustment:
     ----------
     settings : SolverSettings, optional
         Measurement model and loss; the defaults when absent. Blunders are sought by batch alone (`close`).
-    store : Store, optional
+    store : StateStore, optional
         Where the state lies; in memory when absent.
     """
 
-    def __init__(self, settings: SolverSettings | None = None, store: Store | None = None) -> None:
+    def __init__(self, settings: SolverSettings | None = None, store: StateStore | None = None) -> None:
         self.settings = settings or SolverSettings()
-        self.store: Store = InMemory() if store is None else store
+        self.store: StateStore = InMemory() if store is None else store
         if self.settings.form != "bundle":
             raise InputError("incremental adjustment", f"the {self.settings.form} form", "the bundle form")
         self._engine = Engine(self.settings, self.store)
 
     @classmethod
-    def of(cls, solution: Solution, store: Store | None = None) -> "IncrementalAdjustment":
+    def of(cls, solution: Solution, store: StateStore | None = None) -> "IncrementalAdjustment":
         """Go on from a batch solution."""
         found = cls(solution.settings, store)
         found.adopt(solution)

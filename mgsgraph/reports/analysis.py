@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.components import Components, components_of, honest_sigmas
-from mgsgraph.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
-from mgsgraph.analysis.levels import Levels
+from mgsgraph.analysis.components import Components, components_of, iterated_components
+from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import Reliability, reliability
+from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.analysis.snooping import snoop
 from mgsgraph.analysis.suspects import suspects
 from mgsgraph.analysis.weak import weakest
@@ -216,7 +216,7 @@ def components_table(found: Components) -> Table:
 
 
 def _iterated(posterior: Posterior) -> Section:
-    found = honest_sigmas(posterior.network, posterior.linearised.settings)
+    found = iterated_components(posterior.network, posterior.linearised.settings)
     record = {
         "converged": found.converged, "passes": len(found.history), **_components_record(found.components),
         "sigma0": found.solution.sigma0,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import mgsgraph
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import solution_connectivity
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.connectivity import (
     _keep_off_others,
     connectivity_sheet,
