@@ -227,7 +227,7 @@ def _pointing_table(tables: RefinedTables, body: AttitudeTable, original: Mappin
     times = tables.attitude_times
     to_camera = rotation.to_matrix(tables.quaternions)
     to_body, body_rate = body.at(times)
-    rate = tables.turnings + np.einsum("nij,nj->ni", to_camera, body_rate)
+    rate = tables.angular_rates + np.einsum("nij,nj->ni", to_camera, body_rate)
     return _rotation_table(tables.epoch + times, to_camera @ to_body, rate, original.get("instrument_pointing"))
 
 

@@ -172,13 +172,13 @@ def _off_line(camera: _Camera, points: Numbers, lines: Numbers) -> tuple[Numbers
     for i, time in enumerate(times):
         ticks = spiceypy.sce2c(camera.clock, time)
         try:
-            matrix, turning, _ = spiceypy.ckgpav(camera.frame, ticks, 0, camera.body_frame)
+            matrix, angular_rate, _ = spiceypy.ckgpav(camera.frame, ticks, 0, camera.body_frame)
         except NotFoundError:
             ray[i] = np.nan
             continue
         state, _ = spiceypy.spkgeo(camera.spacecraft, time, camera.body_frame, camera.body)
         arm = points[i] / 1e3 - state[:3]
-        ray[i] = matrix @ (arm - rest[i] * (state[3:] + np.cross(turning, arm)))
+        ray[i] = matrix @ (arm - rest[i] * (state[3:] + np.cross(angular_rate, arm)))
     ray[ray[:, 2] <= 0.0] = np.nan  # behind the camera
     x, y = _distorted(camera, camera.focal_length * ray[:, :2].T / ray[:, 2])
     line = camera.centre[0] + camera.to_line[0] + camera.to_line[1] * x + camera.to_line[2] * y
