@@ -1,25 +1,18 @@
 """Nanoseconds that a point spends in each stage of a sweep: one tile, over and over, one thread, as the sweep compiles
-it.
-
-    python scripts/benchmark_stages.py [--line predicted] [--sights 3] [--markdown OUT]
-
-The tile is that of the largest group of points with so many rays in a chain like the peer's
-(`benchmark_blocks.chain`). A stage alone finds its registers in the processor's cache: the stages added up are less
-than a sweep takes.
+it. The tile is that of the largest group of points with so many rays in a chain like the peer's (`peer_blocks.chain`).
+A stage alone finds its registers in the processor's cache: the stages added up are less than a sweep takes.
 """
 
-import argparse
-import sys
 import time
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from benchmark_blocks import chain
-from benchmark_command import OneLine, status
-from benchmark_run import write_text
+from peer_blocks import chain
 from peer_problem import network
+from study import OneLine, require_writable, status, table, write_text
 
 from mgsgraph.errors import InputError
 
@@ -148,10 +141,10 @@ def stages() -> dict[str, Callable[..., Any]]:
     }
 
 
-def measure(wanted: argparse.Namespace) -> int:
+def measure(wanted: Namespace) -> None:
     """The table."""
-    t = solved_tile(wanted.line, wanted.sights)
-    lines = [f"| stage, points with {wanted.sights} rays, {wanted.line} line | ns per point |", "|---|---|"]
+    require_writable(wanted.markdown)
+    t, rows = solved_tile(wanted.line, wanted.sights), []
     for name, stage in stages().items():
         stage(t, 1)
         tries = []
@@ -159,22 +152,18 @@ def measure(wanted: argparse.Namespace) -> int:
             start = time.perf_counter()
             stage(t, _REPEATS)
             tries.append((time.perf_counter() - start) / (_REPEATS * 64) * 1e9)
-        lines.append(f"| {name} | {np.median(tries):.1f} |")
-    text = "\n".join(lines) + "\n"
+        rows.append((name, f"{np.median(tries):.1f}"))
+    head = (f"stage, points with {wanted.sights} rays, {wanted.line} line", "ns per point")
+    text = "\n".join(table(head, rows)) + "\n"
     print(text)
     if wanted.markdown:
         write_text(text, wanted.markdown)
-    return 0
 
 
-def main() -> int:
-    parser = OneLine(prog="benchmark_stages", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(parser: OneLine, given: list[str]) -> int:
+    """`benchmark.py stages`."""
     parser.add_argument("--line", choices=("measured", "predicted"), default="measured", help="measured is the peer's")
     parser.add_argument("--sights", type=int, choices=(2, 3), default=2, help="rays of each point")
     parser.add_argument("--markdown", type=Path, help="file for the table")
-    wanted = parser.parse_args()
-    return status("benchmark_stages", lambda: measure(wanted))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    wanted = parser.parse_args(given)
+    return status(parser.prog, lambda: measure(wanted))

@@ -19,7 +19,7 @@ STOREYS = [
     ("mgsgraph.demo",),
     ("mgsgraph.export", "mgsgraph.review"),
     (
-        "mgsgraph.reports", "mgsgraph.dem.dem", "mgsgraph.dem.files", "mgsgraph.matching.files",
+        "mgsgraph.reports", "mgsgraph.dem.production", "mgsgraph.dem.files", "mgsgraph.matching.files",
         "mgsgraph.registration.tables",
     ),
     ("mgsgraph.figures",),
@@ -62,7 +62,7 @@ ONLY_IN = {
     "pyogrio": ("mgsgraph.export",),
     "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.export"),
     "msgspec": (
-        "mgsgraph.campaign", "mgsgraph.case", "mgsgraph.export", "mgsgraph.io.control", "mgsgraph.output",
+        "mgsgraph.campaign", "mgsgraph.case", "mgsgraph.export", "mgsgraph.fetch", "mgsgraph.io", "mgsgraph.output",
         "mgsgraph.project", "mgsgraph.review",
     ),
     "requests": ("mgsgraph.fetch",),

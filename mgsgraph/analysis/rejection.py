@@ -18,7 +18,7 @@ from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
-ObservationName = tuple[MeasureKind, int]
+ObservationKey = tuple[MeasureKind, int]
 """A whole ray, range, a-priori place or height, and its row in the network (of the latter two, the point)."""
 
 
@@ -26,7 +26,7 @@ ObservationName = tuple[MeasureKind, int]
 class Removal:
     """What went at one stroke: an observation, and those that can't be told apart from it."""
 
-    observations: tuple[ObservationName, ...]
+    observations: tuple[ObservationKey, ...]
     """The one with the largest test first."""
     names: tuple[str, ...]
     """The same in words."""
@@ -55,7 +55,7 @@ class Taken:
     heights: Mask
     """(n,) points whose height above the terrain is out."""
 
-    def changed(self, observations: Iterable[ObservationName], out: bool) -> "Taken":
+    def changed(self, observations: Iterable[ObservationKey], out: bool) -> "Taken":
         """The same with some observations out, or in."""
         masks = {
             MeasureKind.RAY: self.rays.copy(),
@@ -76,14 +76,14 @@ class Taken:
             ranges=replace(left.ranges, rejected=self.ranges),
         )
 
-    def holds(self, observation: ObservationName) -> bool:
+    def holds(self, observation: ObservationKey) -> bool:
         """Whether it is out."""
         kind, row = observation
         masks = (self.rays, self.ranges, self.places, self.heights)
         return bool(masks[kind][row])
 
 
-def nothing_taken(network: Network) -> Taken:
+def nothing_rejected(network: Network) -> Taken:
     """All in."""
     sizes = network.rays.point.size, network.ranges.point.size, len(network.points), len(network.points)
     return Taken(*(np.zeros(size, dtype=np.bool_) for size in sizes))
@@ -108,7 +108,7 @@ def selection(network: Network, taken: Taken) -> Selection:
     return Selection(~taken.rays, ~taken.ranges, everything(network).out)
 
 
-class PointObservations:
+class ObservationIndex:
     """Which observations each point of a linearised network has."""
 
     def __init__(self, at: Linearised) -> None:
@@ -121,12 +121,12 @@ class PointObservations:
             )
         )
 
-    def of(self, point: int) -> dict[ObservationName, int]:
+    def of(self, point: int) -> dict[ObservationKey, int]:
         """Observations of a network point, and the index of each in those of its pattern (`PointRows.observation`)."""
         rows, patterns = self._at.rows, self._at.layout.patterns
         place = int(patterns.point_place[point])
         pattern, first, count, _, observation = rows.piece[patterns.piece_of(place)].tolist()
-        found: dict[ObservationName, int] = {}
+        found: dict[ObservationKey, int] = {}
         for kind, index, places in self._measured:
             for k in index.of(point).tolist():
                 found[kind, k] = (int(places[k]) - observation - (place - first)) // count
@@ -193,7 +193,7 @@ def readmissible(
     points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
     layout, points = exactly(layout.following(points, at.orientation), at.orientation, points)
     whole = Linearised(layout, at.settings, layout.rows, at.orientation, points, at.joint)
-    index = PointObservations(whole)
+    index = ObservationIndex(whole)
     return [
         one for one in removals if _agrees(whole, index, one, taken, bool(solution.determined[one.point]), critical)
     ]
@@ -201,7 +201,7 @@ def readmissible(
 
 def _agrees(
     whole: Linearised,
-    index: PointObservations,
+    index: ObservationIndex,
     removal: Removal,
     taken: Taken,
     determined: bool,

@@ -18,12 +18,12 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import Linearised, at_solution
 from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.rejection import (
-    ObservationName,
-    PointObservations,
+    ObservationIndex,
+    ObservationKey,
     Removal,
     Taken,
     direction,
-    nothing_taken,
+    nothing_rejected,
     readmissible,
     selection,
 )
@@ -112,7 +112,7 @@ def snoop(
         raise InputError("data snooping", f"reject = {settings.reject:g}", "0", "choose one way of seeking blunders")
     if most < 0:
         raise InputError("data snooping, most", f"{most}", "0 or more")
-    run = _Run(network, settings, levels, most, name, progress)
+    run = _Search(network, settings, levels, most, name, progress)
     run.take_out()
     back = readmissible(network, run.at, run.solution, run.taken, run.removals, run.critical)
     if back:
@@ -133,7 +133,7 @@ def snoop(
     )
 
 
-class _Run:
+class _Search:
     """One search, and where it stands."""
 
     def __init__(
@@ -141,7 +141,7 @@ class _Run:
     ) -> None:
         self._network, self._settings, self._levels, self._name = network, settings, levels, name
         self._most, self._progress = most, progress
-        self.taken, self.removals = nothing_taken(network), list[Removal]()
+        self.taken, self.removals = nothing_rejected(network), list[Removal]()
         self.adjustments, self.complete = 0, True
         self.adjust()
 
@@ -184,17 +184,17 @@ def _candidates(found: Reliability, scale: float, number: int) -> list[_Candidat
     chosen = points[np.argsort(first)][:_MOST_CANDIDATES]
     if not chosen.size:
         return []
-    index = PointObservations(found.at)
+    index = ObservationIndex(found.at)
     candidates = [_candidate(found, index, int(point), scale, number) for point in chosen]
     return sorted((one for one in candidates if one.severity > 1.0), key=lambda one: -one.severity)
 
 
-def _candidate(found: Reliability, index: PointObservations, point: int, scale: float, number: int) -> _Candidate:
+def _candidate(found: Reliability, index: ObservationIndex, point: int, scale: float, number: int) -> _Candidate:
     """The worst observation of a point, by its direction of the largest test."""
     at = found.at
     rows, observations = at.rows_of(point), index.of(point)
     covariance, through = residual_covariance(at, rows)
-    tests = list[tuple[ObservationName, Array, float, int]]()
+    tests = list[tuple[ObservationKey, Array, float, int]]()
     for observation, slot in observations.items():
         combination, test, dimensions = direction(covariance, rows.residuals[0], rows.observation == slot)
         if dimensions and test > 0.0:

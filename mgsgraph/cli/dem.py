@@ -36,9 +36,9 @@ def dem(
     from typing import cast
 
     from mgsgraph.cli.progress import counting_bars
-    from mgsgraph.dem.dem import make_dem
     from mgsgraph.dem.files import dem_statements
     from mgsgraph.dem.model import DemSettings, Heights
+    from mgsgraph.dem.production import make_dem
     from mgsgraph.project.reading import read_posterior, results_of
 
     images = () if pair is None else tuple(name.strip() for name in pair.split(","))

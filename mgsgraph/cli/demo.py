@@ -32,7 +32,8 @@ def demo(
     from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.cli.stages import stage_bar
-    from mgsgraph.demo.demo import STAGES, site_options
+    from mgsgraph.demo.demonstration import STAGES
+    from mgsgraph.demo.simulate import DEMONSTRATED, simulation_options
     from mgsgraph.demo.summary import write_demo
     from mgsgraph.output.folders import fresh_folder
     from mgsgraph.reports.summary import statements, summary_table
@@ -41,7 +42,7 @@ def demo(
         with iteration_bar(False, case.settings.max_iterations) as bar:
             return run(case, bar)
 
-    options = site_options(site, attitude_time_bias)
+    options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
     with fresh_folder(out) as folder, stage_bar(len(STAGES)) as stages:
         solution, closing = write_demo(site, folder, seed, options, adjusting, stages, figures=not no_figures)
     click.echo(summary_table(solution))

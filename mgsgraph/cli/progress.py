@@ -44,7 +44,9 @@ def counting_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """The same for work in several parts, each a known number of things, one bar after the other."""
+    """The same for work in several stages, each of a known number of parts: one bar after the other, or, where standard
+    error is no terminal, one line when a stage begins.
+    """
     bar: tqdm[None] | None = None
     shown = ""
 
@@ -53,6 +55,8 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
         if bar is None or shown != what:
             if bar is not None:
                 bar.close()
+            if not sys.stderr.isatty():
+                click.echo(f"{what} ...", err=True)
             bar, shown = tqdm(desc=what, total=most, leave=False, disable=None), what
         bar.total = most
         bar.update(done - bar.n)

@@ -51,7 +51,7 @@ def _write_page(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.reports.archive import read_solution
     from mgsgraph.review.page import write_review
-    from mgsgraph.review.review import WORST, review_case
+    from mgsgraph.review.selection import WORST, review_case
     from mgsgraph.review.verdicts import read_verdicts, reviewed_network
 
     if ties is None:

@@ -33,10 +33,10 @@ def simulate(
     attitude time bias of 0.95 s makes the 325 m of the papers' text at Gusev.
     """
     from mgsgraph.cli.stages import stage_bar
-    from mgsgraph.demo.simulate import simulation_options, strip_options, write_simulation
+    from mgsgraph.demo.simulate import simulation_options, strip_settings, write_simulation
 
     options = simulation_options(site, attitude_time_bias, not no_pictures)
-    strip = strip_options(site, images, ties, steps)
+    strip = strip_settings(site, images, ties, steps)
     with stage_bar(2) as stages:
-        case = write_simulation(site, out, seed, options, stages, strip)
+        case = write_simulation(site, out, seed, options, strip, steps, stages)
     click.echo(f"The case is {case}; the truth lies beside it in truth.json")

@@ -104,7 +104,8 @@ def refined_tables(image: PushbroomImage, correction: OrientationCorrection) -> 
     (position_times, place), (attitude_times, attitude) = found["m_positions"], found["m_quaternions"]
     return RefinedTables(
         epoch, shift, position_times, place.position, place.velocity,
-        attitude_times, continuous(rotation.from_matrix(attitude.matrix)), attitude.angular_rate, pixel, distance,
+        attitude_times, rotation.continuous(rotation.from_matrix(attitude.matrix)), attitude.angular_rate,
+        pixel, distance,
     )  # fmt: skip
 
 
@@ -123,13 +124,7 @@ def body_table(tables: RefinedTables, angular_rate: Turning) -> AttitudeTable:
         between = rotation.exponential(turn[:, None] * (np.arange(stride) / stride)[:, None]) @ first[:, None]
         if np.abs(between.reshape(-1, 3, 3) - matrices[:-1]).max() * lever <= _BODY_TOLERANCE:
             break
-    return AttitudeTable(times[::stride], continuous(rotation.from_matrix(matrices[::stride])), np.eye(3))
-
-
-def continuous(quaternions: Array) -> Array:
-    """The same rotations (n, 4) without jumps of sign, which no interpolation of their components would survive."""
-    signs = np.where(np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0.0, -1.0, 1.0)
-    return quaternions * np.cumprod(np.concatenate([[1.0], signs]))[:, None]
+    return AttitudeTable(times[::stride], rotation.continuous(rotation.from_matrix(matrices[::stride])), np.eye(3))
 
 
 def _middle_pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[float, float]:
@@ -160,7 +155,7 @@ def _interpolation_errors(
     attitudes in rad.
     """
     nodes = pose_at(image, correction, times)
-    quaternions, step = continuous(rotation.from_matrix(nodes.matrix)), float(times[1] - times[0])
+    quaternions, step = rotation.continuous(rotation.from_matrix(nodes.matrix)), float(times[1] - times[0])
     position = attitude = 0.0
     inner = slice(_BEYOND - 1, times.size - _BEYOND)
     for share in _BETWEEN:

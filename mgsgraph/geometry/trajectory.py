@@ -112,7 +112,7 @@ class Pose:
     """(n, 3, 3) body-fixed to camera frame, camera +Z out of the lens."""
     angular_rate: Array
     """(n, 3) rad per unit of rate: angular velocity of the camera against the body-fixed frame, in camera axes;
-    dM = -[turning]x M."""
+    dM = -[angular_rate]x M."""
 
     def scaled(self, rate: Array) -> "Pose":
         """The same pose with rates multiplied by `rate` (n,): seconds per line turn them into rates per line."""

@@ -11,7 +11,7 @@ import spiceypy
 from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isd import Aberration, read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.units import KM
@@ -167,7 +167,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
             "naif_keywords": {"INS-1_LIGHTTIME_CORRECTION": "LT+S"},
             "sun_position": {"ephemeris_times": [2.0, 1.0], "velocities": [[0.0, 1.0, 0.0]] * 2},
         },
-        "sun_position, ephemeris_times: times that stand still or go back",
+        "sun_position, ephemeris_times: 2 times and 2 velocities",
     ),
 }
 

@@ -19,7 +19,7 @@ if not SCRIPTS.is_dir():
     pytest.skip("the scripts are not beside the tests", allow_module_level=True)
 sys.path.append(str(SCRIPTS))
 
-import benchmark_blocks as blocks  # noqa: E402
+import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
 
 from mgsgraph.errors import EphemerisGap, InputError  # noqa: E402

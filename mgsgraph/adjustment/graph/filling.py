@@ -74,7 +74,7 @@ def put_rays(
 ):
     """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_observation` takes them.
 
-    `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, turnings or
+    `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, angular rates or
     rates of the angles), `scales` (m, 4 or 0) where S of the measured-line form is known already, `offset` (m,)
     lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of
     nodes. What is filled beside the constants: the ray's place among all observations, weights, and unit
