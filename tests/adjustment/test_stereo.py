@@ -1,0 +1,157 @@
+"""Laser shots on the surface that two images show: rows, both forms, the state that they end at, their statistics."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from networks import network, pair
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.graph import lay_out
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.stereo_surface import StereoSurface, averaged_surface, heights_above
+from mgsgraph.network import Network, PointClass, ProfileShifts
+from mgsgraph.network.records import StereoControl
+from mgsgraph.simulation.ground import rays_to_sines
+from mgsgraph.simulation.pair import SimulatedPair
+
+SHIFT = 60.0
+"""m, a-priori sigma of a profile's shift."""
+NOISE = 0.05
+"""pixels, of a dense match."""
+
+
+@cache
+def surface(made: SimulatedPair, noise: float = NOISE) -> StereoSurface:
+    """What dense matches of the pair give, every 12 pixels."""
+    first, second = made.images
+    grid = np.meshgrid(np.arange(6.5, first.lines, 12.0), np.arange(6.5, first.samples, 12.0), indexing="ij")
+    anchors = np.stack([part.ravel() for part in grid], axis=1)
+    ground = rays_to_sines(first, made.true_corrections[0], *anchors.T, made.settings.relief)
+    places, _ = second.ground_to_image(ground, made.true_corrections[1])
+    seen = np.all((places > 0.0) & (places < [second.lines, second.samples]), axis=1)
+    places = places[seen] + np.random.default_rng(made.seed).normal(0.0, noise, (int(seen.sum()), 2))
+    pixel = np.linalg.norm(np.diff(ground[[0, 1]], axis=0)) / 12.0
+    variances = np.full(len(places), noise**2)
+    return averaged_surface(anchors[seen], places, variances, np.full(2, pixel), 40.0, 12.0 * pixel)
+
+
+def stereo_network(made: SimulatedPair, displaced: bool = True, laser_rays: bool = False) -> Network:
+    """The pair's network, its laser profile displaced as a whole and on the stereo surface."""
+    net = network(made)
+    laser = net.points.classes == PointClass.LASER
+    rng = np.random.default_rng([made.seed, 7])
+    move = np.where(laser[:, None], np.einsum("k,nkj->nj", rng.normal(0.0, SHIFT, 2), _ways(net)), 0.0)
+    places = net.points.places - (move if displaced else 0.0)
+    truth = np.full_like(places, np.nan)
+    truth[laser] = made.true_footprints[: int(laser.sum())]
+    found = heights_above(surface(made), *made.images, truth[laser], made.true_corrections)
+    on = np.where(laser, 0, -1)
+    on[np.flatnonzero(laser)[~found.covered]] = -1
+    sigmas = np.full(len(laser), 1.0)
+    control = StereoControl((surface(made),), np.array([[0, 1]]), on, sigmas)
+    shifts = ProfileShifts(("profile",), np.where(laser, 0, -1), np.array([SHIFT]))
+    rays = net.rays if laser_rays else net.rays.chosen(~laser[net.rays.point])
+    return replace(net, points=replace(net.points, places=places), shifts=shifts, stereo=control, rays=rays)
+
+
+def _ways(net: Network) -> np.ndarray:
+    return east_north(np.nan_to_num(net.points.places, nan=1.0))
+
+
+def test_true_footprints_lie_on_the_surface() -> None:
+    made = pair(12, 24)
+    found = heights_above(surface(made), *made.images, made.true_footprints, made.true_corrections)
+    assert found.covered.sum() >= 20
+    assert np.abs(found.heights[found.covered]).max() < 1.5  # the average over a footprint is not its middle
+    assert np.abs(found.parallax[found.covered]).max() < 0.1
+
+
+def test_heights_have_the_derivatives_of_their_differences() -> None:
+    """By the point, and by position, rotation and focal length of both images; exact where the height is zero."""
+    made = pair(12, 24)
+    images, corrections = made.images, list(made.true_corrections)
+    found = heights_above(surface(made), *images, made.true_footprints, tuple(corrections))
+    points = made.true_footprints - found.heights[:, None] * found.normals
+    points = points[found.covered]
+    at = heights_above(surface(made), *images, points, tuple(corrections))
+    for axis in np.eye(3):
+        ahead, behind = (
+            heights_above(surface(made), *images, points + side * axis, tuple(corrections)) for side in (1.0, -1.0)
+        )
+        np.testing.assert_allclose((ahead.heights - behind.heights) / 2.0, at.normals @ axis, atol=2e-5)
+    for side in range(2):
+        for c, step in enumerate([1.0] * 3 + [1e-6] * 3):
+            moved = []
+            for sign in (1.0, -1.0):
+                coefficients = corrections[side].coefficients.copy()
+                coefficients[0, c] += sign * step
+                both = list(corrections)
+                both[side] = replace(corrections[side], coefficients=coefficients)
+                moved.append(heights_above(surface(made), *images, points, tuple(both)).heights)
+            scale = np.abs(at.by_pose[:, side, c]).max()
+            np.testing.assert_allclose((moved[0] - moved[1]) / (2.0 * step), at.by_pose[:, side, c], atol=2e-3 * scale)
+
+
+@pytest.mark.parametrize("held", [(False, False), (True, False)])
+def test_both_forms_agree(held: tuple[bool, bool]) -> None:
+    net = replace(stereo_network(pair()), held=np.array(held))
+    bundle, explicit = (adjust_network(net, SolverSettings(form=form)) for form in ("bundle", "explicit"))
+    assert bundle.converged
+    assert explicit.converged
+    assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
+    np.testing.assert_allclose(bundle.places, explicit.places, rtol=0.0, atol=1e-3)
+    for one, other in zip(bundle.covariances, explicit.covariances, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-6 * max(np.abs(other).max(), 1e-12))
+    np.testing.assert_allclose(bundle.shift_covariance(0), explicit.shift_covariance(0), rtol=1e-6)
+
+
+def test_starting_at_the_answer_moves_nothing() -> None:
+    """The objective is one function: rows that are linear about the answer have the answer for their minimum."""
+    net = stereo_network(pair(12, 24))
+    assert net.stereo is not None
+    found = adjust_network(net, SolverSettings())
+    again = adjust_network(replace(net, stereo=replace(net.stereo, starts=found.places)), SolverSettings())
+    laser = net.stereo.surface >= 0
+    sigmas = np.sqrt(np.diagonal(found.covariances[laser], axis1=1, axis2=2))
+    assert np.abs((again.places - found.places)[laser] / sigmas).max() < 1e-3
+    assert again.cost_final == pytest.approx(found.cost_final, rel=1e-8)
+
+
+def test_relief_finds_the_shift_and_states_its_error() -> None:
+    """Of the profile against the images: they share their own error, which relief between them doesn't see."""
+    off, sigmas, ratio = [], [], []
+    for seed in range(1, 13):
+        made = pair(40, 60, seed)
+        net = stereo_network(made)
+        without, found = (adjust_network(one, SolverSettings()) for one in (replace(net, stereo=None), net))
+        truth = np.random.default_rng([seed, 7]).normal(0.0, SHIFT, 2)
+        error = found.shifts[0] - truth
+        off.append([_relative(without, made, truth), _relative(found, made, truth)])
+        covariance = found.shift_covariance(0)
+        ratio.append(error @ np.linalg.solve(covariance, error))
+        sigmas.append(np.sqrt(np.trace(covariance)))
+    before, after = np.sqrt(np.mean(np.square(off), axis=0))
+    assert after < 0.25 * before
+    assert 8.0 < np.sum(ratio) < 46.0  # 99.8 % of chi-square with 24 degrees of freedom
+
+
+def _relative(found: Solution, made: SimulatedPair, truth: np.ndarray) -> float:
+    """m, by how much the tie points' mean error and the footprints' differ in the plane."""
+    ties = found.network.points.classes == PointClass.TIE
+    of_ties = (found.places[ties] - made.true_ties[: int(ties.sum())]).mean(axis=0)
+    of_shots = (found.places[~ties] - made.true_footprints[: int((~ties).sum())]).mean(axis=0)
+    ways = east_north(found.places[ties][:1])[0]
+    return float(np.linalg.norm(ways @ (of_ties - of_shots)))
+
+
+def test_points_that_the_images_do_not_see_are_refused() -> None:
+    net = stereo_network(pair())
+    assert net.stereo is not None
+    far = np.where(net.stereo.surface[:, None] >= 0, -1.0, 1.0) * np.nan_to_num(net.points.places)
+    with pytest.raises(InputError, match="stereo surface"):
+        lay_out(replace(net, stereo=replace(net.stereo, starts=far)), SolverSettings())
