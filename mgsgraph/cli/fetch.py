@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from mgsgraph.fetch.fetch import Planned
+    from mgsgraph.fetch.folder import Planned
 
 _PATH = click.Path(path_type=Path)
 
@@ -46,7 +46,7 @@ def fetch(
         raise click.UsageError("Missing option '--out'")
     from mgsgraph.cli.progress import byte_bar, passing_word
     from mgsgraph.fetch.archives import Archives
-    from mgsgraph.fetch.fetch import fetch_images, survey
+    from mgsgraph.fetch.folder import fetch_images, survey
 
     archives = Archives.chosen(mirror, mirrors)
     if out is None or dry_run:
