@@ -12,6 +12,7 @@ import numpy as np
 from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.statistics import sigmas_along
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
@@ -35,7 +36,6 @@ def pose_sigmas(
     ----------
     network : Network
         Whose numbering of variables `joint` has.
-    image : int
     correction : OrientationCorrection
         Of the image, whole.
     joint : JointCovariance
@@ -50,9 +50,9 @@ def pose_sigmas(
     picture = network.images[image]
     moments, nominal = picture.moments(lines), picture.pose(lines)
     turns, result = _turns(nominal, correction.axes(nominal, moments)), np.empty((lines.size, 6))
-    for k, felt in enumerate(designs(network, image, correction.angles, lines)):
-        design = turns[k] @ np.concatenate([np.zeros((6, 0)), *felt.values()], axis=1)
-        result[k] = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", design, joint.of(felt), design), 0.0))
+    for k, partials in enumerate(designs(network, image, correction.angles, lines)):
+        design = turns[k] @ np.concatenate([np.zeros((6, 0)), *partials.values()], axis=1)
+        result[k] = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", design, joint.of(partials), design), 0.0))
     return result
 
 
@@ -92,7 +92,7 @@ def point_sigmas(covariances: Array, places: Array, velocities: Array) -> Array:
         Body-fixed, of any length: of the camera that flies over each (`overhead`).
     """
     axes = flight_axes_at(places, velocities)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("nai,nij,naj->na", axes, covariances, axes), 0.0)))
+    return sigmas_along(axes, covariances)
 
 
 def flight_axes_at(places: Array, velocities: Array) -> Array:

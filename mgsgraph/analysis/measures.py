@@ -73,12 +73,6 @@ class Levels:
             return self.critical**2
         return float(ncx2.ppf(1.0 - self.power, dimensions, self.shift**2))
 
-    def alpha_of(self, dimensions: int) -> float:
-        """Size of a test of several dimensions; of the global test, with the degrees of freedom."""
-        from scipy.stats import chi2
-
-        return self.alpha if dimensions == 1 else float(chi2.sf(self.critical_squares(dimensions), dimensions))
-
 
 UNCONTROLLED = 1e-6
 """Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
@@ -155,8 +149,8 @@ class Measures:
         self.point[:], self.image[:], self.sight[:] = point, image, sight
 
 
-def room(size: int) -> Measures:
-    """Room for so many."""
+def empty_measures(size: int) -> Measures:
+    """So many measures, to be filled in."""
     types = [np.int8] * 2 + [np.int32] * 4 + [np.float64] * 8 + [np.int8]
     arrays: list[Any] = [np.empty(size, dtype=kind) for kind in types]
     return Measures(*arrays)
@@ -181,7 +175,6 @@ def judge_scalars(
         m that an error of one sigma, scaled likewise, moves the point.
     root : (m,), optional
         Roots of the robust weights.
-    levels : Levels
 
     Others predict the measure with a variance of g = h / (1 - h) / p sigma^2: the test is that of the prediction's
     error v / (1 - h), whose variance is (1 + g) sigma^2.
@@ -261,7 +254,6 @@ def judge_places(out: Measures, covariance: Array, numbers: Array, levels: Level
         Of the places, m^2.
     numbers : (g, 3, 7)
         Residual, H and effect of each row, as the kernel has them.
-    levels : Levels
 
     w_k = (P v)_k / sqrt((P Qvv P)_kk), Baarda's for correlated measures; an error e along axis k is U e in the rows.
     """

@@ -19,8 +19,8 @@ from mgsgraph.analysis.estimates import (
     Difference,
     Estimate,
     PixelEstimate,
-    PlaceEstimate,
     PoseEstimate,
+    PositionEstimate,
     Quantity,
     covariance,
     together,
@@ -77,10 +77,10 @@ class Posterior:
 
     # --- answers
 
-    def point(self, name: str) -> PlaceEstimate:
+    def point(self, name: str) -> PositionEstimate:
         """Place and covariance of an adjusted ground point."""
         quantity = self.of_point(name)
-        return PlaceEstimate(name, quantity.values, self.covariance([quantity]))
+        return PositionEstimate(name, quantity.values, self.covariance([quantity]))
 
     def difference(self, first: str, second: str) -> Difference:
         """From the first point to the second: vector, height difference and distance, with what they share left out."""
@@ -109,12 +109,12 @@ class Posterior:
         quantity = self.of_projection(point, image)
         return PixelEstimate(point, image, quantity.values, self.covariance([quantity]))
 
-    def intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> PlaceEstimate:
+    def intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> PositionEstimate:
         """Ground place of new measures, with their own noise and that of the orientation; two rays or more."""
         rows, place = self._crossing(pixels, name)
         quantity = self._of_crossing(rows, place, name)
         misfit = self._misfit(rows, name)
-        return PlaceEstimate(name, quantity.values, self.covariance([quantity]), misfit)
+        return PositionEstimate(name, quantity.values, self.covariance([quantity]), misfit)
 
     def joint(self, quantities: Sequence[Quantity]) -> Estimate:
         """Several quantities with their joint covariance and correlations."""
@@ -130,7 +130,7 @@ class Posterior:
     def of_point(self, name: str) -> Quantity:
         """X, Y, Z of an adjusted ground point."""
         i = self._point(name)
-        place = self.linearised.place_of(i)
+        place = self.linearised.layout_index(i)
         names = tuple(f"{axis} of point {name}" for axis in _AXES)
         values = self.linearised.points[place]
         if self.linearised.rows.kind[place] == FIXED:
@@ -247,10 +247,10 @@ class Posterior:
         turned = -rotation.logarithm(pose.matrix @ np.swapaxes(nominal.matrix, 1, 2))
         first, found = self.linearised.layout.variables.first, []
         follows = designs(self.network, image, correction.angles, lines)
-        for k, (line, felt) in enumerate(zip(lines, follows, strict=True)):
+        for k, (line, partials) in enumerate(zip(lines, follows, strict=True)):
             names = tuple(f"{name} of image {picture.name} at line {line:g}" for name in COMPONENTS)
             values = np.concatenate([pose.position[k], turned[k]])
-            by_shared = {v: turn[k] @ part for v, part in felt.items() if first[v] >= 0}
+            by_shared = {v: turn[k] @ part for v, part in partials.items() if first[v] >= 0}
             found.append(Quantity(names, _POSE_UNITS, values, by_shared, {}))
         return found
 
@@ -260,7 +260,7 @@ class Posterior:
         return Quantity(names, ("m",) * 3, values, self._by_variable(rows.variables, by_shared[0]), {own: noise[0]})
 
     def _by_variable(self, variables: Sequence[int], columns: Array) -> dict[int, Array]:
-        """Columns (m, c) of variables, one after another, taken apart; none where only held images are felt."""
+        """Columns (m, c) of variables, one after another, split by variable; none where all images are held."""
         if not variables:
             return {}
         width = self.linearised.layout.variables.width[list(variables)]

@@ -25,11 +25,11 @@ from mgsgraph.analysis.measures import (
     Measures,
     Places,
     Small,
+    empty_measures,
     judge_places,
     judge_scalars,
     names_of,
     pair_tests,
-    room,
     units_of,
 )
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -141,7 +141,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     known = prior_rows(at)
     sizes = [2 * int(np.count_nonzero(used)), shots.size, 3 * points.size, heights.size, known.about.size]
     ends = np.cumsum([0, *sizes]).tolist()
-    out = room(ends[-1])
+    out = empty_measures(ends[-1])
     rays, ranges, apriori, surface, priors = (out.part(a, b) for a, b in pairwise(ends))
     squares = sum(_rays(rays, at, numbers, used, roots, levels))
     squares += _ranges(ranges, at, numbers, shots, roots, levels)

@@ -60,11 +60,6 @@ class ChiSquareTest:
         """Whether the two-sided test finds nothing."""
         return self.two_sided >= self.alpha
 
-    @property
-    def passed_one_sided(self) -> bool:
-        """Whether the sum is not too large."""
-        return self.larger >= self.alpha
-
     def words(self) -> str:
         """One sentence."""
         low, high = self.bounds

@@ -75,11 +75,6 @@ class GroupStatistics:
         """(stages, 3) by how much smaller than before the mean sigmas are."""
         return ratio(self.mean[0], self.mean)
 
-    @property
-    def pose_factors(self) -> Array:
-        """(stages, 6) the same of the orientation."""
-        return ratio(self.poses[0], self.poses)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoStepStatistics:

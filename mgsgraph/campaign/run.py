@@ -151,7 +151,6 @@ def run_campaign(
         Where to work (see `mgsgraph.adjustment.cluster.parse_cluster`); in this process when absent.
     retry : bool
         Do cases again that have failed or not converged, too, though nothing has changed.
-    progress : callable
 
     Raises
     ------

@@ -70,7 +70,6 @@ class Engine:
 
     Parameters
     ----------
-    settings : SolverSettings
     store : StateStore
         Read here, never written.
     """
@@ -193,8 +192,8 @@ class Engine:
 
     def _unfelt(self, gone: Sequence[Members], networks: Iterable[Members]) -> list[Unknown]:
         """Shifts that no bundle feels any longer, not even one whose points have no place."""
-        felt = {unknown for members in gone for unknown in members if unknown.kind == "shift"}
-        doubtful = [unknown for unknown in felt if not self._holding[unknown]]
+        shifts = {unknown for members in gone for unknown in members if unknown.kind == "shift"}
+        doubtful = [unknown for unknown in shifts if not self._holding[unknown]]
         left = {*self._store.members()} - {*gone} | {*networks} if doubtful else set()  # all bundles are many to read
         return [unknown for unknown in doubtful if not any(unknown in members for members in left)]
 
@@ -334,7 +333,7 @@ class Engine:
         """
         found = {members: self._renewed(members) for members in made}
         for members, spread in joint.items():
-            moved, changed = self._told(members, spread)
+            moved, changed = self._changed_noticeably(members, spread)
             if moved and changed:
                 found |= self._placed([members], joint)
             elif moved:
@@ -344,8 +343,8 @@ class Engine:
     def _renewed(self, members: Members) -> Bundle:
         return replace(self._store.bundle(members), reduced=self.systems.get(members))
 
-    def _told(self, members: Members, joint: Array) -> tuple[bool, bool]:
-        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed: its probes tell."""
+    def _changed_noticeably(self, members: Members, joint: Array) -> tuple[bool, bool]:
+        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed, by its probes."""
         bundle = self._store.bundle(members)
         if (found := self._probes.get(members)) is None:
             chosen = probes(bundle)

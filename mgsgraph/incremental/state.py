@@ -125,59 +125,45 @@ class StateStore(Protocol):
 
     def image_names(self) -> list[str]:
         """All images, in the order in which they came."""
-        ...
 
     def image(self, name: str) -> KnownImage:
         """One of them."""
-        ...
 
     def shared(self) -> dict[Unknown, Shared]:
         """All adjusted unknowns."""
-        ...
 
     def reduced(self) -> dict[Members, ReducedSystem]:
         """The reduced systems of all bundles that have one, without any of their points."""
-        ...
 
     def homes(self, ids: Iterable[str]) -> dict[str, Members]:
         """For those of the points that are there: their bundle."""
-        ...
 
     def seen_by(self, image: str) -> list[Members]:
         """Bundles with points that have a ray or a range from an image."""
-        ...
 
     def bundle(self, members: Members) -> Bundle:
         """A bundle with its points."""
-        ...
 
     def members(self) -> list[Members]:
         """All bundles."""
-        ...
 
     def put_image(self, known: KnownImage) -> None:
         """Add an image."""
-        ...
 
     def drop_image(self, name: str) -> None:
         """Take an image out; its bundles have been replaced before."""
-        ...
 
     def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
         """Add unknowns or replace their values."""
-        ...
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
         """Take unknowns out."""
-        ...
 
     def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
         """Take bundles out and put others in, none of which is there."""
-        ...
 
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
         """New systems and places for bundles whose points are the same."""
-        ...
 
 
 class ImagesByName(Mapping[str, KnownImage]):

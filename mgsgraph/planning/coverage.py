@@ -65,12 +65,7 @@ class OrientedImage:
 
 
 class ImageCoverage:
-    """All images of a network and the ground under them.
-
-    Parameters
-    ----------
-    state : NetworkState
-    """
+    """All images of a network and the ground under them."""
 
     def __init__(self, state: NetworkState) -> None:
         network = state.network

@@ -74,8 +74,6 @@ def network_state(
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     values : mapping
         Shared unknowns, m and rad.
     places : (n, 3)
@@ -106,8 +104,6 @@ class ReducedNetwork:
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     values : mapping
         Shared unknowns; those that are missing stand at zero.
     places : (n, 3)
@@ -183,7 +179,7 @@ class CurrentState(ReducedNetwork):
         self.state = state
         require_strength(self.layout, self.reduction)
         self.joint = orientation_covariance(BundleGraph(self.layout, self.rows), self.reduction)
-        self.place = {name: i for i, name in enumerate(state.network.points.ids)}
+        self.index_of = {name: i for i, name in enumerate(state.network.points.ids)}
 
     def covariance_with(self, names: Sequence[Unknown]) -> Array:
         """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another."""

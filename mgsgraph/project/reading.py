@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.posterior import Posterior
@@ -140,7 +141,5 @@ def _state(project: Project, where: str) -> tuple[Network, _Values, Array]:
 
 def _taking_part(network: Network, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rays and ranges that were not rejected, of points that have a place."""
-    there, rays, ranges = np.isfinite(places[:, 0]), network.rays, network.ranges
-    assert rays.rejected is not None
-    assert ranges.rejected is not None
-    return ~rays.rejected & there[rays.point], ~ranges.rejected & there[ranges.point]
+    there, kept = np.isfinite(places[:, 0]), unmarked(network)
+    return kept.rays & there[network.rays.point], kept.ranges & there[network.ranges.point]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
@@ -21,7 +22,6 @@ from mgsgraph.registration.case import (
     ProfileRegistration,
     five_steps_difference,
     registration_statements,
-    root_mean_square,
 )
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.units import DEG

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
@@ -22,7 +23,7 @@ from mgsgraph.geometry.orientation_images import OrientationImages, evenly_space
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.support import LEAST, require_supported
-from mgsgraph.spacing.rays import HeldOut, Scatter, hold_out, misfits, ray_scatter, unmarked, whitening
+from mgsgraph.spacing.rays import HeldOut, Scatter, hold_out, misfits, ray_scatter, whitening
 
 
 def respaced(network: Network, spacing: float) -> Network:

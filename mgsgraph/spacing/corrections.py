@@ -77,8 +77,6 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
 
     Parameters
     ----------
-    solution : Solution
-    strip : int
     factor : float, optional
         Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
     """

@@ -21,7 +21,6 @@ from statistics import NormalDist
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.passes import Selection
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
@@ -104,7 +103,6 @@ def densify(
     least: int = LEAST,
     most: int = 6,
     left_in: Selection | None = None,
-    progress: Callable[[Iteration], None] = lambda _: None,
 ) -> Densified:
     """Adjust a network, give it nodes where residuals ask for them, and again, until none asks or none can be given.
 
@@ -112,7 +110,6 @@ def densify(
     ----------
     network : Network
         With strips of few nodes.
-    settings : SolverSettings
     level : float
         Share of networks without any pattern in which an interval asks all the same.
     worth : float
@@ -123,8 +120,6 @@ def densify(
         Adjustments at the most.
     left_in : Selection, optional
         Rays and ranges that take part; all when absent. Not together with a blunder limit.
-    progress : callable
-        Called with every iteration.
     """
     require_respaceable(network)
     for name, value, high in (("level", level, 0.5), ("worth", worth, math.inf)):
@@ -133,7 +128,7 @@ def densify(
     require_supported(network, least, None if left_in is None else left_in.rays)
     rounds = list[Round]()
     while True:
-        solution = adjust_network(network, settings, f"round {len(rounds) + 1}", progress, left_in=left_in)
+        solution = adjust_network(network, settings, f"round {len(rounds) + 1}", left_in=left_in)
         closer, this = _closer(solution, level, worth, least)
         rounds.append(this)
         if not sum(this.asked):
@@ -211,8 +206,6 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Resi
 
     Parameters
     ----------
-    solution : Solution
-    strip : int
     factor : float, optional
         Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
     """
