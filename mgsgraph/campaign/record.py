@@ -15,7 +15,7 @@ import msgspec
 
 from mgsgraph.adjustment.settings import Form, Loss, SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.io.claim import claim
+from mgsgraph.io.files import claim
 
 Status = Literal["done", "not converged", "failed"]
 

@@ -15,7 +15,7 @@ from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.case.images import read_image
 from mgsgraph.case.reading import read_shots
 from mgsgraph.case.schema import ImageInput, OrientationInput, Positive, Sigma, SpiceInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
@@ -166,10 +166,8 @@ def read_candidates(
         *(partial(_control, coverage, one, path, k) for k, one in enumerate(wanted.control)),
     ]
     for planned in plans:
-        try:
+        with errors_from(str(path)):
             found.append(planned())
-        except InputError as error:
-            raise error if str(path) in str(error) else error.within(str(path)) from None
         progress(len(found), len(plans))
     return tuple(found)
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from mgsgraph.errors import InputError
 from mgsgraph.incremental.impact import Impact
-from mgsgraph.io.fresh_file import beside, fresh_file
+from mgsgraph.io.files import beside, fresh_file
 
 _FIRST = "point,new,move_x_m,"
 """How every such table begins."""
