@@ -22,7 +22,7 @@ from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.helmert import CORRELATED, DENSE, Redundancy, given, group_redundancy, most_correlated, nearest
+from mgsgraph.analysis.helmert import CORRELATED, Redundancy, given, group_redundancy, most_correlated, nearest
 from mgsgraph.analysis.linearised import Linearised, at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
@@ -33,13 +33,13 @@ LEAST = 1.0
 SURE = 0.99
 """Probability that a verdict goes by: sigmas are called wrong when this interval leaves out 1."""
 _VAGUE = 0.15
-"""Relative sigma of a factor from which on a verdict says that little can be told."""
+"""Relative sigma of a factor from which on a verdict says that little can be said."""
 _FAR = 0.25
 """Logarithm of a factor from which on a single pass is but a first look."""
 _STEP = 4.0
 """Largest factor of a sigma in one pass."""
 _FLOOR, _CEILING = 0.02, 500.0
-"""Factors in total at which a group is held: its sigma can't be told from zero, or from infinity."""
+"""Factors in total at which a group is held: its sigma can't be distinguished from zero, or from infinity."""
 _UNDAMPED = 8
 """Passes after which only half the step is taken (in logarithms), should they go to and fro."""
 
@@ -231,9 +231,7 @@ class IteratedComponents:
         return f"{self.components.words()}\n{end}"
 
 
-def components_of(
-    solution: Solution | Linearised, grouping: Grouping | None = None, dense: int = DENSE
-) -> Components:
+def components_of(solution: Solution | Linearised, grouping: Grouping | None = None) -> Components:
     """Variance components from one adjustment.
 
     With factors far from one they are rough, and their sigmas too small where other groups' sigmas are too small:
@@ -242,14 +240,11 @@ def components_of(
 
     Parameters
     ----------
-    solution : Solution or Linearised
     grouping : Grouping, optional
         `group_rows` when absent.
-    dense : int
-        Shared unknowns up to which Helmert's matrix is exact.
     """
     at = solution if isinstance(solution, Linearised) else at_solution(solution)
-    found = group_redundancy(at, grouping or group_rows(at.network), dense)
+    found = group_redundancy(at, grouping or group_rows(at.network))
     judgements = _judgements(found, {})
     squared = _squared_factors(found, judgements)
     plain = found.squares / np.maximum(found.redundancy, 1e-300)
@@ -264,7 +259,6 @@ def iterated_components(
     grouping: Grouping | None = None,
     most: int = 25,
     tolerance: float = 0.01,
-    dense: int = DENSE,
 ) -> IteratedComponents:
     """Scale the sigmas of each group, adjust again, and so on until all factors are one.
 
@@ -280,8 +274,6 @@ def iterated_components(
         Passes.
     tolerance : float
         By which factors of the last pass may differ from one.
-    dense : int
-        Shared unknowns up to which Helmert's matrix is exact.
 
     Raises what `adjust_network` raises.
     """
@@ -294,7 +286,7 @@ def iterated_components(
         present = scaled(network, grouping, total)
         solution = adjust_network(present, settings, left_in=left_in)
         history.append(total.copy())
-        found = group_redundancy(at_solution(solution), grouping, dense)
+        found = group_redundancy(at_solution(solution), grouping)
         judgements = _judgements(found, held)
         free = np.array([one is Judgement.JUDGED for one in judgements], dtype=bool)
         step = np.where(free, np.sqrt(np.clip(_squared_factors(found, judgements), _STEP**-2, _STEP**2)), 1.0)

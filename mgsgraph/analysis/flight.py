@@ -112,14 +112,14 @@ def overhead(image: PushbroomImage, lines: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StripCorrections:
-    """Corrections along a strip, at some times."""
+    """Corrections of a strip at some times, in the axes of the flight."""
 
     times: Array
     """(n,) s TDB past J2000."""
     values: Array
     """(n, 6) m along, across and radial, and rad of roll, pitch and yaw."""
     sigmas: Array
-    """(n, 6) the same, of `values`, for sigma0 = 1."""
+    """(n, 6) m and rad, standard deviations of `values`, for sigma0 = 1."""
 
 
 def strip_corrections(solution: Solution, strip: int, times: Array) -> StripCorrections:
@@ -141,22 +141,22 @@ def strip_corrections(solution: Solution, strip: int, times: Array) -> StripCorr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StripReport:
-    """One strip, in figures."""
+    """Nodes, corrections and trend of one strip."""
 
     name: str
-    """What it is called."""
+    """Name of the strip."""
     basis: str
-    """Between its nodes."""
+    """Interpolation between its nodes: Lagrange or spline."""
     images: tuple[str, ...]
-    """Names."""
+    """Names of its images."""
     nodes: int
-    """All of them; a spline has one beyond either end."""
+    """Number of nodes; a spline has one beyond either end."""
     spacing: float
     """s between nodes, on the average."""
     lines: float
-    """The same in lines of the image that looks straight down."""
+    """Lines of the most nadir-looking image between two nodes."""
     ground: float
-    """The same in m over ground; NaN where that image misses the body."""
+    """m on the ground between two nodes; NaN where that image misses the body."""
     corrections: StripCorrections
     """Corrections at the nodes within the strip."""
     trend: tuple[tuple[str, str, float, float], ...]
@@ -175,7 +175,7 @@ class StripReport:
 
 
 def strip_reports(solution: Solution) -> list[StripReport]:
-    """All strips, in their order."""
+    """Reports of all strips, in their order."""
     return [_report(solution, k) for k in range(len(solution.network.strips))]
 
 

@@ -55,8 +55,8 @@ class Levels:
         return self.critical + float(ndtri(self.power))
 
     def critical_tau(self, degrees_of_freedom: float) -> float:
-        """The same as `critical` for tests divided by the a-posteriori sigma0 (Pope 1976), one among whose degrees of
-        freedom they are.
+        """Critical value of tests divided by the a-posteriori sigma0, Pope's tau (Pope 1976), of so many degrees of
+        freedom.
         """
         from scipy.special import stdtrit
 
@@ -82,7 +82,7 @@ Places = NDArray[np.int32]
 
 
 class MeasureKind(IntEnum):
-    """What a measure is."""
+    """Kind of a scalar measure."""
 
     RAY = 0
     """Image place: line and sample, in pixels."""
@@ -144,7 +144,7 @@ class Measures:
         image: Index | int,
         observation: Index | Places | int,
     ) -> None:
-        """Write down what they are."""
+        """Write kind, component, row, point, image and observation of all of them."""
         self.kind[:], self.component[:], self.row[:] = kind, component, row
         self.point[:], self.image[:], self.observation[:] = point, image, observation
 

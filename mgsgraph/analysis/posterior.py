@@ -1,4 +1,4 @@
-"""The posterior, to be asked: points, poses at any line, pairs, projections, new intersections, and their covariances.
+"""The posterior: points, poses at any line, pairs, projections, new intersections, and their covariances.
 
 posterior = mgsgraph.Posterior.of(solution)
 posterior.point("T17").ellipsoid(0.95)
@@ -45,7 +45,7 @@ _POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 @dataclass(frozen=True, slots=True)
 class Pixel:
-    """A place in an image, measured or to be measured."""
+    """An image point, measured or to be measured."""
 
     image: str
     """Name of the image."""
@@ -58,7 +58,9 @@ class Pixel:
 
 
 class Posterior:
-    """What an adjustment knows, on demand. All covariances are for sigma0 = 1, as the a-priori sigmas imply.
+    """Estimates and covariances of an adjustment, computed when asked for.
+
+    All covariances are for sigma0 = 1, as the a-priori sigmas imply.
 
     Parameters
     ----------
@@ -94,7 +96,7 @@ class Posterior:
         return self.poses(image, np.array([line]))[0]
 
     def poses(self, image: str, lines: Array) -> list[PoseEstimate]:
-        """The same at several lines (n,): what a sigma curve is drawn from."""
+        """Exterior orientation of an image at several lines (n,)."""
         j = self.image_number(image)
         picture, correction = self.network.images[j], self.correction(j)
         pose = picture.pose(lines, correction)

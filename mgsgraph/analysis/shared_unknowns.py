@@ -27,9 +27,9 @@ class SharedEstimate:
     """One column of a shared unknown: its value, and what it may be taken for. Units of reports: s, mrad, m."""
 
     name: str
-    """Of the unknown."""
+    """Name of the unknown."""
     kind: SharedKind
-    """What it is."""
+    """Kind of the unknown."""
     axis: str
     """x, y or z of the camera, of a boresight; else empty."""
     unit: str
@@ -39,7 +39,7 @@ class SharedEstimate:
     sigma: float
     """Its standard deviation, for sigma0 = 1."""
     prior_sigma: float
-    """The same beforehand."""
+    """Its a-priori standard deviation."""
     image: str
     """Image whose constant pitch (`pitch_axis`) it is most like; empty where all are held."""
     correlation: float

@@ -66,7 +66,7 @@ class Snooping:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidate:
-    """The most suspicious observation of a point, and those that can't be told apart from it."""
+    """The most suspicious observation of a point, and those that can't be separated from it."""
 
     removal: Removal
     variables: tuple[int, ...]

@@ -1,4 +1,4 @@
-"""Figures of merit of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
+"""Statistics of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
 
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
 """
@@ -97,7 +97,7 @@ class OrientationStatistics:
     mean: Array
     """(9,) m and rad, adjusted minus nominal."""
     rms: Array
-    """(9,) m and rad, the same."""
+    """(9,) m and rad, of adjusted minus nominal."""
     mean_sigma: Array
     """(9,) m and rad, mean standard deviation of the adjusted orientation, for sigma0 = 1."""
 

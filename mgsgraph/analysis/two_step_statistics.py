@@ -1,4 +1,4 @@
-"""Figures of merit of an adjustment in two steps: sigmas of points and orientation, and heights above the terrain, at
+"""Statistics of an adjustment in two steps: sigmas of points and orientation, and heights above the terrain, at
 each stage; by strip and for all. SI units, NaN for nothing.
 
 Heights are compared like with like: at every stage of the places where the rays alone put the points, with the
@@ -41,7 +41,7 @@ class HeightStatistics:
     rms: Array
     """(stages,) m, by rays alone."""
     mean: Array
-    """(stages,) m, the same."""
+    """(stages,) m, mean height by rays alone."""
     rms_given: float
     """m, the same after step 2, above the model where it is given: differs where its shift or tilt is unknown."""
     rms_adjusted: float
@@ -58,7 +58,7 @@ class GroupStatistics:
     """Of one strip, one image in no strip, or all."""
 
     name: str
-    """Which."""
+    """Name of the strip or image, or "all"."""
     points: int
     """Tie points that have a place after both steps."""
     mean: Array
@@ -106,7 +106,7 @@ def ratio(before: Array, after: Array) -> Array:
 
 
 def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
-    """Figures of merit of both steps.
+    """Statistics of both steps.
 
     A-priori sigmas of points are those of forward intersection (`analysis.forward`), of the rays that step 1 left in.
     """

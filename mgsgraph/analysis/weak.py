@@ -93,7 +93,7 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
 
 
 def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[WeakDirection, ...]:
-    """The same of a covariance that belongs to a layout."""
+    """The directions of a layout's shared unknowns of which a covariance says least, weakest first."""
     if count < 1:
         raise InputError("weak directions, count", f"{count}", "1 or more")
     if joint.columns == 0 or joint.columns != layout.columns:

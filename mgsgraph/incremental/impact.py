@@ -99,7 +99,7 @@ class Impact:
         )
 
     def after(self, seconds: float) -> "Impact":
-        """The same, with the wall time it took."""
+        """The record with the wall time (s) of the change."""
         return replace(self, seconds=seconds)
 
     def sentences(self) -> list[str]:

@@ -121,13 +121,13 @@ class Settled:
 
 
 class StateStore(Protocol):
-    """Where the state lies: in memory (`InMemory`), or in the file of a kept project."""
+    """Storage of the state: in memory (`InMemory`), or in the file of a kept project."""
 
     def image_names(self) -> list[str]:
         """All images, in the order in which they came."""
 
     def image(self, name: str) -> KnownImage:
-        """One of them."""
+        """An image by its name."""
 
     def shared(self) -> dict[Unknown, Shared]:
         """All adjusted unknowns."""
@@ -145,7 +145,7 @@ class StateStore(Protocol):
         """A bundle with its points."""
 
     def members(self) -> list[Members]:
-        """All bundles."""
+        """Members of all bundles."""
 
     def put_image(self, known: KnownImage) -> None:
         """Add an image."""
@@ -200,7 +200,7 @@ class InMemory:
         return list(self._images)
 
     def image(self, name: str) -> KnownImage:
-        """One of them."""
+        """An image by its name."""
         return self._images[name]
 
     def shared(self) -> dict[Unknown, Shared]:
@@ -224,7 +224,7 @@ class InMemory:
         return self._bundles[members]
 
     def members(self) -> list[Members]:
-        """All bundles."""
+        """Members of all bundles."""
         return list(self._bundles)
 
     def put_image(self, known: KnownImage) -> None:

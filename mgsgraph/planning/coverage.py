@@ -1,4 +1,4 @@
-"""The ground under a network, and what its images show of it, where they stand."""
+"""Ground coverage of a network's images: what each shows of the ground with its adjusted orientation."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -26,20 +26,20 @@ _TERRAIN_STEPS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientedImage:
-    """An image where it stands."""
+    """An image with its adjusted orientation and its footprint."""
 
     known: KnownImage
-    """Geometry and prior."""
+    """Geometry and prior of the image."""
     correction: OrientationCorrection
-    """Of its nominal orientation."""
+    """Correction of its nominal orientation."""
     height: float
     """m above the ellipsoid, of the ground that it shows."""
     footprint: Footprint
-    """At that height."""
+    """Footprint at that height."""
 
     @property
     def image(self) -> PushbroomImage:
-        """Its geometry."""
+        """Geometry of the image."""
         return self.known.image
 
     def shown(self, points: Array) -> tuple[Index, Array]:

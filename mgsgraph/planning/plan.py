@@ -31,7 +31,7 @@ class Evaluation:
     before: Sigmas
     """Of the targets, m."""
     after: Sigmas
-    """The same with the candidate."""
+    """Sigmas of the targets with the candidate, m."""
     bits: float
     """Information gained on the shared unknowns that exist already: half the binary logarithm by which the determinant
     of their covariance falls."""

@@ -35,14 +35,14 @@ class Targets:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of them, points first."""
+        """Names of all targets, points first."""
         return (*self.points, *self.images)
 
     def __len__(self) -> int:
         return len(self.points) + len(self.images)
 
     def words(self) -> str:
-        """What they are."""
+        """The targets in words."""
         named = {"ties": "tie points", "all": "points"}
         if len(self.wanted) == 1 and self.wanted[0] in named:
             return f"{len(self)} {named[self.wanted[0]]}"
@@ -127,7 +127,7 @@ class TargetSigmas:
         return self._sigmas(self._of_points(flat), [self.present.joint.block(v, v) for v in numbers])
 
     def after(self, update: Update) -> Array:
-        """(t, 4) m, the same after planned measures."""
+        """(t, 4) m: total, east, north, up of every target after planned measures."""
         points = self._of_points(update.pairs()) if self._index.size else np.zeros((0, 3, 3))
         place = {name: k for k, name in enumerate(self.targets.points)}
         ids = update.added.after.network.points.ids

@@ -36,7 +36,7 @@ class AddedInformation:
     conditional: Array
     """(w, w) covariance of the new unknowns, were the touched ones known."""
     regression: Array
-    """(w, d) how the new unknowns follow the touched ones."""
+    """(w, d) regression of the new unknowns on the touched ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,11 +44,11 @@ class Update:
     """Planned measures over a network as it stands."""
 
     present: CurrentState
-    """What is there."""
+    """The network as it is."""
     added: AddedInformation
-    """What the measures add."""
+    """Information that the measures add."""
     downdate: Array
-    """(columns, d) U on all present unknowns."""
+    """(columns, d) U of S' = S - U U', on all present unknowns."""
     bits: float
     """Information gained on all present unknowns."""
 

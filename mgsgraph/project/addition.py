@@ -14,7 +14,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
-from mgsgraph.geometry.records import Mask
+from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.isd import read_isd
@@ -324,41 +324,35 @@ def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
     return part(replace(left, points=points, shifts=shifts), with_rows)
 
 
-def _repeated_rays(network: Network, old: Network, there: np.ndarray) -> Mask:
-    place = {
-        (point, old.images[image].name): tuple(value)
-        for point, image, value in zip(
-            old.rays.point.tolist(), old.rays.image.tolist(), old.rays.places.tolist(), strict=True
-        )
-    }
-    rows = zip(
-        there[network.rays.point].tolist(), network.rays.image.tolist(), network.rays.places.tolist(), strict=True
-    )
-    return np.array(
-        [place.get((point, network.images[image].name)) == tuple(value) for point, image, value in rows], dtype=bool
-    )
+def _repeated_rays(network: Network, old: Network, there: Index) -> Mask:
+    """(k,) True for rays that are there already, with the same line and sample."""
+    known = set(_ray_rows(old, old.rays.point))
+    return np.array([row in known for row in _ray_rows(network, there[network.rays.point])], dtype=bool)
 
 
-def _repeated_ranges(network: Network, old: Network, there: np.ndarray) -> Mask:
-    """Ranges that are there already; InputError for one of the same time with another value."""
-    known = {
-        (point, old.images[image].name, time): value
-        for point, image, time, value in _range_rows(old, old.ranges.point)
-    }
+def _ray_rows(network: Network, points: Index) -> list[tuple[int, str, float, float]]:
+    """Point, name of the image, line and sample of each ray."""
+    names = [network.images[j].name for j in network.rays.image.tolist()]
+    return list(zip(points.tolist(), names, *network.rays.places.T.tolist(), strict=True))
+
+
+def _repeated_ranges(network: Network, old: Network, there: Index) -> Mask:
+    """(r,) True for ranges that are there already; InputError for one of the same time with another value."""
+    known = {row[:3]: row[3] for row in _range_rows(old, old.ranges.point)}
     marks = list[bool]()
     for point, image, time, value in _range_rows(network, there[network.ranges.point]):
-        before = known.get((point, network.images[image].name, time))
+        before = known.get((point, image, time))
         if before is not None and before != value:
-            where = f"laser shot {old.points.ids[point]}, image {network.images[image].name}"
+            where = f"laser shot {old.points.ids[point]}, image {image}"
             raise InputError(where, f"a range of {value:.3f} m, {before:.3f} m before", "one range")
         marks.append(before is not None)
     return np.array(marks, dtype=bool)
 
 
-def _range_rows(network: Network, points: np.ndarray) -> list[tuple[int, int, float, float]]:
-    ranges = network.ranges
-    columns = (points, ranges.image, ranges.times, ranges.values)
-    return list(zip(*(column.tolist() for column in columns), strict=True))
+def _range_rows(network: Network, points: Index) -> list[tuple[int, str, float, float]]:
+    """Point, name of the image, time and value of each range."""
+    ranges, names = network.ranges, [network.images[j].name for j in network.ranges.image.tolist()]
+    return list(zip(points.tolist(), names, ranges.times.tolist(), ranges.values.tolist(), strict=True))
 
 
 def _on_terrain(network: Network, store: ProjectStore) -> Network:

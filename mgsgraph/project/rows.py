@@ -29,7 +29,7 @@ class Run(NamedTuple):
     first: int
     """Number of the first."""
     size: int
-    """How many."""
+    """Number of rows."""
 
     @property
     def limits(self) -> tuple[int, int]:

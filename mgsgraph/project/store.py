@@ -60,7 +60,7 @@ class ProjectStore:
         return [name for (name,) in self._ask("SELECT name FROM image ORDER BY id")]
 
     def image(self, name: str) -> KnownImage:
-        """One of them."""
+        """An image by its name."""
         if name not in self._images:
             (record,) = self._one("SELECT record FROM image WHERE name = ?", name)
             self._images[name] = unpack(record, KnownImage, f"{self._where}, image {name}")
@@ -111,7 +111,7 @@ class ProjectStore:
     # --- bundles
 
     def members(self) -> list[Members]:
-        """All bundles."""
+        """Members of all bundles."""
         return [_members(text) for (text,) in self._ask("SELECT members FROM bundle ORDER BY id")]
 
     def reduced(self) -> dict[Members, ReducedSystem]:
@@ -265,7 +265,7 @@ class ProjectStore:
         return None if found[0][0] is None else self._grid(found[0][0])
 
     def own(self, network: Network) -> Network:
-        """The same network with this store's own grids in place of equal ones, by which parts know one another."""
+        """The network with this store's terrain grids in place of equal ones: parts of one network share one grid."""
         surface, areoid = network.surface, network.areoid
         if surface is not None:
             surface = replace(surface, grid=self._equal(surface.grid))

@@ -1,5 +1,5 @@
-"""The corrections of a strip over time in the terms of its flight: along, across, radial; roll, pitch, yaw; with what
-their errors are made of.
+"""Correction series of strips over time in the axes of the flight (along, across, radial; roll, pitch, yaw), with the
+parts of their errors.
 
 Of the estimate x of the nodes the posterior covariance is C = (L + P)^-1, L being what the data say of them and P the
 prior. Were there nothing to correct, x would still not be zero: the noise of the data puts C L C = C - C P C into it.
