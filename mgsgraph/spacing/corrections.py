@@ -80,6 +80,8 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
     factor : float, optional
         Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
     """
+    from scipy.linalg import block_diag  # slow to import
+
     factor = ray_scatter(solution).factor if factor is None else factor
     one = solution.network.strips[strip]
     count = len(one.nodes)
@@ -95,7 +97,7 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
     times = one.nodes.inner
     to_values, _ = one.nodes.dense(times, one.nodes.epoch)
     turns = strip_turns(solution.network, strip, times + one.nodes.epoch, solution.settings.angles)
-    turn = _block_diagonal(turns) @ np.kron(to_values, np.eye(6))
+    turn = block_diag(*turns) @ np.kron(to_values, np.eye(6))
     # of a spline the coefficients at the outer nodes have no values; the rest stands for the whole
     back = np.linalg.pinv(turn)
     wander = _wander(one)
@@ -134,13 +136,6 @@ def _prior_information(strip: Strip) -> Array:
             for w, right in zip(factor.unknowns, factor.blocks, strict=True):
                 found[ends[v] : ends[v + 1], ends[w] : ends[w + 1]] += left.T @ right
     return found
-
-
-def _block_diagonal(blocks: Array) -> Array:
-    count = blocks.shape[0]
-    found = np.zeros((count, 6, count, 6))
-    found[np.arange(count), :, np.arange(count), :] = blocks
-    return found.reshape(6 * count, 6 * count)
 
 
 def _wander(strip: Strip) -> Array | None:

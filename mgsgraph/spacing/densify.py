@@ -16,7 +16,6 @@ through nodes that are less even swing between them. Splines are even, and are h
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 
@@ -56,7 +55,9 @@ class ResidualPattern:
         """(k - 1,) intervals whose pattern is none of noise, at a level for all `intervals` of a network together, and
         of `worth` sigmas of a ray at least.
         """
-        limit = np.array([critical_chi_square(level / intervals, int(n)) for n in self.freedom])
+        from scipy.stats import chi2  # slow to import
+
+        limit = np.where(self.freedom > 0, chi2.isf(level / intervals, np.maximum(self.freedom, 1)), np.inf)
         return np.asarray((self.squares > limit) & (self.size >= worth))
 
 
@@ -241,13 +242,3 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Resi
     rays = np.bincount(interval, minlength=squares.size)
     size = np.sqrt(np.maximum(squares - freedom, 0.0) / np.maximum(_PATTERNS * rays, 1))
     return ResidualPattern(squares, freedom, size)
-
-
-def critical_chi_square(level: float, freedom: int) -> float:
-    """What chi-square exceeds with probability `level`, by Wilson & Hilferty's cube root (1931): to 2 % from 6 degrees
-    of freedom on; infinite for none.
-    """
-    if freedom < 1:
-        return math.inf
-    step = 2.0 / (9.0 * freedom)
-    return freedom * (1.0 - step + NormalDist().inv_cdf(1.0 - level) * math.sqrt(step)) ** 3

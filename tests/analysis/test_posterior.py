@@ -298,7 +298,7 @@ def test_projections_have_the_dense_covariance(name: str) -> None:
         [(project(row) - project(-row)) / (2 * s) for row, s in zip(np.diag(steps), steps, strict=True)], axis=1
     )
     found = posterior.projection(point, picture.name)
-    assert np.allclose(found.position, project(np.zeros(steps.size)))
+    assert np.allclose(found.pixel, project(np.zeros(steps.size)))
     assert_alike(found.covariance, whole.of(jacobian, whole.columns(point), whole.shared[image]), 1e-5)
 
 
