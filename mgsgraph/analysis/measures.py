@@ -333,8 +333,7 @@ def names_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
     head, image = _WIDEST * kind.astype(np.int64) + measures.component[chosen], measures.image[chosen]
     priors = np.flatnonzero(kind == MeasureKind.PRIOR)
     head[priors], image[priors] = len(heads) + np.arange(priors.size), -1
-    places = zip(*_variables_of(layout, measures.row[chosen[priors]]), strict=True)
-    heads += [_prior_name(layout, variable, inside) for variable, inside in places]
+    heads += [name for name, _ in _priors(layout, measures.row[chosen[priors]])]
     ids, images = network.points.ids, [*(f" in image {one.name}" for one in network.images), ""]
     rows = zip(head.tolist(), measures.point[chosen].tolist(), image.tolist(), strict=True)
     return [heads[h] + (ids[i] if i >= 0 else "") + images[j] for h, i, j in rows]
@@ -345,45 +344,38 @@ def units_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
     kind = measures.kind[chosen]
     units = ["px" if one else "m" for one in (kind == MeasureKind.RAY).tolist()]
     priors = np.flatnonzero(kind == MeasureKind.PRIOR)
-    places = zip(*_variables_of(layout, measures.row[chosen[priors]]), strict=True)
-    for k, (variable, inside) in zip(priors.tolist(), places, strict=True):
-        units[k] = _prior_unit(layout, variable, inside)
+    for k, (_, unit) in zip(priors.tolist(), _priors(layout, measures.row[chosen[priors]]), strict=True):
+        units[k] = unit
     return units
 
 
-def _variables_of(layout: Layout, columns: Places) -> tuple[list[int], list[int]]:
-    """Variable of each of some columns (k,), and which of its columns it is."""
+def _priors(layout: Layout, columns: Places) -> list[tuple[str, str]]:
+    """Name and unit of the a-priori values of some columns (k,) of the shared unknowns."""
     adjusted = np.array(layout.variables.adjusted(), dtype=np.int64)
     first = layout.variables.first[adjusted]
-    place = np.searchsorted(first, columns, side="right") - 1
-    return adjusted[place].tolist(), (columns - first[place]).tolist()
+    index = np.searchsorted(first, columns, side="right") - 1
+    pairs = zip(adjusted[index].tolist(), (columns - first[index]).tolist(), strict=True)
+    return [(f"a-priori {name}", unit) for name, unit in (_unknown(layout, *pair) for pair in pairs)]
 
 
-def _prior_name(layout: Layout, variable: int, inside: int) -> str:
+def _unknown(layout: Layout, variable: int, inside: int) -> tuple[str, str]:
+    """Name and unit of one column of a variable."""
     network = layout.network
     if variable < len(network.images):
         power, component = divmod(inside, len(COMPONENTS))
         term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
-        return f"a-priori {term} {COMPONENTS[component]} of image {network.images[variable].name}"
-    k = variable - len(network.images)
-    if k < len(network.shift_names):
-        return f"a-priori {network.shift_terms[k][inside].name} of {network.shift_names[k]}"
+        return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}", _unit(component)
     if variable >= network.first_of_strips[0]:
         strip, node = network.of_strips(variable)
         what, component = strip.part(node, inside)
-        return f"a-priori {COMPONENTS[component]} of {what} of strip {strip.name}"
-    shared = network.shared[k - len(network.shift_names)]
-    return " ".join([f"a-priori {shared.name}", shared.kind.components[inside]]).strip()
+        return f"{COMPONENTS[component]} of {what} of strip {strip.name}", _unit(component)
+    if variable < network.first_shared:
+        k = variable - len(network.images)
+        return f"{network.shift_terms[k][inside].name} of {network.shift_names[k]}", network.shift_terms[k][inside].unit
+    shared = network.shared[variable - network.first_shared]
+    return f"{shared.name} {shared.kind.components[inside]}".strip(), shared.kind.unit
 
 
-def _prior_unit(layout: Layout, variable: int, inside: int) -> str:
-    network = layout.network
-    k = variable - network.first_shared
-    if variable >= network.first_of_strips[0]:
-        strip, node = network.of_strips(variable)
-        return "rad" if strip.part(node, inside)[1] >= 3 else "m"
-    if k >= 0:
-        return network.shared[k].kind.unit
-    if variable < len(network.images):
-        return "rad" if inside % len(COMPONENTS) >= 3 else "m"
-    return network.shift_terms[variable - len(network.images)][inside].unit
+def _unit(component: int) -> str:
+    """Unit of a component of the orientation: three of position, three of rotation."""
+    return "rad" if component >= 3 else "m"

@@ -131,7 +131,7 @@ class Posterior:
 
     def of_point(self, name: str) -> Quantity:
         """X, Y, Z of an adjusted ground point."""
-        i = self._point(name)
+        i = _number(self._numbers[0], name, "point")
         place = self.linearised.layout_index(i)
         names = tuple(f"{axis} of point {name}" for axis in _AXES)
         values = self.linearised.points[place]
@@ -279,9 +279,6 @@ class Posterior:
         """Numbers of points and of images by their names."""
         images = {image.name: j for j, image in enumerate(self.network.images)}
         return {name: i for i, name in enumerate(self.network.points.ids)}, images
-
-    def _point(self, name: str) -> int:
-        return _number(self._numbers[0], name, "point")
 
     def image_number(self, name: str) -> int:
         """Number of an image in the network by its name; InputError where there is none."""

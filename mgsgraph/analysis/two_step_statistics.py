@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
 from mgsgraph.analysis.flight import overhead, point_sigmas, pose_sigmas
 from mgsgraph.analysis.statistics import mean_and_rms
@@ -183,18 +182,14 @@ def _poses(steps: TwoSteps, image: int) -> Array:
     lines = np.linspace(0.0, float(steps.network.images[image].lines), _LINES)
     result = np.full((len(STAGES), 6), np.nan)
     for k, solution in enumerate((steps.free, steps.fitted), start=1):
-        result[k] = _mean_pose(solution, image, lines)
-    joint = steps.rays_alone.joint
-    if joint is not None:
+        correction, joint = solution.correction(image), solution.joint_covariance
+        result[k] = pose_sigmas(solution.network, image, correction, joint, lines).mean(axis=0)
+    prior = steps.rays_alone.joint
+    if prior is not None:
         whole = steps.free.correction(image)
         nominal = OrientationCorrection(np.zeros_like(whole.coefficients), whole.angles, whole.nodes)
-        result[0] = pose_sigmas(steps.free.network, image, nominal, joint, lines).mean(axis=0)
+        result[0] = pose_sigmas(steps.free.network, image, nominal, prior, lines).mean(axis=0)
     return result
-
-
-def _mean_pose(solution: Solution, image: int, lines: Array) -> Array:
-    correction, joint = solution.correction(image), solution.joint_covariance
-    return np.asarray(pose_sigmas(solution.network, image, correction, joint, lines).mean(axis=0))
 
 
 def _heights(steps: TwoSteps, before: Array) -> tuple[Array, Array]:

@@ -267,7 +267,9 @@ class Engine:
             waiting.sort(key=len)  # large ones first: their covariance has that of their parts in it
             members = waiting.pop()
             system = self.systems[members]
-            joint, step = self._joint_within(system.unknowns, looked_at), self._step(system, before)
+            joint = self._joint_within(system.unknowns, looked_at)
+            # new unknowns have moved from zero
+            step = np.concatenate([self.value[one] - before.get(one, 0.0) for one in system.unknowns])
             if members not in changed and step @ np.linalg.solve(joint, step) < _REACH**2:
                 continue
             reached[members] = joint
@@ -286,10 +288,6 @@ class Engine:
                 return np.asarray(joint[np.ix_(mine, mine)])
         known[unknowns] = self.joint(unknowns)
         return known[unknowns]
-
-    def _step(self, system: ReducedSystem, before: Mapping[Unknown, Array]) -> Array:
-        """(d,) by which a system's unknowns have moved; new ones from zero."""
-        return np.concatenate([self.value[unknown] - before.get(unknown, 0.0) for unknown in system.unknowns])
 
     def _note(self, reached: Mapping[Members, Array], new: Iterable[Unknown]) -> None:
         """Values and covariances of the unknowns reached, for the records of the store."""

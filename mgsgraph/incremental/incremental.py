@@ -110,8 +110,8 @@ class IncrementalAdjustment:
 
         Undetermined points have NaN. Raises InputError for an unknown name.
         """
-        homes = set(self.store.members()) if ids is None else set(self.store.homes(ids).values())
-        fresh = list(self._engine.refreshed(sorted(homes)).values())
+        wanted = set(self.store.members()) if ids is None else set(self.store.bundles_of(ids).values())
+        fresh = list(self._engine.refreshed(sorted(wanted)).values())
         names = tuple(name for one in fresh for name in one.network.points.ids)
         places = np.concatenate([np.zeros((0, 3)), *(one.places for one in fresh)])
         covariances = np.concatenate([np.zeros((0, 3, 3)), *(one.covariances for one in fresh)])

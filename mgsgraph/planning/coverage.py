@@ -44,7 +44,8 @@ class OrientedImage:
 
     def shown(self, points: Array) -> tuple[Index, Array]:
         """Which of points (n, 3) in m it shows well inside its edges and from above, (k,), and their places (k, 2)."""
-        image, eye, outline = self.image, self._eye(), self.footprint
+        image, outline = self.image, self.footprint
+        eye = image.pose(np.array([0.5 * image.lines]), self.correction).position[0]
         near = np.flatnonzero(np.einsum("ni,ni->n", points, eye - points) > 0.0)
         if outline.outline.shape[0]:  # Newton over all points of a large network takes seconds
             away = np.linalg.norm(points[near] - outline.centre, axis=1)
@@ -54,9 +55,6 @@ class OrientedImage:
         with np.errstate(invalid="ignore"):
             inside = np.all((places > EDGE * size) & (places < (1.0 - EDGE) * size), axis=1)
         return near[inside], places[inside]
-
-    def _eye(self) -> Array:
-        return np.asarray(self.image.pose(np.array([0.5 * self.image.lines]), self.correction).position[0])
 
     def positions(self, times: Array) -> Array:
         """(n, 3) m, where the camera is at times (n,) in s TDB past J2000."""

@@ -11,7 +11,6 @@ from mgsgraph.case.reading import picture_of, read_case, read_shots
 from mgsgraph.case.schema import ImageInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
-from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Index, Mask
@@ -111,8 +110,10 @@ def read_addition(
         if wanted.path.suffix.lower() in _CASES:
             found, network = _of_case(wanted.path)
             new += found
-            networks += [] if network is None else [store.own(network)]
-    tie_points = [read_tie_points(path, _body(store, new)) for path in ties]
+            networks += [] if network is None else [store.with_known_grids(network)]
+    every = ImagesByName(store, [one.known for one in new])
+    body = next((every[name].image.body for name in every), None)  # of the first image that is known
+    tie_points = [read_tie_points(path, body) for path in ties]
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
     new += [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
     _require_new(_names(new), there, where)
@@ -121,8 +122,8 @@ def read_addition(
     mapping = ImagesByName(store, [one.known for one in new])
     profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
     sigmas = settings.measures
-    every: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
-    measures = observed(mapping, every, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
+    observations: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
+    measures = observed(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
     if measures is not None and (measures := _unknown_alone(measures, store)) is not None:
         networks.append(_on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
@@ -138,7 +139,7 @@ def read_addition(
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:
     """Images with a point that another image, of the addition or of the project, sees, too."""
-    known = store.homes(network.points.ids)
+    known = store.bundles_of(network.points.ids)
     there = np.array([name in known for name in network.points.ids], dtype=bool)
     count = len(network.images)
     point, image = np.divmod(np.unique(network.rays.point * count + network.rays.image), count)
@@ -261,12 +262,6 @@ def _require_known(ties: Sequence[TiePoints], known: Sequence[str]) -> None:
 # --- shots
 
 
-def _body(store: ProjectStore, new: Sequence[NewImage]) -> Ellipsoid | None:
-    """Of the first image that is known; None where none is yet."""
-    known = ImagesByName(store, [one.known for one in new])
-    return next((known[name].image.body for name in known), None)
-
-
 def _profile(
     path: Path, settings: ProjectSettings, images: Sequence[PushbroomImage] | None, store: ProjectStore
 ) -> LaserProfile:
@@ -299,10 +294,10 @@ def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
 
     A measure of the same point in the same image with another place stays: it contradicts, and will be refused.
     """
-    homes = store.homes(network.points.ids)
-    if not homes:
+    bundles = store.bundles_of(network.points.ids)
+    if not bundles:
         return network
-    old = joined([store.bundle(members).network for members in dict.fromkeys(homes.values())])
+    old = joined([store.bundle(members).network for members in dict.fromkeys(bundles.values())])
     number = {name: i for i, name in enumerate(old.points.ids)}
     there = np.array([number.get(name, -1) for name in network.points.ids])
     points, before, of = network.points, old.points, np.maximum(there, 0)

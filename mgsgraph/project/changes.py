@@ -125,7 +125,7 @@ def put_in(store: ProjectStore, addition: Addition) -> None:
     require_one_body(store, [one.known for one in addition.images])
     for one in addition.images:
         store.put_image(one.known)
-    network = None if addition.network is None else store.own(addition.network)
+    network = None if addition.network is None else store.with_known_grids(addition.network)
     _put_waiting(store, *with_addition(store, network))
 
 
