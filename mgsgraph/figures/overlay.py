@@ -25,13 +25,11 @@ from mgsgraph.figures.sheet import (
     MOST_SHEETS,
     Sheet,
     left_out,
-    legend,
     new_sheet,
     number,
-    panels,
+    plain_style,
     sheet_name,
     short,
-    words,
 )
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
@@ -106,16 +104,17 @@ def overlay_sheets(registration: CaseRegistration, pixels: Sequence[Pixels | Non
         yield _overlay(registration, j, pixels[j], sheet_name("overlay", n + 1, len(chosen)), omitted)
 
 
+@plain_style()
 def _overlay(registration: CaseRegistration, j: int, pixels: Pixels | None, name: str, omitted: str) -> Sheet:
     image, size = registration.images[j], ground_size(registration.images[j])
     strips, width, height = _strips(float(image.samples * size[1] / (image.lines * size[0])))
     order = _own_first(registration, j)
     ratios = ([_HEIGHTS, height, _BETWEEN] * strips)[:-1]
     caption = _overlay_caption(registration, j, order, pixels is not None) + omitted + "."
-    sheet = new_sheet(
-        name, width + 1.06, sum(ratios) + 0.7, f"Laser footprints in {short(image.name, 60)}", caption
-    )
-    grid = panels(sheet, len(ratios), 1, heights=ratios, down=0.0)[:, 0]
+    title = f"Laser footprints in {short(image.name, 60)}"
+    sheet = new_sheet(name, width + 1.06, sum(ratios) + 0.7, title, caption)
+    sheet.figure.get_layout_engine().set(hspace=0.0, h_pad=0.0)
+    grid = sheet.panels(len(ratios), 1, heights=ratios)[:, 0]
     limits = stretch(pixels)
     heights, above = footprint_heights(registration.before[order[0]], image)
     for k in range(strips):
@@ -126,16 +125,15 @@ def _overlay(registration: CaseRegistration, j: int, pixels: Pixels | None, name
         picture(strip, pixels, limits, image, lines, (0.0, float(image.samples)), width, height, on_its_side=True)
         strip.set(xlim=lines, ylim=(0.0, image.samples))
         strip.locator_params(axis="y", nbins=4)
-        words(strip, "line (px)" if k == strips - 1 else "", "sample (px)")
+        strip.set(xlabel="line (px)" if k == strips - 1 else "", ylabel="sample (px)")
         relief.set_xlim(lines)
-        words(relief, "", "height (m)")
+        relief.set_ylabel("height (m)")
         relief.tick_params(labelbottom=False, bottom=False)
         relief.locator_params(axis="y", nbins=4)
         _marks(strip, registration, j, order, (lines[1] - lines[0]) / width)
         _relief(relief, registration, j, order[0], heights)
     grid[0].set_title(
-        f"Heights above the {above} on the image's right edge; the image lies on its side, lines go to the right",
-        y=1.0, pad=4.0,
+        f"Heights above the {above} on the image's right edge; the image lies on its side, lines go to the right"
     )
     _key(sheet, registration, order)
     return sheet
@@ -258,7 +256,7 @@ def _key(sheet: Sheet, registration: CaseRegistration, order: Sequence[int]) -> 
     for p, marker in zip(order, MARKERS, strict=False):
         name = short(registration.before[p].name, 24)
         handles.append(Line2D([], [], ls="", marker=marker, ms=5, mec=INK, mfc="none", label=f"profile {name}"))
-    legend(sheet.figure, handles)
+    sheet.legend(handles)
 
 
 def _overlay_caption(registration: CaseRegistration, j: int, order: Sequence[int], drawn: bool) -> str:

@@ -133,9 +133,10 @@ def _honesty(posterior: Posterior, name: str) -> Section:
         components_table(components).write_csv(folder / "components.csv")
         if not figures:
             return ["components.csv"]
-        from mgsgraph.figures.quantiles import write_quantile_figure
+        from mgsgraph.figures.quantiles import quantile_sheet
+        from mgsgraph.figures.sheet import save
 
-        return ["components.csv", *write_quantile_figure(statistics, name, folder)]
+        return ["components.csv", *save([quantile_sheet(statistics, name)], folder)]
 
     lines = [f"{test.words()}.", "By what factor the sigmas of each group are wrong:", components.words()]
     residuals = residuals_table(statistics)

@@ -121,9 +121,10 @@ def write_plan(plan: Plan, folder: str | Path, figures: bool = True) -> list[str
         _csv(plan, aside / "plan.csv")
         names = [PLAN, "plan.csv"]
         if figures:
-            from mgsgraph.figures.plan import write_plan_figure  # matplotlib takes its time
+            from mgsgraph.figures.plan import plan_sheet  # matplotlib takes its time
+            from mgsgraph.figures.sheet import save
 
-            names += write_plan_figure(plan, aside)
+            names += save([plan_sheet(plan)], aside)
     return names
 
 

@@ -68,11 +68,10 @@ def curve_section(posterior: Posterior, image: str) -> Section:
         table.write_csv(folder / f"{file}.csv")
         if not figures:
             return [f"{file}.csv"]
-        from mgsgraph.figures.sheet import plain_style, save  # matplotlib takes its time
+        from mgsgraph.figures.sheet import save  # matplotlib takes its time
         from mgsgraph.figures.sigmas import curve_sheet
 
-        with plain_style():
-            return [f"{file}.csv", *save(curve_sheet(poses, file), folder)]
+        return [f"{file}.csv", *save([curve_sheet(poses, file)], folder)]
 
     text = "\n".join([f"Sigmas along image {image} (m; mrad)", *table.take(np.arange(0, lines.size, 10)).text()])
     record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
@@ -88,11 +87,10 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
         write_sigma_raster(grid, body, folder / "sigmas.tif")
         if not figures:
             return ["sigmas.tif"]
-        from mgsgraph.figures.sheet import plain_style, save
+        from mgsgraph.figures.sheet import save
         from mgsgraph.figures.sigmas import raster_sheet
 
-        with plain_style():
-            return ["sigmas.tif", *save(raster_sheet(grid, "sigma_map"), folder)]
+        return ["sigmas.tif", *save([raster_sheet(grid, "sigma_map")], folder)]
 
     _, rows, columns = grid.values.shape
     record = {

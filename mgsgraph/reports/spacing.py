@@ -194,9 +194,10 @@ def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> l
             _spectra_table(study).write_csv(aside / "spectra.csv")
             names.append("spectra.csv")
         if figures:
-            from mgsgraph.figures.spacing import write_node_figures  # matplotlib takes its time
+            from mgsgraph.figures.sheet import save  # matplotlib takes its time
+            from mgsgraph.figures.spacing import node_sheets
 
-            names += write_node_figures(study, aside)
+            names += save(node_sheets(study), aside)
     return names
 
 

@@ -65,9 +65,10 @@ def write_merit_into(merit: StepMerit, folder: Path, figures: bool = True) -> No
     found = cells_of(merit)
     _cells_table(found).write_csv(folder / "height_cells.csv")
     if figures:
-        from mgsgraph.figures.height_maps import write_height_map  # matplotlib takes its time
+        from mgsgraph.figures.height_maps import height_map_sheet  # matplotlib takes its time
+        from mgsgraph.figures.sheet import save
 
-        write_height_map(merit, found, folder)
+        save([height_map_sheet(merit, found)], folder)
 
 
 def cells_of(merit: StepMerit, step: float | None = None) -> HeightCells:
