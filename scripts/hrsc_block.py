@@ -32,7 +32,7 @@ from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
-from mgsgraph.analysis.step_merit import POINT_AXES, POSE_AXES, STAGES, StepMerit, step_merit
+from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, StepMerit, step_merit
 from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network

@@ -14,7 +14,7 @@ import numpy as np
 from montecarlo_draw import KINDS, Drawn
 from nees import chi_square_band
 
-from mgsgraph.analysis.answers import chi_square_radius
+from mgsgraph.analysis.estimates import chi_square_radius
 from mgsgraph.geometry.records import Array, Index
 
 LEVELS = (0.68, 0.95, 0.99)

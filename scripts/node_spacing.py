@@ -17,11 +17,10 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Jitter
-from mgsgraph.spacing.choice import Choice, choose_spacing
-from mgsgraph.spacing.course import course
+from mgsgraph.spacing.choice import Choice, choose_spacing, respaced
+from mgsgraph.spacing.corrections import course
 from mgsgraph.spacing.densify import densify
-from mgsgraph.spacing.held_out import hold_out, misfits, whitening
-from mgsgraph.spacing.respaced import respaced
+from mgsgraph.spacing.rays import hold_out, misfits, whitening
 from mgsgraph.spacing.spectrum import Peak, spectra
 from mgsgraph.units import MGON
 

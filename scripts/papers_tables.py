@@ -9,7 +9,7 @@ from published import Scatter, Sigmas
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import point_statistics
+from mgsgraph.analysis.statistics import point_statistics
 from mgsgraph.case.reading import Case
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic

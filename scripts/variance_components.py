@@ -20,8 +20,8 @@ from mgsgraph.adjustment.adjust import adjust_network, versions
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import Components, Judgement, components_of, honest_sigmas
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.honesty import ALPHA, chi_square_test, residual_statistics
 from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.residual_tests import ALPHA, chi_square_test, residual_statistics
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage

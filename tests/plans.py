@@ -15,8 +15,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage, joined
 from mgsgraph.planning.candidates import Candidate, PlannedTies, planned_image
-from mgsgraph.planning.scene import Scene
-from mgsgraph.planning.standing import Standing, standing_of
+from mgsgraph.planning.coverage import Scene
+from mgsgraph.planning.state import Standing, standing_of
 from mgsgraph.simulation.strip import SimulatedStrip
 
 SMALL = 0.02

@@ -225,7 +225,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 def test_dask_is_imported_only_when_it_is_asked_for() -> None:
     code = (
-        "import sys, mgsgraph.campaign, mgsgraph.campaign.report, mgsgraph.adjustment.cluster;"
+        "import sys, mgsgraph.campaign, mgsgraph.campaign.run, mgsgraph.adjustment.cluster;"
         "print([m for m in ('dask', 'distributed') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

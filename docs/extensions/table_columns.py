@@ -11,9 +11,9 @@ from sphinx.util.docutils import SphinxDirective
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import components_of
-from mgsgraph.analysis.merit import solution_connectivity
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.output.table import Column, Table
 from mgsgraph.reports.analysis import components_table

@@ -7,7 +7,7 @@ Two strips of 100 km, five lines of the camera each; orientation is unknown at n
 """
 
 from mgsgraph import SolverSettings, adjust_network
-from mgsgraph.analysis.strip_corrections import strip_reports
+from mgsgraph.analysis.flight import strip_reports
 from mgsgraph.figures.orientation import orientation_sheets
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 

@@ -21,9 +21,8 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.passes import Selection, everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.entanglement import TIGHT, entanglement, given, nearest
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.helmert import DENSE, Redundancy, group_redundancy
+from mgsgraph.analysis.helmert import DENSE, TIGHT, Redundancy, entanglement, given, group_redundancy, nearest
 from mgsgraph.analysis.linearised import Linearised, at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index

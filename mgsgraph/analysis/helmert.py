@@ -1,4 +1,5 @@
-"""Redundancy of groups of rows, and Helmert's matrix: how the squares of one group depend on the sigmas of another.
+"""Redundancy of groups of rows; Helmert's matrix, which says how the squares of one group depend on the sigmas of
+another; and which groups' variance factors are correlated.
 
 With the covariance R = 1 - A Q A' of the whitened residuals, v_g'v_g is expected to be sum_k S_gk s_k for variance
 factors s, S_gk = |R_gk|^2 (squares of all numbers of the block) (Helmert 1907; Foerstner 1979; Foerstner & Wrobel 2016,
@@ -11,6 +12,7 @@ P_p P_q' [p = q] + A~_p S A~_q', and its squares add up to
 Priors of the shared unknowns are rows of their own, A~ = 1/sigma.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -20,8 +22,7 @@ import numpy as np
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.square_root import product
 from mgsgraph.analysis.grouping import Grouping
-from mgsgraph.analysis.linearised import Linearised, PointRows
-from mgsgraph.analysis.prior_rows import prior_rows
+from mgsgraph.analysis.linearised import Linearised, PointRows, prior_rows
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import OUT
 
@@ -197,3 +198,48 @@ def _estimated_traces(normals: "list[csr_array]", joint: JointCovariance) -> Arr
     spread = root.back(signs)
     felt = [root.forward(normal @ spread) for normal in normals]
     return np.array([[np.sum(one * other) for other in felt] for one in felt]) / _PROBES
+
+
+TIGHT = 0.5
+"""Correlation of two groups' squared factors from which on a verdict names the other group."""
+_HALF = 0.75
+"""By how much a variance factor changes when sigmas change by half."""
+
+
+def nearest(found: Redundancy, group: int) -> tuple[str, float]:
+    """The group whose residuals have most in common with those of a group that can't be judged, and minus the cosine
+    between the two in Helmert's matrix: -1 where all redundancy of the one is the other's.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(found.helmert), 1e-300))
+    alike = (found.helmert * scale[:, None] * scale)[group]
+    alike[group] = -1.0
+    k = int(np.argmax(alike))
+    return found.names[k], -float(alike[k])
+
+
+def entanglement(found: Redundancy, judged: Index, group: int) -> tuple[str, float]:
+    """The judged group whose squared factor is most correlated with that of a group, were they estimated together."""
+    others = judged[judged != group]
+    if not others.size or found.helmert[group, group] <= 0.0:
+        return "", math.nan
+    own = np.concatenate([[group], others])
+    scale = 1.0 / np.sqrt(np.diag(found.helmert)[own])
+    inverse = np.linalg.pinv(found.helmert[np.ix_(own, own)] * scale[:, None] * scale, hermitian=True)
+    shared = inverse[0, 1:] / np.sqrt(np.maximum(inverse[0, 0] * np.diag(inverse)[1:], np.finfo(np.float64).tiny))
+    k = int(np.argmax(np.abs(shared)))
+    return found.names[int(others[k])], float(shared[k])
+
+
+def given(found: Redundancy, judged: Index, group: int, degrees: float) -> str:
+    """The group that isn't judged on whose sigmas the factor of a judged one depends most, where that is much."""
+    others = np.setdiff1d(np.arange(len(found.names)), judged)
+    if group not in judged or not others.size:
+        return ""
+    for other in others:
+        beside, shared = entanglement(found, judged, int(other))
+        if beside == found.names[group] and abs(shared) > TIGHT:
+            return found.names[int(other)]
+    effects = np.linalg.solve(found.helmert[np.ix_(judged, judged)], found.helmert[np.ix_(judged, others)])
+    mine = np.abs(effects[judged == group][0])
+    worst = int(np.argmax(mine))
+    return found.names[int(others[worst])] if _HALF * mine[worst] > 0.5 * math.sqrt(2.0 / degrees) else ""

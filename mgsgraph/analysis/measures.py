@@ -1,9 +1,10 @@
-"""Scalar measures: the test of each, the blunder in it that would be found, and what one that is not does.
+"""Scalar measures: name and unit, test, minimal detectable blunder, and the effect of an undetected one.
 
 With H the covariance of the adjusted measures and R = 1 - H that of the residuals, both in sigmas (Foerstner & Wrobel
 2016, section 4.6); without robust weights p a blunder e shifts a residual by R e.
 """
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -11,8 +12,73 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.analysis.levels import Levels
+from mgsgraph.adjustment.graph import Layout
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """Sizes of the tests, by Baarda's B-method.
+
+    The non-centrality at which a test of one dimension with size alpha has the stated power is kept for tests of every
+    dimension: their sizes and critical values follow, so that all find the same blunder with the same power (Baarda
+    1968, A testing procedure for use in geodetic networks; Teunissen 2006, Testing theory).
+    """
+
+    alpha: float = 0.001
+    """Share of good measures whose test exceeds the critical value, two-sided."""
+    power: float = 0.80
+    """Share of blunders of one minimal detectable blunder that are found."""
+    scaled: bool = False
+    """Whether tests are divided by the a-posteriori sigma0, and held against Pope's tau; else sigma0 is 1, as the
+    a-priori sigmas imply."""
+
+    def __post_init__(self) -> None:
+        for name, value, low, high in (("alpha", self.alpha, 0.0, 0.5), ("power", self.power, self.alpha, 1.0)):
+            if not (math.isfinite(value) and low < value < high):
+                raise InputError(f"levels, {name}", f"{value}", f"a number between {low:g} and {high:g}")
+
+    @property
+    def critical(self) -> float:
+        """Modulus that the test of a single good measure exceeds with probability alpha."""
+        from scipy.special import ndtri  # slow to import
+
+        return float(-ndtri(0.5 * self.alpha))
+
+    @property
+    def shift(self) -> float:
+        """delta0: by how many of its sigmas a blunder of one minimal detectable blunder shifts the test."""
+        from scipy.special import ndtri
+
+        return self.critical + float(ndtri(self.power))
+
+    def critical_tau(self, degrees_of_freedom: float) -> float:
+        """The same as `critical` for tests divided by the a-posteriori sigma0 (Pope 1976), one among whose degrees of
+        freedom they are.
+        """
+        from scipy.special import stdtrit
+
+        if degrees_of_freedom <= 1.0:
+            return math.inf
+        t = -float(stdtrit(degrees_of_freedom - 1.0, 0.5 * self.alpha))
+        return t * math.sqrt(degrees_of_freedom / (degrees_of_freedom - 1.0 + t * t))
+
+    def critical_squares(self, dimensions: int) -> float:
+        """Critical value of a test of several dimensions, distributed as chi-square; `critical` squared for one."""
+        from scipy.stats import ncx2
+
+        if dimensions == 1:
+            return self.critical**2
+        return float(ncx2.ppf(1.0 - self.power, dimensions, self.shift**2))
+
+    def alpha_of(self, dimensions: int) -> float:
+        """Size of a test of several dimensions; of the global test, with the degrees of freedom."""
+        from scipy.stats import chi2
+
+        return self.alpha if dimensions == 1 else float(chi2.sf(self.critical_squares(dimensions), dimensions))
+
 
 UNCONTROLLED = 1e-6
 """Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
@@ -253,3 +319,79 @@ def _times(value: Array, detected: Array) -> Array:
 
 def _diagonal(matrices: Array) -> Array:
     return np.diagonal(matrices, axis1=1, axis2=2)
+
+
+_POWERS = ("constant", "linear", "quadratic", "cubic")
+_WHAT = {
+    MeasureKind.RAY: ("line", "sample"),
+    MeasureKind.RANGE: ("range",),
+    MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
+    MeasureKind.HEIGHT: ("height above the terrain",),
+}
+_WIDEST = 3
+
+
+def names_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
+    """What each of the chosen measures (k,) is, in words."""
+    network, kind = layout.network, measures.kind[chosen]
+    heads = [""] * (_WIDEST * len(MeasureKind))
+    for one, parts in _WHAT.items():
+        for component, part in enumerate(parts):
+            heads[_WIDEST * one + component] = f"{part} of point "
+    head, image = _WIDEST * kind.astype(np.int64) + measures.component[chosen], measures.image[chosen]
+    priors = np.flatnonzero(kind == MeasureKind.PRIOR)
+    head[priors], image[priors] = len(heads) + np.arange(priors.size), -1
+    places = zip(*_variables_of(layout, measures.row[chosen[priors]]), strict=True)
+    heads += [_prior_name(layout, variable, inside) for variable, inside in places]
+    ids, images = network.points.ids, [*(f" in image {one.name}" for one in network.images), ""]
+    rows = zip(head.tolist(), measures.point[chosen].tolist(), image.tolist(), strict=True)
+    return [heads[h] + (ids[i] if i >= 0 else "") + images[j] for h, i, j in rows]
+
+
+def units_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
+    """Unit of each of the chosen measures (k,): px, m, rad or s."""
+    kind = measures.kind[chosen]
+    units = ["px" if one else "m" for one in (kind == MeasureKind.RAY).tolist()]
+    priors = np.flatnonzero(kind == MeasureKind.PRIOR)
+    places = zip(*_variables_of(layout, measures.row[chosen[priors]]), strict=True)
+    for k, (variable, inside) in zip(priors.tolist(), places, strict=True):
+        units[k] = _prior_unit(layout, variable, inside)
+    return units
+
+
+def _variables_of(layout: Layout, columns: Places) -> tuple[list[int], list[int]]:
+    """Variable of each of some columns (k,), and which of its columns it is."""
+    adjusted = np.array(layout.variables.adjusted(), dtype=np.int64)
+    first = layout.variables.first[adjusted]
+    place = np.searchsorted(first, columns, side="right") - 1
+    return adjusted[place].tolist(), (columns - first[place]).tolist()
+
+
+def _prior_name(layout: Layout, variable: int, inside: int) -> str:
+    network = layout.network
+    if variable < len(network.images):
+        power, component = divmod(inside, len(COMPONENTS))
+        term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
+        return f"a-priori {term} {COMPONENTS[component]} of image {network.images[variable].name}"
+    k = variable - len(network.images)
+    if k < len(network.shift_names):
+        return f"a-priori {network.shift_terms[k][inside].name} of {network.shift_names[k]}"
+    if variable >= network.first_of_strips[0]:
+        strip, node = network.of_strips(variable)
+        what, component = strip.part(node, inside)
+        return f"a-priori {COMPONENTS[component]} of {what} of strip {strip.name}"
+    shared = network.shared[k - len(network.shift_names)]
+    return " ".join([f"a-priori {shared.name}", shared.kind.components[inside]]).strip()
+
+
+def _prior_unit(layout: Layout, variable: int, inside: int) -> str:
+    network = layout.network
+    k = variable - network.first_shared
+    if variable >= network.first_of_strips[0]:
+        strip, node = network.of_strips(variable)
+        return "rad" if strip.part(node, inside)[1] >= 3 else "m"
+    if k >= 0:
+        return network.shared[k].kind.unit
+    if variable < len(network.images):
+        return "rad" if inside % len(COMPONENTS) >= 3 else "m"
+    return network.shift_terms[variable - len(network.images)][inside].unit

@@ -15,9 +15,17 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.answers import Difference, Estimate, PixelEstimate, PlaceEstimate, PoseEstimate
+from mgsgraph.analysis.estimates import (
+    Difference,
+    Estimate,
+    PixelEstimate,
+    PlaceEstimate,
+    PoseEstimate,
+    Quantity,
+    covariance,
+    together,
+)
 from mgsgraph.analysis.linearised import Linearised, PointRows, at_solution, point_rows
-from mgsgraph.analysis.quantity import Quantity, covariance, together
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage

@@ -18,20 +18,20 @@ import numpy as np
 
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.levels import Levels
-from mgsgraph.analysis.linearised import Linearised, at_solution
+from mgsgraph.analysis.linearised import Linearised, PriorRows, at_solution, prior_rows
 from mgsgraph.analysis.measures import (
+    Levels,
     MeasureKind,
     Measures,
     Places,
     Small,
     judge_places,
     judge_scalars,
+    names_of,
     pair_tests,
     room,
+    units_of,
 )
-from mgsgraph.analysis.naming import names_of, units_of
-from mgsgraph.analysis.prior_rows import PriorRows, prior_rows
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel import reduction
 from mgsgraph.kernel.reliability import NUMBERS

@@ -15,9 +15,8 @@ import numpy as np
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.levels import Levels
 from mgsgraph.analysis.linearised import Linearised, at_solution
-from mgsgraph.analysis.measures import MeasureKind
+from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.rejection import (
     Removal,
     SightIndex,

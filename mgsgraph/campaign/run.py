@@ -1,20 +1,108 @@
-"""Many cases: those that are due are done, one after the other here or as tasks on a cluster, each recorded."""
+"""Many cases: those that are due are adjusted, one after the other here or as tasks on a cluster, each recorded; and
+how they ended, in words.
+"""
 
+import dataclasses
+import math
 import os
 import re
 import shutil
+import socket
+import textwrap
+import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from mgsgraph.adjustment.cluster import Lost, open_cluster, parse_cluster
-from mgsgraph.campaign.cases import find_cases, result_folders
-from mgsgraph.campaign.entry import AS_WRITTEN, Entry, Wishes
-from mgsgraph.campaign.inputs import checksums
-from mgsgraph.campaign.record import Record, open_record
-from mgsgraph.campaign.task import Order, failed, run_case
+from mgsgraph.campaign.inputs import checksums, find_cases, result_folders
+from mgsgraph.campaign.record import AS_WRITTEN, Entry, Record, Wishes, open_record
+from mgsgraph.case.reading import adjust, read_case
+from mgsgraph.errors import MgsgraphError
 from mgsgraph.output.folders import RECORD as RESULT
+from mgsgraph.output.folders import require_replaceable
+from mgsgraph.reports.results import write_results
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A case to be done."""
+
+    case: Path
+    """Its file, absolute: the same on all machines."""
+    name: str
+    """What the record calls it."""
+    out: Path
+    """Folder of the campaign's results, absolute."""
+    folder: str
+    """Name of the folder in it for this case."""
+    wishes: Wishes
+    """What overrules the case file."""
+    base: Path
+    """Working directory, from which SPICE looks for what a meta-kernel lists."""
+
+
+def run_case(order: Order) -> Entry:
+    """Do a case; whatever goes wrong is told in the entry."""
+    if order.base.is_dir():
+        os.chdir(order.base)  # that of a worker elsewhere is another
+    began, sums = time.perf_counter(), checksums(order.case)
+    try:
+        told = _adjusted(order)
+    except MgsgraphError as error:
+        told = {"message": str(error)}
+    except MemoryError:
+        told = {"message": "out of memory; give the machine more or leave images out"}
+    except Exception as error:  # one case must not end the others
+        told = {"message": f"unforeseen {type(error).__name__}: {error}; `mgsgraph adjust` shows where"}
+    return _entry(order, sums, time.perf_counter() - began, told)
+
+
+def _adjusted(order: Order) -> dict[str, Any]:
+    """Read, adjust and write; the figures that the record keeps."""
+    target = order.out / order.folder
+    require_replaceable(target)
+    case = read_case(order.case, laser=order.wishes.laser)
+    solution = adjust(dataclasses.replace(case, settings=order.wishes.over(case.settings)))
+    write_results(solution, target, figures=order.wishes.figures)
+    return {
+        "status": "done" if solution.converged else "not converged",
+        "message": solution.message,
+        "converged": solution.converged,
+        "sigma0": solution.sigma0 if math.isfinite(solution.sigma0) else None,
+        "cost": solution.cost_final,
+        "iterations": solution.iterations,
+    }
+
+
+def failed(order: Order, message: str) -> Entry:
+    """Entry of a case whose worker has not come back."""
+    return _entry(order, checksums(order.case), 0.0, {"message": message})
+
+
+def _entry(order: Order, sums: dict[str, str | None], seconds: float, told: dict[str, Any]) -> Entry:
+    missing: dict[str, Any] = {"status": "failed", "converged": False, "sigma0": None, "cost": None, "iterations": None}
+    told = missing | told
+    told["message"] = " ".join(told["message"].split())
+    if told["status"] == "failed" and (order.out / order.folder).exists():
+        told["message"] += f" (what is in {order.folder} is from before)"
+    return Entry(
+        case=order.name,
+        folder=order.folder,
+        seconds=round(seconds, 3),
+        checksums=sums,
+        wishes=order.wishes,
+        version=version("mgsgraph"),
+        machine=socket.gethostname(),
+        finished=datetime.now(UTC).isoformat(timespec="seconds"),
+        **told,
+    )
+
 
 Progress = Callable[[int, int, Entry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
@@ -132,3 +220,48 @@ def _sweep(out: Path, orders: Sequence[Order]) -> None:
         match = re.fullmatch(r"\.(.+)\.[0-9a-f]{8}\.unfinished", path.name)
         if match and match[1] in names:
             shutil.rmtree(path, ignore_errors=True)
+
+
+_WIDTH = 110
+"""columns of the table."""
+_NAME = 32
+"""columns of a case's name at most."""
+
+
+def summary(campaign: Campaign) -> str:
+    """Counts, and a table of the cases that failed or did not converge; several lines."""
+    total, kept = len(campaign.entries), len(campaign.kept)
+    counts = ", ".join(
+        f"{number} {status}" for status in ("done", "not converged", "failed") if (number := campaign.count(status))
+    )
+    earlier = f" ({kept} of them earlier, and nothing has changed since)" if kept else ""
+    lines = [f"{total} case{'' if total == 1 else 's'}: {counts}{earlier}", *_other_versions(campaign)]
+    troubled = [entry for entry in campaign.entries if entry.status != "done"]
+    if troubled:
+        width = min(max(len(entry.folder) for entry in troubled), _NAME)
+        lines += ["", f"{'Case':<{width}}  {'state':<13}  why"]
+        for entry in troubled:
+            lines += _row(entry, width)
+    return "\n".join(lines)
+
+
+def line(entry: Entry) -> str:
+    """One case that is over, in one line."""
+    if entry.status == "failed":
+        return f"{entry.folder}: failed after {entry.seconds:.1f} s: {entry.message}"
+    sigma0 = "not defined" if entry.sigma0 is None else f"{entry.sigma0:.4g}"
+    return f"{entry.folder}: {entry.status}, {entry.iterations} iterations, sigma0 {sigma0}, {entry.seconds:.1f} s"
+
+
+def _row(entry: Entry, width: int) -> list[str]:
+    name = entry.folder if len(entry.folder) <= width else f"{entry.folder[: width - 3]}..."
+    head = f"{name:<{width}}  {entry.status:<13}  "
+    return textwrap.wrap(entry.message, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head))
+
+
+def _other_versions(campaign: Campaign) -> list[str]:
+    """A line where results that were left are another version's."""
+    kept = Counter(entry.version for entry in campaign.entries if entry.case in campaign.kept)
+    now = {entry.version for entry in campaign.entries if entry.case not in campaign.kept}
+    others = [f"{number} by mgsgraph {version}" for version, number in sorted(kept.items()) if version not in now]
+    return [f"Of the earlier ones, {', '.join(others)}."] if now and others else []

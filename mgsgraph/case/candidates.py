@@ -30,8 +30,8 @@ from mgsgraph.planning.candidates import (
     planned_image,
     planned_profile,
 )
-from mgsgraph.planning.scene import Scene
-from mgsgraph.planning.standing import Standing
+from mgsgraph.planning.coverage import Scene
+from mgsgraph.planning.state import Standing
 from mgsgraph.registration.footprints import footprints_in_images
 from mgsgraph.units import DEG
 

@@ -44,8 +44,8 @@ def add(
     from mgsgraph.cli.tell import tell
     from mgsgraph.errors import InputError
     from mgsgraph.project.addition import parse_image, read_addition
-    from mgsgraph.project.change import add as put
-    from mgsgraph.project.change import check as compare
+    from mgsgraph.project.changes import add as put
+    from mgsgraph.project.changes import check as compare
     from mgsgraph.project.project import open_project
     from mgsgraph.reports.impact import require_writable
 

@@ -80,7 +80,7 @@ def _in_two_steps(
 ) -> bool:
     """Whether both steps converged."""
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
-    from mgsgraph.analysis.step_merit import step_merit
+    from mgsgraph.analysis.two_step_statistics import step_merit
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.cli.stages import stage_bar
     from mgsgraph.reports.results import write_results

@@ -82,10 +82,10 @@ def analyze(
 
     Exit status: 0, also where tests fail; 2 bad input.
     """
-    from mgsgraph.analysis.levels import Levels
+    from mgsgraph.analysis.measures import Levels
     from mgsgraph.analysis.posterior import Pixel
     from mgsgraph.output.folders import ANALYSIS, require_replaceable
-    from mgsgraph.project.standing import read_posterior
+    from mgsgraph.project.reading import read_posterior
     from mgsgraph.reports.analysis import Wanted, analysed, require_used, write_analysis
     from mgsgraph.reports.answers import Questions
 

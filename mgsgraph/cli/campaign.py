@@ -40,7 +40,7 @@ def campaign(
     or did not converge, 2 bad input.
     """
     from mgsgraph.campaign import run_campaign
-    from mgsgraph.campaign.report import summary
+    from mgsgraph.campaign.run import summary
 
     bar = _CaseBar(verbose)
     try:
@@ -67,7 +67,7 @@ class _CaseBar:
 
     def __call__(self, over: int, due: int, entry: "Entry | None") -> None:
         """Show that a case is over."""
-        from mgsgraph.campaign.report import line
+        from mgsgraph.campaign.run import line
 
         self._over, self._due = over, due
         if self._bar is None:

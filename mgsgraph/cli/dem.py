@@ -39,8 +39,7 @@ def dem(
     from mgsgraph.dem.dem import make_dem
     from mgsgraph.dem.files import dem_statements
     from mgsgraph.dem.model import DemSettings, Heights
-    from mgsgraph.project.results import results_of
-    from mgsgraph.project.standing import read_posterior
+    from mgsgraph.project.reading import read_posterior, results_of
 
     images = () if pair is None else tuple(name.strip() for name in pair.split(","))
     if pair is not None and (len(images) != 2 or len({*images, ""}) != 3):

@@ -24,7 +24,7 @@ def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | No
     cameras. gis: a GeoPackage, and with --raster a GeoTIFF.
     """
     from mgsgraph.export.export import ExportSettings, export_solution
-    from mgsgraph.project.results import results_of
+    from mgsgraph.project.reading import results_of
 
     support = None
     if case is not None:

@@ -21,7 +21,7 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
     """
     from mgsgraph.cli.stages import stage_bar
     from mgsgraph.errors import InputError
-    from mgsgraph.project.begin import begin
+    from mgsgraph.project.changes import begin
 
     if case is not None and settings is not None:
         raise InputError("--settings", "a case is given, too, which has settings", "one of the two")

@@ -44,7 +44,7 @@ def match(
     """
     from mgsgraph.errors import InputError
     from mgsgraph.matching.settings import MatchSettings, method_of
-    from mgsgraph.project.begin import take_ties, waiting_case
+    from mgsgraph.project.changes import take_ties, waiting_case
     from mgsgraph.project.connection import FILE
     from mgsgraph.project.project import open_project
 

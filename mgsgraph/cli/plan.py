@@ -33,7 +33,7 @@ def plan(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.output.folders import PLAN, require_replaceable
     from mgsgraph.planning.plan import plan as make
-    from mgsgraph.project.standing import read_standing
+    from mgsgraph.project.reading import read_standing
     from mgsgraph.reports.plan import plan_table, statements, write_plan
 
     if out is not None:

@@ -20,8 +20,8 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
     """
     from mgsgraph.cli.stages import stage_bar
     from mgsgraph.cli.tell import tell
-    from mgsgraph.project.change import check as compare
-    from mgsgraph.project.change import remove as take_out
+    from mgsgraph.project.changes import check as compare
+    from mgsgraph.project.changes import remove as take_out
     from mgsgraph.project.project import open_project
     from mgsgraph.reports.impact import require_writable
 

@@ -23,7 +23,7 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     their checksums.
     """
     from mgsgraph.case.reading import read_case
-    from mgsgraph.project.results import results_of
+    from mgsgraph.project.reading import results_of
     from mgsgraph.reports.archive import read_solution
     from mgsgraph.reports.page import require_page, write_report
 

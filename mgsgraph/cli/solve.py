@@ -16,7 +16,7 @@ def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) ->
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import iteration_bar
-    from mgsgraph.project.change import solve as solve_all
+    from mgsgraph.project.changes import solve as solve_all
     from mgsgraph.project.project import open_project
     from mgsgraph.reports.summary import statements, summary_table
 

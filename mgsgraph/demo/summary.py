@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.merit import PLACES
+from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
 from mgsgraph.demo.demo import DRAWING, INPUTS, PAIR, Demonstration, demonstrate, demonstrate_pair, true_points
 from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, nees, pair_statements, rms_length

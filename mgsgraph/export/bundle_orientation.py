@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import PLACES
+from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory

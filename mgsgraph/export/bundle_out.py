@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import rejected_points, used_ray_counts
+from mgsgraph.analysis.statistics import rejected_points, used_ray_counts
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_orientation import (
     PARAMETERS,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import (
+from mgsgraph.analysis.statistics import (
     adjusted_points,
     local_sigmas,
     ray_statistics,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import rejected_points
+from mgsgraph.analysis.statistics import rejected_points
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
 from mgsgraph.export.lidar_out import lidar_text

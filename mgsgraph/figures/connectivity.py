@@ -12,7 +12,7 @@ from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import solution_connectivity
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.ground_map import frame, map_axes
 from mgsgraph.figures.sheet import (

@@ -8,7 +8,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.analysis.height_cells import HeightCells, turned
-from mgsgraph.analysis.step_merit import StepMerit, owners
+from mgsgraph.analysis.two_step_statistics import StepMerit, owners
 from mgsgraph.figures.sheet import INK, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.footprint import footprint

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
-from mgsgraph.analysis.strip_corrections import node_times, strip_course
+from mgsgraph.analysis.flight import node_times, strip_course
 from mgsgraph.figures.sheet import (
     AFTER,
     INK,

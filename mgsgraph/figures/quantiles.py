@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mgsgraph.analysis.honesty import PROMISED, ResidualStatistics
+from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics
 from mgsgraph.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 
 _ACROSS = 4

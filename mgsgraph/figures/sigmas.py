@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
-from mgsgraph.analysis.answers import PoseEstimate
+from mgsgraph.analysis.estimates import PoseEstimate
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.figures.sheet import Sheet, new_sheet, number, plain_style, short
 from mgsgraph.units import DEG, MRAD

@@ -23,7 +23,7 @@ from mgsgraph.figures.sheet import (
     short,
 )
 from mgsgraph.spacing.choice import Choice
-from mgsgraph.spacing.course import Course
+from mgsgraph.spacing.corrections import Course
 from mgsgraph.spacing.spectrum import FALSE_ALARMS, Spectrum
 from mgsgraph.spacing.study import NodeStudy, StripSpectra
 from mgsgraph.units import ARCSEC, MGON

@@ -1,16 +1,14 @@
 """The closing check: how far an incremental adjustment lies from batch, in sigmas."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.motion import ground_motion, image_motion
-from mgsgraph.incremental.state import Shared
-from mgsgraph.network.parts import KnownImage, Unknown, unknowns
+from mgsgraph.incremental.shared import shared_of
+from mgsgraph.network.parts import Unknown
 from mgsgraph.notebook import card
 
 CLOSE = 1e-2
@@ -85,30 +83,3 @@ def _farthest(solution: Solution, places: Array) -> tuple[int, float]:
     off[known & solution.determined & np.isnan(off)] = 0.0  # a fixed point has no sigma, and stays where it is
     k = int(np.argmax(off))
     return k, float(off[k])
-
-
-def shared_image(known: KnownImage, angles: Angles) -> Shared:
-    """The orientation of an image as it is before anything is observed in it."""
-    prior = known.prior.sigmas.ravel()
-    return Shared(prior, image_motion(known), ground_motion(known, angles), np.zeros(prior.size), np.diag(prior**2))
-
-
-def shared_shift(sigma: float, motion: float) -> Shared:
-    """A horizontal shift, eastward and northward, of a-priori `sigma` in m; `motion` is pixels per m."""
-    return Shared(np.full(2, sigma), np.full(2, motion), np.zeros((3, 2)), np.zeros(2), np.eye(2) * sigma**2)
-
-
-def shared_of(solution: Solution) -> dict[Unknown, Shared]:
-    """The adjusted unknowns of a batch solution."""
-    network, found = solution.network, dict[Unknown, Shared]()
-    names, count = unknowns(network), len(network.images)
-    for j, (image, prior) in enumerate(zip(network.images, network.priors, strict=True)):
-        if not network.held[j]:
-            one = shared_image(KnownImage(image, prior), solution.settings.angles)
-            value, covariance = solution.coefficients[j].ravel(), solution.image_covariance(j)
-            found[names[j]] = replace(one, value=value, covariance=covariance)
-    motion = max((float(one.motion[0]) for one in found.values()), default=1.0)
-    for p, name in enumerate(network.shift_names):
-        one = shared_shift(network.shift_sigma(name), motion)
-        found[names[count + p]] = replace(one, value=solution.shifts[p], covariance=solution.shift_covariance(p))
-    return found

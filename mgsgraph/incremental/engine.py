@@ -15,7 +15,7 @@ import numpy as np
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.incremental.motion import image_motion
+from mgsgraph.incremental.shared import image_motion
 from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, Store, stretches
 from mgsgraph.incremental.sweep import Sweep, probes
 from mgsgraph.incremental.tree import Tree

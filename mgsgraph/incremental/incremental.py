@@ -16,12 +16,21 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.closing import Closing, closing, shared_image, shared_of, shared_shift
+from mgsgraph.incremental.closing import Closing, closing
 from mgsgraph.incremental.engine import Engine
 from mgsgraph.incremental.impact import Impact, impact
-from mgsgraph.incremental.motion import image_motion
-from mgsgraph.incremental.rebundling import require_one_body, with_addition, without
-from mgsgraph.incremental.state import ImagesByName, InMemory, KnownImage, Settled, Shared, Store
+from mgsgraph.incremental.shared import image_motion, shared_image, shared_of, shared_shift
+from mgsgraph.incremental.state import (
+    ImagesByName,
+    InMemory,
+    KnownImage,
+    Settled,
+    Shared,
+    Store,
+    require_one_body,
+    with_addition,
+    without,
+)
 from mgsgraph.incremental.sweep import Sweep
 from mgsgraph.network import Network
 from mgsgraph.network.observations import observed

@@ -14,8 +14,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
-from mgsgraph.planning.scene import Scene, Shows, View, even_places
-from mgsgraph.planning.standing import ReducedNetwork
+from mgsgraph.planning.coverage import Scene, Shows, View, even_places
+from mgsgraph.planning.state import ReducedNetwork
 from mgsgraph.ties import PointKind
 
 Kind = Literal["image", "profile", "control point"]

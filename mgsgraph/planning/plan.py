@@ -10,7 +10,7 @@ from mgsgraph.errors import InputError, WeakNetwork
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
 from mgsgraph.planning.candidates import Candidate, Kind
-from mgsgraph.planning.standing import Present, Standing
+from mgsgraph.planning.state import Present, Standing
 from mgsgraph.planning.targets import Criterion, Sigmas, Targets, Watch, in_one, targets_of
 from mgsgraph.planning.update import Added, added, updated
 

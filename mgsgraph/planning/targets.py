@@ -10,10 +10,10 @@ from mgsgraph.adjustment.graph.bundle import IN_PROCESS
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
-from mgsgraph.incremental.motion import ground_motion
+from mgsgraph.incremental.shared import ground_motion
 from mgsgraph.network import PointClass
 from mgsgraph.network.parts import KnownImage, Unknown
-from mgsgraph.planning.standing import Present, Standing
+from mgsgraph.planning.state import Present, Standing
 from mgsgraph.planning.update import Update
 from mgsgraph.ties import PointKind
 

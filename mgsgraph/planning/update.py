@@ -18,7 +18,7 @@ from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, joined, part
-from mgsgraph.planning.standing import Present, ReducedNetwork
+from mgsgraph.planning.state import Present, ReducedNetwork
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.analysis.components import Components, components_of, honest_sigmas
-from mgsgraph.analysis.honesty import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
-from mgsgraph.analysis.levels import Levels
+from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import Reliability, reliability
+from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.analysis.snooping import snoop
 from mgsgraph.analysis.suspects import suspects
 from mgsgraph.analysis.weak import weakest

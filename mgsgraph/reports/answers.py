@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
-from mgsgraph.analysis.answers import (
+from mgsgraph.analysis.estimates import (
     Difference,
     ErrorEllipsoid,
     Estimate,
     PixelEstimate,
     PlaceEstimate,
     PoseEstimate,
+    Quantity,
 )
 from mgsgraph.analysis.posterior import Pixel, Posterior
-from mgsgraph.analysis.quantity import Quantity
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array

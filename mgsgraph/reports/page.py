@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import solution_connectivity
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.io.fresh_file import fresh_file

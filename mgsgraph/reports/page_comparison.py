@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.merit import PLACES
+from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up

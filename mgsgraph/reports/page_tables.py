@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import (
+from mgsgraph.analysis.statistics import (
     PLACES,
     range_statistics,
 )

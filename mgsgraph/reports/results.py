@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import (
+from mgsgraph.analysis.statistics import (
     ORIENTATION,
     PLACES,
     RayStatistics,

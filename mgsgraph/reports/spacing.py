@@ -13,7 +13,7 @@ from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import NODES, PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table
 from mgsgraph.spacing.choice import Choice
-from mgsgraph.spacing.course import AXES
+from mgsgraph.spacing.corrections import AXES
 from mgsgraph.spacing.densify import Densified
 from mgsgraph.spacing.spectrum import FALSE_ALARMS, Peak, Spectrum
 from mgsgraph.spacing.study import NodeStudy

@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.strip_corrections import StripReport, strip_reports
+from mgsgraph.analysis.flight import StripReport, strip_reports
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import JointNodePrior, Network, NodePrior

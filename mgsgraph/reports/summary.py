@@ -6,7 +6,7 @@ from statistics import NormalDist
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import (
+from mgsgraph.analysis.statistics import (
     PLACES,
     RayStatistics,
     laser_gain,

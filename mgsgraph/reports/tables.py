@@ -8,7 +8,7 @@ latitudes are planetocentric, longitudes run east from 0 to 360 degrees, heights
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.merit import (
+from mgsgraph.analysis.statistics import (
     PLACES,
     local_sigmas,
     orientation_statistics,

@@ -9,7 +9,7 @@ import numpy as np
 
 from mgsgraph.adjustment.two_steps import TwoSteps
 from mgsgraph.analysis.height_cells import HeightCells, height_cells
-from mgsgraph.analysis.step_merit import POINT_AXES, POSE_AXES, STAGES, GroupMerit, StepMerit
+from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, GroupMerit, StepMerit
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import picked, write_json

@@ -18,12 +18,40 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
+from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, assign, frozen
-from mgsgraph.network import Network
+from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.support import LEAST, require_supported
-from mgsgraph.spacing.held_out import HeldOut, hold_out, misfits, unmarked, whitening
-from mgsgraph.spacing.respaced import require_respaceable, respaced
-from mgsgraph.spacing.scatter import Scatter, ray_scatter
+from mgsgraph.spacing.rays import HeldOut, Scatter, hold_out, misfits, ray_scatter, unmarked, whitening
+
+
+def respaced(network: Network, spacing: float) -> Network:
+    """A network whose strips all have even nodes at a spacing of at most `spacing` s, over the same time."""
+    return with_nodes(
+        network,
+        [
+            evenly_spaced(strip.nodes.basis, strip.nodes.epoch, strip.nodes.coverage, spacing)
+            for strip in network.strips
+        ],
+    )
+
+
+def with_nodes(network: Network, nodes: Sequence[OrientationImages]) -> Network:
+    """A network with other nodes of its strips, in their order; the priors stay, which know any nodes."""
+    require_respaceable(network)
+    strips = (replace(strip, nodes=other) for strip, other in zip(network.strips, nodes, strict=True))
+    return replace(network, strips=tuple(strips))
+
+
+def require_respaceable(network: Network) -> None:
+    """Raise InputError unless there are strips, and priors that hold for any nodes."""
+    if not network.strips:
+        raise InputError("network", "no strips", "images whose orientation follows from orientation images")
+    for strip in network.strips:
+        if not isinstance(strip.prior, NodePrior):
+            found = "a joint prior of just its nodes"
+            raise InputError(f"strip {strip.name!r}", found, "one of any nodes (bias, drift and sigmas)")
+
 
 _STRETCHES = 10
 """Stretches of time that a strip has at least, whose sums count as independent."""

@@ -30,8 +30,8 @@ from mgsgraph.geometry.orientation_images import OrientationImages, evenly_space
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
 from mgsgraph.network.support import LEAST, StripRays, felt, require_supported, strip_rays, telling
-from mgsgraph.spacing.respaced import require_respaceable, with_nodes
-from mgsgraph.spacing.scatter import ray_scatter
+from mgsgraph.spacing.choice import require_respaceable, with_nodes
+from mgsgraph.spacing.rays import ray_scatter
 
 _PARTS = 4
 """Parts of an interval in which patterns are averaged."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.spacing.course import AXES, Course
+from mgsgraph.spacing.corrections import AXES, Course
 
 FALSE_ALARMS = 0.01
 """Share of axes without any vibration in which a peak is named all the same."""

@@ -8,10 +8,9 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import selection_of
 from mgsgraph.network import Network
 from mgsgraph.network.support import LEAST
-from mgsgraph.spacing.choice import Choice, adjust_unmarked, choose_spacing
-from mgsgraph.spacing.course import Course, course
+from mgsgraph.spacing.choice import Choice, adjust_unmarked, choose_spacing, respaced
+from mgsgraph.spacing.corrections import Course, course
 from mgsgraph.spacing.densify import Densified, densify
-from mgsgraph.spacing.respaced import respaced
 from mgsgraph.spacing.spectrum import Spectrum, spectra
 
 _FEWEST = 8

@@ -22,7 +22,7 @@ from mgsgraph.adjustment.two_steps import (
     without_heights,
     without_terrain,
 )
-from mgsgraph.analysis.flight_sigmas import flight_axes_at, pose_sigmas
+from mgsgraph.analysis.flight import flight_axes_at, pose_sigmas
 from mgsgraph.analysis.forward import RaysAlone, prior_covariance
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up

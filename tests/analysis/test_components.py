@@ -24,13 +24,13 @@ from mgsgraph.analysis.components import (
 )
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.analysis.helmert import Redundancy, group_redundancy
-from mgsgraph.analysis.honesty import (
+from mgsgraph.analysis.linearised import Linearised, at_values
+from mgsgraph.analysis.residual_tests import (
     PROMISED,
     ResidualStatistics,
     chi_square_test,
     residual_statistics,
 )
-from mgsgraph.analysis.linearised import Linearised, at_values
 from mgsgraph.errors import InputError
 from mgsgraph.figures.quantiles import quantile_sheet
 from mgsgraph.kernel.rows import OUT

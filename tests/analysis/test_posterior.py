@@ -19,10 +19,10 @@ from mgsgraph.adjustment.graph.bundle import point_key, variable_key
 from mgsgraph.adjustment.graph.explicit import explicit_graph
 from mgsgraph.adjustment.settings import Angles, Line, Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.analysis.estimates import correlation
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import Pixel, Posterior
-from mgsgraph.analysis.quantity import correlation
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection

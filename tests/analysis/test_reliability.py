@@ -19,8 +19,7 @@ from sharing import with_all_kinds
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.levels import Levels
-from mgsgraph.analysis.measures import UNCONTROLLED, MeasureKind, inverse, pair_tests
+from mgsgraph.analysis.measures import UNCONTROLLED, Levels, MeasureKind, inverse, pair_tests
 from mgsgraph.analysis.reliability import Reliability, reliability
 from mgsgraph.analysis.suspects import (
     PointIndex,

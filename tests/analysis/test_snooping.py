@@ -10,9 +10,8 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import components_of, honest_sigmas
-from mgsgraph.analysis.levels import Levels
 from mgsgraph.analysis.linearised import at_solution, at_values
-from mgsgraph.analysis.measures import MeasureKind
+from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.rejection import Removal, nothing_taken, readmissible, selection
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.snooping import Snooping, snoop

@@ -12,9 +12,10 @@ import pytest
 
 import mgsgraph
 from mgsgraph.adjustment.cluster import Lost
-from mgsgraph.campaign import AS_WRITTEN, Campaign, Entry, Wishes, run_campaign, task
+from mgsgraph.campaign import AS_WRITTEN, Campaign, Entry, Wishes, run_campaign
+from mgsgraph.campaign import run as campaign_run
 from mgsgraph.campaign.record import RECORD
-from mgsgraph.campaign.report import line, summary
+from mgsgraph.campaign.run import line, summary
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.reports.results import write_results
 
@@ -132,14 +133,14 @@ def test_a_case_that_does_not_converge_is_told(run: Run, sites: Path, tmp_path: 
 
 
 def test_a_fault_of_the_program_is_one_failed_case(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    read = task.read_case
+    read = campaign_run.read_case
 
     def faulty(path: Path, laser: bool = True) -> Any:
         if path.parent.name == "north":
             raise ZeroDivisionError("division\nby zero")
         return read(path, laser)
 
-    monkeypatch.setattr(task, "read_case", faulty)
+    monkeypatch.setattr(campaign_run, "read_case", faulty)
     done, _ = run()
     assert [one.status for one in done.entries] == ["failed", "done", "failed"]
     assert "unforeseen ZeroDivisionError: division by zero" in done.entries[0].message

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mgsgraph
-from mgsgraph.campaign.cases import find_cases, result_folders
-from mgsgraph.campaign.inputs import checksums
+from mgsgraph.campaign.inputs import checksums, find_cases, result_folders
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import InputError
 

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from commands import run
 
-from mgsgraph.analysis import step_merit
+from mgsgraph.analysis import two_step_statistics
 from mgsgraph.cli import group
 from mgsgraph.units import DEG
 
@@ -95,7 +95,7 @@ def test_the_solution_outlives_its_merit(
         raise problem
 
     add_terrain(case_file)
-    monkeypatch.setattr(step_merit, "step_merit", fails)
+    monkeypatch.setattr(two_step_statistics, "step_merit", fails)
     out = tmp_path / "out"
     told = CliRunner().invoke(group, ["adjust", str(case_file), "--two-steps", "--out", str(out)])
     assert told.exit_code == status

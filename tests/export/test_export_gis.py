@@ -17,9 +17,9 @@ from networks import network, pair
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import rejected_points
 from mgsgraph.analysis.overlap_sigmas import sigma_grid
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.statistics import rejected_points
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis import write_gis
 from mgsgraph.geometry.body import Ellipsoid, geodetic, intersect_ellipsoid

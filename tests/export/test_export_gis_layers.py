@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import adjusted_points
+from mgsgraph.analysis.statistics import adjusted_points
 from mgsgraph.export.gis import write_gis
 from mgsgraph.export.gis_layers import exaggeration
 from mgsgraph.geometry.body import from_planetocentric, geodetic

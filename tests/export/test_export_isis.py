@@ -13,7 +13,7 @@ from networks import network, pair
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.merit import local_sigmas
+from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_orientation import (

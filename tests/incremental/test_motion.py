@@ -10,7 +10,7 @@ from strategies import differences
 
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection, OrientationPrior
-from mgsgraph.incremental.motion import ground_motion, image_motion
+from mgsgraph.incremental.shared import ground_motion, image_motion
 from mgsgraph.network.parts import KnownImage
 
 IMAGES = [*strip().images[:2], fan().images[1]]

@@ -22,9 +22,9 @@ from mgsgraph.planning.candidates import (
     planned_image,
     planned_profile,
 )
+from mgsgraph.planning.coverage import Scene, even_places
 from mgsgraph.planning.plan import Judge, plan
-from mgsgraph.planning.scene import Scene, even_places
-from mgsgraph.planning.standing import Present, standing_of
+from mgsgraph.planning.state import Present, standing_of
 from mgsgraph.planning.targets import Watch, targets_of
 from mgsgraph.planning.update import added, updated
 from mgsgraph.ties import PointKind

@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.parts import bundles, joined, part, without_images
 from mgsgraph.project.addition import Addition, NewImage, Wanted, _on_terrain, _unknown_alone, parse_image
-from mgsgraph.project.change import put_in
+from mgsgraph.project.changes import put_in
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore

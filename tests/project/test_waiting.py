@@ -10,10 +10,9 @@ import pytest
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.project.begin import take_ties
-from mgsgraph.project.change import check
+from mgsgraph.project.changes import check, take_ties
 from mgsgraph.project.project import open_project
-from mgsgraph.project.results import results_of
+from mgsgraph.project.reading import results_of
 from mgsgraph.reports.archive import read_solution
 
 

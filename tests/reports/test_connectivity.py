@@ -12,7 +12,7 @@ from matplotlib.transforms import Bbox
 
 import mgsgraph
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.merit import solution_connectivity
+from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.connectivity import (
     connectivity_sheet,
     island_colours,

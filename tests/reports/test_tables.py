@@ -13,7 +13,7 @@ from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.merit import local_sigmas, ray_statistics
+from mgsgraph.analysis.statistics import local_sigmas, ray_statistics
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.network import ImageRays, PointClass

@@ -15,7 +15,7 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.height_cells import height_cells
-from mgsgraph.analysis.step_merit import STAGES, StepMerit, owners, step_merit
+from mgsgraph.analysis.two_step_statistics import STAGES, StepMerit, owners, step_merit
 from mgsgraph.figures.height_maps import height_map_sheet
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.intersection import intersect_rays
@@ -25,7 +25,7 @@ from mgsgraph.reports.archive import read_solution
 from mgsgraph.reports.results import write_results
 from mgsgraph.reports.two_steps import cells_of, two_steps_json, two_steps_statements, two_steps_table, write_two_steps
 from mgsgraph.simulation.hrsc_block import BlockSettings, TerrainErrors, simulate_hrsc_block
-from mgsgraph.spacing.course import course
+from mgsgraph.spacing.corrections import course
 from mgsgraph.units import DEG, MGON
 
 TERRAIN = TerrainErrors(missing=0.02)

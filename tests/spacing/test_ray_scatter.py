@@ -11,10 +11,10 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.network import Network
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Jitter
-from mgsgraph.spacing.course import course
+from mgsgraph.spacing.choice import respaced
+from mgsgraph.spacing.corrections import course
 from mgsgraph.spacing.densify import densify, pattern
-from mgsgraph.spacing.respaced import respaced
-from mgsgraph.spacing.scatter import ray_scatter
+from mgsgraph.spacing.rays import ray_scatter
 from mgsgraph.spacing.spectrum import spectra
 from mgsgraph.units import MGON
 

@@ -28,10 +28,9 @@ from mgsgraph.network.support import (
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_points import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
-from mgsgraph.spacing.choice import choose_spacing, error_of_mean
+from mgsgraph.spacing.choice import choose_spacing, error_of_mean, respaced, with_nodes
 from mgsgraph.spacing.densify import critical_chi_square, densify, halved, pattern
-from mgsgraph.spacing.held_out import hold_out, misfits, whitening
-from mgsgraph.spacing.respaced import respaced, with_nodes
+from mgsgraph.spacing.rays import hold_out, misfits, whitening
 from mgsgraph.units import MGON
 
 PITCH = Jitter(4.0 * MGON, 0.06, "pitch")

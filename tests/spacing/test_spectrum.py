@@ -12,14 +12,14 @@ from scipy.signal import lombscargle
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.flight_sigmas import strip_turns
+from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import Basis
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Axis, Jitter, correction_at
-from mgsgraph.spacing.course import AXES, Course, course
+from mgsgraph.spacing.corrections import AXES, Course, course
 from mgsgraph.spacing.spectrum import Spectrum, spectra, spectrum
 from mgsgraph.units import MGON
 

@@ -12,7 +12,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.network.parts import KnownImage, known_images
-from mgsgraph.planning.standing import Standing
+from mgsgraph.planning.state import Standing
 
 EDGE = 0.01
 """Share of an image's lines and samples along its edges in which nothing is planned."""

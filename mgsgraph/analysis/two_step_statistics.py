@@ -15,8 +15,8 @@ import numpy as np
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
-from mgsgraph.analysis.flight_sigmas import overhead, point_sigmas, pose_sigmas
-from mgsgraph.analysis.merit import mean_and_rms
+from mgsgraph.analysis.flight import overhead, point_sigmas, pose_sigmas
+from mgsgraph.analysis.statistics import mean_and_rms
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass

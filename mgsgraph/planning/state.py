@@ -17,7 +17,7 @@ from mgsgraph.analysis.linearised import require_covariance
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.incremental.closing import shared_of
+from mgsgraph.incremental.shared import shared_of
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Rows
 from mgsgraph.network import Network

@@ -16,12 +16,12 @@ import numpy as np
 
 from mgsgraph.adjustment.datum.frames import FLIGHT
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.flight_sigmas import strip_turns
+from mgsgraph.analysis.flight import strip_turns
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import NodePrior, Strip
 from mgsgraph.network.strips import normalised
-from mgsgraph.spacing.scatter import ray_scatter
+from mgsgraph.spacing.rays import ray_scatter
 
 AXES = FLIGHT
 """The six components of a course; the first three in m, the others in rad."""

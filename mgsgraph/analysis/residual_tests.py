@@ -14,8 +14,7 @@ import numpy as np
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows
-from mgsgraph.analysis.linearised import Linearised, at_solution
-from mgsgraph.analysis.prior_rows import prior_rows
+from mgsgraph.analysis.linearised import Linearised, at_solution, prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import reliability

@@ -1,13 +1,18 @@
-"""What a coefficient of the orientation does: to image places, and to the ground under the image's middle."""
+"""Shared unknowns of an incremental adjustment: from a-priori values and from a batch solution, and how far a
+coefficient of the orientation moves image points and the ground under the image's middle.
+"""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.parts import KnownImage
+from mgsgraph.incremental.state import Shared
+from mgsgraph.network.parts import KnownImage, Unknown, unknowns
 
 
 def image_motion(known: KnownImage) -> Array:
@@ -45,3 +50,30 @@ def _cross(vector: Array) -> Array:
     """(3, 3) matrix of the cross product with a vector from the left."""
     x, y, z = vector.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def shared_image(known: KnownImage, angles: Angles) -> Shared:
+    """The orientation of an image as it is before anything is observed in it."""
+    prior = known.prior.sigmas.ravel()
+    return Shared(prior, image_motion(known), ground_motion(known, angles), np.zeros(prior.size), np.diag(prior**2))
+
+
+def shared_shift(sigma: float, motion: float) -> Shared:
+    """A horizontal shift, eastward and northward, of a-priori `sigma` in m; `motion` is pixels per m."""
+    return Shared(np.full(2, sigma), np.full(2, motion), np.zeros((3, 2)), np.zeros(2), np.eye(2) * sigma**2)
+
+
+def shared_of(solution: Solution) -> dict[Unknown, Shared]:
+    """The adjusted unknowns of a batch solution."""
+    network, found = solution.network, dict[Unknown, Shared]()
+    names, count = unknowns(network), len(network.images)
+    for j, (image, prior) in enumerate(zip(network.images, network.priors, strict=True)):
+        if not network.held[j]:
+            one = shared_image(KnownImage(image, prior), solution.settings.angles)
+            value, covariance = solution.coefficients[j].ravel(), solution.image_covariance(j)
+            found[names[j]] = replace(one, value=value, covariance=covariance)
+    motion = max((float(one.motion[0]) for one in found.values()), default=1.0)
+    for p, name in enumerate(network.shift_names):
+        one = shared_shift(network.shift_sigma(name), motion)
+        found[names[count + p]] = replace(one, value=solution.shifts[p], covariance=solution.shift_covariance(p))
+    return found
