@@ -170,7 +170,8 @@ def _draw_graph(
     panel: Axes, connected: Connectivity, middles: Array, sizes: Array, colours: list[str]
 ) -> list[Line2D]:
     """Nodes and links; handles for the legend."""
-    width, height = (panel.get_window_extent().size / panel.figure.dpi).tolist()
+    box = panel.get_window_extent()
+    width, height = box.width / panel.figure.dpi, box.height / panel.figure.dpi
     panel.set(xlim=(0.0, width), ylim=(0.0, height))
     panel.grid(False)
     nodes = node_places(middles, sizes, (width, height))
@@ -268,6 +269,7 @@ def write_names(
         Names that were written.
     """
     frame, written = panel.get_window_extent().padded(-3.0), list[Annotation]()
+    taken = list[Bbox]()
     hidden = panel.transData.transform(marks)
     ground = {"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": cover}
     for k, (name, options) in enumerate(zip(names, sides, strict=True)):
@@ -276,15 +278,15 @@ def write_names(
         )
         for x, y, right, up in options:
             text.xy, text.xyann = (x, y), (right, up)
-            text.set_ha(("center", "left", "right")[int(np.sign(right))])
-            text.set_va(("center", "bottom", "top")[int(np.sign(up))])
+            text.set_horizontalalignment(("center", "left", "right")[int(np.sign(right))])
+            text.set_verticalalignment(("center", "bottom", "top")[int(np.sign(up))])
             box = text.get_window_extent()
             inside = float(np.clip(0.0, frame.x0 - box.x0, max(frame.x1 - box.x1, frame.x0 - box.x0)))
             text.xyann, box = (right + inside * 72.0 / panel.figure.dpi, up), box.translated(inside, 0.0)
-            others = [one.get_window_extent() for one in written]
             outside = box.y0 < frame.y0 or box.y1 > frame.y1 or box.x1 > frame.x1 + 1e-6
-            if not (outside or box.count_overlaps(others) or box.count_contains(hidden) or keep_off(k, box)):
+            if not (outside or box.count_overlaps(taken) or box.count_contains(hidden) or keep_off(k, box)):
                 written.append(text)
+                taken.append(box)
                 break
         else:
             text.remove()

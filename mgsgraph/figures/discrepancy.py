@@ -1,6 +1,7 @@
 """By how much two images contradict each other about footprints, along the second image, before and after."""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -87,7 +88,8 @@ def _spacings(panel: Axes, spacing: float) -> None:
     """The same axis in distances between footprints, on the right."""
     if not np.isfinite(spacing):
         return
-    right = panel.secondary_yaxis("right", functions=(lambda metres: metres / spacing, lambda count: count * spacing))
+    scales = partial(np.multiply, 1.0 / spacing), partial(np.multiply, spacing)
+    right = panel.secondary_yaxis("right", functions=scales)
     right.tick_params(labelsize=7.5)
     right.set_ylabel("MOLA spacings", size=8.0, labelpad=2.0)
 

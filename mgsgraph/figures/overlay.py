@@ -112,8 +112,7 @@ def _overlay(registration: CaseRegistration, j: int, pixels: Pixels | None, name
     ratios = ([_HEIGHTS, height, _BETWEEN] * strips)[:-1]
     caption = _overlay_caption(registration, j, order, pixels is not None) + omitted + "."
     title = f"Laser footprints in {short(image.name, 60)}"
-    sheet = new_sheet(name, width + 1.06, sum(ratios) + 0.7, title, caption)
-    sheet.figure.get_layout_engine().set(hspace=0.0, h_pad=0.0)
+    sheet = new_sheet(name, width + 1.06, sum(ratios) + 0.7, title, caption, gap=0.0)
     grid = sheet.panels(len(ratios), 1, heights=ratios)[:, 0]
     limits = stretch(pixels)
     heights, above = footprint_heights(registration.before[order[0]], image)

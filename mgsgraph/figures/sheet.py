@@ -98,9 +98,10 @@ class Sheet:
         widths: Sequence[float] | None = None, **shared: Any,
     ) -> NDArray[np.object_]:
         """Axes (rows, columns) that fill the sheet, of relative heights and widths; `shared`: sharex, sharey."""
-        return self.figure.subplots(
+        made: NDArray[np.object_] = self.figure.subplots(
             rows, columns, squeeze=False, height_ratios=heights, width_ratios=widths, **shared
         )
+        return made
 
     def band_height(self) -> float:
         """Middle of the legend band as a share of the figure's height."""
@@ -124,15 +125,20 @@ class Sheet:
         bar.set_label(label)
 
 
-def new_sheet(name: str, width: float, height: float, title: str, caption: str, band: float = _BAND) -> Sheet:
-    """A sheet with title, caption and a legend band (inch), and `height` inches for panels with their labels."""
+def new_sheet(
+    name: str, width: float, height: float, title: str, caption: str, band: float = _BAND, gap: float = 0.04
+) -> Sheet:
+    """A sheet with title, caption and a legend band (inch), and `height` inches for panels with their labels, `gap`
+    inches above and below each.
+    """
     lines = textwrap.wrap(caption, int((width - 2.0 * _MARGIN) / _INCH_PER_LETTER)) or [""]
     below = 2.0 * _MARGIN + _CAPTION_LINE * len(lines)
     total = height + below + _MARGIN + _TITLE + band
     figure = Figure(figsize=(width, total), dpi=_DPI, layout="constrained")
     engine: Any = figure.get_layout_engine()
     left = _MARGIN / width
-    engine.set(rect=(0.5 * left, below / total, 1.0 - left, height / total), w_pad=0.06, h_pad=0.04)
+    inside = 0.5 * left, below / total, 1.0 - left, height / total
+    engine.set(rect=inside, w_pad=0.06, h_pad=gap, hspace=0.5 * gap)
     figure.text(left, 1.0 - _MARGIN / total, title, va="top", size=12.0, weight="bold")
     figure.text(left, _MARGIN / total, "\n".join(lines), va="bottom", size=8.5, color="#333333", linespacing=1.35)
     return Sheet(name, title, caption, figure)

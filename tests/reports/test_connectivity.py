@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.transforms import Bbox
 
@@ -183,6 +183,7 @@ def test_nodes_stand_as_on_the_ground() -> None:
     assert np.ptp(np.linalg.norm(ring - 2.5, axis=1)) < 1e-9
 
 
+@settings(deadline=None, max_examples=20)
 @given(places)
 def test_names_never_hide_one_another(middles: np.ndarray) -> None:
     panel = new_sheet("names", 5.0, 5.0, "", "").panels()[0, 0]
