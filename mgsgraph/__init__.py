@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from mgsgraph.case.reading import adjust as adjust
     from mgsgraph.case.reading import read_case as read_case
     from mgsgraph.case.scene import read_scene as read_scene
-    from mgsgraph.dem.dem import make_dem as make_dem
     from mgsgraph.dem.model import DemSettings as DemSettings
+    from mgsgraph.dem.production import make_dem as make_dem
     from mgsgraph.errors import InputError as InputError
     from mgsgraph.errors import MgsgraphError as MgsgraphError
     from mgsgraph.export.exchange import convert as convert
@@ -57,7 +57,7 @@ _HOME = {
     "InputError": "mgsgraph.errors",
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
-    "make_dem": "mgsgraph.dem.dem",
+    "make_dem": "mgsgraph.dem.production",
     "match_into": "mgsgraph.matching.files",
     "MatchSettings": "mgsgraph.matching.settings",
     "MgsgraphError": "mgsgraph.errors",

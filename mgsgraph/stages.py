@@ -1,9 +1,18 @@
-"""Wall time of a longer job, by its stages."""
+"""What a longer job is doing: progress callbacks, and wall time by stages."""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of a stage, how many of its parts are done, and how many there are."""
+Count = Callable[[int, int], None]
+"""Called with how many parts are done, and how many there are."""
+
+
+def no_progress(*_: object) -> None:
+    """Show nothing: the default of both kinds of callback."""
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-IMPORTED = ("mgsgraph.cli", "mgsgraph.demo.demo", "mgsgraph.reports.page", "mgsgraph.figures")
+IMPORTED = ("mgsgraph.cli", "mgsgraph.demo.demonstration", "mgsgraph.reports.page", "mgsgraph.figures")
 MOST = 300
 """s that a command may take."""
 

@@ -14,8 +14,8 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
-from mgsgraph.dem.dem import adjusted_scene
 from mgsgraph.dem.map import MapGrid
+from mgsgraph.dem.production import adjusted_scene
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.matching.dense import DenseMatches

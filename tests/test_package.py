@@ -19,7 +19,7 @@ STOREYS = [
     ("mgsgraph.demo",),
     ("mgsgraph.export", "mgsgraph.review"),
     (
-        "mgsgraph.reports", "mgsgraph.dem.dem", "mgsgraph.dem.files", "mgsgraph.matching.files",
+        "mgsgraph.reports", "mgsgraph.dem.production", "mgsgraph.dem.files", "mgsgraph.matching.files",
         "mgsgraph.registration.tables",
     ),
     ("mgsgraph.figures",),
@@ -46,8 +46,7 @@ ONLY_IN = {
     "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment", "mgsgraph.incremental", "mgsgraph.analysis.forward"),
     "matplotlib": ("mgsgraph.figures",),
     "numba": (
-        "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.geometry", "mgsgraph.adjustment.graph",
-        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.matching", "mgsgraph.dem",
+        "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.adjustment.graph.rows",
     ),
     "llvmlite": ("mgsgraph.kernel.lanes",),
     "cv2": ("mgsgraph.matching",),

@@ -9,11 +9,14 @@ import click
 from tqdm import tqdm
 
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.stages import Stages
 
 _PATIENCE = 4.0
 """s after which the silence is explained."""
 _SHORTLY = 2.0
 """s before a bar appears: what is done sooner needs none."""
+_BEAT = 0.5
+"""s between two looks at the clock."""
 
 
 @contextmanager
@@ -44,7 +47,9 @@ def counting_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """The same for work in several parts, each a known number of things, one bar after the other."""
+    """The same for work in several stages, each of a known number of parts: one bar after the other, or, where standard
+    error is no terminal, one line when a stage begins.
+    """
     bar: tqdm[None] | None = None
     shown = ""
 
@@ -53,6 +58,8 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
         if bar is None or shown != what:
             if bar is not None:
                 bar.close()
+            if not sys.stderr.isatty():
+                click.echo(f"{what} ...", err=True)
             bar, shown = tqdm(desc=what, total=most, leave=False, disable=None), what
         bar.total = most
         bar.update(done - bar.n)
@@ -119,3 +126,28 @@ class IterationBar:
     def close(self) -> None:
         """Take the bar away."""
         self._bar.close()
+
+
+@contextmanager
+def stage_bar(count: int) -> Iterator[Stages]:
+    """Stages that show themselves: which of `count` is running, and for how long all of them have."""
+    bar = tqdm(total=count, unit="stage", leave=False, disable=None, bar_format="{n_fmt}/{total_fmt} {desc} {elapsed}")
+    over, begun = threading.Event(), list[str]()
+
+    def tick() -> None:
+        while not over.wait(_BEAT):
+            bar.refresh()
+
+    def announce(stage: str) -> None:
+        bar.update(1 if begun else 0)
+        begun.append(stage)
+        bar.set_description_str(stage)
+
+    ticking = threading.Thread(target=tick, daemon=True)
+    ticking.start()
+    try:
+        yield Stages(announce)
+    finally:
+        over.set()
+        ticking.join()
+        bar.close()

@@ -2,8 +2,8 @@
 
 points are the matches' rays intersected, with what matching and what orientation makes of their covariance; map is the
 plane that is north up, and its posts; gridding (surface is its kernel) fits the posts; ortho lays the first image on
-them; checking compares heights with shots that took no part; model is these together, rasters and record its files; dem
-is the whole road, from a solution and its case.
+them; checking compares heights with shots that took no part; model is these together, rasters and record its files;
+production is the whole way, from a solution and its case.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """A terrain model in words and as files: rasters, the record, the table of check shots, the figure."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 from mgsgraph.dem.checking import HeightChecks, check_merit
 from mgsgraph.dem.gridding import HeightGrid
 from mgsgraph.dem.map import MapGrid
-from mgsgraph.dem.model import Dem, DemSettings, Progress, ortho_grid
+from mgsgraph.dem.model import Dem, DemSettings, ortho_grid
 from mgsgraph.dem.ortho import ortho_tiles
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array, Mask
@@ -19,6 +19,7 @@ from mgsgraph.output.csv_json import picked, write_json
 from mgsgraph.output.folders import DEM, PROGRAM
 from mgsgraph.output.geotiff import geotiff
 from mgsgraph.output.table import Column, Table
+from mgsgraph.stages import Progress, no_progress
 from mgsgraph.units import DEG, KM
 from mgsgraph.wording import many, some
 
@@ -39,9 +40,8 @@ def write_dem(
     tags = {"case": dem.name, "images": some(dem.images, len(dem.images), 20), "sigmas": "for sigma0 = 1"}
     write_model(dem.model, dem.heights, dem.reference, tags, folder / "dem.tif")
     write_ortho(
-        scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif",
-        lambda done, most: progress("ortho image", done, most),
-    )  # fmt: skip
+        scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif", progress
+    )
     shots_table(dem).write_csv(folder / "shots.csv")
     write_json(folder / DEM, _record(dem, settings, grid.post))
     if figures:
@@ -203,8 +203,7 @@ def write_model(model: HeightGrid, heights: Array, reference: str, tags: Mapping
 
 
 def write_ortho(
-    picture: Picture, model: HeightGrid, ground: Ground, grid: MapGrid, path: Path,
-    progress: Callable[[int, int], None] = lambda done, most: None,
+    picture: Picture, model: HeightGrid, ground: Ground, grid: MapGrid, path: Path, progress: Progress = no_progress
 ) -> None:
     """Write ortho.tif: the picture on the pixels of `grid`, 0 where there is none."""
     from rasterio.windows import Window

@@ -1,7 +1,6 @@
 """Ground points to a regular grid of heights with sigmas (`surface` has the mathematics)."""
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -12,6 +11,7 @@ from mgsgraph.dem.map import MapGrid
 from mgsgraph.dem.points import DensePoints
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.stages import Progress, no_progress
 
 _REACH = 1.5
 """Distances between points up to which they count for a post."""
@@ -54,7 +54,7 @@ class HeightGrid:
 
 def gridded(
     points: DensePoints, grid: MapGrid, spacing: float, window: float, workers: int | None = None,
-    progress: Callable[[int, int], None] = lambda done, most: None,
+    progress: Progress = no_progress,
 ) -> HeightGrid:
     """Heights at the posts of a map. Posts far apart are chosen from a finer grid, which has those of the points around
     each: a wider plane would be that of the ground in between, and what scatters about it says little of its height at
@@ -90,9 +90,9 @@ def gridded(
     own = slice(parts // 2, None, parts)  # the middle ones
     height, matching, orientation, count = (np.ascontiguousarray(band[own, own]) for band in bands)
     if not np.any(count):
-        told = f"{len(points)} points, nowhere several around a post"
+        few = f"{len(points)} points, nowhere several around a post"
         where = f"terrain model with posts every {grid.post:g} m"
-        raise InputError(where, told, "points on all sides", "give a smaller --post, or images that match better")
+        raise InputError(where, few, "points on all sides", "give a smaller --post, or images that match better")
     return HeightGrid(grid, height, matching, orientation, count)
 
 
@@ -103,7 +103,7 @@ def _parts(ratio: float) -> int:
 
 def _fitted(
     points: DensePoints, grid: MapGrid, spacing: float, window: float, workers: int | None,
-    progress: Callable[[int, int], None],
+    progress: Progress,
 ) -> Array:
     """(rows, columns, COLUMNS) of the kernel, which works with the post as its unit of length."""
     from mgsgraph.dem.surface import COLUMNS, surface  # numba takes its time to load
@@ -120,7 +120,7 @@ def _fitted(
     blocks = range(0, grid.rows, _ROWS_AT_ONCE)
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         for done, _ in enumerate(pool.map(fit, blocks), start=1):
-            progress(min(done * _ROWS_AT_ONCE, grid.rows), grid.rows)
+            progress("gridding", min(done * _ROWS_AT_ONCE, grid.rows), grid.rows)
     return found
 
 

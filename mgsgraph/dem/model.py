@@ -1,6 +1,6 @@
 """A terrain model of dense matches, with what it was made from and how it was checked."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -18,6 +18,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_heights
 from mgsgraph.matching.coarse import pixel_on_ground
 from mgsgraph.matching.scene import Scene
+from mgsgraph.stages import Progress, no_progress
 from mgsgraph.units import KM
 
 if TYPE_CHECKING:
@@ -25,12 +26,6 @@ if TYPE_CHECKING:
 
 Heights = Literal["sphere", "areoid"]
 """What heights are above."""
-Progress = Callable[[str, int, int], None]
-"""Told what is being done, and how many of how many are."""
-
-
-def silent(what: str, done: int, most: int) -> None:
-    """Tell nobody."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +101,7 @@ class Dem:
 def dem_of(
     name: str, posterior: Posterior, scene: Scene, matches: Sequence["DenseMatches"], window: float,
     settings: DemSettings, profiles: Sequence[CheckProfile] = (), workers: int | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Dem:
     """A terrain model of dense matches, in memory; `window` in m is the width of the windows that were matched."""
     require_reference(posterior, settings)
@@ -115,7 +110,7 @@ def dem_of(
     spacing = max(one.spacing for one in matches)
     grid = MapGrid.around(points.places, scene.ground.body, settings.post or spacing)
     related = replace(points, pair=_kin([(one.first, one.second) for one in matches])[points.pair])
-    model = gridded(related, grid, spacing, window, workers, lambda done, most: progress("gridding", done, most))
+    model = gridded(related, grid, spacing, window, workers, progress)
     heights, reference = model.heights, f"a sphere of {grid.radius / KM:.3f} km"
     areoid = posterior.network.areoid
     if settings.heights == "areoid" and areoid is not None:

@@ -1,6 +1,6 @@
 """The first image over the terrain model: every pixel where the model says its ground is seen."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +11,7 @@ from mgsgraph.dem.map import MapGrid, bilinear
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.patches import Tile, ortho_patch
 from mgsgraph.matching.scene import Ground, Picture
+from mgsgraph.stages import Progress, no_progress
 
 _SIDE = 1024
 """pixels of a tile."""
@@ -35,7 +36,7 @@ class _ModelGround(Ground):
 
 def ortho_tiles(
     picture: Picture, model: HeightGrid, ground: Ground, grid: MapGrid,
-    progress: Callable[[int, int], None] = lambda done, most: None,
+    progress: Progress = no_progress,
 ) -> Iterator[tuple[int, int, NDArray[np.uint8]]]:
     """A picture on the posts of a map, tile after tile.
 
@@ -72,7 +73,7 @@ def ortho_tiles(
         inside = _nearest(there, model.map, part)
         west, south = part.west + 0.5 * grid.post, part.north - (rows - 0.5) * grid.post
         patch = ortho_patch(picture, over, Tile(k, west, south, grid.post, rows, columns, 0), levels)
-        progress(k + 1, len(corners))
+        progress("ortho image", k + 1, len(corners))
         if patch is not None and np.any(inside):
             shown = (patch.valid[::-1] > 0) & inside
             yield row, column, np.where(shown, np.maximum(patch.grey[::-1], 1), 0).astype(np.uint8)

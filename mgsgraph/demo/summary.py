@@ -9,7 +9,8 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
-from mgsgraph.demo.demo import DRAWING, INPUTS, PAIR, Demonstration, demonstrate, demonstrate_pair, true_points
+from mgsgraph.demo.demonstration import DRAWING, INPUTS, Demonstration, demonstrate, demonstrate_pair, true_points
+from mgsgraph.demo.simulate import PAIR
 from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, nees, pair_statements, rms_length
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array

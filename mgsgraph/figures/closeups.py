@@ -24,7 +24,7 @@ from mgsgraph.figures.overlay import (
 )
 from mgsgraph.figures.sheet import INK, MOST_SHEETS, Sheet, new_sheet, number, plain_style, sheet_name, short
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.io.moc_pixels import Pixels
+from mgsgraph.io.pictures import Pixels
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.units import KM

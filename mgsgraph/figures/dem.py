@@ -14,6 +14,7 @@ from mgsgraph.dem.checking import check_merit
 from mgsgraph.dem.model import Dem
 from mgsgraph.figures.sheet import AFTER, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.pictures import open_raster
 from mgsgraph.units import KM
 from mgsgraph.wording import many, some
 
@@ -29,9 +30,7 @@ _SHOWN = (0.02, 0.98)
 
 def read_ortho(path: Path) -> NDArray[np.uint8]:
     """An ortho image with no more rows and columns than are drawn."""
-    import rasterio
-
-    with rasterio.open(path) as file:
+    with open_raster(path, "the ortho image") as file:
         step = max(1.0, max(file.shape) / _MOST_POSTS)
         found: NDArray[np.uint8] = file.read(1, out_shape=tuple(max(1, round(size / step)) for size in file.shape))
     return found

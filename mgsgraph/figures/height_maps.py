@@ -8,7 +8,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.analysis.height_cells import HeightCells, turned
-from mgsgraph.analysis.two_step_statistics import StepMerit, owners
+from mgsgraph.analysis.two_step_statistics import TwoStepStatistics, owners
 from mgsgraph.figures.sheet import INK, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.footprint import footprint
@@ -23,7 +23,7 @@ _MOST_OUTLINES = 60
 
 
 @plain_style()
-def height_map_sheet(merit: StepMerit, found: HeightCells) -> Sheet:
+def height_map_sheet(merit: TwoStepStatistics, found: HeightCells) -> Sheet:
     """Root mean square and mean of the heights by cell, with the nominal orientation and after both steps."""
     west, east, south, north = found.extent
     tall = (north - south) > (east - west) * np.cos(0.5 * (south + north) * DEG)
@@ -82,7 +82,7 @@ def _draw(
     return shown
 
 
-def _outlines(merit: StepMerit, found: HeightCells) -> list[Array]:
+def _outlines(merit: TwoStepStatistics, found: HeightCells) -> list[Array]:
     """(k, 2) deg, of each strip's middle image, or of each image, adjusted; at the middle height of the points."""
     steps = merit.steps
     places = steps.fitted.places[merit.points]
@@ -97,7 +97,7 @@ def _outlines(merit: StepMerit, found: HeightCells) -> list[Array]:
     return result
 
 
-def _caption(merit: StepMerit, found: HeightCells, sides: tuple[str, str]) -> str:
+def _caption(merit: TwoStepStatistics, found: HeightCells, sides: tuple[str, str]) -> str:
     heights = merit.whole.heights
     width, height = (number(step / DEG) for step in found.steps)
     before, free, fitted = (number(value) for value in found.total)

@@ -18,12 +18,11 @@ from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.scene import Pixels
 from mgsgraph.network.observations import require_inside
+from mgsgraph.stages import Count, no_progress
 from mgsgraph.ties import TiePoints
 
 Pictures = Callable[[int], Pixels]
 """Pixels of an image by its number; asked for again and again, one image after the other."""
-Progress = Callable[[int, int], None]
-"""Called with how many are done, and of how many."""
 
 SIDE = 81
 """Chip pixels a side."""
@@ -249,7 +248,7 @@ def likeness(
     ties: TiePoints,
     frames: ChipFrames,
     points: Index | None = None,
-    progress: Progress = lambda done, most: None,
+    progress: Count = no_progress,
 ) -> Likeness:
     """Compare the chips of measures with those of their points' reference measures.
 

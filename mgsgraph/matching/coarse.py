@@ -1,6 +1,6 @@
 """First, on a coarse ground grid: by how much the nominal orientations contradict each other."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from mgsgraph.matching.relative import Displacements, consensus, corrected, disp
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, Store, features_on, links_on, load_links, saved, tiling, together
+from mgsgraph.stages import Progress
 
 _COARSER = 4.0
 """How much coarser than the ground grid."""
@@ -137,7 +138,7 @@ def brought_together(
     step: float,
     levels: Sequence[tuple[float, float]],
     store: Store,
-    progress: Callable[[int, int], None],
+    progress: Progress,
 ) -> Together:
     """Correct pictures, one after the other, until they agree with those before.
 
@@ -155,7 +156,7 @@ def brought_together(
     store : Store
         Where links that are found are kept.
     progress : callable
-        Told how many of how many pictures are done.
+        Called with the number of pictures that are done.
 
     Raises
     ------
@@ -166,7 +167,7 @@ def brought_together(
     left, there, group = set(range(count)), set[int](), np.full(count, -1)
     done, tried, refused = list[Agreement](), set[Pair](), list[NoAgreement]()
     while left:
-        progress(count - len(left), count)
+        progress("coarse grid", count - len(left), count)
         pair = next_pair(pairs, there, left, tried)
         if pair is None:
             there = {new := first_picture(pairs, left)}
@@ -183,7 +184,7 @@ def brought_together(
         group[pair.second] = group[pair.first]
         there.add(pair.second)
         left.discard(pair.second)
-    progress(count, count)
+    progress("coarse grid", count, count)
     if not done:
         raise refused[0]
     return Together(scene, done, group, [str(error) for error in refused])

@@ -5,7 +5,7 @@ matching says how high the ground is, to a pixel or so. From that every post is 
 themselves, which are not resampled, and each match has a covariance.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from mgsgraph.matching.patches import MOST, Tile
 from mgsgraph.matching.posts import Least, PostMatches, View, matches_on, no_matches
 from mgsgraph.matching.scene import GroundChart, Scene
 from mgsgraph.matching.tiles import tiling
+from mgsgraph.stages import Progress, no_progress
 
 _SPACING = 5.0
 """pixels of the ground grid between posts."""
@@ -34,9 +35,6 @@ _LEAST_PARALLAX = 0.02
 """m per m of height: rays that are closer to parallel tell no height."""
 _FINER = 2.0
 """How much smaller a pixel's area has to be to count as finer."""
-
-Progress = Callable[[str, int, int], None]
-"""Told what is being done, and how many of how many are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +88,7 @@ def dense_matches(
     scene: Scene,
     settings: DenseSettings | None = None,
     workers: int | None = None,
-    progress: Progress = lambda what, done, most: None,
+    progress: Progress = no_progress,
 ) -> tuple[DenseMatches, ...]:
     """Match all pairs of pictures that share ground and see it from different sides.
 
@@ -103,7 +101,7 @@ def dense_matches(
     workers : int, optional
         Threads; as many as there are processors when absent.
     progress : callable, optional
-        Told what is being done.
+        Called with the stage, and how much of it is done.
 
     Raises
     ------

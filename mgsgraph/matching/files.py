@@ -18,13 +18,15 @@ from mgsgraph.io.control.binary import write_binary_network
 from mgsgraph.io.control.pvl_writing import write_pvl_network
 from mgsgraph.io.control.ties import control_network
 from mgsgraph.matching.coarse import Agreement
-from mgsgraph.matching.match import Progress, digest, match_scene
+from mgsgraph.matching.match import digest, match_scene
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.output.csv_json import picked, plain, write_json
 from mgsgraph.output.folders import MATCH, PROGRAM, fresh_folder
-from mgsgraph.output.table import ISIS, Column, Table
+from mgsgraph.output.table import Column, Table
+from mgsgraph.stages import Progress, no_progress
+from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.wording import many
 
 FORMAT = 1
@@ -77,7 +79,7 @@ class KeptTiles:
 
 def match_into(
     name: str, scene: Scene, out: Path, settings: MatchSettings, workers: int | None = None, figures: bool = True,
-    progress: Progress = lambda what, done, most: None,
+    progress: Progress = no_progress,
 ) -> Matches:
     """Match a scene and write what was found to a folder that appears whole or not at all.
 
@@ -96,7 +98,7 @@ def match_into(
     figures : bool
         False leaves the figure out.
     progress : callable, optional
-        Told what is being done.
+        Called with the stage, and how much of it is done.
     """
     store = KeptTiles(out, digest(scene, settings))
     try:
@@ -137,7 +139,7 @@ def matches_table(matches: Matches) -> Table:
         Column("id", picked(ties.ids, ties.measure_point)),
         Column("image", ties.measure_image),
         Column("reference", matches.reference, meaning="the measure that the others are compared with"),
-        Column("isis_{}", ties.measures + ISIS, meaning="the first pixel's centre is (1, 1)", parts=ways),
+        Column("isis_{}", ties.measures + ISIS_OFFSET, meaning="the first pixel's centre is (1, 1)", parts=ways),
         Column("sigma_{}", ties.measure_sigmas, "px", parts=ways),
         Column("against_reference_{}", covariances[:, [0, 0, 1], [0, 1, 1]], "px2", "covariance of the difference",
                ("line_line", "line_sample", "sample_sample")),

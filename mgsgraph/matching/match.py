@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -24,6 +24,7 @@ from mgsgraph.matching.patches import Tile
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, Nowhere, Store, features_on, links_on, load_links, saved, tiling, together
+from mgsgraph.stages import Progress, no_progress
 
 _MARGIN = 64
 """pixels of the ground grid that tiles share with their neighbours."""
@@ -36,16 +37,13 @@ _FINER = 2.0
 _TRIED = 4
 """How many times more matches are measured in each cell than are kept."""
 
-Progress = Callable[[str, int, int], None]
-"""Told what is being done, and how many of how many are."""
-
 
 def match_scene(
     scene: Scene,
     settings: MatchSettings | None = None,
     store: Store | None = None,
     workers: int | None = None,
-    progress: Progress = lambda what, done, most: None,
+    progress: Progress = no_progress,
 ) -> Matches:
     """Find tie points in all pairs of images that share ground.
 
@@ -60,7 +58,7 @@ def match_scene(
     workers : int, optional
         Tiles at a time; as many as there are processors when absent.
     progress : callable, optional
-        Told what is being done.
+        Called with the stage, and how much of it is done.
 
     Raises
     ------
@@ -71,9 +69,7 @@ def match_scene(
     levels = [picture.levels for picture in scene.pictures]
     pairs = pairs_of(scene)
     step = settings.step or grid_step(scene)
-    known = brought_together(
-        scene, pairs, settings, step, levels, store, lambda done, most: progress("coarse grid", done, most)
-    )
+    known = brought_together(scene, pairs, settings, step, levels, store, progress)
     pairs = [pair for pair in pairs if known.group[pair.first] == known.group[pair.second]]
     found = _links(known, pairs, settings, step, levels, store, workers, progress)
     return _measured_matches(known, pairs, found, settings, step, progress)

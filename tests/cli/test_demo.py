@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from commands import refused, run, run_afresh
 
-from mgsgraph.demo.demo import STAGES
+from mgsgraph.demo.demonstration import STAGES
 
 
 @pytest.fixture(scope="module")

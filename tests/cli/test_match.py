@@ -12,7 +12,7 @@ from increments import strip
 
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.matching import match as matching
 from mgsgraph.simulation.files import write_strip
 
@@ -42,7 +42,7 @@ def out(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("found") / "matches"
     done = run_afresh("match", site, "--out", out, "--cells", 40)
     assert done.returncode == 0, done.stderr
-    assert not done.stderr
+    assert done.stderr.split(" ...\n")[:-1] == ["coarse grid", "matching", "measuring"]
     record = json.loads((out / "match.json").read_text(encoding="utf-8"))
     said = done.stdout.splitlines()
     assert [line[2:] for line in said[:-1]] == record["statements"]

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rasterio.warp import transform
 
-from mgsgraph.dem.dem import adjusted_scene
 from mgsgraph.dem.gridding import HeightGrid, gridded
 from mgsgraph.dem.map import MapGrid, bilinear
 from mgsgraph.dem.points import DensePoints, height_variance, intersected
+from mgsgraph.dem.production import adjusted_scene
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, planetocentric
 from mgsgraph.network import ImageRays

@@ -17,11 +17,11 @@ from rasterio.warp import transform
 
 from mgsgraph.case.reading import read_case
 from mgsgraph.case.schema import decode
-from mgsgraph.dem import dem as whole_road
+from mgsgraph.dem import production
 from mgsgraph.dem.checking import check_profiles, checked
-from mgsgraph.dem.dem import make_dem
 from mgsgraph.dem.files import dem_statements, write_dem
 from mgsgraph.dem.model import Dem, DemSettings, dem_of
+from mgsgraph.dem.production import make_dem
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.output.folders import DEM, fresh_folder
@@ -236,8 +236,8 @@ def test_words_where_there_is_nothing_to_check_by() -> None:
 def road(out: Path, monkeypatch: pytest.MonkeyPatch, **settings: object) -> Dem:
     """The whole road but for the matching, over the scene that the test has."""
     matches = dem_site.matched(np.random.default_rng(4))
-    monkeypatch.setattr(whole_road, "read_scene", lambda path, *ground: ("test", dem_site.scene()))
-    monkeypatch.setattr(whole_road, "_matched", lambda *given: ((matches,), 1e-3))
+    monkeypatch.setattr(production, "read_scene", lambda path, *ground: ("test", dem_site.scene()))
+    monkeypatch.setattr(production, "_matched", lambda *given: ((matches,), 1e-3))
     return make_dem(dem_site.solution(), dem_site.case_path(), out, replace(SETTINGS, **settings), figures=False)
 
 

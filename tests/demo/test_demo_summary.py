@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsgraph.demo.demo import PAIR, STAGES, Demonstration, demonstrate, site_options
+from mgsgraph.demo.demonstration import STAGES, Demonstration, demonstrate
+from mgsgraph.demo.simulate import DEMONSTRATED, PAIR, simulation_options
 from mgsgraph.demo.summary import MOST_SIGMAS, demo_statements, largest_sigmas_off, summary_json
 from mgsgraph.demo.truth import contradiction_at
 from mgsgraph.errors import InputError
@@ -22,7 +23,7 @@ ALONG = {"gusev": -229.0, "isidis": 225.0}
 @pytest.fixture(scope="module", params=SITE_NAMES)
 def demo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Demonstration:
     folder = tmp_path_factory.mktemp(request.param)
-    return demonstrate(request.param, folder, 1, site_options(request.param, pictures=False))
+    return demonstrate(request.param, folder, 1, simulation_options(request.param, pictures=False))
 
 
 def test_misregistration_is_seen_before_and_gone_after(demo: Demonstration) -> None:
@@ -145,9 +146,9 @@ def test_words_admit_what_is_not_within_its_sigmas(demo: Demonstration) -> None:
 
 def test_sites_and_options_are_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="eos, gusev, isidis or pair"):
-        site_options("olympus")
+        simulation_options("olympus", known=DEMONSTRATED)
     with pytest.raises(InputError, match="attitude time bias"):
-        site_options(PAIR, 0.5)
+        simulation_options(PAIR, 0.5)
     with pytest.raises(InputError, match="attitude_time_bias"):
-        site_options("gusev", float("nan"))
-    assert site_options("gusev", 0.95).attitude_time_bias == 0.95
+        simulation_options("gusev", float("nan"))
+    assert simulation_options("gusev", 0.95).attitude_time_bias == 0.95

@@ -21,7 +21,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.io.control.ties import tie_points
 from mgsgraph.review.page import png, write_review
-from mgsgraph.review.review import MatchReview, review_matches
+from mgsgraph.review.selection import MatchReview, review_matches
 from mgsgraph.review.verdicts import (
     Verdict,
     Verdicts,

@@ -17,7 +17,6 @@ from mgsgraph.matching.chips import (
     SIDE,
     Likeness,
     Pictures,
-    Progress,
     chip_frames,
     chips,
     likeness,
@@ -26,6 +25,7 @@ from mgsgraph.matching.chips import (
 )
 from mgsgraph.matching.scene import Pixels
 from mgsgraph.review.verdicts import Verdicts, chosen_points, network_digest, require_verdicts_of
+from mgsgraph.stages import Count, no_progress
 from mgsgraph.ties import TiePoints
 from mgsgraph.wording import listed, many, some
 
@@ -142,7 +142,7 @@ def review_case(
     worst: int = WORST,
     points: Sequence[str] = (),
     verdicts: Verdicts | None = None,
-    progress: Progress = lambda done, most: None,
+    progress: Count = no_progress,
 ) -> MatchReview:
     """Look at the tie points of a case; see `review_matches`.
 
@@ -172,7 +172,7 @@ def review_matches(
     worst: int = WORST,
     points: Sequence[str] = (),
     name: str = "",
-    progress: Progress = lambda done, most: None,
+    progress: Count = no_progress,
 ) -> MatchReview:
     """Look at tie points, and choose those that a person should look at.
 

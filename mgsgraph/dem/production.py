@@ -13,12 +13,13 @@ from mgsgraph.case.scene import read_scene
 from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.dem.checking import check_profiles
 from mgsgraph.dem.files import write_dem
-from mgsgraph.dem.model import Dem, DemSettings, Progress, dem_of, require_reference, silent
+from mgsgraph.dem.model import Dem, DemSettings, dem_of, require_reference
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.matching.coarse import grid_step
 from mgsgraph.matching.scene import Scene
 from mgsgraph.output.folders import DEM, fresh_folder, require_replaceable
+from mgsgraph.stages import Progress, no_progress
 from mgsgraph.wording import some
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def make_dem(
     settings: DemSettings | None = None,
     workers: int | None = None,
     figures: bool = True,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Dem:
     """Match the images of a case densely with their adjusted orientation, and write a terrain model.
 
@@ -54,7 +55,7 @@ def make_dem(
     figures : bool
         Whether the figure is drawn.
     progress : callable
-        Told what is being done.
+        Called with the stage, and how much of it is done.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""Options by which a command line overrules case files."""
+"""Options that several verbs have; those by which a command line overrules case files."""
 
 from collections.abc import Callable
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,6 +10,9 @@ import click
 if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Form, Loss
 
+PATH = click.Path(path_type=Path)
+TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
+NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write tables only.")
 _OPTIONS = (
     click.option(
         "--form",
@@ -24,15 +28,15 @@ _OPTIONS = (
         "--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none."
     ),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
-    click.option("--no-figures", is_flag=True, help="Write tables only."),
+    NO_FIGURES,
 )
 
 
 def overruling(verb: Callable[..., None]) -> Callable[..., None]:
-    """Give a verb the options that overrule case files; it takes them together, as `wishes` (a `campaign.Wishes`)."""
+    """Give a verb the options that overrule case files, which it takes together as `overrides`."""
 
     @wraps(verb)
-    def with_wishes(
+    def with_overrides(
         *,
         form: "Form | None",
         loss: "Loss | None",
@@ -41,10 +45,10 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
         no_figures: bool,
         **others: Any,
     ) -> None:
-        from mgsgraph.campaign import Wishes
+        from mgsgraph.campaign import Overrides
 
-        verb(wishes=Wishes(form, loss, reject, not no_laser, not no_figures), **others)
+        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures), **others)
 
     for option in reversed(_OPTIONS):
-        option(with_wishes)
-    return with_wishes
+        option(with_overrides)
+    return with_overrides

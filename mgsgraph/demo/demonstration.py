@@ -2,39 +2,26 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
+from mgsgraph.demo.simulate import simulated_files
 from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, against_truth, true_places_of
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
-from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.stages import Stages
 
-PAIR = "pair"
-"""The small pair of synthetic images, beside the study sites."""
 INPUTS = "inputs"
 """Folder of the simulated files in the demo's results."""
-
-
-def site_options(site: str, attitude_time_bias: float | None = None, pictures: bool = True) -> SimulationOptions:
-    """Options of a simulation; raise InputError unless there is such a site, and it can have them."""
-    if site not in (*SITE_NAMES, PAIR):
-        raise InputError("site", repr(site), f"{', '.join(SITE_NAMES)} or {PAIR}")
-    if site == PAIR and attitude_time_bias is not None:
-        raise InputError("attitude time bias", f"given for {PAIR}", "a study site", f"take {' or '.join(SITE_NAMES)}")
-    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
-
-
 DRAWING = "tables and figures"
-"""The last stage."""
+"""Name of the last stage."""
 STAGES = ("simulating", "writing", "reading", "adjusting", "registering", DRAWING)
-"""Of a demo, in their order."""
+"""Stages of a demo, in their order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,28 +54,12 @@ class Demonstration:
         return f"Demonstration({self.simulated!r}; {self.solution!r})"
 
 
-def _write_pair(folder: Path, seed: int, stages: Stages) -> tuple[SimulatedPair, Path]:
-    with stages.stage("simulating"):
-        pair = simulate_pair(seed=seed)
-    with stages.stage("writing"):
-        return pair, write_pair(pair, folder)
-
-
-def _write_site(
-    site: str, folder: Path, seed: int, options: SimulationOptions | None, stages: Stages
-) -> tuple[SimulatedSite, Path]:
-    with stages.stage("simulating"):
-        simulated = simulate_site(site, seed, options)
-    with stages.stage("writing"):
-        return simulated, write_site(simulated, folder)
-
-
 def demonstrate_pair(
     folder: Path, seed: int = 1, adjusting: Callable[[Case], Solution] = adjust, stages: Stages | None = None
 ) -> tuple[SimulatedPair, Solution]:
     """Simulate the pair, write its files to `folder`, read them back and adjust them."""
     stages = stages or Stages()
-    pair, path = _write_pair(folder, seed, stages)
+    pair, path = simulated_files(partial(simulate_pair, seed=seed), write_pair, folder, stages)
     with stages.stage("reading"):
         case = read_case(path)
     with stages.stage("adjusting"):
@@ -121,7 +92,7 @@ def demonstrate(
         Books the seconds.
     """
     stages = stages or Stages()
-    simulated, path = _write_site(site, folder, seed, options, stages)
+    simulated, path = simulated_files(partial(simulate_site, site, seed, options), write_site, folder, stages)
     with stages.stage("reading"):
         case = _named_from(read_case(path), folder)
     with stages.stage("adjusting"):
