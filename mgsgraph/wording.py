@@ -12,11 +12,6 @@ NAMED = 4
 """How many of a kind are named before the rest is only counted."""
 
 
-def cells(values: Array, width: int) -> str:
-    """Right-aligned numbers with as many of three decimals as the width holds; a dash for none."""
-    return " ".join(cell(float(value), width).rjust(width) for value in values)
-
-
 def cell(value: float, width: int) -> str:
     """A number with as many of three decimals as the width holds; a dash for none."""
     if not math.isfinite(value):

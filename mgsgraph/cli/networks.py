@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from mgsgraph.cli.options import PATH
+from mgsgraph.export import Target
 
 _FORMATS = click.Choice(["pvl", "net", "csv", "match", "match-text", "gcp", "nvm"])
 
@@ -79,9 +80,7 @@ def _tell_lost(lost: tuple[str, ...]) -> None:
 
 @click.command()
 @click.argument("solution", type=PATH)
-@click.option(
-    "--to", "target", type=click.Choice(["spice", "csm", "isis", "asp", "gis"]), required=True, help="For whom."
-)
+@click.option("--to", "target", type=click.Choice([one.value for one in Target]), required=True, help="For whom.")
 @click.option("--out", type=PATH, required=True, help="Folder for the files; made anew.")
 @click.option("--scaled", is_flag=True, help="Covariances times sigma0 squared, as jigsaw's; else for sigma0 = 1.")
 @click.option("--case", type=PATH, help="The case, for what its image support data say besides geometry (csm, asp).")
