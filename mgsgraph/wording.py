@@ -47,6 +47,11 @@ def some(names: Sequence[str], total: int, most: int = NAMED) -> str:
     return ", ".join(named) + (f" and {total - len(named)} more" if total > len(named) else "")
 
 
+def some_of(names: Sequence[str], index: NDArray[np.int64], most: int = NAMED) -> str:
+    """Names with indices (n,), `most` at the most."""
+    return some([names[i] for i in index[:most].tolist()], index.size, most)
+
+
 def short(name: str, width: int) -> str:
     """A name cut in its middle: serial numbers differ at their ends."""
     if len(name) <= width:

@@ -69,10 +69,11 @@ def adjust(
         parse_cluster(cluster)
     read = read_case(case, overrides.laser, ties)
     settings = overrides.over(read.settings)
-    hands: AbstractContextManager[Connection | None] = open_cluster(cluster) if cluster is not None else nullcontext()
+    connection: AbstractContextManager[Connection | None]
+    connection = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:
-        ctx.exit(0 if _in_two_steps(read, settings, out, hands, overrides, verbose) else 1)
-    with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:
+        ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, verbose) else 1)
+    with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         solution = adjust_network(read.network, settings, read.name, bar, workers)
     write_results(solution, out, figures=overrides.figures)
     click.echo(summary_table(solution))
@@ -86,7 +87,7 @@ def _in_two_steps(
     read: "Case",
     settings: "SolverSettings",
     out: Path,
-    hands: AbstractContextManager["Connection | None"],
+    connection: AbstractContextManager["Connection | None"],
     overrides: "Overrides",
     verbose: bool,
 ) -> bool:
@@ -98,7 +99,7 @@ def _in_two_steps(
     from mgsgraph.reports.two_steps import two_steps_page, write_two_steps
 
     require_terrain(read.network, str(read.path))
-    with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:
+    with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
     write_results(steps.fitted, out, figures=False)  # what took longest is safe, whatever becomes of the rest
     with _solution_kept(out), stage_bar(2) as stages:
@@ -125,8 +126,8 @@ def _solution_kept(out: Path) -> Iterator[None]:
         raise
 
 
-_PATIENCE = 20.0
-"""s after which the silence is explained."""
+_EXPLAIN_AFTER = 20.0
+"""s after which it is said why nothing has moved yet."""
 
 
 @click.command()
@@ -175,7 +176,7 @@ class _CaseBar:
     def __init__(self, verbose: bool) -> None:
         self._verbose, self._over, self._due, self._failed = verbose, 0, 0, 0
         self._bar: tqdm[None] | None = None
-        self._timer = threading.Timer(_PATIENCE, self.explain)
+        self._timer = threading.Timer(_EXPLAIN_AFTER, self.explain)
         self._timer.daemon = True
 
     def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:

@@ -11,8 +11,8 @@ from tqdm import tqdm
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.stages import Stages
 
-_PATIENCE = 4.0
-"""s after which the silence is explained."""
+_EXPLAIN_AFTER = 4.0
+"""s after which it is said why nothing has moved yet."""
 _SHORTLY = 2.0
 """s before a bar appears: what is done sooner needs none."""
 _BEAT = 0.5
@@ -23,7 +23,7 @@ _BEAT = 0.5
 def iteration_bar(verbose: bool, most: int) -> Iterator["IterationBar"]:
     """Progress over iterations on standard error (where that is a terminal); one line each when verbose."""
     bar = IterationBar(verbose, most)
-    timer = threading.Timer(_PATIENCE, bar.explain)
+    timer = threading.Timer(_EXPLAIN_AFTER, bar.explain)
     timer.daemon = True
     timer.start()
     try:

@@ -17,7 +17,7 @@ from mgsgraph.output.folders import PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.reports.results import write_into
 from mgsgraph.units import DEG, MGON
-from mgsgraph.wording import many, short, some, three
+from mgsgraph.wording import many, short, some_of, three
 
 _ROWS = 24
 """Strips listed in a table."""
@@ -212,7 +212,7 @@ def _of_blunders(merit: TwoStepStatistics) -> str:
     )
     if not off.size:
         return text + "no height above the terrain is off by as much."
-    names = some([steps.network.points.ids[i] for i in off[:4]], off.size)
+    names = some_of(steps.network.points.ids, off)
     text += (
         f"{many(off.size, 'point')} lie{'s' * (off.size == 1)} so far off the terrain that the height row went: a "
         f"blunder of matching that all rays share, or other ground than the model's ({names})"
