@@ -56,7 +56,8 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.graph.prior",
-        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.track_terrain", "mgsgraph.matching", "mgsgraph.spacing",
+        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.track_terrain", "mgsgraph.matching",
+        "mgsgraph.spacing",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),
