@@ -46,8 +46,7 @@ ONLY_IN = {
     "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment", "mgsgraph.incremental", "mgsgraph.analysis.forward"),
     "matplotlib": ("mgsgraph.figures",),
     "numba": (
-        "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.geometry", "mgsgraph.adjustment.graph",
-        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.matching", "mgsgraph.dem",
+        "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.adjustment.graph.rows",
     ),
     "llvmlite": ("mgsgraph.kernel.lanes",),
     "cv2": ("mgsgraph.matching",),
@@ -63,7 +62,7 @@ ONLY_IN = {
     "pyogrio": ("mgsgraph.export",),
     "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.export"),
     "msgspec": (
-        "mgsgraph.campaign", "mgsgraph.case", "mgsgraph.export", "mgsgraph.io.control", "mgsgraph.output",
+        "mgsgraph.campaign", "mgsgraph.case", "mgsgraph.export", "mgsgraph.fetch", "mgsgraph.io", "mgsgraph.output",
         "mgsgraph.project", "mgsgraph.review",
     ),
     "requests": ("mgsgraph.fetch",),

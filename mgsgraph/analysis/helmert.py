@@ -78,21 +78,21 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
 
 def _alike(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRows, Index]]:
     """Rows of points that take part and whose rows belong to the same groups (r,)."""
-    of_sight, rows = grouping.of_sights(at.layout), at.rows
+    of_observation, rows = grouping.of_observations(at.layout), at.rows
     for piece, (pattern, first, count, _, among) in enumerate(rows.piece.tolist()):
         inside = np.flatnonzero(rows.kind[first : first + count] != OUT)
-        sights = int(rows.pattern_sight[pattern + 1] - rows.pattern_sight[pattern])
-        if not inside.size or not sights:
+        observations = int(rows.pattern_observation[pattern + 1] - rows.pattern_observation[pattern])
+        if not inside.size or not observations:
             continue
         whole = at.rows_of_piece(piece)
-        groups = of_sight[among : among + sights * count].reshape(sights, count)[:, inside]
+        groups = of_observation[among : among + observations * count].reshape(observations, count)[:, inside]
         sets, which = np.unique(groups, axis=1, return_inverse=True)
         for k, of_set in enumerate(sets.T):
             mine = inside[which.reshape(-1) == k]
             part = replace(
                 whole, residuals=whole.residuals[mine], by_point=whole.by_point[mine], by_shared=whole.by_shared[mine]
             )
-            yield part, of_set[part.sight]
+            yield part, of_set[part.observation]
 
 
 class _Sums:

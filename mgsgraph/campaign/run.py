@@ -204,7 +204,7 @@ def _workers(cluster: str | None, record: Record, due: Sequence[CaseTask]) -> It
         return
     with open_cluster(cluster, most=len(due)) as connection:
         for path in (record.path, due[0].case):
-            connection.require_sight(path)
+            connection.require_visible_file(path)
         yield connection.each
 
 

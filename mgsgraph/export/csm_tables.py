@@ -52,7 +52,7 @@ class RefinedTables:
     """(q,) s past the epoch, even steps."""
     quaternions: Array
     """(q, 4) body-fixed to camera axes, scalar first (NAIF q2m), without jumps of sign."""
-    turnings: Array
+    angular_rates: Array
     """(q, 3) rad/s, angular velocity of the camera against the body-fixed frame, in camera axes."""
     pixel: float
     """m, the smaller side of the middle pixel on the ground."""
@@ -104,11 +104,12 @@ def refined_tables(image: PushbroomImage, correction: OrientationCorrection) -> 
     (position_times, place), (attitude_times, attitude) = found["m_positions"], found["m_quaternions"]
     return RefinedTables(
         epoch, shift, position_times, place.position, place.velocity,
-        attitude_times, rotation.continuous(rotation.from_matrix(attitude.matrix)), attitude.turning, pixel, distance,
+        attitude_times, rotation.continuous(rotation.from_matrix(attitude.matrix)), attitude.angular_rate,
+        pixel, distance,
     )  # fmt: skip
 
 
-def body_table(tables: RefinedTables, turning: Turning) -> AttitudeTable:
+def body_table(tables: RefinedTables, angular_rate: Turning) -> AttitudeTable:
     """The body's rotation at as few of the attitude's times as do, evenly chosen and the outer two among them.
 
     Inertial positions and attitudes have to be made with this one, between its nodes too, so that whoever turns them
@@ -116,7 +117,7 @@ def body_table(tables: RefinedTables, turning: Turning) -> AttitudeTable:
     """
     times = tables.attitude_times
     lever = float(np.linalg.norm(tables.positions, axis=1).max()) / tables.pixel
-    count, matrices = times.size - 1, turning(times)[0]
+    count, matrices = times.size - 1, angular_rate(times)[0]
     for stride in (k for k in range(count, 0, -1) if count % k == 0):
         first = matrices[:-1:stride]
         turn = rotation.logarithm(matrices[stride::stride] @ np.swapaxes(first, 1, 2))

@@ -75,7 +75,7 @@ def at_rest(solution: Solution) -> Linearised:
 
 def whole_system(at: Linearised, grouping: Grouping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All whitened rows on all unknowns, points among them, their residuals and groups; nothing eliminated."""
-    rows, of_sight, columns = at.rows, grouping.of_sights(at.layout), at.layout.columns
+    rows, of_observation, columns = at.rows, grouping.of_observations(at.layout), at.layout.columns
     wide = columns + 3 * at.points.shape[0]
     matrix, residuals, groups = list[np.ndarray](), list[float](), list[int]()
     for piece, (pattern, first, count, _, among) in enumerate(rows.piece.tolist()):
@@ -83,7 +83,7 @@ def whole_system(at: Linearised, grouping: Grouping) -> tuple[np.ndarray, np.nda
         own = [np.arange(columns)[at.layout.columns_of(v)] for v in part.variables]
         mine = np.concatenate([np.zeros(0, dtype=int), *own])
         for i in range(count):
-            for k in range(part.sight.size):
+            for k in range(part.observation.size):
                 if rows.kind[first + i] == OUT or not (np.any(part.by_point[i, k]) or np.any(part.by_shared[i, k])):
                     continue
                 row = np.zeros(wide)
@@ -92,7 +92,7 @@ def whole_system(at: Linearised, grouping: Grouping) -> tuple[np.ndarray, np.nda
                     row[columns + 3 * (first + i) : columns + 3 * (first + i) + 3] = part.by_point[i, k]
                 matrix.append(row)
                 residuals.append(part.residuals[i, k])
-                groups.append(int(of_sight[among + part.sight[k] * count + i]))
+                groups.append(int(of_observation[among + part.observation[k] * count + i]))
     priors = np.eye(columns, wide) / at.layout.sigmas[:, None]
     values = -at.orientation / at.layout.sigmas
     return np.vstack([*matrix, priors]), np.append(residuals, values), np.append(groups, grouping.of_columns(at.layout))

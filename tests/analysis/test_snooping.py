@@ -51,7 +51,7 @@ def snooped() -> Snooping:
 
 def test_planted_blunders_go_and_nothing_else_does() -> None:
     found = snooped()
-    gone = {sight for one in found.removals for sight in one.sights}
+    gone = {observation for one in found.removals for observation in one.observations}
     ties = np.flatnonzero(planted().rays.point == TIE).tolist()
     shot = int(np.flatnonzero(planted().rays.point == SHOT)[0])
     assert gone == {
@@ -66,7 +66,7 @@ def test_planted_blunders_go_and_nothing_else_does() -> None:
 
 def test_a_tie_with_two_rays_goes_as_a_point() -> None:
     one = next(one for one in snooped().removals if one.point == TIE)
-    assert len(one.sights) == len(one.names) == 2
+    assert len(one.observations) == len(one.names) == 2
     assert not snooped().solution.determined[TIE]
     assert one.names[0].startswith("ray of point TIE00004 in image SIM/")
 
@@ -80,7 +80,7 @@ def test_several_go_at_a_time_where_they_do_not_disturb_each_other() -> None:
 def test_what_only_seemed_wrong_is_taken_back() -> None:
     """The point with a wrong place has a precise range: that seems wrong first."""
     found = snooped()
-    assert [one.sights for one in found.readmitted] == [((MeasureKind.RANGE, PLACE - 40),)]
+    assert [one.observations for one in found.readmitted] == [((MeasureKind.RANGE, PLACE - 40),)]
     assert not found.taken.ranges[PLACE - 40]
 
 
