@@ -116,6 +116,10 @@ class Network:
             array.flags.writeable = False
         assign(self, stereo=replace(self.stereo, images=images, surface=surface, sigmas=sigmas))
 
+    def with_rejected(self, rays: Mask | None, ranges: Mask | None) -> "Network":
+        """The network with rays (k,) and ranges (r,) marked as blunders; None marks none."""
+        return replace(self, rays=replace(self.rays, rejected=rays), ranges=replace(self.ranges, rejected=ranges))
+
     def _require_strips(self) -> None:
         require_unique(tuple(strip.name for strip in self.strips), "strips")
         every = [j for strip in self.strips for j in strip.images.tolist()]
