@@ -4,7 +4,7 @@ import importlib.metadata
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -189,7 +189,7 @@ def _nominal(
 
     Raises PointBehindCamera, and WeakNetwork where nothing determines some direction of the orientation.
     """
-    selection = left_in or everything(layout.network)
+    selection = replace(left_in or everything(layout.network), stereo=False)
     nominal = np.zeros(layout.columns)
     before = BundleGraph(layout, selection.rows(layout), sweeper).reduction(nominal)
     strong = without_weak(layout, before, selection)

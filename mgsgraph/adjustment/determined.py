@@ -1,5 +1,7 @@
 """Which points their rows determine, and the errors for those that make no sense."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
@@ -17,7 +19,7 @@ def without_weak(layout: Layout, reduction: Reduction, selection: Selection) -> 
         raise _behind(layout, int(behind[0]), reduction.points[behind[0]])
     out = selection.out.copy()
     out[layout.point_order[reduction.states == WEAK]] = True
-    return Selection(selection.rays, selection.ranges, out)
+    return replace(selection, out=out)
 
 
 def _behind(layout: Layout, place: int, point: Array) -> PointBehindCamera:

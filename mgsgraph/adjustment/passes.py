@@ -40,6 +40,8 @@ class Selection:
     """(r,)"""
     out: Mask
     """(n,) points that nothing determines, whatever is rejected."""
+    stereo: bool = True
+    """Whether heights above stereo surfaces take part, if there are any."""
 
     def same(self, other: "Selection") -> bool:
         """Whether the same rays and ranges take part."""
@@ -49,7 +51,8 @@ class Selection:
         """The layout's rows that take part; free points that rejection has left with fewer than two rays go too."""
         network = layout.network
         left = np.bincount(network.rays.point, self.rays, len(network.points))
-        return layout.active(self.rays, self.ranges, self.out | ((network.points.kinds == PointKind.FREE) & (left < 2)))
+        out = self.out | ((network.points.kinds == PointKind.FREE) & (left < 2))
+        return layout.active(self.rays, self.ranges, out, self.stereo)
 
 
 def everything(network: Network) -> Selection:
@@ -106,16 +109,21 @@ def solve_in_passes(
 ) -> Solved:
     """Solve, and solve again until nothing changes: terrain patches follow their points, and, when blunders are sought,
     rows are rejected and re-admitted. Where the passes run in a circle (points on the edge of two patches), the best of
-    it counts. `before` is the reduction of these rows at the nominal orientation.
+    it counts. `before` is the reduction of these rows at the nominal orientation. Stereo surfaces wait until the images
+    agree with one another: what they show before is no ground.
     """
     history, initial = tuple[Iteration, ...](), float("nan")
     seen: dict[bytes, Solved] = {}
     orientation = np.zeros(layout.columns)
     known: Reduction | None = before
+    if layout.network.stereo is not None:
+        first = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
+        layout, selection, orientation = _on_surfaces(first), replace(selection, stereo=True), first.orientation
+        history, initial, known = first.history, first.cost_initial, None
     for number in range(1, _MOST_PASSES + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
         layout, history = solved.layout, history + solved.history
-        initial = solved.cost_initial if number == 1 else initial
+        initial = solved.cost_initial if np.isnan(initial) else initial
         solved = replace(solved, history=history, cost_initial=initial, passes=number)
         chosen = select(layout, solved, settings.reject, sweeper) if settings.reject > 0.0 else selection
         followed = layout.following(solved.points, solved.orientation)
@@ -127,6 +135,15 @@ def solve_in_passes(
             break
     best = min(seen.values(), key=lambda one: one.outcome.cost_final)
     return replace(best, history=history, circling=True)
+
+
+def _on_surfaces(solved: Solved) -> Layout:
+    """Layout with stereo rows about an orientation, and about where a search has put their points."""
+    layout, control = solved.layout, solved.layout.network.stereo
+    points = layout.network_order(solved.points)
+    if control is not None and control.starts is not None:
+        points = np.where(np.isfinite(control.starts), control.starts, points)
+    return layout.about_stereo(points, solved.orientation)
 
 
 def _solve_exactly(

@@ -91,7 +91,7 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
         squares=float(sum(parts) + corrections @ corrections),
-        observations=2 * int(used.sum()) + sum(int(mask.sum()) for mask in (range_used, on_surface, on_stereo)) + priors,
+        observations=sum(int(mask.sum()) for mask in (used, used, range_used, on_surface, on_stereo)) + priors,
         unknowns=layout.columns + 3 * free,
     )
 

@@ -251,5 +251,5 @@ class StereoControl:
     sigmas: Array
     """(n,) m, of each point's height above its surface, along the normal; of no meaning for points on none."""
     starts: Array | None = None
-    """(n, 3) m, body-fixed, where a search has found the points to lie: their rows are first linear about these. NaN, or
-    None, for the a-priori positions."""
+    """(n, 3) m, body-fixed, where a search has found the points to lie: their rows begin there. NaN, or None,
+    for the a-priori positions."""

@@ -24,7 +24,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.stereo_surface import StereoSurface, heights_above
+from mgsgraph.geometry.stereo_surface import StereoSurface
 
 REACH = 1500.0
 """m, shifts that are searched, in every direction, at least."""
@@ -163,7 +163,7 @@ def together(name: str, each: Sequence[CostSurface]) -> CostSurface:
 
 
 def _node_size(pair: StereoPair) -> float:
-    """m on the ground between nodes of the surface."""
+    """Distance on the ground between nodes of the surface, m."""
     image, surface = pair.images[0], pair.surface
     middle = surface.first + 0.5 * surface.step * np.array(surface.covered.shape)
     places = middle + np.array([[0.0, 0.0], [surface.step[0], 0.0], [0.0, surface.step[1]]])
@@ -197,8 +197,7 @@ def _moved(pair: StereoPair, footprints: Array, sigmas: Array) -> _Moved:
 
 
 def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Array, int]:
-    """chi^2 (s,) of shifts (s, 2) in m, NaN where too few shots are on the surface, and most shots that any has there.
-    """
+    """Misfits (s,) of shifts (s, 2) in m, NaN where too few shots are on the surface; most shots that any has there."""
     result, counts = np.full(len(shifts), np.nan), np.zeros(len(shifts), dtype=np.int64)
     at_once = max(1, 200_000 // max(len(moved.places), 1))
     for begin in range(0, len(shifts), at_once):
@@ -236,8 +235,7 @@ def _left(heights: Array, weights: Array, along: Array) -> Array:
 
 
 def minima(shifts: Array, misfits: Array, shots: int) -> tuple[Minimum, ...]:
-    """Local minima of a misfit (k, k) over shifts (k,), refined by the paraboloid through their neighbours; best first.
-    """
+    """Local minima of a misfit (k, k) over shifts (k,), refined by a paraboloid through neighbours; best first."""
     filled = np.where(np.isfinite(misfits), misfits, np.inf)
     inner = filled[1:-1, 1:-1]
     around = [filled[1 + i : filled.shape[0] - 1 + i, 1 + j : filled.shape[1] - 1 + j] for i, j in _NEIGHBOURS]

@@ -131,10 +131,9 @@ class Layout:
         """The same with heights above stereo surfaces that are linear about points (n, 3), network order, and shared
         unknowns (columns,); itself when they say the same.
         """
-        if self.stereo is None:
+        anew = linear_rows(self.network, self.model, self.variables, shared, points, self.stereo)
+        if self.stereo is None or anew is None:
             return self
-        anew = linear_rows(self.network, self.model, self.variables, shared, points)
-        assert anew is not None
         if at_rest(self.stereo, anew, self.network, self.variables, shared):
             return self
         return replace(self, stereo=anew).about(self.lines)
@@ -150,13 +149,17 @@ class Layout:
         cells = self.network_order(self.rows.terrain_cell)[anew.point_order]
         return replace(anew, rows=anew.rows._replace(terrain_cell=cells))
 
-    def active(self, rays: Mask, ranges: Mask, out: Mask) -> Rows:
-        """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't; network order."""
+    def active(self, rays: Mask, ranges: Mask, out: Mask, stereo: bool = True) -> Rows:
+        """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't, network order; and
+        whether heights above stereo surfaces do.
+        """
         kind, weight = self.rows.kind, self.rows.weight
         if np.any(out[self.point_order] & (kind != OUT)):
             kind = np.where(out[self.point_order], OUT, kind).astype(kind.dtype)
-        if not (np.all(rays) and np.all(ranges)):
+        without_stereo = not stereo and self.places.stereo.size > 0
+        if without_stereo or not (np.all(rays) and np.all(ranges)):
             weight = weight.copy()
+            weight[:, self.places.stereo[: None if without_stereo else 0]] = 0.0
             weight[:, self.places.rays[~rays]] = 0.0
             weight[:, self.places.ranges[~ranges]] = 0.0
         return self.rows._replace(kind=kind, weight=weight)

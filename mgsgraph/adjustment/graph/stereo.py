@@ -16,7 +16,7 @@ from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.orientation_images import SUPPORT
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import heights_above
 from mgsgraph.kernel.rows import IMAGE, Model
 from mgsgraph.network import Network
@@ -68,14 +68,21 @@ def columns(network: Network, side: tuple[int, ...]) -> tuple[Index, Index]:
 
 
 def linear_rows(
-    network: Network, model: Model, variables: Variables, orientation: Array, points: Array
+    network: Network,
+    model: Model,
+    variables: Variables,
+    orientation: Array,
+    points: Array,
+    before: StereoRows | None = None,
 ) -> StereoRows | None:
     """Rows about shared unknowns (columns,) and points (n, 3) in m, network order; None without stereo surfaces.
+
+    Points that an image doesn't see there keep the row that they had `before`.
 
     Raises
     ------
     InputError
-        When one of the images doesn't see a point.
+        When they had none.
     """
     control = network.stereo
     if control is None:
@@ -86,8 +93,32 @@ def linear_rows(
     ]
     mine, sides, heights, normals, directions = zip(*found, strict=True)
     chosen = np.concatenate(mine)
-    return StereoRows(
+    rows = StereoRows(
         chosen, np.concatenate(sides), points[chosen], np.concatenate(heights), np.concatenate(normals), directions
+    )
+    unseen = ~np.isfinite(rows.heights)
+    if not np.any(unseen):
+        return rows
+    if before is None:
+        raise InputError(
+            f"ground point {network.points.ids[chosen[np.argmax(unseen)]]}",
+            "on a stereo surface whose images don't see it", "points that both images show",
+        )  # fmt: skip
+    return _kept(unseen, before, rows)
+
+
+def _kept(unseen: Mask, before: StereoRows, rows: StereoRows) -> StereoRows:
+    """Rows, but for some (k,) those before."""
+    return StereoRows(
+        rows.points,
+        np.where(unseen[:, None], before.sides, rows.sides),
+        np.where(unseen[:, None], before.reference, rows.reference),
+        np.where(unseen, before.heights, rows.heights),
+        np.where(unseen[:, None], before.normals, rows.normals),
+        tuple(
+            np.where(unseen[part, None], old, new)
+            for (part, old), new in zip(before.parts, rows.directions, strict=True)
+        ),
     )
 
 
@@ -109,11 +140,6 @@ def _of_surface(
         points[mine],
         (whole_correction(network, first, values, angles), whole_correction(network, second, values, angles)),
     )
-    for k in np.flatnonzero(~np.isfinite(at.heights))[:1]:
-        raise InputError(
-            f"ground point {network.points.ids[mine[k]]}", "on a stereo surface whose images don't see it",
-            "points that both images show",
-        )  # fmt: skip
     sides, parts = np.full((mine.size, 4), -1, dtype=np.int64), []
     for side, image in enumerate((first, second)):
         sides[:, 2 * side] = image
