@@ -18,6 +18,7 @@ from mgsgraph.analysis.linearised import Linearised, at_solution, prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import reliability
+from mgsgraph.wording import root_mean_square
 
 ALPHA = 0.05
 """Probability of a false alarm of the tests."""
@@ -124,7 +125,7 @@ class ResidualStatistics:
     @property
     def rms(self) -> float:
         """1 is promised."""
-        return float(np.sqrt(np.mean(self.values**2))) if self.values.size else math.nan
+        return root_mean_square(self.values)
 
     @property
     def skewness(self) -> float:
@@ -206,7 +207,7 @@ class ResidualStatistics:
         if self.values.size < 2:
             return math.nan
         away = self.values - self.mean
-        scale = math.sqrt(float(np.mean(away**2)))
+        scale = root_mean_square(away)
         return float(np.mean(away**order)) / scale**order if scale > 0.0 else math.nan
 
 

@@ -13,6 +13,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.ties import PointKind
+from mgsgraph.wording import root_mean_square
 
 CLASSES = len(PointClass)
 PLACES = 31
@@ -26,7 +27,7 @@ def mean_and_rms(values: Array) -> tuple[Array, Array]:
     if values.shape[0] == 0:
         nothing = np.full(values.shape[1:], np.nan)
         return nothing, nothing
-    return values.mean(axis=0), np.sqrt(np.mean(values**2, axis=0))
+    return values.mean(axis=0), root_mean_square(values, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

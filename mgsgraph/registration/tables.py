@@ -21,10 +21,10 @@ from mgsgraph.registration.case import (
     ProfileRegistration,
     five_steps_difference,
     registration_statements,
-    root_mean_square,
 )
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.units import DEG, ISIS_OFFSET
+from mgsgraph.wording import root_mean_square
 
 FORMAT = 1
 """Version of registration.json's layout."""
