@@ -133,7 +133,7 @@ def _with_shared(network: Network, wanted: CaseInput, path: Path, laser: bool) -
         shared = tuple(one for one in shared if not one.kind.of_laser)
     with errors_from(str(path)):
         network = replace(network, shared=shared)
-        network.require_felt()
+        network.require_observed()
         return network
 
 

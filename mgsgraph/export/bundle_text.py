@@ -131,7 +131,7 @@ def _head(solution: Solution, tables: Tables, scaled: bool) -> list[str]:
 
 def _options(solution: Solution) -> list[str]:
     network, settings = solution.network, solution.settings
-    own = np.flatnonzero(network.own).tolist()
+    own = np.flatnonzero(network.with_polynomial).tolist()
     degree = max((network.priors[j].degree for j in own), default=None)
     solved = "ALL POLYNOMIAL COEFFICIENTS" if degree is not None and degree >= len(_SOLVED) else None
     none = "N/A (orientation images)" if network.strips else "NONE"
@@ -199,7 +199,7 @@ def _results(solution: Solution) -> list[str]:
         "Rejected Observations": 2 * int((~used).sum()),
         "Constrained Point Parameters": 3 * int(np.sum(network.points.kinds == PointKind.CONSTRAINED)),
         "Constrained Image Parameters": sum(
-            int(np.isfinite(network.priors[j].sigmas).sum()) for j in np.flatnonzero(network.own).tolist()
+            int(np.isfinite(network.priors[j].sigmas).sum()) for j in np.flatnonzero(network.with_polynomial).tolist()
         ),
         "Lidar Range Constraints": int(solution.ranges_used.sum()),
         "Unknowns": fit.unknowns,
