@@ -2,24 +2,19 @@
 
 from collections.abc import Callable
 from functools import wraps
-from typing import TYPE_CHECKING, Any
+from typing import Any, get_args
 
 import click
 
-if TYPE_CHECKING:
-    from mgsgraph.adjustment.settings import Form, Loss
+from mgsgraph.adjustment.settings import Form, Loss
 
 _OPTIONS = (
     click.option(
         "--form",
-        type=click.Choice(["bundle", "explicit"]),
+        type=click.Choice(get_args(Form)),
         help="Points eliminated inside their factors, or as variables of the graph.",
     ),
-    click.option(
-        "--loss",
-        type=click.Choice(["none", "huber", "cauchy", "tukey"]),
-        help="Robust loss on image coordinates and ranges.",
-    ),
+    click.option("--loss", type=click.Choice(get_args(Loss)), help="Robust loss on image coordinates and ranges."),
     click.option(
         "--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none."
     ),
@@ -34,8 +29,8 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     @wraps(verb)
     def with_overrides(
         *,
-        form: "Form | None",
-        loss: "Loss | None",
+        form: Form | None,
+        loss: Loss | None,
         reject: float | None,
         no_laser: bool,
         no_figures: bool,

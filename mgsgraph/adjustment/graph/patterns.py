@@ -127,8 +127,8 @@ def sort_points(network: Network, terms: Terms) -> tuple[Patterns, tuple[Index, 
     of_ranges = by_point(ranges.point, ranges.image, terms.of_ranges, n)
     moved, beams = _moved(network), _beams(network)
     signature = np.zeros(n, dtype=np.uint64)
-    mix_rows(signature, *of_rays[:2], rays.image, terms.of_rays, 1)
-    mix_rows(signature, *of_ranges[:2], ranges.image, terms.of_ranges, 2)
+    mix_rows(signature, of_rays[0], of_rays[1], rays.image, terms.of_rays, 1)
+    mix_rows(signature, of_ranges[0], of_ranges[1], ranges.image, terms.of_ranges, 2)
     on_surface = np.zeros(n, dtype=np.int64)
     if network.surface is not None:
         on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
