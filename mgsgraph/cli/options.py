@@ -1,25 +1,34 @@
-"""Options by which a command line overrules case files."""
+"""Options that several verbs have; those by which a command line overrules case files."""
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from mgsgraph.adjustment.settings import Form, Loss
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.settings import Form, Loss
 
+PATH = click.Path(path_type=Path)
+TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
+NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write tables only.")
 _OPTIONS = (
     click.option(
         "--form",
-        type=click.Choice(get_args(Form)),
+        type=click.Choice(["bundle", "explicit"]),
         help="Points eliminated inside their factors, or as variables of the graph.",
     ),
-    click.option("--loss", type=click.Choice(get_args(Loss)), help="Robust loss on image coordinates and ranges."),
+    click.option(
+        "--loss",
+        type=click.Choice(["none", "huber", "cauchy", "tukey"]),
+        help="Robust loss on image coordinates and ranges.",
+    ),
     click.option(
         "--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none."
     ),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
-    click.option("--no-figures", is_flag=True, help="Write tables only."),
+    NO_FIGURES,
 )
 
 
@@ -29,8 +38,8 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     @wraps(verb)
     def with_overrides(
         *,
-        form: Form | None,
-        loss: Loss | None,
+        form: "Form | None",
+        loss: "Loss | None",
         reject: float | None,
         no_laser: bool,
         no_figures: bool,
