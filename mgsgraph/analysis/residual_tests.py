@@ -61,11 +61,6 @@ class ChiSquareTest:
         """Whether the two-sided test finds nothing."""
         return self.two_sided >= self.alpha
 
-    @property
-    def passed_one_sided(self) -> bool:
-        """Whether the sum is not too large."""
-        return self.larger >= self.alpha
-
     def words(self) -> str:
         """One sentence."""
         low, high = self.bounds
@@ -88,7 +83,8 @@ def chi_square_test(fit: Fit, alpha: float = ALPHA) -> ChiSquareTest:
     """The global test at a probability alpha of a false alarm; without redundancy there is none."""
     from scipy.stats import chi2  # slow to import
 
-    _require_probability(alpha)
+    if not 0.0 < alpha < 1.0:
+        raise InputError("global test, alpha", f"{alpha}", "a probability between 0 and 1")
     degrees = fit.degrees_of_freedom
     if degrees < 1:
         raise InputError("global test", f"{degrees} degrees of freedom", "at least 1", "measure more")
@@ -251,8 +247,3 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
         np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
         np.concatenate([of_observation[taken], grouping.of_columns(layout)[known.about]]),
     )
-
-
-def _require_probability(alpha: float) -> None:
-    if not 0.0 < alpha < 1.0:
-        raise InputError("global test, alpha", f"{alpha}", "a probability between 0 and 1")

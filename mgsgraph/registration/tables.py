@@ -54,7 +54,7 @@ def write_registration(registration: CaseRegistration, folder: str | Path, figur
 
 
 def write_registration_into(registration: CaseRegistration, folder: Path, figures: bool = True) -> list[str]:
-    """The same into a folder that exists, file by file."""
+    """Write tables and figures into a folder that exists, file by file."""
     write_json(folder / REGISTRATION, registration_json(registration))
     registration_table(registration).write_csv(folder / "registration.csv")
     discrepancy_table(registration).write_csv(folder / "discrepancy.csv")
