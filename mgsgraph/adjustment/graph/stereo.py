@@ -11,8 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.angles import angles_of
 from mgsgraph.adjustment.graph.shared import SharedEffects
-from mgsgraph.adjustment.graph.terms import felt_by
-from mgsgraph.adjustment.graph.variables import Variables
+from mgsgraph.adjustment.graph.variables import Variables, acting_on
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.orientation_images import SUPPORT
@@ -62,7 +61,7 @@ def columns(network: Network, side: tuple[int, ...]) -> tuple[Index, Index]:
             add(int(network.first_of_strips[network.strip_of[image]]) + node, SUPPORT, 6)
         elif network.own[image]:
             add(image, 1, network.priors[image].sigmas.size)
-        for k in felt_by(network, IMAGE)[image]:
+        for k in acting_on(network, IMAGE)[image]:
             add(network.first_shared + k, 1, network.shared[k].kind.width)
     return np.concatenate(variable), np.concatenate(inside)
 
