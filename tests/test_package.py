@@ -19,7 +19,8 @@ STOREYS = [
     ("mgsgraph.demo",),
     ("mgsgraph.export", "mgsgraph.review"),
     (
-        "mgsgraph.reports", "mgsgraph.dem.production", "mgsgraph.dem.files", "mgsgraph.matching.files",
+        "mgsgraph.reports", "mgsgraph.registration.relief", "mgsgraph.dem.production",
+        "mgsgraph.dem.files", "mgsgraph.matching.files",
         "mgsgraph.registration.tables",
     ),
     ("mgsgraph.figures",),
@@ -56,8 +57,8 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.graph.prior",
-        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.track_terrain", "mgsgraph.matching",
-        "mgsgraph.spacing",
+        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.stereo_surface", "mgsgraph.geometry.track_terrain",
+        "mgsgraph.matching", "mgsgraph.spacing",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

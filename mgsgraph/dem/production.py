@@ -70,16 +70,16 @@ def make_dem(
     wanted = decode(path)
     adjusted_names([image.name for image in wanted.images], posterior, settings.images, str(path))
     profiles = check_profiles(posterior, wanted, path, settings.mola)
-    name, scene = read_scene(path, *_ground(posterior, wanted))
+    name, scene = read_scene(path, *expected_ground(posterior, wanted))
     scene = adjusted_scene(scene, posterior, settings.images)
-    matches, window = _matched(scene, settings, workers, progress)
+    matches, window = densely_matched(scene, settings.spacing, workers, progress)
     dem = dem_of(name, posterior, scene, matches, window, settings, profiles, workers, progress)
     with fresh_folder(out, DEM) as folder:
         write_dem(dem, scene, settings, folder, figures, progress)
     return dem
 
 
-def _ground(posterior: Posterior, wanted: CaseInput) -> tuple[float | None, float | None]:
+def expected_ground(posterior: Posterior, wanted: CaseInput) -> tuple[float | None, float | None]:
     """Height of the ground above the ellipsoid in m, and by how much it may leave that: of the adjusted points, where
     the case has no terrain model that says more.
     """
@@ -91,13 +91,13 @@ def _ground(posterior: Posterior, wanted: CaseInput) -> tuple[float | None, floa
     return float(np.median(heights)), max(_LEAST_SIGMA, 2.0 * float(heights.std()))
 
 
-def _matched(
-    scene: Scene, settings: DemSettings, workers: int | None, progress: Progress
+def densely_matched(
+    scene: Scene, spacing: float | None, workers: int | None, progress: Progress
 ) -> tuple[tuple["DenseMatches", ...], float]:
     """Dense matches, and the width of the windows in m."""
     from mgsgraph.matching.dense import DenseSettings, dense_matches  # OpenCV and numba take their time to load
 
-    choices = DenseSettings(spacing=settings.spacing)
+    choices = DenseSettings(spacing=spacing)
     return dense_matches(scene, choices, workers, progress), (2 * choices.half_window + 1) * grid_step(scene)
 
 

@@ -83,7 +83,7 @@ def test_the_model_is_true_within_its_sigmas(out: Path) -> None:
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     matches = dem_site.matched(np.random.default_rng(4))
     monkeypatch.setattr(production, "read_scene", lambda path, *ground: ("test", dem_site.scene()))
-    monkeypatch.setattr(production, "_matched", lambda *given: ((matches,), 1e-3))
+    monkeypatch.setattr(production, "densely_matched", lambda *given: ((matches,), 1e-3))
 
 
 def test_options_reach_the_model(

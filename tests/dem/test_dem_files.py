@@ -237,7 +237,7 @@ def road(out: Path, monkeypatch: pytest.MonkeyPatch, **settings: object) -> Dem:
     """The whole road but for the matching, over the scene that the test has."""
     matches = dem_site.matched(np.random.default_rng(4))
     monkeypatch.setattr(production, "read_scene", lambda path, *ground: ("test", dem_site.scene()))
-    monkeypatch.setattr(production, "_matched", lambda *given: ((matches,), 1e-3))
+    monkeypatch.setattr(production, "densely_matched", lambda *given: ((matches,), 1e-3))
     return make_dem(dem_site.solution(), dem_site.case_path(), out, replace(SETTINGS, **settings), figures=False)
 
 

@@ -59,7 +59,7 @@ def columns(network: Network, side: tuple[int, ...]) -> tuple[Index, Index]:
     for image, node in (side[:2], side[2:]):
         if node >= 0:
             add(int(network.first_of_strips[network.strip_of[image]]) + node, SUPPORT, 6)
-        elif network.own[image]:
+        elif network.with_polynomial[image]:
             add(image, 1, network.priors[image].sigmas.size)
         for k in acting_on(network, IMAGE)[image]:
             add(network.first_shared + k, 1, network.shared[k].kind.width)
@@ -164,7 +164,7 @@ def _directions(
         nodes = network.strips[strip].nodes
         node = nodes.first_of_four(moments.times, moments.epoch)
         basis = nodes.around(node, moments.times, moments.epoch)[0]
-    elif network.own[image]:
+    elif network.with_polynomial[image]:
         basis = polynomial(moments.u, network.priors[image].degree)[0]
     own = np.einsum("nt,nc->ntc", basis, by_pose[:, :6]).reshape(lines.size, -1)
     shared = effects.of(IMAGE, image, moments.u)

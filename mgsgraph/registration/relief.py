@@ -1,0 +1,325 @@
+"""Registration by relief: laser profiles and the surface that the images show find each other, in the adjustment.
+
+Ties make images agree with one another, ranges fix heights; nothing of that holds a footprint horizontally. Relief
+does: the images are matched densely with their adjusted orientation, the disparities are averaged over the footprint
+(`geometry.stereo_surface`), each profile is searched over shifts (`search`), and the network is adjusted again with one
+row more per shot: its height above the surface, which moves with the orientation. What the profile's shift, the images'
+orientation and the shots' own places contribute, their covariances decide.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.reading import Case
+from mgsgraph.case.scene import read_scene
+from mgsgraph.case.schema import decode
+from mgsgraph.dem.production import adjusted_scene, densely_matched, expected_ground
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north, geodetic
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.stereo_surface import StereoSurface, SurfaceHeights, averaged_surface, heights_above
+from mgsgraph.network import Network
+from mgsgraph.network.records import StereoControl
+from mgsgraph.registration.search import REACH, CostSurface, StereoPair, search
+from mgsgraph.stages import Progress, no_progress
+
+if TYPE_CHECKING:
+    from mgsgraph.matching.dense import DenseMatches
+
+MOLA_FOOTPRINT = 168.0
+"""m, diameter of MOLA's spot on the ground (Neumann et al. 2003)."""
+_WIDTHS = 4.0
+"""Standard deviations of the Gaussian footprint in its diameter."""
+_LEAST_SHOTS = 12
+"""On the surface, that make a profile one that can be registered."""
+_NEAR = 400.0
+"""m, reach of the search that looks for what the adjustment has left."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefSettings:
+    """How laser and images are registered by relief."""
+
+    footprint: float = MOLA_FOOTPRINT
+    """m, diameter on the ground."""
+    reach: float = REACH
+    """m, up to which shifts are searched."""
+    spacing: float | None = None
+    """m between dense matches; a quarter of the footprint when None."""
+    images: tuple[str, ...] = ()
+    """Names of those to match; all of the case when empty."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing or 1.0)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReliefProfile:
+    """One laser profile against the stereo surface."""
+
+    name: str
+    """Of the profile."""
+    shots: int
+    """In the network."""
+    on_surface: int
+    """Of these, those that lie on the surface and take part."""
+    cost: CostSurface
+    """Misfit over shifts, before the adjustment with stereo rows."""
+    rms_before: float
+    """m, of the heights of the shots above the surface, before."""
+    rms_after: float
+    """m, after, the shots where the profile's adjusted shift puts them."""
+    shift: Array
+    """(2,) m east and north, adjusted; zero where the case has no shift for the profile."""
+    covariance: Array
+    """(2, 2) m^2, of the shift."""
+    left: CostSurface
+    """Misfit over shifts after the adjustment: its minimum is at zero where images and laser agree."""
+
+    @property
+    def misplacement_before(self) -> Array:
+        """(2,) m east and north, by which the profile had to move onto the surface; NaN where relief doesn't tie it."""
+        return self.cost.minima[0].shift if self.cost.tied else np.full(2, np.nan)
+
+    @property
+    def misplacement_after(self) -> Array:
+        """(2,) m, the same after the adjustment."""
+        return self.left.minima[0].shift if self.left.tied else np.full(2, np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReliefRegistration:
+    """Laser and images, registered."""
+
+    name: str
+    """Of the case."""
+    settings: ReliefSettings
+    """Choices."""
+    before: Solution
+    """Adjusted without stereo rows."""
+    solution: Solution
+    """Adjusted with them."""
+    profiles: tuple[ReliefProfile, ...]
+    """Those of the network."""
+
+
+def register_by_relief(
+    case: Case,
+    settings: ReliefSettings | None = None,
+    solver: SolverSettings | None = None,
+    before: Solution | None = None,
+    workers: int | None = None,
+    progress: Progress = no_progress,
+) -> ReliefRegistration:
+    """Register the laser profiles of a case with the surface that its images show.
+
+    Parameters
+    ----------
+    case : Case
+        With pixels, and with laser profiles whose shifts are unknown (`shift_sigma_m`).
+    settings : ReliefSettings, optional
+        Choices.
+    solver : SolverSettings, optional
+        Of both adjustments; the case's when absent.
+    before : Solution, optional
+        Adjustment of the case without stereo rows; made here when absent.
+    workers : int, optional
+        Threads that match; one per processor when absent.
+    progress : callable
+        Called with the stage, and how much of it is done.
+
+    Raises
+    ------
+    InputError
+        Where there are no profiles, no pixels, no overlap, or no profile has shots enough on the surface.
+    """
+    settings, solver = settings or ReliefSettings(), solver or case.settings
+    _require_profiles(case)
+    before = before or adjust_network(case.network, solver, case.name, _counted(progress, "adjustment", solver))
+    posterior = Posterior.of(before)
+    pairs, numbers = stereo_pairs(case.path, posterior, settings, workers, progress)
+    network = before.network
+    found = [_search_profile(network, posterior, pairs, p, settings) for p in range(len(profile_names(network)))]
+    control = _control(network, pairs, numbers, found)
+    solution = adjust_network(
+        replace(network, stereo=control), solver, case.name, _counted(progress, "adjustment with stereo rows", solver)
+    )
+    after = _with_orientation(pairs, numbers, Posterior.of(solution))
+    profiles = tuple(
+        _profile(network, solution, pairs, after, control, p, one, settings) for p, one in enumerate(found)
+    )
+    return ReliefRegistration(case.name, settings, before, solution, profiles)
+
+
+def profile_names(network: Network) -> tuple[str, ...]:
+    """Laser profiles with a shift of their own."""
+    return network.shifts.names if network.shifts is not None else ()
+
+
+def _require_profiles(case: Case) -> None:
+    if not profile_names(case.network):
+        raise InputError(
+            str(case.path), "no laser profile whose shift is unknown", "[[mola]] entries with shift_sigma_m",
+            "state what is known of the profile's horizontal error, such as shift_sigma_m = 100.0",
+        )  # fmt: skip
+
+
+def _counted(progress: Progress, what: str, solver: SolverSettings):  # type: ignore[no-untyped-def]
+    """A callback of the adjustment that counts its iterations."""
+    count = iter(range(1, 10**9))
+
+    def show(_: Iteration) -> None:
+        progress(what, min(next(count), solver.max_iterations), solver.max_iterations)
+
+    return show
+
+
+def stereo_pairs(
+    path: Path, posterior: Posterior, settings: ReliefSettings, workers: int | None, progress: Progress
+) -> tuple[tuple[StereoPair, ...], tuple[tuple[int, int], ...]]:
+    """Match the pictures of a case densely, and average the disparities over the footprint: surfaces of all stereo
+    pairs, as the images are adjusted; and the numbers of their images in the network.
+    """
+    wanted = decode(path)
+    _, scene = read_scene(path, *expected_ground(posterior, wanted))
+    scene = adjusted_scene(scene, posterior, settings.images)
+    matches, window = densely_matched(scene, settings.spacing or settings.footprint / 4.0, workers, progress)
+    progress("stereo surface", 0, len(matches))
+    pairs, numbers = list[StereoPair](), list[tuple[int, int]]()
+    for k, one in enumerate(matches):
+        first, second = (posterior.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
+        images = posterior.image(first), posterior.image(second)
+        corrections = posterior.correction(first), posterior.correction(second)
+        surface = _surface(posterior, one, first, settings.footprint / _WIDTHS, window)
+        pairs.append(StereoPair(surface, images, corrections))
+        numbers.append((first, second))
+        progress("stereo surface", k + 1, len(matches))
+    return tuple(pairs), tuple(numbers)
+
+
+def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: float, window: float) -> StereoSurface:
+    image = posterior.image(first)
+    points = posterior.linearised.points
+    ground = geodetic(points[np.linalg.norm(points, axis=1) > 0.0], image.body)[:, 2]
+    middle = matches.anchors.mean(axis=0, keepdims=True)
+    _, slopes = image.image_to_ground(middle[:, 0], middle[:, 1], float(np.median(ground)), posterior.correction(first))
+    variances = np.linalg.eigvalsh(matches.covariances)[:, 1]
+    pixel = np.linalg.norm(slopes[0], axis=0)
+    return averaged_surface(matches.anchors, matches.places, variances, pixel, width, window)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """A profile as the search leaves it."""
+
+    mine: Index
+    """(n,) its points in the network."""
+    pair: int
+    """Stereo pair on which it lies."""
+    cost: CostSurface
+    """Over shifts."""
+    starts: Array
+    """(n, 3) m, where its shots lie after the best shift, or a-priori where relief doesn't tie it."""
+    heights: SurfaceHeights
+    """There."""
+
+
+def _search_profile(
+    network: Network, posterior: Posterior, pairs: Sequence[StereoPair], p: int, settings: ReliefSettings
+) -> _Found:
+    assert network.shifts is not None
+    mine = np.flatnonzero(network.shifts.profile == p)
+    points, sigmas = network.points.places[mine], _height_sigmas(network, mine)
+    name = network.shifts.names[p]
+    costs = [search(pair, points, sigmas, name, settings.reach) for pair in pairs]
+    k = int(np.argmax([cost.shots for cost in costs]))
+    cost = costs[k]
+    shift = cost.minima[0].shift if cost.tied else np.zeros(2)
+    starts = points + np.einsum("k,nkj->nj", shift, east_north(points))
+    heights = heights_above(pairs[k].surface, *pairs[k].images, starts, pairs[k].corrections)
+    return _Found(mine, k, cost, starts, heights)
+
+
+def _height_sigmas(network: Network, points: Index) -> Array:
+    """(n,) m, a-priori, of the heights of network points."""
+    up = network.points.places[points]
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    return np.sqrt(np.einsum("ni,nij,nj->n", up, network.points.covariances[points], up))
+
+
+def _control(
+    network: Network, pairs: Sequence[StereoPair], numbers: Sequence[tuple[int, int]], found: Sequence[_Found]
+) -> StereoControl:
+    """Shots on the surfaces of all profiles that have enough there."""
+    n = len(network.points)
+    surface, sigmas, starts = np.full(n, -1, dtype=np.int64), np.full(n, np.inf), np.full((n, 3), np.nan)
+    for one in found:
+        on = one.heights.covered
+        if int(on.sum()) < _LEAST_SHOTS:
+            continue
+        surface[one.mine[on]] = one.pair
+        sigmas[one.mine[on]] = np.hypot(one.heights.sigmas, one.heights.roughness)[on]
+        starts[one.mine[on]] = one.starts[on]
+    if not np.any(surface >= 0):
+        shots = sum(one.mine.size for one in found)
+        raise InputError(
+            "laser profiles", f"none of {len(found)} with {_LEAST_SHOTS} shots on the stereo surface ({shots} in all)",
+            "profiles that cross the ground that two images show", "check the images' overlap and the profiles' places",
+        )  # fmt: skip
+    return StereoControl(tuple(pair.surface for pair in pairs), np.array(numbers), surface, sigmas, starts)
+
+
+def _with_orientation(
+    pairs: Sequence[StereoPair], numbers: Sequence[tuple[int, int]], posterior: Posterior
+) -> tuple[StereoPair, ...]:
+    """The same surfaces by another orientation."""
+    return tuple(
+        StereoPair(
+            pair.surface,
+            (posterior.image(first), posterior.image(second)),
+            (posterior.correction(first), posterior.correction(second)),
+        )
+        for pair, (first, second) in zip(pairs, numbers, strict=True)
+    )
+
+
+def _profile(
+    network: Network,
+    solution: Solution,
+    before: Sequence[StereoPair],
+    after: Sequence[StereoPair],
+    control: StereoControl,
+    p: int,
+    found: _Found,
+    settings: ReliefSettings,
+) -> ReliefProfile:
+    """What the adjustment has made of a profile."""
+    points, on = network.points.places[found.mine], control.surface[found.mine] >= 0
+    shift, covariance = solution.shifts[p], solution.shift_covariance(p)
+    moved = points + np.einsum("k,nkj->nj", shift, east_north(points))
+    rms = [
+        _rms(heights_above(pair.surface, *pair.images, places, pair.corrections), on)
+        for pair, places in ((before[found.pair], points), (after[found.pair], moved))
+    ]
+    reach, sigmas = min(_NEAR, settings.reach), _height_sigmas(network, found.mine)
+    left = search(after[found.pair], moved, sigmas, found.cost.name, reach)
+    return ReliefProfile(
+        found.cost.name, found.mine.size, int(on.sum()), found.cost, *rms, shift, covariance, left
+    )
+
+
+def _rms(found: SurfaceHeights, on: Array) -> float:
+    """Of the heights of some shots that are on the surface; NaN without any."""
+    taken = found.covered & on.astype(bool)
+    return float(np.sqrt(np.mean(found.heights[taken] ** 2))) if np.any(taken) else float("nan")
