@@ -58,7 +58,7 @@ class Judgement(StrEnum):
     ZERO = "goes to zero"
     """Residuals so small that others' sigmas explain them; held."""
     UNBOUNDED = "goes to infinity"
-    """Held."""
+    """Factor held at its upper limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Component:
     """What the residuals say of the sigmas of one group."""
 
     name: str
-    """Of the group."""
+    """Name of the group."""
     judgement: Judgement
     """Whether what follows means anything."""
     rows: int
@@ -119,7 +119,7 @@ class Component:
         return abs(self.correlation) > CORRELATED or bool(self.given)
 
     def verdict(self) -> str:
-        """One sentence."""
+        """Verdict on the sigmas of the group, in one sentence."""
         return f"{self.name}: {_VERDICTS[self.judgement](self)}"
 
 
@@ -214,9 +214,9 @@ class IteratedComponents:
     """A network whose sigmas agree with its residuals."""
 
     network: Network
-    """With the new sigmas."""
+    """The network with the new sigmas."""
     solution: Solution
-    """Its adjustment."""
+    """Adjustment with the new sigmas."""
     components: Components
     """Factors in total, new sigmas over stated ones."""
     converged: bool
@@ -225,7 +225,7 @@ class IteratedComponents:
     """(passes, g) factors in total with which each pass was adjusted."""
 
     def words(self) -> str:
-        """What came of it."""
+        """Verdicts of all groups, and whether the factors converged."""
         passes = len(self.history)
         end = f"Came to rest after {passes} passes." if self.converged else f"NOT at rest after {passes} passes."
         return f"{self.components.words()}\n{end}"

@@ -131,7 +131,7 @@ class _Sums:
                 self.cross[g, k] += inner[g] @ inner[k] + 2.0 * np.vdot(carried[g], outer[k])
 
     def close(self) -> None:
-        """Put the gathered blocks away."""
+        """Add the gathered blocks to the sums."""
         if self._variables is None:
             return
         layout = self._at.layout

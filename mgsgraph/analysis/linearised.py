@@ -66,11 +66,11 @@ class Linearised:
     """A network where it is linearised, and the covariance of the unknowns that its points share."""
 
     layout: Layout
-    """All rows."""
+    """Layout of all rows."""
     settings: SolverSettings
-    """How they were laid out."""
+    """Settings of the layout."""
     rows: Rows
-    """Those that take part."""
+    """Rows that take part."""
     orientation: Array
     """(columns,) shared unknowns, m and rad."""
     points: Array
@@ -80,7 +80,7 @@ class Linearised:
 
     @property
     def network(self) -> Network:
-        """What was adjusted."""
+        """The network that was adjusted."""
         return self.layout.network
 
     @property

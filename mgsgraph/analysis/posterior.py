@@ -54,7 +54,7 @@ class Pixel:
     sample: float
     """Sample coordinate."""
     sigma: float = 1.0
-    """Sigma of either, pixels."""
+    """px, of line and sample."""
 
 
 class Posterior:

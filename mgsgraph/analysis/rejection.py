@@ -31,13 +31,13 @@ class Removal:
     names: tuple[str, ...]
     """Names of these observations, for reports."""
     point: int
-    """Network point that they belong to."""
+    """Network point of the observations."""
     test: float
     """Joint test of the first when it went, chi-square (divided by sigma0 squared where `Levels.scaled` says so)."""
     dimensions: int
-    """Its dimensions."""
+    """Dimensions of the test."""
     critical: float
-    """Its critical value."""
+    """Critical value of the test."""
     adjustment: int
     """Number of the adjustment after which it went, from 1."""
 
@@ -217,7 +217,7 @@ def _agrees(
 
 
 def _chosen_rows(rows: PointRows, chosen: Mask) -> PointRows:
-    """Some of a point's rows."""
+    """Chosen rows of a point."""
     return replace(
         rows,
         residuals=rows.residuals[:, chosen],

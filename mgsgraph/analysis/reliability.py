@@ -55,11 +55,11 @@ class Reliability:
     """Reliability of an adjustment: `measures`, in the order of kinds, and within these of the network's rows."""
 
     at: Linearised
-    """What was asked about."""
+    """The linearised network."""
     levels: Levels
-    """Sizes of the tests."""
+    """Significance and power of the tests."""
     measures: Measures
-    """All that take part."""
+    """All measures that take part."""
     critical: float
     """Modulus that a good measure's test exceeds with probability alpha."""
     sigma0: float
@@ -115,7 +115,7 @@ class Reliability:
         return units_of(self.at.layout, self.measures, measures)
 
     def names(self, measures: Index) -> list[str]:
-        """What many measures (k,) are."""
+        """Names of many measures (k,)."""
         return names_of(self.at.layout, self.measures, measures)
 
     def __repr__(self) -> str:
@@ -238,7 +238,7 @@ def _robust_roots(at: Linearised, numbers: Array) -> tuple[Array, Array] | None:
 def _rays(
     out: Measures, at: Linearised, numbers: Array, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
 ) -> list[float]:
-    """Fill in the rays; sums of squares."""
+    """Fill in the rays; their sums of squares, part by part."""
     rays, places = at.network.rays, at.layout.places.rays
     edges = [*range(0, used.size, _RAYS), used.size]
     counts = [int(np.count_nonzero(used[a:b])) for a, b in pairwise(edges)]

@@ -55,9 +55,9 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     status: Status
     """not converged: results are written; failed: there are none of this run."""
     message: str
-    """Why it stopped, in words."""
+    """Reason why the adjustment ended."""
     seconds: float
-    """Wall time on the worker."""
+    """s, wall time on the worker."""
     converged: bool
     sigma0: float | None
     """A-posteriori standard deviation of unit weight; None where there is none."""
@@ -68,7 +68,7 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     checksums: dict[str, str | None]
     """SHA-256 of the case file and of its inputs, by path as the case writes it."""
     overrides: Overrides = msgspec.field(name="wishes")
-    """What overruled the case file."""
+    """Options that overruled the case file."""
     version: str
     """Version of this program."""
     machine: str

@@ -31,18 +31,18 @@ from mgsgraph.reports.results import write_results
 
 @dataclass(frozen=True, slots=True)
 class CaseTask:
-    """A case to be done."""
+    """A case that is to be adjusted."""
 
     case: Path
     """Its file, absolute: the same on all machines."""
     name: str
-    """What the record calls it."""
+    """Name of the case in the record."""
     out: Path
     """Folder of the campaign's results, absolute."""
     folder: str
     """Name of the folder in it for this case."""
     overrides: Overrides
-    """What overrules the case file."""
+    """Options that overrule the case file."""
     base: Path
     """Working directory, from which SPICE looks for what a meta-kernel lists."""
 
@@ -119,7 +119,7 @@ class Campaign:
     """`CampaignEntry.case` of those that were left as an earlier run had ended them."""
 
     def count(self, status: str) -> int:
-        """How many cases ended so."""
+        """Number of cases with a status."""
         return sum(entry.status == status for entry in self.entries)
 
     @property

@@ -23,7 +23,7 @@ Kind = Literal["image", "profile", "control point"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """Something that might be observed."""
+    """An image, laser profile or control point that might be observed."""
 
     name: str
     """Of the image, the profile or the control point."""
@@ -32,7 +32,7 @@ class Candidate:
     addition: Network | None
     """The measures it would bring, points at their planned places; None where there are none."""
     reason: str = ""
-    """Why it brings none."""
+    """Reason why it brings no measures."""
     images: tuple[str, ...] = ()
     """Images of the network in which it would be measured, or whose trajectory carries it."""
     overlap: float = float("nan")

@@ -31,7 +31,7 @@ class Targets:
     images: tuple[str, ...]
     """Names of images: what counts is the place of the ground under the image's middle line, on the ellipsoid."""
     wanted: tuple[str, ...]
-    """As they were asked for."""
+    """Targets as they were requested."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -56,11 +56,11 @@ class Sigmas:
     total: float
     """Root of the trace of the covariance."""
     east: float
-    """Eastward."""
+    """Sigma eastward."""
     north: float
-    """Northward."""
+    """Sigma northward."""
     up: float
-    """Upward."""
+    """Sigma upward."""
     worst: str
     """The target whose total is largest."""
 

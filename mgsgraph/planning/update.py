@@ -30,7 +30,7 @@ class AddedInformation:
     touched: tuple[Unknown, ...]
     """Unknowns of the present network that feel them."""
     new: tuple[Unknown, ...]
-    """Unknowns that they bring."""
+    """New unknowns that come with the measures."""
     root: Array
     """(d, d) L on the touched unknowns, per m and rad."""
     conditional: Array
@@ -44,7 +44,7 @@ class Update:
     """Planned measures over a network as it stands."""
 
     present: CurrentState
-    """The network as it is."""
+    """The present network."""
     added: AddedInformation
     """Information that the measures add."""
     downdate: Array

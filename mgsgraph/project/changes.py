@@ -91,14 +91,14 @@ def _closing_facts(closing: Closing | None) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedProject:
-    """What `solve` has done."""
+    """Result of `solve`."""
 
     solution: Solution
-    """Of batch over everything."""
+    """Batch solution of all images."""
     closing: Closing | None
     """How far the incremental result was off; None where there was none."""
     folder: Path
-    """Of the products."""
+    """Folder of the products."""
 
 
 def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> SolvedProject:
@@ -167,7 +167,7 @@ class NewProject(NamedTuple):
     """A project that has been made."""
 
     words: str
-    """What is in it."""
+    """Contents of the project, in words."""
     waits: bool
     """Whether its images wait for tie points."""
 

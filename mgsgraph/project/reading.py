@@ -31,7 +31,7 @@ class Results(NamedTuple):
     """Results, and where they come from."""
 
     folder: Path
-    """Of the results (or their archive)."""
+    """Folder of the results (or their archive)."""
     case: Path | None = None
     """The case, where it is known and still there."""
     ties: Path | None = None
