@@ -119,12 +119,12 @@ class ObservationIndex:
     def of(self, point: int) -> dict[ObservationKey, int]:
         """Observations of a network point, and the index of each in those of its pattern (`PointRows.observation`)."""
         rows, patterns = self._at.rows, self._at.layout.patterns
-        place = int(patterns.point_place[point])
-        pattern, first, count, _, observation = rows.piece[patterns.piece_of(place)].tolist()
+        number = int(patterns.point_place[point])
+        pattern, first, count, _, observation = rows.piece[patterns.piece_of(number)].tolist()
         found: dict[ObservationKey, int] = {}
         for kind, index, places in self._measured:
             for k in index.of(point).tolist():
-                found[kind, k] = (int(places[k]) - observation - (place - first)) // count
+                found[kind, k] = (int(places[k]) - observation - (number - first)) // count
         for slot, k in enumerate(range(rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1])):
             if rows.observation_kind[k] == GROUND:
                 found[MeasureKind.GROUND, point] = slot

@@ -20,13 +20,13 @@ from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import Linearised, PriorRows, at_solution, prior_rows
 from mgsgraph.analysis.measures import (
+    Indices,
     Levels,
     MeasureKind,
-    Measures,
-    Places,
+    ScalarMeasures,
     Small,
     empty_measures,
-    judge_places,
+    judge_ground_priors,
     judge_scalars,
     names_of,
     pair_tests,
@@ -58,7 +58,7 @@ class Reliability:
     """The linearised network."""
     levels: Levels
     """Significance and power of the tests."""
-    measures: Measures
+    measures: ScalarMeasures
     """All measures that take part."""
     critical: float
     """Modulus that a good measure's test exceeds with probability alpha."""
@@ -137,7 +137,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     """
     at, levels = (of if isinstance(of, Linearised) else at_solution(of)), levels or Levels()
     points = np.flatnonzero(at.layout.network_order(at.rows.kind) == PRIOR)
-    places = _ground_places(at, points)
+    places = _ground_indices(at, points)
     numbers, ground = _swept(at, places)
     roots = _robust_roots(at, numbers)
     used, shots, heights = _taking_part(at, roots)
@@ -150,7 +150,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     squares += _ranges(ranges, at, numbers, shots, roots, levels)
     thrice = np.repeat(points, 3)
     apriori.say(MeasureKind.GROUND, np.tile(np.arange(3), points.size), thrice, thrice, -1, np.repeat(places, 3))
-    squares += judge_places(apriori, at.network.points.covariances[points], ground, levels)
+    squares += judge_ground_priors(apriori, at.network.points.covariances[points], ground, levels)
     squares += _heights(surface, at, numbers, heights, levels) + _priors(priors, at, known, levels)
     degrees = float(out.redundancy.sum())
     sigma0 = float(np.sqrt(squares / degrees)) if degrees > 0.0 else float("nan")
@@ -174,14 +174,14 @@ def _taking_part(at: Linearised, roots: tuple[Array, Array] | None) -> tuple[Mas
     return used, shots, np.flatnonzero(there & _used(at, places.heights, places.on_terrain, None))
 
 
-def _ground_places(at: Linearised, points: Index) -> Index:
+def _ground_indices(at: Linearised, points: Index) -> Index:
     """(g,) places among all observations of the a-priori places of network points."""
-    rows, place = at.rows, at.layout.patterns.point_place
+    rows, index_of = at.rows, at.layout.patterns.point_place
     of_pattern = np.full(rows.pattern_group.size, -1)
     own = np.flatnonzero(rows.observation_kind == GROUND)
     pattern = np.searchsorted(rows.pattern_observation, own, side="right") - 1
     of_pattern[pattern] = own - rows.pattern_observation[pattern]
-    inside = place[points]
+    inside = index_of[points]
     pattern, first, count, _, observation = rows.piece[at.layout.patterns.piece_of(inside)].T
     return np.asarray(observation + of_pattern[pattern] * count + inside - first, dtype=np.int64)
 
@@ -236,7 +236,7 @@ def _robust_roots(at: Linearised, numbers: Array) -> tuple[Array, Array] | None:
 
 
 def _rays(
-    out: Measures, at: Linearised, numbers: Array, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
+    out: ScalarMeasures, at: Linearised, numbers: Array, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
 ) -> list[float]:
     """Fill in the rays; their sums of squares, part by part."""
     rays, places = at.network.rays, at.layout.places.rays
@@ -249,10 +249,10 @@ def _rays(
         chosen: slice | Index = slice(first, last)
         if begins[last] - begins[first] < 2 * number.size:
             number, chosen = number[used[first:last]], np.flatnonzero(used[first:last]) + first
-        place, root = places[chosen], None if roots is None else roots[0][chosen]
-        found, mine = numbers[place], out.part(begins[first], begins[last])
+        index, root = places[chosen], None if roots is None else roots[0][chosen]
+        found, mine = numbers[index], out.part(begins[first], begins[last])
         point, image = np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
-        mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(place, 2))
+        mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(index, 2))
         misfit, share, effect = (found[:, columns].ravel() for columns in (_MISFIT, _SHARE, _EFFECT))
         twice = None if root is None else np.repeat(root, 2)
         judge_scalars(mine, rays.sigmas[chosen].ravel(), misfit, share, effect, twice, levels)
@@ -264,7 +264,7 @@ def _rays(
 
 
 def _ranges(
-    out: Measures, at: Linearised, numbers: Array, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
+    out: ScalarMeasures, at: Linearised, numbers: Array, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
 ) -> float:
     """Fill in the ranges; their sum of squares."""
     ranges, index = at.network.ranges, at.layout.places.ranges[shots]
@@ -275,7 +275,7 @@ def _ranges(
     return float(misfit @ misfit)
 
 
-def _heights(out: Measures, at: Linearised, numbers: Array, chosen: Index, levels: Levels) -> float:
+def _heights(out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index, levels: Levels) -> float:
     """Fill in the heights above the terrain; their sum of squares."""
     if at.network.surface is None:
         return 0.0
@@ -287,7 +287,7 @@ def _heights(out: Measures, at: Linearised, numbers: Array, chosen: Index, level
     return float(misfit @ misfit)
 
 
-def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> float:
+def _priors(out: ScalarMeasures, at: Linearised, known: PriorRows, levels: Levels) -> float:
     """Fill in a-priori values of the shared unknowns, all of them zero; their sum of squares."""
     about = known.about
     variables = at.layout.variables
@@ -299,7 +299,7 @@ def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> 
     return float(known.misfit @ known.misfit)
 
 
-def _used(at: Linearised, places: Index | Places, points: Index, root: Array | None) -> Mask:
+def _used(at: Linearised, places: Index | Indices, points: Index, root: Array | None) -> Mask:
     """Which observations take part, by their places and points."""
     used = (at.rows.weight[0, places] > 0.0) & (at.layout.network_order(at.rows.kind)[points] != OUT)
     return np.asarray(used if root is None else used & (root > 0.0))

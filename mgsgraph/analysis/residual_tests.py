@@ -31,7 +31,7 @@ _CONTROLLED = 1e-3
 _FEWEST = 5.0
 """Independent residuals without which no test is made."""
 _MARKS = 200
-"""Places of a quantile plot."""
+"""Points of a quantile plot."""
 
 
 @dataclass(frozen=True, slots=True)
