@@ -20,7 +20,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.case_file import camera_focal_length
 from mgsgraph.fetch.download import Patience
-from mgsgraph.fetch.fetch import Fetched, fetch_images, survey
+from mgsgraph.fetch.folder import Fetched, fetch_images, survey
 from mgsgraph.fetch.lock import Lock, verify
 from mgsgraph.io.files import claimed
 from mgsgraph.io.kernels import times_of_utc
