@@ -126,7 +126,7 @@ class Linearised:
     def asked(self, places: Array, rays: ImageRays, known: bool) -> Layout:
         """Layout of places (m, 3) in m that nobody has measured, on the same shared unknowns.
 
-        Rays of known places stand alone; the others' intersect in them.
+        Rays of known positions are rows without a point; those of unknown ones intersect in them.
         """
         network, m = self.network, places.shape[0]
         kinds, ids = np.full(m, PointKind.FIXED if known else PointKind.FREE), tuple(f"place {k}" for k in range(m))

@@ -3,7 +3,7 @@
 Of every scalar measure that takes part: its redundancy number r (what of an error in it shows in its own residual), the
 w-test of its residual, the minimal detectable blunder, and what a blunder of that size, unnoticed, does to its point
 and to any result (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Rejected rows don't take part. With a robust loss
-a row of weight p keeps its own sigma in its test, while the others speak with their weights: the test is that of the
+a row of weight p keeps its own sigma in its test, while the others keep their weights: the test is that of the
 residual against what the others predict. One without weight doesn't take part.
 """
 
@@ -47,7 +47,7 @@ _MISFIT, _SHARE, _EFFECT, _BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
 """Columns of the kernel's numbers of the first two rows of observations (t, 8), side by side, lest each look-up cost
 several: whitened residuals; diagonal of H; m that an error of one sigma moves the point; H between the two rows."""
 _EXACT = 1e-12
-"""Residual in sigmas without a robust weight to speak of."""
+"""Residual in sigmas below which its robust weight is taken as one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

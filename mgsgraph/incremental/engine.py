@@ -98,7 +98,7 @@ class Engine:
 
     @contextmanager
     def all_or_nothing(self) -> Iterator[None]:
-        """Whatever fails within, the engine stands as it did."""
+        """Restore the engine's state when anything within fails."""
         before = dict(self.shared), dict(self.systems)
         try:
             yield

@@ -68,7 +68,7 @@ class Plan:
     criterion: Criterion
     """Whether their mean sigma counts, or the largest one."""
     now: Sigmas
-    """Of the targets as the network stands, m."""
+    """Sigmas of the targets in the present network, m."""
     ranking: tuple[Evaluation, ...]
     """Every candidate by itself, best first; worthless ones last, with the reason."""
     chosen: tuple[Evaluation, ...]
