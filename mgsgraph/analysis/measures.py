@@ -17,6 +17,13 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 
+UNCONTROLLED = 1e-6
+"""Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
+Small = NDArray[np.int8]
+Indices = NDArray[np.int32]
+_POWERS = ("constant", "linear", "quadratic", "cubic")
+_WIDEST = 3
+
 
 @dataclass(frozen=True, slots=True)
 class Levels:
@@ -72,13 +79,6 @@ class Levels:
         if dimensions == 1:
             return self.critical**2
         return float(ncx2.ppf(1.0 - self.power, dimensions, self.shift**2))
-
-
-UNCONTROLLED = 1e-6
-"""Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
-
-Small = NDArray[np.int8]
-Indices = NDArray[np.int32]
 
 
 class MeasureKind(IntEnum):
@@ -313,14 +313,12 @@ def _diagonal(matrices: Array) -> Array:
     return np.diagonal(matrices, axis1=1, axis2=2)
 
 
-_POWERS = ("constant", "linear", "quadratic", "cubic")
 _WHAT = {
     MeasureKind.RAY: ("line", "sample"),
     MeasureKind.RANGE: ("range",),
     MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
     MeasureKind.HEIGHT: ("height above the terrain",),
 }
-_WIDEST = 3
 
 
 def names_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[str]:

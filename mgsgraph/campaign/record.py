@@ -18,6 +18,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.io.files import claim
 
 Status = Literal["done", "not converged", "failed"]
+RECORD = "campaign.jsonl"
+"""Name of the file in the folder of the results."""
+_HEAD = {"program": "mgsgraph", "record": "campaign", "format": 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +79,6 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     finished: str
     """UTC, ISO 8601."""
 
-
-RECORD = "campaign.jsonl"
-"""Name of the file in the folder of the results."""
-_HEAD = {"program": "mgsgraph", "record": "campaign", "format": 1}
 
 class Record:
     """An open record; made by `open_record`.

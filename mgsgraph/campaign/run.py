@@ -28,6 +28,13 @@ from mgsgraph.output.folders import RECORD as RESULT
 from mgsgraph.output.folders import require_replaceable
 from mgsgraph.reports.results import write_results
 
+Progress = Callable[[int, int, CampaignEntry | None], None]
+"""Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
+_WIDTH = 110
+"""columns of the table."""
+_NAME = 32
+"""columns of a case's name at most."""
+
 
 @dataclass(frozen=True, slots=True)
 class CaseTask:
@@ -104,8 +111,6 @@ def _entry(task: CaseTask, sums: dict[str, str | None], seconds: float, outcome:
     )
 
 
-Progress = Callable[[int, int, CampaignEntry | None], None]
-"""Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
 _Each = Callable[[Callable[[CaseTask], CampaignEntry], Sequence[CaseTask]], Iterator[tuple[int, CampaignEntry | Lost]]]
 
 
@@ -221,12 +226,6 @@ def _sweep(out: Path, tasks: Sequence[CaseTask]) -> None:
         match = re.fullmatch(r"\.(.+)\.[0-9a-f]{8}\.unfinished", path.name)
         if match and match[1] in names:
             shutil.rmtree(path, ignore_errors=True)
-
-
-_WIDTH = 110
-"""columns of the table."""
-_NAME = 32
-"""columns of a case's name at most."""
 
 
 def summary(campaign: Campaign) -> str:

@@ -1,7 +1,7 @@
 """Candidates: images, laser profiles and control points that might be observed, with the measures that they would get.
 
-The measures are projections of planned positions with the network's adjusted orientation, so that the geometry, which is all that a
-covariance needs, is that of real ones. Their residuals are zero.
+The measures are projections of planned positions with the network's adjusted orientation, so that the geometry, which
+is all that a covariance needs, is that of real ones. Their residuals are zero.
 """
 
 from collections.abc import Sequence

@@ -24,6 +24,8 @@ from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
 
+Stages = Callable[[str], AbstractContextManager[None]]
+
 
 def is_solved(project: Project) -> bool:
     """Whether all images have an adjusted orientation, from which an incremental adjustment can go on."""
@@ -158,9 +160,6 @@ def _note(project: Project, verb: str, what: str, summary: dict[str, Any], impac
     project.record(verb, what, summary | counts | {"seconds": round(impact.seconds, 3)})
     message = "All unknowns came to rest." if impact.converged else "It did not come to rest; solve the project anew."
     project.record_incremental(impact.converged, message)
-
-
-Stages = Callable[[str], AbstractContextManager[None]]
 
 
 class NewProject(NamedTuple):

@@ -25,6 +25,13 @@ from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.support import LEAST, require_supported
 from mgsgraph.spacing.rays import HeldOut, Scatter, hold_out, misfits, ray_scatter, whitening
 
+_STRETCHES = 10
+"""Stretches of time that a strip has at least, whose sums count as independent."""
+_BLUNDER = 6.0
+"""Robust standard deviations beyond which a ray held out is a blunder, if it is so for every candidate."""
+_MEDIAN = 1.1774100225154747
+"""Median norm of two standard normal numbers."""
+
 
 def respaced(network: Network, spacing: float) -> Network:
     """A network whose strips all have even nodes at a spacing of at most `spacing` s, over the same time."""
@@ -52,14 +59,6 @@ def require_respaceable(network: Network) -> None:
         if not isinstance(strip.prior, NodePrior):
             found = "a joint prior of just its nodes"
             raise InputError(f"strip {strip.name!r}", found, "one of any nodes (bias, drift and sigmas)")
-
-
-_STRETCHES = 10
-"""Stretches of time that a strip has at least, whose sums count as independent."""
-_BLUNDER = 6.0
-"""Robust standard deviations beyond which a ray held out is a blunder, if it is so for every candidate."""
-_MEDIAN = 1.1774100225154747
-"""Median norm of two standard normal numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
