@@ -12,7 +12,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.export import Target
-from mgsgraph.export import export as exports
+from mgsgraph.export import solution_export as exports
 from mgsgraph.export.solution_export import Exported, ExportSettings, export_solution, target_of
 from mgsgraph.reports.results import write_results
 
