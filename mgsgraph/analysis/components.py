@@ -91,6 +91,11 @@ class Component:
         """Standard deviation of `factor`."""
         return self.factor / math.sqrt(2.0 * self.degrees) if self.degrees > 0.0 else math.nan
 
+    @property
+    def foerstner(self) -> float:
+        """Square root of squares over redundancy: the factor if all other groups' sigmas are right."""
+        return math.sqrt(self.squares / self.redundancy) if self.redundancy > 0.0 else math.nan
+
     def interval(self, probability: float = SURE) -> tuple[float, float]:
         """Within which the factor lies, by the chi-square distribution; NaN where it can't be judged."""
         from scipy.stats import chi2  # slow to import
