@@ -35,7 +35,7 @@ class SharedEstimate:
     unit: str
     """s, mrad or m."""
     value: float
-    """In that unit."""
+    """Estimated value, in that unit."""
     sigma: float
     """Its standard deviation, for sigma0 = 1."""
     prior_sigma: float
@@ -43,9 +43,9 @@ class SharedEstimate:
     image: str
     """Image whose constant pitch (`pitch_axis`) it is most like; empty where all are held."""
     correlation: float
-    """With that pitch."""
+    """Correlation with that pitch."""
     likeness: float
-    """With that pitch, 0 to 1."""
+    """Likeness with that pitch, 0 to 1."""
     together: float
     """Likeness with the best mixture of constant pitches of all its images, 0 to 1."""
     mixture: tuple[str, ...]
@@ -63,7 +63,7 @@ def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
     shared, values = solution.network.shared[k], solution.shared[k]
     factor = MRAD if shared.kind.unit == "rad" else 1.0
     sigmas = np.sqrt(np.diag(solution.shared_covariance(k)))
-    images = shared.images[solution.network.own[shared.images]]
+    images = shared.images[solution.network.with_polynomial[shared.images]]
     correlation, likeness, shares, together = _with_pitch(solution, k, images)
     found = []
     ground = np.array([_grounds(solution, shared, j) for j in images.tolist()]).reshape(images.size, shared.kind.width)

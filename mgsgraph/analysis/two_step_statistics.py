@@ -77,10 +77,10 @@ class GroupStatistics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoStepStatistics:
-    """All of an adjustment in two steps."""
+    """Statistics of an adjustment in two steps."""
 
     steps: TwoSteps
-    """What was adjusted."""
+    """The adjustment."""
     whole: GroupStatistics
     """All strips together; each point counts once, in the axes of the first strip that sees it."""
     groups: tuple[GroupStatistics, ...]
@@ -143,7 +143,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
 def owners(network: Network) -> list[tuple[str, Index]]:
     """Strips with their images; then every other image that is adjusted, or all where none is."""
     strips = [(strip.name, strip.images) for strip in network.strips]
-    alone = np.flatnonzero(network.own)
+    alone = np.flatnonzero(network.with_polynomial)
     if not strips and not alone.size:
         alone = np.arange(len(network.images))
     return strips + [(network.images[j].name, np.array([j])) for j in alone.tolist()]

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
-from mgsgraph.adjustment.passes import Selection, determined_points, unmarked
+from mgsgraph.adjustment.passes import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
@@ -24,7 +23,7 @@ for the errors of bundles add up."""
 _ROBUST_SHARE = 0.01
 """Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
 _PROBES = 48
-"""Points that stand for all of a bundle: their moves are polynomials of the line, of low degree."""
+"""Points that represent all of a bundle: their moves are polynomials of the line, of low degree."""
 
 
 def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array) -> float:

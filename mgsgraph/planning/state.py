@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.datum.datum import require_strength
-from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.passes import Selection, determined_points, everything
+from mgsgraph.adjustment.passes import Selection, determined_points, everything, without_weak
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.settings import SolverSettings
@@ -33,7 +32,7 @@ class NetworkState:
     settings: SolverSettings
     """Measurement model and loss."""
     values: Mapping[Unknown, Array]
-    """Shared unknowns (d,), m and rad; those that are missing stand at zero."""
+    """Shared unknowns (d,), m and rad; those that are missing are zero."""
     places: Array
     """(n, 3) m, of the points."""
 
@@ -102,7 +101,7 @@ class ReducedNetwork:
     Parameters
     ----------
     values : mapping
-        Shared unknowns; those that are missing stand at zero.
+        Shared unknowns; those that are missing are zero.
     places : (n, 3)
         m, where the points are.
     """
@@ -166,7 +165,7 @@ class ReducedNetwork:
 
 
 class CurrentState(ReducedNetwork):
-    """A whole network linearised where it stands, with the joint covariance of its shared unknowns.
+    """A whole network linearised at its state, with the joint covariance of its shared unknowns.
 
     Raises WeakNetwork where nothing determines some direction of the orientation.
     """

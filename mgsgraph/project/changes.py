@@ -24,6 +24,8 @@ from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
 
+Stages = Callable[[str], AbstractContextManager[None]]
+
 
 def is_solved(project: Project) -> bool:
     """Whether all images have an adjusted orientation, from which an incremental adjustment can go on."""
@@ -36,7 +38,7 @@ def is_solved(project: Project) -> bool:
 
 def _incremental(project: Project) -> IncrementalAdjustment:
     """From the state that the project holds; points are always eliminated there, to the same result."""
-    return IncrementalAdjustment(replace(project.settings.solver_settings, form="bundle"), project.store)
+    return IncrementalAdjustment(replace(project.settings.solver.settings, form="bundle"), project.store)
 
 
 def add(project: Project, addition: Addition) -> Impact | None:
@@ -91,19 +93,19 @@ def _closing_facts(closing: Closing | None) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedProject:
-    """What `solve` has done."""
+    """Result of `solve`."""
 
     solution: Solution
-    """Of batch over everything."""
+    """Batch solution of all images."""
     closing: Closing | None
     """How far the incremental result was off; None where there was none."""
     folder: Path
-    """Of the products."""
+    """Folder of the products."""
 
 
 def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> SolvedProject:
     """Adjust everything by batch, compare it with the incremental result, and keep its products."""
-    name, settings, store = project.name, project.settings.solver_settings, project.store
+    name, settings, store = project.name, project.settings.solver.settings, project.store
     closing: Closing | None = None
     if not store.members():
         found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"
@@ -160,14 +162,11 @@ def _note(project: Project, verb: str, what: str, summary: dict[str, Any], impac
     project.record_incremental(impact.converged, message)
 
 
-Stages = Callable[[str], AbstractContextManager[None]]
-
-
 class NewProject(NamedTuple):
     """A project that has been made."""
 
     words: str
-    """What is in it."""
+    """Contents of the project, in words."""
     waits: bool
     """Whether its images wait for tie points."""
 
