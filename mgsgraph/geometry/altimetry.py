@@ -219,6 +219,8 @@ class AltimetryCloud:
     """(p) names, each once: shots of one crossing, which have their errors of place in common."""
     profile: Index
     """(n,) index of the profile."""
+    footprint: float = float("nan")
+    """m, diameter of the laser's spot on the ground; NaN where unknown."""
 
     def __post_init__(self) -> None:
         n = len(self.ids)
@@ -231,15 +233,22 @@ class AltimetryCloud:
         for k in np.flatnonzero(back)[:1]:
             shot, name = self.ids[order[k + 1]], self.profiles[profile[order[k]]]
             raise InputError(f"{self.source}, profile {name}", f"shot {shot} before its time", "shots in order of time")
+        if self.footprint <= 0.0:
+            raise InputError(f"{self.source}, footprint", f"{self.footprint} m", "a positive diameter")
         points = frozen(self.points, f"{self.source}, points", (n, 3))
         assign(self, points=points, times=times, profile=profile)
 
     def chosen(self, which: Mask) -> "AltimetryCloud":
         """The shots of a mask (n,), and of the profiles those that still have any."""
         kept, profile = np.unique(self.profile[which], return_inverse=True)
-        ids = tuple(self.ids[k] for k in np.flatnonzero(which))
-        profiles = tuple(self.profiles[k] for k in kept)
-        return AltimetryCloud(self.source, ids, self.points[which], self.times[which], profiles, profile)
+        return replace(
+            self,
+            ids=tuple(self.ids[k] for k in np.flatnonzero(which)),
+            points=self.points[which],
+            times=self.times[which],
+            profiles=tuple(self.profiles[k] for k in kept),
+            profile=profile,
+        )
 
     def __repr__(self) -> str:
         return f"AltimetryCloud({len(self.ids)} shots, {len(self.profiles)} profiles, from {self.source})"

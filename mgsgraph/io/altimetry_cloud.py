@@ -32,6 +32,10 @@ _PAUSE = 1800.0
 """s without a shot, after which another profile begins."""
 _TOLERANCE = 0.1
 """Part of the body's radius by which a file's median radius may differ from it."""
+MOLA_FOOTPRINT = 168.0
+"""m, diameter of MOLA's spots: 0.42 mrad seen from 400 km (Smith et al. 2001)."""
+LOLA_FOOTPRINT = 5.0
+"""m, diameter of LOLA's spots: 0.1 mrad seen from 50 km (Smith et al. 2010)."""
 _MOON = Ellipsoid(1737.4 * KM, 1737.4 * KM)
 """Body of LOLA's radii."""
 _PEDR_RADII = {"planetrad", "planetradius", "planetaryradius"}
@@ -128,13 +132,20 @@ def _by_pauses(times: Array) -> tuple[Index, Index]:
     return numbers, order[begins]
 
 
-def _in_profiles(path: Path, ids: Sequence[str], points: Array, times: Array, keys: ArrayLike) -> AltimetryCloud:
+def _in_profiles(
+    path: Path, ids: Sequence[str], points: Array, times: Array, keys: ArrayLike, footprint: float
+) -> AltimetryCloud:
     """The cloud of shots in any order; the keys (n,), texts or numbers, of their profiles become the names."""
     names, profile = np.unique(keys, return_inverse=True)
     order = np.lexsort([times, profile])
     ordered = tuple(ids[k] for k in order.tolist())
     profiles = tuple(str(name) for name in names.tolist())
-    return AltimetryCloud(str(path), ordered, points[order], times[order], profiles, profile[order])
+    return AltimetryCloud(str(path), ordered, points[order], times[order], profiles, profile[order], footprint)
+
+
+def _product(path: Path) -> str:
+    """The name of a file up to its first dot."""
+    return path.name.partition(".")[0]
 
 
 def _require_ground(ground: Mask, path: Path) -> None:
@@ -165,7 +176,7 @@ def _pedr(shots: AltimeterShots) -> AltimetryCloud:
     _require_ground(shots.ground, path)
     shots = shots.chosen(shots.ground)
     orbits = shots.orbits if np.any(shots.orbits) else _by_pauses(shots.times)[0] + 1
-    return _in_profiles(path, shots.ids, shots.footprints, shots.times, orbits)
+    return _in_profiles(path, shots.ids, shots.footprints, shots.times, orbits, MOLA_FOOTPRINT)
 
 
 def _lola_records(content: bytes, path: Path) -> AltimetryCloud:
@@ -182,7 +193,7 @@ def _lola_records(content: bytes, path: Path) -> AltimetryCloud:
     )
     times = (records["seconds"] + records["fraction"] * 2.0**-32)[chosen // SPOTS]
     ids = [f"{k}:{m}" for k, m in zip(record.tolist(), spot.tolist(), strict=True)]
-    return _in_profiles(path, ids, points, times, np.full(chosen.size, path.name.split(".")[0]))
+    return _in_profiles(path, ids, points, times, np.full(chosen.size, _product(path)), LOLA_FOOTPRINT)
 
 
 # --- CSV
@@ -268,7 +279,7 @@ class _Table:
     def profiles(self, times: Array, utc: str) -> ArrayLike:
         """Keys (n,) of profiles between pauses: the minute in which the first shot was fired, or numbers from 1."""
         if np.isnan(times[0]):
-            return np.full(len(self), self.path.name.split(".")[0])
+            return np.full(len(self), _product(self.path))
         numbers, first = _by_pauses(times)
         if utc not in self.names:
             return numbers + 1
@@ -277,7 +288,7 @@ class _Table:
 
 
 def _unit(radii: Array, body: Ellipsoid | None, where: str) -> float:
-    """m of the unit in which radii (n,) of a column without unit are those of the body."""
+    """M of the unit in which radii (n,) of a column without unit are those of the body."""
     if body is None:
         raise InputError(where, "a radius without unit", "radius_m or radius_km")
     median = float(np.median(radii))
@@ -307,7 +318,7 @@ def _lola_table(table: _Table, leap_seconds: Path | None) -> AltimetryCloud:
         ids = [f"{second}:{shot}:{spot}" for second, shot, spot in shots.tolist()]
     else:
         ids = [table.where(k) for k in chosen.tolist()]
-    return _in_profiles(table.path, ids, points, times[chosen], keys[chosen])
+    return _in_profiles(table.path, ids, points, times[chosen], keys[chosen], LOLA_FOOTPRINT)
 
 
 def _plain_table(table: _Table, body: Ellipsoid | None, leap_seconds: Path | None) -> AltimetryCloud:
@@ -319,15 +330,12 @@ def _plain_table(table: _Table, body: Ellipsoid | None, leap_seconds: Path | Non
         found = f"the columns {', '.join(table.written)[:80]}"
         raise InputError(f"{table.path}, header", found, _EXPECTED)
     table.require_rows()
-    if cartesian:
-        points = table.columns("xm", "ym", "zm")
-    else:
-        points = _planetocentric_points(table, heights[0], body)
+    points = table.columns("xm", "ym", "zm") if cartesian else _planetocentric_points(table, heights[0], body)
     times = table.times("times", "utc", leap_seconds)
     named = [name for name in ("profile", "orbit") if name in names]
     keys = table.texts(named[0]) if named else table.profiles(times, "utc")
     ids = table.texts("id") if "id" in names else [table.where(k).rpartition(" ")[2] for k in range(len(table))]
-    return _in_profiles(table.path, ids, points, times, keys)
+    return _in_profiles(table.path, ids, points, times, keys, float("nan"))
 
 
 def _planetocentric_points(table: _Table, height: str, body: Ellipsoid | None) -> Array:
