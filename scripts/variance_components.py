@@ -115,14 +115,14 @@ def planted_table(names: tuple[str, ...], truths: list[np.ndarray], found: list[
             if not mine:
                 continue
             good = [(t, one) for t, one in mine if one.judgement is Judgement.JUDGED]
-            plain, entangled = ([(t, one) for t, one in good if one.entangled is which] for which in (False, True))
+            plain, entangled = ([(t, one) for t, one in good if one.correlated is which] for which in (False, True))
             z = np.array([one.deviation(t) for t, one in entangled])
             beside = f"{z.size}, {np.sqrt(np.mean(z**2)):.2f}" if z.size else "0"
             what = f"{factors[0]:g}" if len(factors) == 1 else "all"
             lines.append(f"| {name} | {what} | {len(mine)} | {figures(plain)} | {beside} | {len(mine) - len(good)} |")
     every = [(t[g], one) for t, c in zip(truths, found, strict=True) for g, one in enumerate(c.groups)]
     for which, what in ((False, "not entangled"), (True, "entangled")):
-        good = [(t, one) for t, one in every if one.judgement is Judgement.JUDGED and one.entangled is which]
+        good = [(t, one) for t, one in every if one.judgement is Judgement.JUDGED and one.correlated is which]
         lines.append(f"| all groups, {what} | all | {len(good)} | {figures(good)} | | |")
     return "\n".join(lines)
 

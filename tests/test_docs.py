@@ -129,7 +129,12 @@ PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
 print."""
 
 
-@pytest.mark.parametrize("page", PYTHON)
+LONG = ("docs/dem.md", "docs/matching.md", "docs/cluster.md")
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=pytest.mark.slow if page in LONG else ()) for page in PYTHON]
+)
 def test_python_blocks_run(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,6 +227,7 @@ TOO_LONG = {"report"}
 """Verbs of the tutorial that are left to tests of their own."""
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """As it stands, but for the figures."""
     monkeypatch.chdir(tmp_path)

@@ -58,6 +58,14 @@ def everything(network: Network) -> Selection:
     return Selection(rays, ranges, network.undetermined.copy())
 
 
+def unmarked(network: Network) -> Selection:
+    """All rows but known blunders, as the network marks them."""
+    rays, ranges = network.rays.rejected, network.ranges.rejected
+    assert rays is not None  # a network fills them in
+    assert ranges is not None
+    return Selection(~rays, ~ranges, network.undetermined.copy())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
     """What the passes leave."""

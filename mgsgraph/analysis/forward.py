@@ -37,7 +37,6 @@ class RaysAlone:
     ----------
     network : Network
         Without a surface.
-    settings : SolverSettings
     selection : Selection
         Rays and ranges that take part.
     """

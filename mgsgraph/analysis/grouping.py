@@ -71,7 +71,6 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
 
     Parameters
     ----------
-    network : Network
     image_kinds : sequence of str, optional
         What kind each image is of (a camera, nadir or oblique): tie image points get a group per kind.
     """

@@ -193,11 +193,11 @@ def _traces(normals: "list[csr_array]", covariance: Array) -> Array:
 
 
 def _estimated_traces(normals: "list[csr_array]", joint: JointCovariance) -> Array:
-    """The same, expected: with S = U U' and random signs z, tr(U'N_g U U'N_k U) = E (U'N_g U z)'(U'N_k U z)."""
+    """(g, g) estimates of tr(N_g S N_k S): with S = U U' and random signs z it is E (U'N_g U z)'(U'N_k U z)."""
     signs, root = np.random.default_rng(0).choice([-1.0, 1.0], (joint.columns, _PROBES)), joint.square_root
     spread = root.back(signs)
-    felt = [root.forward(normal @ spread) for normal in normals]
-    return np.array([[np.sum(one * other) for other in felt] for one in felt]) / _PROBES
+    projected = [root.forward(normal @ spread) for normal in normals]
+    return np.array([[np.sum(one * other) for other in projected] for one in projected]) / _PROBES
 
 
 CORRELATED = 0.5

@@ -24,12 +24,12 @@ ObservationKey = tuple[MeasureKind, int]
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """What went at one stroke: an observation, and those that can't be told apart from it."""
+    """Observations rejected together: one, and those that can't be separated from it."""
 
     observations: tuple[ObservationKey, ...]
     """The one with the largest test first."""
     names: tuple[str, ...]
-    """The same in words."""
+    """Names of these observations, for reports."""
     point: int
     """Network point that they belong to."""
     test: float
@@ -44,7 +44,7 @@ class Removal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taken:
-    """Marks of what is out, in network order."""
+    """Marks of rejected observations, in network order."""
 
     rays: Mask
     """(k,) as `ImageRays.rejected`."""
@@ -56,7 +56,7 @@ class Taken:
     """(n,) points whose height above the terrain is out."""
 
     def changed(self, observations: Iterable[ObservationKey], out: bool) -> "Taken":
-        """The same with some observations out, or in."""
+        """Marks with some observations taken out or put back."""
         masks = {
             MeasureKind.RAY: self.rays.copy(),
             MeasureKind.RANGE: self.ranges.copy(),
@@ -69,22 +69,17 @@ class Taken:
 
     def marked(self, network: Network) -> Network:
         """A network whose rays and ranges carry the marks, and whose points lack what else is out."""
-        left = without(network, self)
-        return replace(
-            left,
-            rays=replace(left.rays, rejected=self.rays),
-            ranges=replace(left.ranges, rejected=self.ranges),
-        )
+        return without(network, self).with_rejected(self.rays, self.ranges)
 
     def holds(self, observation: ObservationKey) -> bool:
-        """Whether it is out."""
+        """Whether an observation is rejected."""
         kind, row = observation
         masks = (self.rays, self.ranges, self.places, self.heights)
         return bool(masks[kind][row])
 
 
 def nothing_rejected(network: Network) -> Taken:
-    """All in."""
+    """Marks of a network of which nothing is rejected."""
     sizes = network.rays.point.size, network.ranges.point.size, len(network.points), len(network.points)
     return Taken(*(np.zeros(size, dtype=np.bool_) for size in sizes))
 

@@ -15,6 +15,7 @@ from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows
 from mgsgraph.analysis.linearised import Linearised, at_solution, prior_rows
+from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import reliability
@@ -60,19 +61,21 @@ class ChiSquareTest:
         """Whether the two-sided test finds nothing."""
         return self.two_sided >= self.alpha
 
-    @property
-    def passed_one_sided(self) -> bool:
-        """Whether the sum is not too large."""
-        return self.larger >= self.alpha
-
     def words(self) -> str:
         """One sentence."""
         low, high = self.bounds
-        found = "passed" if self.passed else "FAILED, " + ("too large" if self.squares > high else "too small")
+        found, advice = "passed", ""
+        if not self.passed:
+            large = self.squares > high
+            found = f"FAILED, too {'large' if large else 'small'}"
+            advice = (
+                ". Residuals are larger than their stated sigmas: look for blunders, then enlarge the sigmas" if large
+                else ". Residuals are smaller than their stated sigmas: no blunder, but reduce the sigmas"
+            ) + " of groups whose factor is far from 1"
         return (
             f"Global test {found}: squares {self.squares:.6g} for {self.degrees} degrees of freedom, "
             f"{low:.6g} to {high:.6g} in {100 * (1 - self.alpha):g}% of cases (p = {self.two_sided:.3g}; one-sided "
-            f"{self.larger:.3g}, up to {self.upper_bound:.6g})"
+            f"{self.larger:.3g}, up to {self.upper_bound:.6g}){advice}"
         )
 
 
@@ -80,7 +83,8 @@ def chi_square_test(fit: Fit, alpha: float = ALPHA) -> ChiSquareTest:
     """The global test at a probability alpha of a false alarm; without redundancy there is none."""
     from scipy.stats import chi2  # slow to import
 
-    _require_probability(alpha)
+    if not 0.0 < alpha < 1.0:
+        raise InputError("global test, alpha", f"{alpha}", "a probability between 0 and 1")
     degrees = fit.degrees_of_freedom
     if degrees < 1:
         raise InputError("global test", f"{degrees} degrees of freedom", "at least 1", "measure more")
@@ -124,7 +128,7 @@ class ResidualStatistics:
     @property
     def rms(self) -> float:
         """1 is promised."""
-        return float(np.sqrt(np.mean(self.values**2))) if self.values.size else math.nan
+        return root_mean_square(self.values)
 
     @property
     def skewness(self) -> float:
@@ -243,8 +247,3 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
         np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
         np.concatenate([of_observation[taken], grouping.of_columns(layout)[known.about]]),
     )
-
-
-def _require_probability(alpha: float) -> None:
-    if not 0.0 < alpha < 1.0:
-        raise InputError("global test, alpha", f"{alpha}", "a probability between 0 and 1")

@@ -40,7 +40,7 @@ _MOST_COLUMNS = 4000
 _MOST_CANDIDATES = 2000
 """Points that are compared at a time."""
 
-Told = Callable[[Removal], None]
+Progress = Callable[[Removal], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ class Snooping:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidate:
-    """The most suspicious observation of a point, and those that can't be told apart from it."""
+    """The most suspicious observation of a point, and those that can't be separated from it."""
 
     removal: Removal
     variables: tuple[int, ...]
@@ -87,13 +87,12 @@ def snoop(
     levels: Levels | None = None,
     most: int = 1000,
     name: str = "adjustment",
-    progress: Told = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> Snooping:
     """Adjust a network without its blunders.
 
     Parameters
     ----------
-    network : Network
     settings : SolverSettings, optional
         Without a robust loss and a limit of its own for blunders: tests presume plain least squares.
     levels : Levels, optional
@@ -137,7 +136,7 @@ class _Search:
     """One search, and where it stands."""
 
     def __init__(
-        self, network: Network, settings: SolverSettings, levels: Levels, most: int, name: str, progress: Told
+        self, network: Network, settings: SolverSettings, levels: Levels, most: int, name: str, progress: Progress
     ) -> None:
         self._network, self._settings, self._levels, self._name = network, settings, levels, name
         self._most, self._progress = most, progress
@@ -157,11 +156,11 @@ class _Search:
     def take_out(self) -> None:
         """Until no test exceeds its critical value."""
         while candidates := _candidates(self.found, self.scale, self.adjustments):
-            room = self._most - len(self.removals)
-            if room <= 0:
+            allowed = self._most - len(self.removals)
+            if allowed <= 0:
                 self.complete = False
                 return
-            for one in _independent(candidates, self.at, self.scale)[:room]:
+            for one in _independent(candidates, self.at, self.scale)[:allowed]:
                 self.removals.append(one.removal)
                 self.taken = self.taken.changed(one.removal.observations, True)
                 self._progress(one.removal)

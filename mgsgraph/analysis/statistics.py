@@ -1,14 +1,15 @@
-"""Figures of merit of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
+"""Statistics of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
 
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.geometry.body import planetocentric, planetocentric_jacobian
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
@@ -96,7 +97,7 @@ class OrientationStatistics:
     mean: Array
     """(9,) m and rad, adjusted minus nominal."""
     rms: Array
-    """(9,) m and rad, the same."""
+    """(9,) m and rad, of adjusted minus nominal."""
     mean_sigma: Array
     """(9,) m and rad, mean standard deviation of the adjusted orientation, for sigma0 = 1."""
 
@@ -193,11 +194,21 @@ def laser_gain(solution: Solution) -> float:
     return float(np.linalg.norm(without) / np.linalg.norm(point_statistics(solution, PointClass.TIE).mean_sigma))
 
 
-def local_sigmas(solution: Solution) -> Array:
-    """(n, 3) m, standard deviations of the points towards east, north and up (radially), for sigma0 = 1."""
-    partials = planetocentric_jacobian(planetocentric(solution.places))
-    axes = partials / np.linalg.norm(partials, axis=1, keepdims=True)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("nia,nij,nja->na", axes, solution.covariances, axes), 0.0)))
+def local_sigmas(covariances: Array, points: Array) -> Array:
+    """(n, 3) m, standard deviations towards east, north and up (radially) of points (n, 3) in m, body-fixed, of
+    covariances (n, 3, 3) in m^2.
+    """
+    return sigmas_along(east_north_up(points), covariances)
+
+
+def sigmas_along(axes: Array, covariances: Array) -> Array:
+    """(n, a) standard deviations along unit vectors (n, a, 3), of covariances (n, 3, 3)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("nai,nij,naj->na", axes, covariances, axes), 0.0)))
+
+
+def root_mean_square(values: Array) -> float:
+    """Root mean square about zero; NaN where there is nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 def solution_connectivity(solution: Solution) -> Connectivity:

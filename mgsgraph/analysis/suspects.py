@@ -1,4 +1,4 @@
-"""The table by suspicion: what may be a blunder, and what can't be told apart from it.
+"""Measures that may be blunders, and those that can't be separated from them.
 
 Tests of the same point are correlated. Where the modulus of a correlation is above 0.99, a blunder of one minimal
 detectable blunder (4.13 sigmas of its test) shifts the two tests by amounts that differ by 0.3 sigmas of their
@@ -18,14 +18,14 @@ from mgsgraph.analysis.reliability import Reliability
 from mgsgraph.geometry.records import Array, Index
 
 INSEPARABLE = 0.99
-"""Correlation of two tests from which on they can't be told apart."""
+"""Correlation of two tests from which on they can't be separated."""
 _NOTHING = 1e-12
 """Redundancy that is rounding: it has no direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
-    """A measure with a large test, and those that can't be told apart from it."""
+    """A measure with a large test, and those that can't be separated from it."""
 
     measures: Index
     """(k,) in `Reliability.measures`: the one with the largest test, then the others, by the size of theirs."""
@@ -38,7 +38,7 @@ class Suspect:
 
 
 def suspects(found: Reliability, most: int = 20) -> tuple[Suspect, ...]:
-    """The `most` suspicious measures, or groups of such as can't be told apart, worst first."""
+    """The `most` suspicious measures, or groups of such as can't be separated, worst first."""
     groups, listed = list[Suspect](), set[int]()
     index = PointIndex(found.measures.point, len(found.at.network.points))
     correlations: dict[int, tuple[Index, Array]] = {}

@@ -22,7 +22,7 @@ Status = Literal["done", "not converged", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
-    """What overrules all case files alike."""
+    """Options that overrule all case files alike."""
 
     form: Form | None = None
     """Form of the factors."""
@@ -70,9 +70,9 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     overrides: Overrides = msgspec.field(name="wishes")
     """What overruled the case file."""
     version: str
-    """Of this program."""
+    """Version of this program."""
     machine: str
-    """Who did it."""
+    """Host name of the worker."""
     finished: str
     """UTC, ISO 8601."""
 

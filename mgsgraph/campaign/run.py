@@ -111,7 +111,7 @@ _Each = Callable[[Callable[[CaseTask], CampaignEntry], Sequence[CaseTask]], Iter
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """How all cases stand."""
+    """State of all cases."""
 
     entries: tuple[CampaignEntry, ...]
     """One for each case, in the order in which they were given."""
@@ -151,7 +151,6 @@ def run_campaign(
         Where to work (see `mgsgraph.adjustment.cluster.parse_cluster`); in this process when absent.
     retry : bool
         Do cases again that have failed or not converged, too, though nothing has changed.
-    progress : callable
 
     Raises
     ------
@@ -198,7 +197,7 @@ def _is_due(task: CaseTask, last: CampaignEntry | None, retry: bool) -> bool:
 
 @contextmanager
 def _workers(cluster: str | None, record: Record, due: Sequence[CaseTask]) -> Iterator[_Each]:
-    """Who does the work: this process, or a cluster whose workers see the same files."""
+    """How tasks are worked off: in this process, or on a cluster whose workers see the same files."""
     if cluster is None:
         yield _one_by_one
         return

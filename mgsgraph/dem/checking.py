@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.case.reading import read_mola, read_shots
 from mgsgraph.case.schema import CaseInput, MolaInput
 from mgsgraph.dem.gridding import HeightGrid
@@ -171,6 +172,3 @@ def check_merit(checks: HeightChecks, mine: Mask) -> dict[str, float]:
     }
 
 
-def root_mean_square(values: Array) -> float:
-    """Of differences, about zero."""
-    return float(np.sqrt(np.mean(values**2)))

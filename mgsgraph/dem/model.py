@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.dem.checking import CheckProfile, HeightChecks, checked, root_mean_square
+from mgsgraph.analysis.statistics import root_mean_square
+from mgsgraph.dem.checking import CheckProfile, HeightChecks, checked
 from mgsgraph.dem.gridding import HeightGrid, gridded
 from mgsgraph.dem.map import MapGrid
 from mgsgraph.dem.points import intersected

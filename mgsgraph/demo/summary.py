@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.statistics import PLACES
+from mgsgraph.analysis.statistics import PLACES, root_mean_square
 from mgsgraph.case.reading import Case
 from mgsgraph.demo.demonstration import DRAWING, INPUTS, Demonstration, demonstrate, demonstrate_pair, true_points
 from mgsgraph.demo.simulate import PAIR
@@ -18,7 +18,6 @@ from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import PointClass
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM
-from mgsgraph.registration.case import root_mean_square
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.registration.tables import discrepancy_json, write_registration_into
 from mgsgraph.reports.results import write_into

@@ -92,11 +92,11 @@ def _sigmas(
 ) -> tuple[Array, Array]:
     """A-priori and adjusted sigmas (6, d + 1) of the coefficients."""
     network, width = solution.network, solution.joint_covariance.square_root.width
-    felt = designs(network, image, solution.correction(image).angles, lines)
-    variables = sorted({variable for part in felt for variable in part})
+    effects = designs(network, image, solution.correction(image).angles, lines)
+    variables = sorted({variable for part in effects for variable in part})
     first = dict(zip(variables, np.cumsum([0, *(int(width[v]) for v in variables)]).tolist(), strict=False))
     design = np.zeros((lines.size, 6, sum(int(width[v]) for v in variables)))
-    for part, row in zip(felt, design, strict=True):
+    for part, row in zip(effects, design, strict=True):
         for variable, matrix in part.items():
             row[:, first[variable] : first[variable] + matrix.shape[1]] = matrix
     halves = [np.einsum("nij,njw->niw", turned[k], design[:, 3 * k : 3 * k + 3]) for k in range(2)]

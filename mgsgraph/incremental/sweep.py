@@ -8,7 +8,7 @@ import numpy as np
 from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
-from mgsgraph.adjustment.passes import Selection, determined_points
+from mgsgraph.adjustment.passes import Selection, determined_points, unmarked
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
@@ -38,8 +38,6 @@ def slack(network: Network, settings: SolverSettings, motion: Array, spread: Arr
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     motion : (2,)
         Pixels per m and per rad, of the image that has most of them.
     spread : (n,)
@@ -65,7 +63,6 @@ class Sweep:
     ----------
     network : Network
         Points that feel the same shared unknowns; for `reduce` and `places`, any.
-    settings : SolverSettings
     places : (n, 3), optional
         m, where its points are thought to be; NaN where nothing is known.
 
@@ -79,10 +76,7 @@ class Sweep:
         self.network, self._settings = network, settings
         self._names = unknowns(network)
         layout = lay_out(network, settings, places)
-        rays, ranges = network.rays.rejected, network.ranges.rejected
-        assert rays is not None
-        assert ranges is not None
-        self._select(layout, Selection(~rays, ~ranges, network.undetermined.copy()))
+        self._select(layout, unmarked(network))
         self._last: Reduction | None = None
         self._spread: Array | None = None
 

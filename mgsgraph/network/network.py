@@ -94,6 +94,10 @@ class Network:
                 raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
         self._require_strips()
 
+    def with_rejected(self, rays: Mask | None, ranges: Mask | None) -> "Network":
+        """The network with rays (k,) and ranges (r,) marked as blunders; None marks none."""
+        return replace(self, rays=replace(self.rays, rejected=rays), ranges=replace(self.ranges, rejected=ranges))
+
     def _require_strips(self) -> None:
         require_unique(tuple(strip.name for strip in self.strips), "strips")
         every = [j for strip in self.strips for j in strip.images.tolist()]

@@ -228,8 +228,6 @@ def planned_control(
 
     Parameters
     ----------
-    coverage : ImageCoverage
-    name : str
     place : (3,)
         m, body-fixed.
     covariance : (3, 3)

@@ -31,7 +31,7 @@ class Evaluation:
     before: Sigmas
     """Of the targets, m."""
     after: Sigmas
-    """The same with the candidate."""
+    """Sigmas of the targets with the candidate, m."""
     bits: float
     """Information gained on the shared unknowns that exist already: half the binary logarithm by which the determinant
     of their covariance falls."""
@@ -99,7 +99,6 @@ class Evaluator:
     ----------
     state : NetworkState
         The network, with what was chosen.
-    targets : Targets
     criterion : "mean" or "worst"
     since : sequence of Unknown
         Unknowns that chosen candidates have brought: gains don't count on them.
@@ -170,7 +169,6 @@ def plan(
         Whether the targets' mean sigma counts, or the largest one.
     name : str
         What to call the network.
-    progress : callable
 
     Raises
     ------

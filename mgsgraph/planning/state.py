@@ -1,4 +1,4 @@
-"""Where a plan begins: a network as it was adjusted, linearised there once more, with its joint covariance."""
+"""Network state from which a plan begins: the adjusted network, linearised at its solution, with its covariance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ class NetworkState:
         return OrientationCorrection(value.reshape(-1, 6), self.settings.angles)
 
     def extended(self, additions: Sequence[Network]) -> "NetworkState":
-        """The same with planned measures: new unknowns at zero, new points where they are planned."""
+        """The network state with planned measures: new unknowns at zero, new points at their planned positions."""
         network = joined([self.network, *additions])
         places = network.points.places.copy()
         places[: self.places.shape[0]] = self.places  # the points of the first part come first, in their order
@@ -51,7 +51,7 @@ class NetworkState:
 
 
 def state_of_solution(solution: Solution) -> NetworkState:
-    """Where a batch solution stands.
+    """Network state of a batch solution.
 
     Raises
     ------
@@ -74,8 +74,6 @@ def network_state(
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     values : mapping
         Shared unknowns, m and rad.
     places : (n, 3)
@@ -92,11 +90,8 @@ def network_state(
     kept = np.flatnonzero(np.isfinite(places[:, 0]))
     if kept.size == 0:
         raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
-    used = replace(
-        network,
-        rays=replace(network.rays.chosen(rays), rejected=None),
-        ranges=replace(network.ranges.chosen(ranges), rejected=None),
-    )
+    used = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
+    used = used.with_rejected(None, None)
     left = with_images(part(used, kept), known_images(network))
     return NetworkState(left, settings, values, places[kept])
 
@@ -106,8 +101,6 @@ class ReducedNetwork:
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     values : mapping
         Shared unknowns; those that are missing stand at zero.
     places : (n, 3)
@@ -183,7 +176,7 @@ class CurrentState(ReducedNetwork):
         self.state = state
         require_strength(self.layout, self.reduction)
         self.joint = orientation_covariance(BundleGraph(self.layout, self.rows), self.reduction)
-        self.place = {name: i for i, name in enumerate(state.network.points.ids)}
+        self.index_of = {name: i for i, name in enumerate(state.network.points.ids)}
 
     def covariance_with(self, names: Sequence[Unknown]) -> Array:
         """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another."""

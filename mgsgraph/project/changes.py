@@ -29,9 +29,9 @@ def is_solved(project: Project) -> bool:
     """Whether all images have an adjusted orientation, from which an incremental adjustment can go on."""
     store = project.store
     known = store.shared()
-    felt = {unknown for members in store.members() for unknown in members}
+    needed = {unknown for members in store.members() for unknown in members}
     adjusted = all(Unknown("image", name) in known or store.image(name).held for name in store.image_names())
-    return adjusted and felt.issubset(known)
+    return adjusted and needed.issubset(known)
 
 
 def _incremental(project: Project) -> IncrementalAdjustment:
@@ -75,9 +75,9 @@ def remove(project: Project, images: Sequence[str]) -> Impact | None:
     return impact
 
 
-def check(project: Project, progress: Progress = lambda _: None) -> Closing:
+def check(project: Project) -> Closing:
     """The closing check against batch, without products; batch's result is taken over where it is needed."""
-    closing, solution = _incremental(project).close(project.name, progress)
+    closing, solution = _incremental(project).close(project.name)
     project.record("check", f"{len(solution.network.images)} images", _closing_facts(closing))
     project.record_batch(solution)
     return closing
@@ -125,7 +125,7 @@ def put_in(store: ProjectStore, addition: Addition) -> None:
     require_one_body(store, [one.known for one in addition.images])
     for one in addition.images:
         store.put_image(one.known)
-    network = None if addition.network is None else store.own(addition.network)
+    network = None if addition.network is None else store.with_known_grids(addition.network)
     _put_waiting(store, *with_addition(store, network))
 
 
@@ -229,8 +229,7 @@ def take_ties(project: Project, network: Path) -> str:
 def _put(project: Project, verb: str, what: str, images: list[NewImage], network: Network | None) -> str:
     """Put images and measures in, and note it; what they are."""
     put_in(project.store, Addition(tuple(images), network))
-    for one in images:
-        project.add_sources(one.known.image.name, one.files, one.picture)
+    _note_sources(project, images)
     points, rays, ranges = (
         (0, 0, 0) if network is None else (len(network.points), network.rays.point.size, network.ranges.point.size)
     )

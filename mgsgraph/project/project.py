@@ -7,7 +7,7 @@ import shutil
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -67,9 +67,9 @@ class SolutionRow:
     degrees_of_freedom: int | None
     """Redundancy."""
     images: int
-    """How many."""
+    """Number of images."""
     points: int
-    """How many."""
+    """Number of points."""
     folder: str | None
     """Of its products, in the project's folder."""
 
@@ -210,15 +210,14 @@ class Project:
 
     def _last(self, condition: str, *values: object) -> SolutionRow | None:
         """The latest solution for which a condition of ours holds."""
+        columns = [field.name for field in fields(SolutionRow)]
         row = self._connection.execute(
-            "SELECT number, change, at, kind, converged, message, cost, sigma0, degrees_of_freedom, images, points, "
-            f"folder FROM solution WHERE {condition} ORDER BY number DESC LIMIT 1",
-            values,
+            f"SELECT {', '.join(columns)} FROM solution WHERE {condition} ORDER BY number DESC LIMIT 1", values
         ).fetchone()
         if row is None:
             return None
-        number, change, at, found, converged, *rest = row
-        return SolutionRow(number, change, at, found, bool(converged), *rest)
+        found = dict(zip(columns, row, strict=True))
+        return SolutionRow(**found | {"converged": bool(found["converged"])})
 
     def record_incremental(self, converged: bool, message: str) -> int:
         """Note that the state is adjusted as far as the last change; the solution's number."""

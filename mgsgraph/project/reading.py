@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.posterior import Posterior
@@ -94,8 +95,10 @@ def read_state(path: Path) -> tuple[str, NetworkState, str]:
     if _is_project(path):
         with open_project(path) as opened:
             network, values, places = _state(opened, str(path))
+            there, kept = np.isfinite(places[:, 0]), unmarked(network)
+            rays, ranges = kept.rays & there[network.rays.point], kept.ranges & there[network.ranges.point]
             settings = opened.settings.solver_settings
-            return opened.name, network_state(network, settings, values, places, *_taking_part(network, places)), ""
+            return opened.name, network_state(network, settings, values, places, rays, ranges), ""
     solution = read_solution(path)
     return solution.name, state_of_solution(solution), _warning(solution)
 
@@ -136,11 +139,3 @@ def _state(project: Project, where: str) -> tuple[Network, _Values, Array]:
     names, found, _ = adjustment.points()
     place = dict(zip(names, found, strict=True))
     return network, adjustment.values, np.array([place[name] for name in network.points.ids]).reshape(-1, 3)
-
-
-def _taking_part(network: Network, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rays and ranges that were not rejected, of points that have a place."""
-    there, rays, ranges = np.isfinite(places[:, 0]), network.rays, network.ranges
-    assert rays.rejected is not None
-    assert ranges.rejected is not None
-    return ~rays.rejected & there[rays.point], ~ranges.rejected & there[ranges.point]

@@ -64,7 +64,7 @@ def read_settings(path: Path) -> tuple[str, ProjectSettings]:
 
 
 def settings_of_case(path: Path) -> ProjectSettings:
-    """The same of a case file; sigmas of measures are those of its first group of each kind."""
+    """Settings of a case file; sigmas of measures are those of its first group of each kind."""
     case: CaseInput = decode(path)
     usual = MeasuresInput()
     measures = MeasuresInput(

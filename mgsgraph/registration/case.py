@@ -2,7 +2,6 @@
 them, before an adjustment and after it; and the same in words.
 """
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
@@ -278,7 +278,3 @@ def _short(value: float, sign: str = "-") -> str:
     """One decimal, two below 1."""
     return f"{value:{sign}.{2 if abs(value) < 1.0 else 1}f}"
 
-
-def root_mean_square(values: Array) -> float:
-    """Root mean square about zero."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

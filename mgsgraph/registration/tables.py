@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
@@ -21,7 +22,6 @@ from mgsgraph.registration.case import (
     ProfileRegistration,
     five_steps_difference,
     registration_statements,
-    root_mean_square,
 )
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.units import DEG, ISIS_OFFSET
@@ -54,7 +54,7 @@ def write_registration(registration: CaseRegistration, folder: str | Path, figur
 
 
 def write_registration_into(registration: CaseRegistration, folder: Path, figures: bool = True) -> list[str]:
-    """The same into a folder that exists, file by file."""
+    """Write tables and figures into a folder that exists, file by file."""
     write_json(folder / REGISTRATION, registration_json(registration))
     registration_table(registration).write_csv(folder / "registration.csv")
     discrepancy_table(registration).write_csv(folder / "discrepancy.csv")

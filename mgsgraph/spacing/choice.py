@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, SolverError, WeakNetwork
@@ -22,7 +23,7 @@ from mgsgraph.geometry.orientation_images import OrientationImages, evenly_space
 from mgsgraph.geometry.records import Array, Index, assign, frozen
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.support import LEAST, require_supported
-from mgsgraph.spacing.rays import HeldOut, Scatter, hold_out, misfits, ray_scatter, unmarked, whitening
+from mgsgraph.spacing.rays import HeldOut, Scatter, hold_out, misfits, ray_scatter, whitening
 
 
 def respaced(network: Network, spacing: float) -> Network:
@@ -76,7 +77,7 @@ class SpacingCandidate:
     sigma0: float
     """Of the adjustment without these rays."""
     refused: str = ""
-    """Why there is no adjustment; empty where there is one."""
+    """Reason why there is no adjustment; empty where there is one."""
 
     def __post_init__(self) -> None:
         assign(self, squares=frozen(self.squares, "squared misfits", (None,)))
@@ -88,7 +89,7 @@ class SpacingCandidate:
 
     @property
     def median(self) -> float:
-        """The same from the median, of which blunders know nothing."""
+        """Robust rms of the whitened misfits, from the median; 1 is noise."""
         return float(np.sqrt(2.0 * np.median(self.squares))) / _MEDIAN if self.squares.size else float("nan")
 
     @property
@@ -196,11 +197,7 @@ def choose_spacing(
     closest, whole = _closest(tried, settings, least)
     clean = network
     if settings.reject > 0.0:
-        clean = replace(
-            network,
-            rays=replace(network.rays, rejected=whole.rays_rejected),
-            ranges=replace(network.ranges, rejected=whole.ranges_rejected),
-        )
+        clean = network.with_rejected(whole.rays_rejected, whole.ranges_rejected)
         held = hold_out(clean, share, np.random.default_rng(seed))
     trials = list[_Trial]()
     for done, (spacing, one) in enumerate(tried):
@@ -266,7 +263,7 @@ def _trial(spacing: float, network: Network, settings: SolverSettings, held: Hel
 
 
 class _Judged(NamedTuple):
-    """What rays held out say."""
+    """Whitened misfits of the rays held out, trial by trial."""
 
     squares: list[Array]
     """Of each trial, (h,) half the squared norms of whitened misfits; empty where it was refused."""

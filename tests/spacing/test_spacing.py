@@ -29,7 +29,7 @@ from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, Trajec
 from mgsgraph.simulation.hrsc_points import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.spacing.choice import choose_spacing, error_of_mean, respaced, with_nodes
-from mgsgraph.spacing.densify import critical_chi_square, densify, halved, pattern
+from mgsgraph.spacing.densify import ResidualPattern, densify, halved, pattern
 from mgsgraph.spacing.rays import hold_out, misfits, whitening
 from mgsgraph.units import MGON
 
@@ -277,7 +277,9 @@ def test_nothing_to_choose_from(spacings: list[float], words: str) -> None:
 @pytest.mark.parametrize("freedom", [6, 8, 12, 24])
 @pytest.mark.parametrize("level", [0.05, 0.01, 1e-4])
 def test_critical_values_are_those_of_chi_square(freedom: int, level: float) -> None:
-    assert critical_chi_square(level, freedom) == pytest.approx(chi2.isf(level, freedom), rel=0.02)
+    squares = chi2.isf(level / 3, freedom) * np.array([1.0 - 1e-9, 1.0 + 1e-9, np.inf])
+    found = ResidualPattern(squares, np.array([freedom, freedom, 0]), np.ones(3))
+    assert found.asking(level, 0.1, 3).tolist() == [False, True, False]
 
 
 def test_residuals_of_a_calm_flight_ask_for_nothing() -> None:
