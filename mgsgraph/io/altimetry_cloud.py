@@ -75,7 +75,7 @@ def read_altimetry_cloud(
     if not content.strip():
         raise InputError(str(path), "an empty file", "laser shots")
     if b"\0" not in content:
-        table = _Table(content, path)
+        table = _CsvTable(content, path)
         if {"ptlongitude", "ptlatitude", "ptradius"} <= set(table.names):
             cloud = _lola_table(table, leap_seconds)
         elif _PEDR_RADII & set(table.names):
@@ -199,7 +199,7 @@ def _lola_records(content: bytes, path: Path) -> AltimetryCloud:
 # --- CSV
 
 
-class _Table:
+class _CsvTable:
     """Rows of a CSV file below a header; columns are called by the letters and digits of their names, in lower case."""
 
     def __init__(self, content: bytes, path: Path) -> None:
@@ -301,7 +301,7 @@ def _unit(radii: Array, body: Ellipsoid | None, where: str) -> float:
     )
 
 
-def _lola_table(table: _Table, leap_seconds: Path | None) -> AltimetryCloud:
+def _lola_table(table: _CsvTable, leap_seconds: Path | None) -> AltimetryCloud:
     """LOLA RDR of ODE, radii in km; an id is the second of mission time, the shot's number in it and the spot's."""
     table.require_rows()
     values = table.columns("ptlongitude", "ptlatitude", "ptradius")
@@ -321,7 +321,7 @@ def _lola_table(table: _Table, leap_seconds: Path | None) -> AltimetryCloud:
     return _in_profiles(table.path, ids, points, times[chosen], keys[chosen], LOLA_FOOTPRINT)
 
 
-def _plain_table(table: _Table, body: Ellipsoid | None, leap_seconds: Path | None) -> AltimetryCloud:
+def _plain_table(table: _CsvTable, body: Ellipsoid | None, leap_seconds: Path | None) -> AltimetryCloud:
     """A plain CSV; an id is the number of the line where there is no column of ids."""
     names = set(table.names)
     heights = [name for name in ("radiusm", "radiuskm", "heightm", "radius") if name in names]
@@ -338,7 +338,7 @@ def _plain_table(table: _Table, body: Ellipsoid | None, leap_seconds: Path | Non
     return _in_profiles(table.path, ids, points, times, keys, float("nan"))
 
 
-def _planetocentric_points(table: _Table, height: str, body: Ellipsoid | None) -> Array:
+def _planetocentric_points(table: _CsvTable, height: str, body: Ellipsoid | None) -> Array:
     """(n, 3) m, body-fixed, of longitude, latitude and the column of radii or heights."""
     angles, values = table.columns("longitudedeg", "latitudedeg"), table.numbers(height)
     where = f"{table.path}, {table.written[table.names.index(height)]}"
