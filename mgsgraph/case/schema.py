@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method
+from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -21,6 +21,7 @@ from mgsgraph.wording import listed
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Sigma = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]
 """Standard deviations that mean something: a micropixel or a micrometre to a million kilometres."""
+_DEFAULTS = SolverSettings()
 
 
 class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -280,16 +281,21 @@ class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Choices of the solver; see SolverSettings."""
+    """Choices of the solver; see SolverSettings, which has their meaning and their defaults."""
 
-    form: Form = "bundle"
-    method: Method = "levenberg-marquardt"
-    line: Line = "predicted"
-    angles: Angles = "camera"
-    loss: Loss = "none"
-    loss_width: Positive | None = None
-    reject: float = 0.0
-    max_iterations: Annotated[int, msgspec.Meta(ge=1)] = 50
+    form: Form = _DEFAULTS.form
+    method: Method = _DEFAULTS.method
+    line: Line = _DEFAULTS.line
+    angles: Angles = _DEFAULTS.angles
+    loss: Loss = _DEFAULTS.loss
+    loss_width: Positive | None = _DEFAULTS.loss_width
+    reject: float = _DEFAULTS.reject
+    max_iterations: Annotated[int, msgspec.Meta(ge=1)] = _DEFAULTS.max_iterations
+
+    @property
+    def settings(self) -> SolverSettings:
+        """The same as the adjustment takes them."""
+        return SolverSettings(**msgspec.structs.asdict(self))
 
 
 class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

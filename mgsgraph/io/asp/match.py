@@ -28,6 +28,7 @@ from mgsgraph.io.asp.match_names import match_path, require_distinct
 from mgsgraph.io.asp.measures import UNSTATED_SIGMA, PixelMeasures, candidate, measures_of
 from mgsgraph.io.control.record import ControlNetwork, ControlPoint, PointType
 from mgsgraph.io.files import number_of, read_bytes, read_text
+from mgsgraph.wording import root_mean_square
 
 _COUNTS = np.dtype("<u8")
 
@@ -200,7 +201,7 @@ def pairs_of(measures: PixelMeasures) -> Iterator[tuple[tuple[int, int], np.ndar
 
 def one_sigma(sigmas: Array) -> Array:
     """(k,) the one sigma that a format holds for rows and columns (k, 2): their quadratic mean; 1 px for unknown."""
-    return np.where(np.isnan(sigmas).any(axis=1), UNSTATED_SIGMA, np.sqrt(np.mean(sigmas**2, axis=1)))
+    return np.where(np.isnan(sigmas).any(axis=1), UNSTATED_SIGMA, root_mean_square(sigmas, 1))
 
 
 def _binary(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
