@@ -25,7 +25,7 @@ from benchmark_table import machine, number, table
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.reading import read_case
 from mgsgraph.case.scene import read_scene
-from mgsgraph.dem.checking import check_merit
+from mgsgraph.dem.checking import check_figures
 from mgsgraph.dem.model import Dem
 from mgsgraph.dem.production import make_dem
 from mgsgraph.geometry.body import planetocentric
@@ -57,7 +57,7 @@ HEAD = (
 )  # fmt: skip
 
 
-class Merit(NamedTuple):
+class HeightErrors(NamedTuple):
     """Errors of a terrain model's heights."""
 
     rms: float
@@ -105,25 +105,25 @@ def one(name: str, seed: int) -> tuple[str, ...]:
         begun = time.perf_counter()
         dem = make_dem(solution, case, folder / "dem")
         seconds = time.perf_counter() - begun
-    merit, shots = of_heights(dem, site), check_merit(dem.checks, np.ones(len(dem.checks), dtype=bool))
-    matched, posts = (sum(column) for column in zip(*dem.matches, strict=True))
+    errors, shots = of_heights(dem, site), check_figures(dem.checks, np.ones(len(dem.checks), dtype=bool))
+    matched, posts = (sum(getattr(one, name) for one in dem.pairs) for name in ("matched", "posts"))
     sigmas = (np.nanmedian(band) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation))
     return (
         name, str(seed), str(int(np.isfinite(dem.heights).sum())), f"{100.0 * matched / posts:.1f} %",
-        *(number(float(sigma)) for sigma in sigmas), number(merit.rms), number(merit.mean), number(merit.by_sigma),
-        number(merit.fine), f"{100.0 * merit.beyond:.2f} %", str(len(dem.checks)), number(shots["rms_m"]),
+        *(number(float(sigma)) for sigma in sigmas), number(errors.rms), number(errors.mean), number(errors.by_sigma),
+        number(errors.fine), f"{100.0 * errors.beyond:.2f} %", str(len(dem.checks)), number(shots["rms_m"]),
         number(shots["rms_by_sigma"]), number(seconds),
     )  # fmt: skip
 
 
-def of_heights(dem: Dem, site: SimulatedSite) -> Merit:
+def of_heights(dem: Dem, site: SimulatedSite) -> HeightErrors:
     """Against the true ground under the posts."""
     there = np.isfinite(dem.model.heights)
     posts, heights = dem.model.map.posts()[there.ravel()], dem.model.heights[there]
     off = heights - truth(dem, site, posts)
     sigmas, matching = dem.model.sigmas[there], dem.model.matching[there]
     fine = without_orientation(dem, site, posts, heights)
-    return Merit(
+    return HeightErrors(
         rms(off), float(off.mean()), rms(off / sigmas), rms(fine / matching), float(np.mean(np.abs(off / sigmas) > 3.0))
     )
 

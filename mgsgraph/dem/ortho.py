@@ -29,7 +29,7 @@ class _ModelGround(Ground):
     """(rows, columns) m above the map's sphere, without holes."""
 
     def points(self, plane: Array) -> Array:
-        """(n, 3) m, body-fixed, at places (n, 2) of the map."""
+        """(n, 3) m, body-fixed, at positions (n, 2) of the map."""
         size = np.array(self.filled.shape) - 1.0
         return self.map.points(plane, bilinear(self.filled, np.clip(self.map.pixels(plane), 0.0, size)))
 
@@ -62,7 +62,6 @@ def ortho_tiles(
         grid.chart, ground.body, ground.height, ground.height_sigma, map=model.map, filled=_filled(model.heights)
     )
     there = np.isfinite(model.heights)
-    levels = picture.levels
     corners = [(row, column) for row in range(0, grid.rows, _SIDE) for column in range(0, grid.columns, _SIDE)]
     for k, (row, column) in enumerate(corners):
         rows, columns = min(_SIDE, grid.rows - row), min(_SIDE, grid.columns - column)
@@ -72,7 +71,7 @@ def ortho_tiles(
         )  # fmt: skip
         inside = _nearest(there, model.map, part)
         west, south = part.west + 0.5 * grid.post, part.north - (rows - 0.5) * grid.post
-        patch = ortho_patch(picture, over, Tile(k, west, south, grid.post, rows, columns, 0), levels)
+        patch = ortho_patch(picture, over, Tile(k, west, south, grid.post, rows, columns, 0))
         progress("ortho image", k + 1, len(corners))
         if patch is not None and np.any(inside):
             shown = (patch.valid[::-1] > 0) & inside

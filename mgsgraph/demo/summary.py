@@ -121,7 +121,7 @@ def _after(pairs: Sequence[BeforeAfter]) -> str:
 
 
 def _agreement(pairs: Sequence[BeforeAfter]) -> str:
-    """The same at the true ground points, where no relief disturbs."""
+    """How far the images agree at the true ground points, where no relief disturbs."""
     before, after = [pair.before for pair in pairs], [pair.after for pair in pairs]
     predicted = _pooled(after, "pixel_sigmas").mean(axis=0)
     return (

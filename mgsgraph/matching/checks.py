@@ -53,7 +53,7 @@ def verdict(scene: Scene, found: Measured, step: float, seed: int) -> Verdict:
 def _of_pair(scene: Scene, found: Measured, step: float, seed: int) -> tuple[Mask, Mask, Array]:
     first, second = (scene.pictures[int(j[0])] for j in (found.first, found.other))
     sigmas = units_between(first, second, _DEGREE, _UNKNOWN)
-    apart = displacements(first, second, (found.anchors, found.places), scene.ground, sigmas)
+    apart = displacements(first, second, (found.anchors, found.pixels), scene.ground, sigmas)
     rng = np.random.default_rng(seed)
     taken, fits = consensus(apart, _ROUGH * step, scene.ground.height_sigma, rng)
     across, along = apart.residuals(taken).T

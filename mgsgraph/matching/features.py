@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.matching.opencv import opencv
-from mgsgraph.matching.patches import Patch, Tile
+from mgsgraph.matching.patches import Patch, Tile, opencv
 
 _CONTRAST = 0.015
 """SIFT's threshold on contrast: half of Lowe's, for evenly lit plains."""

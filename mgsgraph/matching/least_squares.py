@@ -1,4 +1,4 @@
-"""Least-squares matching: sub-pixel places of template windows in another picture, each with an honest covariance.
+"""Least-squares matching: sub-pixel positions of template windows in another picture, each with an honest covariance.
 
 Ackermann, F. (1984): Digital image correlation, Photogrammetric Record 11(64). Gruen, A. (1985): Adaptive least squares
 correlation, S. Afr. J. Photogrammetry 14(3). How this differs from theirs, and why, stands in `window`.
@@ -81,7 +81,7 @@ class LeastSquaresMatches:
 
     status: Index
     """(n,) MatchStatus."""
-    places: Array
+    pixels: Array
     """(n, 2) line and sample in the search picture, first pixel's centre at (0.5, 0.5)."""
     affine: Array
     """(n, 2, 2) pixels of the search picture per pixel of the template, both as line, sample."""
@@ -154,7 +154,7 @@ def match_least_squares(
     template: SplinePicture,
     search: SplinePicture,
     anchors: ArrayLike,
-    places: ArrayLike,
+    pixels: ArrayLike,
     affine: ArrayLike,
     half: tuple[int, int],
     relief: ArrayLike | None = None,
@@ -171,7 +171,7 @@ def match_least_squares(
         The pictures.
     anchors : (n, 2)
         line, sample in the template picture, centres of pixels (k + 0.5).
-    places : (n, 2)
+    pixels : (n, 2)
         line, sample in the search picture to start from, good to some 2 px.
     affine : (n, 2, 2)
         A to start from, good to some 10 %.
@@ -194,13 +194,13 @@ def match_least_squares(
     where = "least-squares matching"
     anchors = frozen(anchors, f"{where}, anchors", (None, 2))
     n = anchors.shape[0]
-    places, affine = frozen(places, f"{where}, places", (n, 2)), frozen(affine, f"{where}, affine", (n, 2, 2))
+    pixels, affine = frozen(pixels, f"{where}, pixels", (n, 2)), frozen(affine, f"{where}, affine", (n, 2, 2))
     _require_centres(anchors, where)
     _require_windows(affine, half, where)
     weights, growth = _weights(half, settings.emphasis)
     directions = np.zeros((n, 0)) if relief is None else _directions(relief, n, f"{where}, relief")
     _require_pixels(weights[:, 0], equations.PLAIN if relief is None else equations.RELIEF, where)
-    starts = np.concatenate([places, affine.reshape(n, 4), directions], axis=1)
+    starts = np.concatenate([pixels, affine.reshape(n, 4), directions], axis=1)
     rows, states = np.full((n, equations.NUMBERS), np.nan), np.empty(n, dtype=np.int64)
 
     def match(first: int) -> None:
@@ -269,7 +269,7 @@ def _matches(rows: Array, status: Index, growth: float) -> LeastSquaresMatches:
     n = status.size
     return LeastSquaresMatches(
         status=status,
-        places=rows[:, equations.PLACE : equations.AFFINE],
+        pixels=rows[:, equations.PLACE : equations.AFFINE],
         affine=rows[:, equations.AFFINE : equations.GAIN].reshape(n, 2, 2),
         gain=rows[:, equations.GAIN],
         offset=rows[:, equations.OFFSET],

@@ -109,7 +109,7 @@ def matches_of(
     np.add.at(of_anchor, inverse, shared)
     of_anchor /= count[:, None, None]
     point = np.concatenate([rank, rank[inverse]])
-    place = np.concatenate([found.anchors[begin], found.places])
+    place = np.concatenate([found.anchors[begin], found.pixels])
     picture = np.concatenate([found.first[begin], found.other])
     variances = np.concatenate([of_anchor, 0.5 * found.covariances])
     first = np.concatenate([np.zeros(tracks.size, dtype=np.int64), np.ones(inverse.size, dtype=np.int64)])

@@ -11,8 +11,7 @@ import numpy as np
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
 from mgsgraph.matching.measuring import FINEST, half_window
-from mgsgraph.matching.opencv import opencv
-from mgsgraph.matching.patches import NODE, Tile, disparities, node_places, ortho_patch
+from mgsgraph.matching.patches import NODE, Tile, disparities, node_pixels, opencv, ortho_patch
 from mgsgraph.matching.relative import robust_sigma
 from mgsgraph.matching.scene import Ground, Picture
 from mgsgraph.matching.spline import SplinePicture
@@ -42,8 +41,6 @@ class View(NamedTuple):
     """With the turned chart."""
     rate: float
     """m per m of height, displacement of the second picture's rays against the first's, towards larger x."""
-    levels: tuple[tuple[float, float], tuple[float, float]]
-    """Grey values that are shown black and white."""
 
 
 class PostMatches(NamedTuple):
@@ -51,10 +48,10 @@ class PostMatches(NamedTuple):
 
     anchors: Array
     """(n, 2) line and sample in the first picture, middles of pixels."""
-    places: Array
+    pixels: Array
     """(n, 2) line and sample in the second."""
     covariances: Array
-    """(n, 2, 2) pixels^2 of the place, the anchor given."""
+    """(n, 2, 2) pixels^2 of the second, the anchor given."""
     correlation: Array
     """(n,)"""
 
@@ -119,11 +116,7 @@ def matches_on(
     threads : int, optional
         All processors when None.
     """
-    patches = [
-        ortho_patch(picture, view.ground, tile, levels)
-        for picture, levels in zip(view.pictures, view.levels, strict=True)
-    ]
-    one, two = patches
+    one, two = (ortho_patch(picture, view.ground, tile) for picture in view.pictures)
     if one is None or two is None:
         return Tried(0, no_matches())
     shift = disparities(one, two, reach)
@@ -148,7 +141,7 @@ def _start(
     """Posts by row and column, of which the tile's rows and columns are `pixels`."""
     down, across = pixels[0][post[0]], pixels[1][post[1]]
     disparity = shift[down, across]
-    nodes = [node_places(picture, view.ground, tile) for picture in view.pictures]
+    nodes = [node_pixels(picture, view.ground, tile) for picture in view.pictures]
     here = np.column_stack([down, across]).astype(np.float64)
     there = here - np.column_stack([np.zeros(disparity.size), disparity])
     first, second = _between(nodes[0], here), _between(nodes[1], there)
@@ -163,7 +156,7 @@ def _start(
 
 
 def _between(nodes: Array, at: Array) -> Array:
-    """(n, 2) places at rows and columns (n, 2) of a tile, bilinear between its nodes."""
+    """(n, 2) lines and samples at rows and columns (n, 2) of a tile, bilinear between its nodes."""
     cell = np.clip(np.floor(at / NODE).astype(np.int64), 0, np.array(nodes.shape[:2]) - 2)
     down, across = (at / NODE - cell).T[:, :, None]
     i, j = cell.T
@@ -203,13 +196,13 @@ def _measured(
     covariances = found.covariance_with_relief(along) + FINEST**2 * np.eye(2)
     moved = np.full(begin.shape, np.nan)
     good = np.flatnonzero(found.converged)
-    moved[good] = np.linalg.solve(start.by_plane[good], (found.places - begin)[good, :, None])[:, :, 0] / tile.step
+    moved[good] = np.linalg.solve(start.by_plane[good], (found.pixels - begin)[good, :, None])[:, :, 0] / tile.step
     sigma = np.sqrt(np.linalg.eigvalsh(covariances[good])[:, 1])
     sound = np.zeros(found.status.size, dtype=bool)
     sound[good] = (found.correlation[good] >= least.correlation) & (sigma <= least.sigma)
     kept = sound & _coplanar(moved[:, 1], sound)
     kept &= _like_neighbours(start, start.disparity - moved[:, 0], kept)
-    return PostMatches(anchors[kept], found.places[kept], covariances[kept], found.correlation[kept])
+    return PostMatches(anchors[kept], found.pixels[kept], covariances[kept], found.correlation[kept])
 
 
 def _coplanar(across: Array, sound: Mask) -> Mask:

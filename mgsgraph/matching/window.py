@@ -16,7 +16,6 @@ noise in gradients makes z'z larger than it is, M not. See `influences.fill_cova
 for relief.
 """
 
-import hashlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mgsgraph.compiled import digest_of
 from mgsgraph.matching.equations import (
     CORRELATION,
     NO_CONTRAST,
@@ -206,14 +206,6 @@ def _correlation(pixels: Reals) -> float:
     return float(np.sum(t * s) / math.sqrt(np.sum(t * t) * np.sum(s * s)))
 
 
-def _fingerprint() -> str:
-    """Digest of the sources that the kernel is compiled from."""
-    digest = hashlib.sha256()
-    for name in ("spline", "equations", "influences", "window"):
-        digest.update(Path(__file__).with_name(f"{name}.py").read_bytes())
-    return digest.hexdigest()
-
-
 def _kernel(sources: str) -> Callable[..., None]:
     """The kernel. numba's cache looks at one file alone; that the kernel holds the digest of all of them makes it
     forget what was compiled from others.
@@ -282,4 +274,4 @@ def _kernel(sources: str) -> Callable[..., None]:
     return match_windows
 
 
-match_windows = _kernel(_fingerprint())
+match_windows = _kernel(digest_of(Path(__file__).parent))
