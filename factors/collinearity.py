@@ -45,9 +45,9 @@ def image_by_ray(ray, focal):
 
 
 @equation
-def ray_motion(attitude, ray, velocity, turning):
+def ray_motion(attitude, ray, velocity, angular_rate):
     """Rate of the ray per line: the camera turns (rad per line, in its axes) and flies (m per line, body-fixed)."""
-    return subtract(cross(ray, turning), transform(attitude, velocity))
+    return subtract(cross(ray, angular_rate), transform(attitude, velocity))
 
 
 @equation
@@ -116,7 +116,7 @@ class ImageRay(NamedTuple):
     """M0, as `attitude` takes it."""
     velocity: Vector
     """(3,) m per line."""
-    turning: Vector
+    angular_rate: Vector
     """(3,) rad per line."""
     detector: Vector
     """(2,) m, place of the measured sample."""
@@ -129,30 +129,30 @@ class ImageRay(NamedTuple):
     focal: float
     """m, nominal."""
 
-    def __call__(self, state_at: StateAt, place: Vector) -> Linear | None:
+    def __call__(self, state_at: StateAt, position: Vector) -> Linear | None:
         """Rows (lines, samples) at a state: correction of position, rotation, and focal length."""
-        carry, velocity, turning = 0.0, self.velocity, self.turning
+        line_offset, velocity, angular_rate = 0.0, self.velocity, self.angular_rate
         for step in range(NEWTON_STEPS):
-            state, rate = state_at(carry)
+            state, rate = state_at(line_offset)
             focal = self.focal + (state[6] if len(state) > 6 else 0.0)
-            centre = perspective_centre(self.centre, velocity, carry, state[:3])
-            attitude, axes, turned = self.attitude(self.nominal, turning, carry, state[3:6], rate[3:6])
-            ray = transform(attitude, subtract(place, centre))
+            centre = perspective_centre(self.centre, velocity, line_offset, state[:3])
+            attitude, axes, camera_rate = self.attitude(self.nominal, angular_rate, line_offset, state[3:6], rate[3:6])
+            ray = transform(attitude, subtract(position, centre))
             if ray[2] <= 0.0:
                 return None
             image, scale = focal_plane(ray, focal), self.scale
             if scale is not None:
                 break
-            motion = ray_motion(attitude, ray, add(velocity, rate[:3]), turned)
+            motion = ray_motion(attitude, ray, add(velocity, rate[:3]), camera_rate)
             scale = to_lines_and_samples(image_motion(ray, motion, focal), self.slope)
             step_back = residual(scale, image, self.detector, 0.0)[0]
             if abs(step_back) < NEWTON_TOLERANCE or step == NEWTON_STEPS - 1:
                 break
-            carry -= step_back
+            line_offset -= step_back
         of_ray = by_ray(scale, ray, focal)
         points = np.array([by_point(row, attitude) for row in of_ray])
         state_rows: list[Any] = [-points, [by_rotation(row, ray, axes) for row in of_ray]]
         if len(state) > 6:
             state_rows.append([[by_focal(row, ray, focal)] for row in of_ray])
-        values = residual(scale, image, self.detector, self.offset + carry)
-        return Linear(np.array(values), points, np.hstack(state_rows), carry)
+        values = residual(scale, image, self.detector, self.offset + line_offset)
+        return Linear(np.array(values), points, np.hstack(state_rows), line_offset)

@@ -1,7 +1,7 @@
-"""One measurement as a GTSAM factor on the unknowns that it feels and on its ground point: the explicit form.
+"""One measurement as a GTSAM factor on the unknowns that it depends on and on its ground point: the explicit form.
 
-What a measurement feels of the shared unknowns x is its *state*: correction of the pose (m, rad) and of the focal
-length (m), range bias, or shift (m), linear in x: state = sum_t (B_t + carry B_t') c_t + sum_e direction_e x_e.
+What the shared unknowns x do to a measurement is its *state*: correction of the pose (m, rad) and of the focal
+length (m), range bias, or shift (m), linear in x: state = sum_t (B_t + o B_t') c_t + sum_e direction_e x_e.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Correction(NamedTuple):
     width: int
     """Components of the state."""
     components: int
-    """Of these, what each basis term moves: 6 (place and rotation), or 3 (place alone)."""
+    """Of these, what each basis term moves: 6 (position and rotation), or 3 (position alone)."""
     first: tuple[int, ...]
     """First column of each term's coefficients in x."""
     basis: Vector
@@ -39,11 +39,11 @@ class Correction(NamedTuple):
     directions: tuple[Vector, ...]
     """How each of them moves the state."""
 
-    def matrix(self, columns: int, carry: float) -> Array:
-        """(width, columns) derivative of the state by x, `carry` lines from where the basis was evaluated."""
+    def matrix(self, columns: int, line_offset: float) -> Array:
+        """(width, columns) derivative of the state by x, `line_offset` lines from where the basis was evaluated."""
         result, step = np.zeros((self.width, columns)), np.arange(self.components)
         for first, value, rate in zip(self.first, self.basis, self.rates, strict=True):
-            result[step, first + step] += value + carry * rate
+            result[step, first + step] += value + line_offset * rate
         for column, direction in zip(self.columns, self.directions, strict=True):
             result[:, column] += direction
         return result
@@ -58,14 +58,14 @@ class Linear(NamedTuple):
     """(r, 3) per m."""
     by_state: Array
     """(r, width)."""
-    carry: float = 0.0
+    line_offset: float = 0.0
     """Lines from where the basis was evaluated to the line whose pose was taken."""
 
 
 StateAt = Callable[[float], tuple[Vector, Vector]]
-"""State at a carry (lines), and its rate per line."""
+"""State a number of lines from the reference line, and its rate per line."""
 Measurement = Callable[[StateAt, Vector], Linear | None]
-"""Rows at a state and a place (m, body-fixed); None for a point behind the camera."""
+"""Rows at a state and a ground point (m, body-fixed); None for a point behind the camera."""
 
 
 def measurement_factor(
@@ -82,9 +82,9 @@ def measurement_factor(
     Parameters
     ----------
     keys, widths : sequence of int
-        GTSAM keys of the variables that it feels, in the order of the columns of x, and their numbers of columns.
+        GTSAM keys of the variables that it depends on, in the order of the columns of x, and their numbers of columns.
     point_key : int or (3,)
-        Variable of the ground point (Point3, m), or the place of a known one.
+        Variable of the ground point (Point3, m), or the coordinates of a known one.
     measurement : callable
         Its rows: `collinearity.ImageRay`, `laser_range.Range`, `ground.GroundPrior` or `surface.SurfaceHeight`.
     correction : Correction
@@ -104,14 +104,14 @@ def measurement_factor(
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         x = np.concatenate([np.zeros(0), *(values.atVector(key) for key in keys)])
-        place = values.atPoint3(point_key) if isinstance(point_key, int) else point_key
-        rows = measurement(lambda carry: _state(correction, x, carry), tuple(place.tolist()))
+        position = values.atPoint3(point_key) if isinstance(point_key, int) else point_key
+        rows = measurement(lambda line_offset: _state(correction, x, line_offset), tuple(position.tolist()))
         if rows is None:
             if jacobians is not None:
                 raise PointBehindCamera(label, "the point is behind the camera")
             return np.full(noise.dim(), np.inf)
         if jacobians is not None:
-            whole = rows.by_state @ correction.matrix(int(ends[-1]), rows.carry)
+            whole = rows.by_state @ correction.matrix(int(ends[-1]), rows.line_offset)
             for k in range(len(keys)):
                 jacobians[k] = np.asfortranarray(whole[:, ends[k] : ends[k + 1]])
             if isinstance(point_key, int):
@@ -122,7 +122,7 @@ def measurement_factor(
     return gtsam.CustomFactor(noise, everything, error)
 
 
-def _state(correction: Correction, x: Array, carry: float) -> tuple[Vector, Vector]:
-    state = correction.matrix(x.size, carry) @ x
-    rate = correction.matrix(x.size, carry + 1.0) @ x - state
+def _state(correction: Correction, x: Array, line_offset: float) -> tuple[Vector, Vector]:
+    state = correction.matrix(x.size, line_offset) @ x
+    rate = correction.matrix(x.size, line_offset + 1.0) @ x - state
     return tuple(state.tolist()), tuple(rate.tolist())

@@ -2,8 +2,8 @@
 
     r = U (P - P0 - s),    Q = (U'U)^-1        predicted minus known, whitened
 
-P0 is the a-priori place with covariance Q (m^2), s the shift that its laser profile shares. U is upper triangular, so
-the derivative by P is U, by s -U.
+P0 is the a-priori position with covariance Q (m^2), s the shift that its laser profile shares. U is upper triangular,
+so the derivative by P is U, by s -U.
 """
 
 from typing import NamedTuple
@@ -29,15 +29,15 @@ def ground_residual(root, point, known, shift):
 
 
 class GroundPrior(NamedTuple):
-    """One a-priori place; called, its rows for a GTSAM factor (`explicit.measurement_factor`)."""
+    """One a-priori position; called, its rows for a GTSAM factor (`explicit.measurement_factor`)."""
 
     known: Vector
     """(3,) m."""
     root: Vector
     """(6,) per m, upper triangle of U."""
 
-    def __call__(self, state_at: StateAt, place: Vector) -> Linear:
+    def __call__(self, state_at: StateAt, position: Vector) -> Linear:
         """Rows (whitened) at a state: the shift (m)."""
         root = upper_triangle(self.root)
-        residual = ground_residual(root, place, self.known, state_at(0.0)[0])
+        residual = ground_residual(root, position, self.known, state_at(0.0)[0])
         return Linear(np.array(residual), np.array(root), -np.array(root))

@@ -16,6 +16,6 @@ def hermite(s, step, first, last, first_velocity, last_velocity):
     both = add(begin, end)
     second = subtract(scale(3.0, way), add(begin, both))
     third = subtract(both, scale(2.0, way))
-    place = add(first, scale(s, add(begin, scale(s, add(second, scale(s, third))))))
+    position = add(first, scale(s, add(begin, scale(s, add(second, scale(s, third))))))
     motion = add(begin, scale(s, add(scale(2.0, second), scale(3.0 * s, third))))
-    return place, scale(1.0 / step, motion)
+    return position, scale(1.0 / step, motion)

@@ -1,4 +1,4 @@
-"""Several rays to a point: the place nearest to all of them, least squares of the distances.
+"""Several rays to a point: the point nearest to all of them, least squares of the distances.
 
     sum_k (I - u_k u_k') (P - C_k) = 0
 

@@ -1,12 +1,13 @@
-"""Pose of the camera at a line: the nominal one, carried to that line, and corrected (Yoon & Shan 2005, Eq. 2).
+"""Pose of the camera at a line: the nominal one, moved to that line, and corrected (Yoon & Shan 2005, Eq. 2).
 
-    C = C0 + carry V + dC                               perspective centre, m, body-fixed
-    M = Exp([theta]x)' Exp([carry tau]x)' M0            attitude: body-fixed to camera components, +Z out of the lens
+    C = C0 + o V + dC                               perspective centre, m, body-fixed
+    M = Exp([theta]x)' Exp([o tau]x)' M0            attitude: body-fixed to camera components, +Z out of the lens
 
-C0, M0 are the nominal pose at the line about which a ray is laid out; V (m) and tau (rad, in camera axes) are its rates
-per line, `carry` counts lines from there. dC and theta are sums of basis functions times coefficients; clock biases and
-boresights enter these sums as basis functions of their own. Rotations are passive: the frame turns by theta, components
-turn back. Derivatives of M d go by the axes A: d(M d) = [M d]x A dtheta, where A is the right Jacobian of SO(3).
+C0, M0 are the nominal pose at the reference line; V (m) and tau (rad, in camera axes) are its rates
+per line, `line_offset` counts lines from there. dC and theta are sums of basis functions times coefficients; clock
+biases and boresights enter these sums as basis functions of their own. Rotations are passive: the frame turns by theta,
+components turn back. Derivatives of M d go by the axes A: d(M d) = [M d]x A dtheta, where A is the right Jacobian of
+SO(3).
 
 The papers' own way, coefficients that add to omega, phi, kappa, takes `opk_paper` or `opk_peer` in place of
 `about_axes`.
@@ -25,34 +26,34 @@ from mgsgraph.factors.rotation import (
 
 
 @equation
-def perspective_centre(nominal, velocity, carry, correction):
+def perspective_centre(nominal, velocity, line_offset, correction):
     """C, m, body-fixed."""
-    return add(add(nominal, scale(carry, velocity)), correction)
+    return add(add(nominal, scale(line_offset, velocity)), correction)
 
 
 @equation
-def about_axes(nominal, turning, carry, theta, rate):
+def about_axes(nominal, angular_rate, line_offset, theta, rate):
     """Attitude M, axes A, and how the camera turns per line (rad, in its own axes), corrections turning it about its
     axes.
 
-    `nominal` is M0 as a quaternion, `turning` tau, `rate` that of theta per line.
+    `nominal` is M0 as a quaternion, `angular_rate` tau, `rate` that of theta per line.
     """
     corrected, axes = rotation(theta), right_jacobian(theta)
-    carried = product(rotation(scale(carry, turning)), quaternion_matrix(nominal))
-    return product(corrected, carried), axes, add(transform(corrected, turning), transform(axes, rate))
+    at_line = product(rotation(scale(line_offset, angular_rate)), quaternion_matrix(nominal))
+    return product(corrected, at_line), axes, add(transform(corrected, angular_rate), transform(axes, rate))
 
 
 @equation
-def opk_paper(nominal, turning, carry, addition, rate):
-    """The same for additions to omega, phi, kappa, camera to body; `nominal` are these angles, `turning` rates."""
-    angles = add(add(nominal, scale(carry, turning)), addition)
+def opk_paper(nominal, angular_rate, line_offset, addition, rate):
+    """The same for additions to omega, phi, kappa, camera to body; `nominal` are these angles, `angular_rate` rates."""
+    angles = add(add(nominal, scale(line_offset, angular_rate)), addition)
     axes = opk_paper_axes(angles)
-    return transpose(opk_rotation(angles)), axes, transform(axes, add(turning, rate))
+    return transpose(opk_rotation(angles)), axes, transform(axes, add(angular_rate, rate))
 
 
 @equation
-def opk_peer(nominal, turning, carry, addition, rate):
+def opk_peer(nominal, angular_rate, line_offset, addition, rate):
     """The same for additions to omega, phi, kappa, body to camera."""
-    angles = add(add(nominal, scale(carry, turning)), addition)
+    angles = add(add(nominal, scale(line_offset, angular_rate)), addition)
     axes = opk_peer_axes(angles)
-    return opk_rotation(angles), axes, transform(axes, add(turning, rate))
+    return opk_rotation(angles), axes, transform(axes, add(angular_rate, rate))

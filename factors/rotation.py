@@ -84,7 +84,7 @@ def sine_cosine(angle):
         -1.38888888888741095749e-03 + s * (2.48015872894767294178e-05 + s * cosine)
     )
     cosine = 1.0 - (0.5 * s - s * s * cosine)
-    odd = quarter - 2.0 * np.floor(0.5 * quarter)  # 1 where sine and cosine change places
+    odd = quarter - 2.0 * np.floor(0.5 * quarter)  # 1 where sine and cosine are swapped
     half = np.floor(0.5 * quarter)
     sign = 1.0 - 2.0 * (half - 2.0 * np.floor(0.5 * half))  # -1 in the second half of the turn
     return sign * (sine + odd * (cosine - sine)), sign * (cosine - odd * (cosine + sine))

@@ -26,11 +26,11 @@ def bilinear(east, south, posts):
 
 
 @equation
-def cell_place(point, first, step, column, row):
+def cell_position(point, first, step, column, row):
     """Where in its cell a point lies: fractions eastward and southward; `first` and `step` of (longitude, latitude)."""
     x, y, z = point
-    turn = np.arctan2(y, x) - first[0] - column * step[0]
-    east = (turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)) / step[0]
+    angle = np.arctan2(y, x) - first[0] - column * step[0]
+    east = (angle - 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)) / step[0]
     return east, (first[1] - np.arctan2(z, np.sqrt(x * x + y * y))) / step[1] - row
 
 
@@ -72,12 +72,12 @@ class SurfaceHeight(NamedTuple):
     step: Vector
     """(2,) rad, between columns and rows."""
 
-    def __call__(self, state_at: StateAt, place: Vector) -> Linear:
+    def __call__(self, state_at: StateAt, position: Vector) -> Linear:
         """Row (m) at a state: where the model itself is (m). Nothing where the point has no patch."""
         if self.posts is None:
             return Linear(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
-        moved = subtract(place, state_at(0.0)[0])
-        east, south = cell_place(moved, self.first, self.step, *self.cell)
+        moved = subtract(position, state_at(0.0)[0])
+        east, south = cell_position(moved, self.first, self.step, *self.cell)
         patch = bilinear(east, south, self.posts)
         height, by_point = height_above(moved, patch, self.step)
         return Linear(np.array([height]), np.array([by_point]), -np.array([by_point]))

@@ -1,13 +1,15 @@
-"""What is compiled: equations that compiled code may call, and where compiled kernels are kept."""
+"""How functions are compiled: equations that compiled code may call, kernels, and where compiled kernels are cached."""
 
 import hashlib
 import os
 import tempfile
 from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
-Equation = TypeVar("Equation", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def find_a_place_for_compiled_kernels(package: Path) -> None:
@@ -40,7 +42,7 @@ _equations: list[Callable[..., Any]] = []
 """Those that compiled code doesn't know yet."""
 
 
-def equation(function: Equation) -> Equation:
+def equation(function: Function) -> Function:
     """A measurement equation: a pure function of floats and tuples, which stays what it is for Python and NumPy arrays.
 
     Compiled code may call it once `make_equations_compilable` has been called; importing it does not import numba.
@@ -60,12 +62,36 @@ def make_equations_compilable() -> None:
         compilable(_equations.pop())
 
 
-def digest_of(*folders: Path) -> str:
-    """Digest of the sources in folders.
+def compiled(function: Function) -> Function:
+    """Compile a part of a kernel, which releases the interpreter's lock; division by zero gives inf, as in NumPy."""
+    from numba import njit
 
-    Numba's cache looks at one file alone: a kept function that holds the digest of all that it is compiled from, as a
-    variable of an enclosing function, is forgotten when any of that changes.
+    return cast(Function, njit(nogil=True, error_model="numpy")(function))
+
+
+def cached_kernel(function: Function, **options: Any) -> Function:
+    """Compile a function that Python calls, as `compiled` does, and cache it on disk; `options` of `numba.njit`.
+
+    Numba looks for changes in the function's file alone; this cache looks at all files of its folder and of `factors`.
     """
+    from numba import njit
+    from numba.core.caching import FunctionCache
+
+    class Cache(FunctionCache):  # type: ignore[misc]
+        def _index_key(self, signature: Any, codegen: Any) -> Any:
+            return *super()._index_key(signature, codegen), digest
+
+    files = function.__code__.co_filename, find_spec("mgsgraph.factors").origin  # type: ignore[union-attr]
+    digest = _digest_of(*(Path(str(file)).parent for file in files))
+    kernel = njit(nogil=True, error_model="numpy", **options)(function)
+    if hasattr(kernel, "enable_caching"):  # else it is plain Python (NUMBA_DISABLE_JIT)
+        kernel._cache = Cache(function)
+    return cast(Function, kernel)
+
+
+@cache
+def _digest_of(*folders: Path) -> str:
+    """Digest of the sources in folders."""
     digest = hashlib.sha256()
     for folder in folders:
         for path in sorted(folder.glob("*.py")):

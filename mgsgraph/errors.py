@@ -1,6 +1,7 @@
 """What can go wrong, in few kinds, each also a standard error; one line: where, what was found, expected, to do."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 
 class MgsgraphError(Exception):
@@ -27,11 +28,22 @@ class InputError(MgsgraphError, ValueError):
         super().__init__("; ".join(part for part in parts if part).replace("\n", " "))
         self.where, self.found, self.expected, self.remedy = where, found, expected, remedy
 
-    def within(self, place: str) -> "InputError":
+    def within(self, source: str) -> "InputError":
         """The same error with the file (or record) that its finding comes from put before it."""
-        self.args = (f"{place}: {self}".replace("\n", " "),)
-        self.where = f"{place}: {self.where}"
+        self.args = (f"{source}: {self}".replace("\n", " "),)
+        self.where = f"{source}: {self.where}"
         return self
+
+
+@contextmanager
+def errors_from(*sources: str) -> Iterator[None]:
+    """Put the first of some files (or records) before an InputError that names none of them."""
+    try:
+        yield
+    except InputError as error:
+        if not any(source in str(error) for source in sources):
+            error.within(sources[0])
+        raise
 
 
 class EphemerisGap(InputError):

@@ -1,4 +1,7 @@
-"""Conversion factors to SI: the only place that has any. Multiply to come in, divide to go out."""
+"""Conversion factors to SI and origins of pixel coordinates: the only place that has any.
+
+Multiply by a factor to come in, divide to go out; take an offset off to come in, add it to go out.
+"""
 
 from math import pi
 
@@ -20,3 +23,7 @@ MRAD = 1e-3
 """radian per milliradian"""
 SPEED_OF_LIGHT = 299_792_458.0
 """m/s, exact (CGPM 1983)"""
+ISIS_OFFSET = 0.5
+"""pixels: the first pixel's centre is (0.5, 0.5) here and (1, 1) in ISIS"""
+ASP_OFFSET = -0.5
+"""pixels: that centre is (0, 0) in the Ames Stereo Pipeline"""

@@ -3,29 +3,22 @@
 Adjusts one of the peer's problems (or the Kaguya-sized block) and times, in one process and in turn: an adjustment,
 linearising it at its solution, the reliability table, its sorting and its file, variance components, and single
 queries of the posterior. The first turn, which also loads the compiled kernel, isn't counted.
-
-    python scripts/benchmark_analysis.py [L] [--repeat 5] [--queries 20] [--shared FOLDER] [--out FOLDER]
-
-Prints the tables and writes them to analysis_cost.md in the folder, docs by default. Exit status: 0 done, 2 bad input.
 """
 
-import argparse
 import statistics
-import sys
 import tempfile
 import time
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from benchmark_blocks import SHARED, SIZES, made
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_table import machine, table
+from peer_blocks import SHARED, SIZES, made
 from peer_problem import network
+from study import DOCS, OneLine, at_least, machine, made_with, show, table, write_page
 
-from mgsgraph.adjustment.adjust import adjust_network, versions
+from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.components import components_of
 from mgsgraph.analysis.linearised import at_solution
@@ -35,11 +28,10 @@ from mgsgraph.analysis.suspects import suspects
 from mgsgraph.network import Network
 from mgsgraph.reports.reliability import reliability_table
 
-OUT = Path(__file__).resolve().parents[1] / "docs"
 PAGE = "analysis_cost.md"
 WORDS = """# What it costs to ask
 
-Made by `scripts/benchmark_analysis.py`, all in one process and in turn: medians. The machine was shared; compare
+Made by `scripts/benchmark.py analysis`, all in one process and in turn: medians. The machine was shared; compare
 ratios, not seconds.
 
 * *iteration*: the solve of the same network, over its number of iterations; *over an iteration*: times of the same
@@ -86,10 +78,6 @@ class Asked:
                 query(k)
             self._book(name, (time.perf_counter() - begin) / self._queries)
 
-    def forget(self) -> None:
-        """Begin anew."""
-        self.seconds = {}
-
     def _single(self, posterior: Posterior) -> tuple[Callable[[int], object], ...]:
         """The `QUERIES` by number; each is of other points and images."""
         network, rays = self._network, self._network.rays
@@ -123,7 +111,7 @@ def _pixel(network: Network, ray: int) -> Pixel:
     return Pixel(network.images[rays.image[ray]].name, line, sample, float(rays.sigmas[ray].max()))
 
 
-def page(title: str, seconds: Seconds, queries: int, made_with: str) -> str:
+def page(title: str, seconds: Seconds, queries: int) -> str:
     """The page: `seconds` by turn of each name, an iteration's among them."""
     rows = [[name, f"{statistics.median(times):.3f}", ratio(times, seconds[ITERATION])]
             for name, times in seconds.items() if name not in QUERIES]  # fmt: skip
@@ -131,7 +119,7 @@ def page(title: str, seconds: Seconds, queries: int, made_with: str) -> str:
     return "\n".join([
         WORDS.format(queries=queries), f"{title}\n",
         *table(["what", "seconds", "over an iteration"], rows), "",
-        *table(["query", "milliseconds"], single), "", made_with, "",
+        *table(["query", "milliseconds"], single), "", made_with(), "",
     ])  # fmt: skip
 
 
@@ -141,39 +129,29 @@ def ratio(times: list[float], iteration: list[float]) -> str:
     return f"{statistics.median(found):.2f} ({found[0]:.2f} .. {found[-1]:.2f})"
 
 
-def main() -> int:
-    """Command line."""
-    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def whole_page(chosen: Namespace) -> str:
+    """All turns, and their page."""
+    problem, _ = made(chosen.size, chosen.shared)
+    with tempfile.TemporaryDirectory() as folder:
+        asked = Asked(*network(problem, "predicted"), chosen.queries, Path(folder))
+        for turn in range(chosen.repeat + 1):
+            show(f"turn {turn} of {chosen.repeat}")
+            if turn == 1:
+                asked.seconds.clear()
+            asked.turn()
+    title = (
+        f"Size {chosen.size}: {problem.orientation.shape[0]} images, {problem.places.shape[0]:,} points, "
+        f"{asked.measures:,} scalar measures, {asked.iterations} iterations; {chosen.repeat} turns. {machine()}."
+    )
+    return page(title, asked.seconds, chosen.queries)
+
+
+def main(parser: OneLine, given: list[str]) -> int:
+    """`benchmark.py analysis`."""
     parser.add_argument("size", nargs="?", choices=SIZES, default="L")
     parser.add_argument("--repeat", type=at_least(1), default=5, help="turns")
     parser.add_argument("--queries", type=at_least(1), default=20, help="single queries of each kind in a turn")
     parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the peer's generator")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder of the page")
-    chosen = parser.parse_args()
-    path = chosen.out / PAGE
-
-    def job() -> None:
-        require_writable(path)
-        problem, _ = made(chosen.size, chosen.shared)
-        with tempfile.TemporaryDirectory() as folder:
-            asked = Asked(*network(problem, "predicted"), chosen.queries, Path(folder))
-            for number in range(chosen.repeat + 1):
-                show(f"turn {number} of {chosen.repeat}")
-                if number == 1:
-                    asked.forget()
-                asked.turn()
-        show("")
-        title = (
-            f"Size {chosen.size}: {problem.orientation.shape[0]} images, {problem.places.shape[0]:,} points, "
-            f"{asked.measures:,} scalar measures, {asked.iterations} iterations; {chosen.repeat} turns. {machine()}."
-        )
-        made_with = f"Made with {', '.join(f'{name} {version}' for name, version in versions().items())}."
-        text = page(title, asked.seconds, chosen.queries, made_with)
-        print(text)
-        write_text(text, path)
-
-    return status("benchmark_analysis", job)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder of the page")
+    chosen = parser.parse_args(given)
+    return write_page(parser, chosen.out / PAGE, lambda: whole_page(chosen))

@@ -3,36 +3,28 @@
 Takes a simulated strip image by image through `IncrementalAdjustment`. Two tables, docs/incremental_cost.md by default:
 `--equality N`: after each of N additions the largest difference from batch over the same images, in sigmas; and once
 more after the closing check. `--cost N N ...`: wall time of the additions up to so many images, of the
-refreshing of all points, and of batch.
-
-    python scripts/benchmark_incremental.py [--equality 40] [--cost 10 100 500] [--ties 2000] [--out FILE]
-
-Exit status: 0 done (whether the figures are good stands in the tables), 2 bad input.
+refreshing of all points, and of batch. Whether the figures are good stands in the tables.
 """
 
-import argparse
-import sys
 import time
+from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_table import table
+from study import DOCS, OneLine, at_least, made_with, show, table, write_page
 
-from mgsgraph.adjustment.adjust import adjust_network, versions
+from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.incremental.closing import CLOSE, EXACT, closing
 from mgsgraph.incremental.impact import Impact
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 
-OUT = Path(__file__).resolve().parents[1] / "docs" / "incremental_cost.md"
 WORDS = """# Adding images one at a time
 
 A simulated strip (`mgsgraph simulate strip`: pairs along a ground track, nadir and off-nadir, each image with what it
 shares with those before it) goes image by image through `IncrementalAdjustment`. Made by
-`scripts/benchmark_incremental.py`.
+`scripts/benchmark.py incremental`.
 """
 EQUALITY = f"""
 ## Is it what batch finds?
@@ -149,31 +141,23 @@ def cost(sizes: list[int], ties: int, seed: int) -> list[str]:
     return [COST, *table(head, rows), "", f"{ties} ties per image, seed {seed}."]
 
 
-def main() -> int:
-    """Command line."""
-    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def page(chosen: Namespace) -> str:
+    """The tables that are wanted."""
+    parts = [WORDS]
+    if chosen.equality:
+        parts += equality(chosen.equality, chosen.equality_ties, chosen.seed)
+    if chosen.cost:
+        parts += cost(chosen.cost, chosen.ties, chosen.seed)
+    return "\n".join([*parts, "", made_with(), ""])
+
+
+def main(parser: OneLine, given: list[str]) -> int:
+    """`benchmark.py incremental`."""
     parser.add_argument("--equality", type=at_least(0), default=40, help="images of the first table; 0 for none")
     parser.add_argument("--equality-ties", type=at_least(1), default=300, help="new ties per image there")
     parser.add_argument("--cost", type=at_least(_LAST), nargs="*", default=[10, 100, 500], help="images there already")
     parser.add_argument("--ties", type=at_least(1), default=2000, help="new ties per image of the second table")
     parser.add_argument("--seed", type=at_least(0), default=1)
-    parser.add_argument("--out", type=Path, default=OUT)
-    chosen = parser.parse_args()
-    require_writable(chosen.out)
-
-    def job() -> None:
-        parts = [WORDS]
-        if chosen.equality:
-            parts += equality(chosen.equality, chosen.equality_ties, chosen.seed)
-        if chosen.cost:
-            parts += cost(chosen.cost, chosen.ties, chosen.seed)
-        show("")
-        made = ", ".join(f"{name} {version}" for name, version in versions().items())
-        write_text("\n".join([*parts, "", f"Made with {made}.", ""]), chosen.out)
-        print(f"wrote {chosen.out}")
-
-    return status("benchmark_incremental", job)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    parser.add_argument("--out", type=Path, default=DOCS / "incremental_cost.md")
+    chosen = parser.parse_args(given)
+    return write_page(parser, chosen.out, lambda: page(chosen))

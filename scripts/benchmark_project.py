@@ -2,26 +2,20 @@
 
 Makes a project of a simulated strip's first images (batch, adopted), writes the files of the next image, and runs the
 command on copies of the project. Writes a table, docs/project_cost.md by default.
-
-    python scripts/benchmark_project.py [10 100 500] [--ties 2000] [--repeats 3] [--out FILE]
-
-Exit status: 0 done, 2 bad input.
 """
 
-import argparse
 import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from pathlib import Path
 
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_table import machine, table
+from study import DOCS, OneLine, at_least, machine, made_with, show, table, write_page
 
-from mgsgraph.adjustment.adjust import adjust_network, versions
+from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.schema import OrientationInput
 from mgsgraph.errors import SolverError
 from mgsgraph.incremental.incremental import IncrementalAdjustment
@@ -34,11 +28,10 @@ from mgsgraph.simulation.isis_files import image_file, json_text, laser_text, su
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.units import MRAD
 
-OUT = Path(__file__).resolve().parents[1] / "docs" / "project_cost.md"
 WORDS = """# What `mgsgraph add` costs
 
 A project of the first images of a simulated strip, solved by batch, gains one more with its ties and shots. Each figure
-is the median of several runs of the command on copies of the project. Made by `scripts/benchmark_project.py`.
+is the median of several runs of the command on copies of the project. Made by `scripts/benchmark.py project`.
 
 * *command*: wall time of `mgsgraph add PROJECT NAME=image.isd --ties ties.pvl --shots lidar.json`, from the start of
   Python to its end, the project written and synchronised to disk.
@@ -119,33 +112,25 @@ def measured(strip: SimulatedStrip, images: int, repeats: int, work: Path) -> li
     return [points, size, *(statistics.median(column) for column in zip(*found, strict=True)), solved]
 
 
-def main() -> int:
-    """Command line."""
-    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def page(chosen: Namespace) -> str:
+    """A row for each number of images."""
+    strip, rows, first = simulate_strip(StripSettings(max(chosen.images) + 1, chosen.ties)), [], 0.0
+    for images in chosen.images:
+        with tempfile.TemporaryDirectory() as folder:
+            work = Path(folder) / "work"
+            points, size, command, grown, dry, solved = measured(strip, images, chosen.repeats, work)
+        first = first or command
+        rows.append([str(images), f"{points:.0f}", f"{size:.0f}", f"{command:.2f}", f"{command / first:.2f}",
+                     f"{grown:.2f}", f"{dry:.2f}", f"{solved:.1f}"])  # fmt: skip
+    words = f"{chosen.ties} new ties per image, {chosen.repeats} runs. {machine()}. {made_with()}"
+    return "\n".join([WORDS, *table(_HEAD, rows), "", words, ""])
+
+
+def main(parser: OneLine, given: list[str]) -> int:
+    """`benchmark.py project`."""
     parser.add_argument("images", type=at_least(2), nargs="*", default=[10, 100, 498], help="images there already")
     parser.add_argument("--ties", type=at_least(1), default=2000, help="new ties per image")
     parser.add_argument("--repeats", type=at_least(1), default=3)
-    parser.add_argument("--out", type=Path, default=OUT)
-    chosen = parser.parse_args()
-    require_writable(chosen.out)
-
-    def job() -> None:
-        strip, rows, first = simulate_strip(StripSettings(max(chosen.images) + 1, chosen.ties)), [], 0.0
-        for images in chosen.images:
-            with tempfile.TemporaryDirectory() as folder:
-                work = Path(folder) / "work"
-                points, size, command, grown, dry, solved = measured(strip, images, chosen.repeats, work)
-            first = first or command
-            rows.append([str(images), f"{points:.0f}", f"{size:.0f}", f"{command:.2f}", f"{command / first:.2f}",
-                         f"{grown:.2f}", f"{dry:.2f}", f"{solved:.1f}"])  # fmt: skip
-        made = ", ".join(f"{name} {version}" for name, version in versions().items())
-        words = f"{chosen.ties} new ties per image, {chosen.repeats} runs. {machine()} Made with {made}."
-        write_text("\n".join([WORDS, *table(_HEAD, rows), "", words, ""]), chosen.out)
-        show("")
-        print(f"wrote {chosen.out}")
-
-    return status("benchmark_project", job)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    parser.add_argument("--out", type=Path, default=DOCS / "project_cost.md")
+    chosen = parser.parse_args(given)
+    return write_page(parser, chosen.out, lambda: page(chosen))

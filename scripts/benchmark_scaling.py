@@ -1,17 +1,31 @@
 """Seconds and bytes against the number of points and of images: chains like the peer's, fitted exponents, a picture."""
 
+import os
 import tempfile
-from collections.abc import Callable, Sequence
+from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+import benchmark_speed as speed
 import numpy as np
-from benchmark_blocks import chain
-from benchmark_run import write_figure
-from benchmark_table import machine, number, table
+from peer_blocks import chain
 from peer_problem import write_problem
+from study import (
+    DOCS,
+    OneLine,
+    at_least,
+    machine,
+    number,
+    require_writable,
+    show,
+    table,
+    write_figure,
+    write_json,
+    write_page,
+)
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
@@ -27,7 +41,7 @@ LARGE = 10_000
 KEYS = ("seconds_set_up", "seconds_solve", "seconds_per_iteration", "seconds_covariance")
 HEAD = """# How time and memory grow
 
-Chains of image pairs like the peer's, {shots} laser shots an image, made by `scripts/benchmark.py --scaling`; medians
+Chains of image pairs like the peer's, {shots} laser shots an image, made by `scripts/benchmark.py scaling`; medians
 of {repeat} runs, each a process of its own, {threads} threads. {machine}. Exponent: slope of the logarithms.
 """
 
@@ -49,20 +63,18 @@ class Row:
     bytes_per_observation: float
 
 
-def sweep(
-    measured: Callable[[Path], list[dict[str, Any]]], most_points: int, most_images: int, show: Callable[[str], None]
-) -> list[Row]:
+def sweep(wanted: Namespace) -> list[Row]:
     """Both sweeps, up to the largest sizes asked for."""
-    wanted = [("points", FIXED_IMAGES, ties) for ties in POINTS if ties <= most_points]
-    wanted += [("images", images, min(FIXED_POINTS, most_points)) for images in IMAGES if images <= most_images]
+    most, chains = wanted.most_points, [("points", FIXED_IMAGES, ties) for ties in POINTS if ties <= wanted.most_points]
+    chains += [("images", images, min(FIXED_POINTS, most)) for images in IMAGES if images <= wanted.most_images]
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for swept, images, ties in wanted:
+        for swept, images, ties in chains:
             show(f"{images} images, {ties} ties")
             path = Path(folder, "chain.bin")
             write_problem(chain(images, ties, shots=SHOTS)[0], path)
-            rows.append(row_of(swept, measured(path)))
-    show("")
+            runs = [speed.ours(path, wanted.line, wanted.threads) for _ in range(wanted.repeat)]
+            rows.append(row_of(swept, runs))
     return rows
 
 
@@ -157,3 +169,23 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     third.set_yscale("symlog", linthresh=300.0)
     third.legend(fontsize=8)
     write_figure(figure, path)
+
+
+def main(parser: OneLine, given: list[str]) -> int:
+    """`benchmark.py scaling`."""
+    speed.common_options(parser)
+    parser.add_argument("--most-points", type=at_least(1000), default=1_000_000)
+    parser.add_argument("--most-images", type=at_least(2), default=500)
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder for scaling.md and scaling.png")
+    wanted = parser.parse_args(given)
+    os.environ["NUMBA_NUM_THREADS"] = str(wanted.threads)  # before anything imports numba
+
+    def text() -> str:
+        require_writable(wanted.json)
+        figures = sweep(wanted)
+        draw(figures, wanted.out / "scaling.png")
+        if wanted.json:
+            write_json(as_record(figures), wanted.json)
+        return page(figures, wanted.repeat, wanted.threads)
+
+    return write_page(parser, wanted.out / "scaling.md", text)

@@ -1,25 +1,18 @@
 """Nanoseconds that a point spends in each stage of a sweep: one tile, over and over, one thread, as the sweep compiles
-it.
-
-    python scripts/benchmark_stages.py [--line predicted] [--sights 3] [--markdown OUT]
-
-The tile is that of the largest group of points with so many rays in a chain like the peer's
-(`benchmark_blocks.chain`). A stage alone finds its registers in the processor's cache: the stages added up are less
-than a sweep takes.
+it. The tile is that of the largest group of points with so many rays in a chain like the peer's (`peer_blocks.chain`).
+A stage alone finds its registers in the processor's cache: the stages added up are less than a sweep takes.
 """
 
-import argparse
-import sys
 import time
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from benchmark_blocks import chain
-from benchmark_command import OneLine, status
-from benchmark_run import write_text
+from peer_blocks import chain
 from peer_problem import network
+from study import OneLine, require_writable, status, table, write_text
 
 from mgsgraph.errors import InputError
 
@@ -27,7 +20,7 @@ _REPEATS, _TRIES = 300, 7
 
 
 class Tile(NamedTuple):
-    """A solved tile, and room for what comes of it."""
+    """A solved tile, and buffers for what comes of it."""
 
     rows: Any
     groups: Any
@@ -36,7 +29,7 @@ class Tile(NamedTuple):
     x: np.ndarray
     scratch: Any
     piece: int
-    places: np.ndarray
+    points: np.ndarray
     blocks: np.ndarray
     gradient: np.ndarray
 
@@ -50,16 +43,16 @@ def solved_tile(line: str, rays: int) -> Tile:
     layout = lay_out(*network(chain(6, 9000)[0], line))  # type: ignore[arg-type]
     rows, target = with_frozen_terrain(layout.rows), layout.blocks.target
     wanted = [
-        set(rows.sight_kind[a:b].tolist()) == {IMAGE} and b - a == rays
-        for a, b in zip(rows.pattern_sight, rows.pattern_sight[1:], strict=False)
+        set(rows.observation_kind[a:b].tolist()) == {IMAGE} and b - a == rays
+        for a, b in zip(rows.pattern_observation, rows.pattern_observation[1:], strict=False)
     ]
     sizes = np.where(np.array(wanted)[rows.piece[:, 0]], rows.piece[:, 2], 0)
     if sizes.max() == 0:
         raise InputError("--sights", f"no points with {rays} rays", "2 or 3")
-    room = np.zeros(target.size), np.zeros(target.columns)
+    buffers = np.zeros(target.size), np.zeros(target.columns)
     piece = int(np.argmax(sizes))
     x = np.zeros(layout.columns)
-    return Tile(rows, layout.groups, target, layout.model, x, scratch_for(rows), piece, rows.start.copy(), *room)
+    return Tile(rows, layout.groups, target, layout.model, x, scratch_for(rows), piece, rows.start.copy(), *buffers)
 
 
 def stages() -> dict[str, Callable[..., Any]]:
@@ -67,7 +60,7 @@ def stages() -> dict[str, Callable[..., Any]]:
     from numba import njit
 
     from mgsgraph.kernel import elimination, measurements, points, tile
-    from mgsgraph.kernel.lanes import COUPLED, PAIR, TILE, WIDTH, blocks_of, coupling_of, registers, turned_of
+    from mgsgraph.kernel.lanes import COUPLED, PAIR, TILE, WIDTH, blocks_of, coupling_of, registers, transposed_of
 
     compiled = njit(fastmath={"contract", "nsz"}, error_model="numpy")
 
@@ -76,7 +69,7 @@ def stages() -> dict[str, Callable[..., Any]]:
         for _ in range(times):
             count, _, _ = tile.fill(t.rows, t.piece, 0, t.piece + 1, t.scratch.segments)
             w = registers(t.scratch.work)
-            tile.load(t.rows, t.model, t.scratch.segments, count, w, t.scratch.depth, t.places)
+            tile.load(t.rows, t.model, t.scratch.segments, count, w, t.scratch.depth, t.points)
 
     @compiled
     def all_rows(t, times):
@@ -106,34 +99,34 @@ def stages() -> dict[str, Callable[..., Any]]:
     @compiled
     def right(t, times):
         s, w = t.scratch, registers(t.scratch.work)
-        room = turned_of(s.turned), turned_of(s.weights), turned_of(s.sums)
-        begin = tile.sights_of(t.rows, s.segments)[0]
+        buffers = transposed_of(s.transposed), transposed_of(s.weights), transposed_of(s.sums)
+        begin = tile.observations_of(t.rows, s.segments)[0]
         for _ in range(times):
             here = t.rows, t.groups, t.target, s.segments, 1, begin, begin
-            elimination.sum_right(*here, w, TILE, room, t.gradient)
+            elimination.sum_right(*here, w, TILE, buffers, t.gradient)
 
     @compiled
     def turn(t, times):
-        w, turned = registers(t.scratch.work), turned_of(t.scratch.turned)
+        w, turned = registers(t.scratch.work), transposed_of(t.scratch.transposed)
         for _ in range(times):
-            elimination.turn(36, 6, WIDTH, False, PAIR, w, turned)
+            elimination.transpose_lanes(36, 6, WIDTH, False, PAIR, w, turned)
 
     @compiled
     def sums(t, times):
         s, w, flat = t.scratch, registers(t.scratch.work), blocks_of(t.blocks)
-        room = turned_of(s.turned), turned_of(s.weights), turned_of(s.sums)
-        begin = tile.sights_of(t.rows, s.segments)[0]
+        buffers = transposed_of(s.transposed), transposed_of(s.weights), transposed_of(s.sums)
+        begin = tile.observations_of(t.rows, s.segments)[0]
         for _ in range(times):
             here = t.rows, t.groups, t.target, s.segments, 1, begin, begin + 1, begin
-            elimination.sum_terms(*here, w, TILE, TILE + s.depth, room, flat)
+            elimination.sum_terms(*here, w, TILE, TILE + s.depth, buffers, flat)
 
     @compiled
     def eliminate(t, times):
         s, w, y, flat = t.scratch, registers(t.scratch.work), coupling_of(t.scratch.coupling), blocks_of(t.blocks)
-        room = turned_of(s.turned), turned_of(s.weights), turned_of(s.sums)
+        buffers = transposed_of(s.transposed), transposed_of(s.weights), transposed_of(s.sums)
         for _ in range(times):
             tile_of = t.rows, t.groups, t.target, t.model, s.segments, 1
-            elimination.eliminate_tile(*tile_of, True, w, s.depth, y, room, flat, t.gradient)
+            elimination.eliminate_tile(*tile_of, True, w, s.depth, y, buffers, flat, t.gradient)
 
     return {
         "load: constants and places from memory": load,
@@ -148,10 +141,10 @@ def stages() -> dict[str, Callable[..., Any]]:
     }
 
 
-def measure(wanted: argparse.Namespace) -> int:
+def measure(wanted: Namespace) -> None:
     """The table."""
-    t = solved_tile(wanted.line, wanted.sights)
-    lines = [f"| stage, points with {wanted.sights} rays, {wanted.line} line | ns per point |", "|---|---|"]
+    require_writable(wanted.markdown)
+    t, rows = solved_tile(wanted.line, wanted.sights), []
     for name, stage in stages().items():
         stage(t, 1)
         tries = []
@@ -159,22 +152,18 @@ def measure(wanted: argparse.Namespace) -> int:
             start = time.perf_counter()
             stage(t, _REPEATS)
             tries.append((time.perf_counter() - start) / (_REPEATS * 64) * 1e9)
-        lines.append(f"| {name} | {np.median(tries):.1f} |")
-    text = "\n".join(lines) + "\n"
+        rows.append((name, f"{np.median(tries):.1f}"))
+    head = (f"stage, points with {wanted.sights} rays, {wanted.line} line", "ns per point")
+    text = "\n".join(table(head, rows)) + "\n"
     print(text)
     if wanted.markdown:
         write_text(text, wanted.markdown)
-    return 0
 
 
-def main() -> int:
-    parser = OneLine(prog="benchmark_stages", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(parser: OneLine, given: list[str]) -> int:
+    """`benchmark.py stages`."""
     parser.add_argument("--line", choices=("measured", "predicted"), default="measured", help="measured is the peer's")
     parser.add_argument("--sights", type=int, choices=(2, 3), default=2, help="rays of each point")
     parser.add_argument("--markdown", type=Path, help="file for the table")
-    wanted = parser.parse_args()
-    return status("benchmark_stages", lambda: measure(wanted))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    wanted = parser.parse_args(given)
+    return status(parser.prog, lambda: measure(wanted))

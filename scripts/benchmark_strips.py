@@ -3,29 +3,21 @@
 Simulates blocks of HRSC strips in five stereo lines and adjusts each, without terrain, in a process of its own: first
 more and more points on the same nodes, then more and more nodes on the same points. Both should grow linearly; the
 reduced normal matrix must stay sparse.
-
-    python scripts/benchmark_strips.py [--strips 10] [--points 200000] [--spacing 13.5] [--length 2000] [--repeat 3]
-                                       [--out FOLDER]
-
-Prints the tables and writes them to strips_cost.md in the folder, docs by default. Exit status: 0 done, 2 bad input.
 """
 
-import argparse
 import json
 import statistics
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from pathlib import Path
-from typing import Any
 
 import gtsam
 import numpy as np
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_table import machine, number, table
+from study import DOCS, OneLine, at_least, machine, made_with, number, positive, show, status, table, write_page
 
-from mgsgraph.adjustment.adjust import adjust_network, versions
+from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
@@ -33,7 +25,6 @@ from mgsgraph.network import Network
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.units import KM
 
-OUT = Path(__file__).resolve().parents[1] / "docs"
 PAGE = "strips_cost.md"
 SHARES = (0.25, 0.5, 1.0)
 """Of the points, and of the nodes."""
@@ -41,7 +32,7 @@ ITERATIONS = 7
 """Timed one after the other, from the nominal orientation; their median counts."""
 WORDS = """# What strips with orientation images cost
 
-Made by `scripts/benchmark_strips.py`: simulated HRSC strips (`mgsgraph.simulation.hrsc_block`), five stereo lines each,
+Made by `scripts/benchmark.py strips`: simulated HRSC strips (`mgsgraph.simulation.hrsc_block`), five stereo lines each,
 most points in five lines, those in the overlap of two strips in up to ten; cubic Lagrange between the nodes; without a
 terrain model. Each row is the median of {repeat} processes. The machine was shared; compare ratios, not seconds.
 
@@ -90,17 +81,12 @@ def one(strips: int, points: int, spacing: float, length: float) -> dict[str, fl
     """The same in a process of its own."""
     wanted = {"strips": strips, "points": points, "spacing": spacing, "length": length}
     options = [text for name, value in wanted.items() for text in (f"--{name}", str(value))]
-    command = [sys.executable, __file__, *options, "--one"]
+    command = [sys.executable, sys.argv[0], "strips", *options, "--one"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     if ended.returncode:
         raise InputError(f"{points} points, {spacing} s", ended.stderr.strip()[-300:] or "a crash", "a run that ends")
     found: dict[str, float] = json.loads(ended.stdout.splitlines()[-1])
     return found
-
-
-def medians(runs: list[dict[str, float]]) -> dict[str, float]:
-    """Of each figure."""
-    return {key: statistics.median(run[key] for run in runs) for key in runs[0]}
 
 
 def rows_of(found: list[dict[str, float]], grows: str) -> list[list[str]]:
@@ -125,62 +111,42 @@ def page(by_points: list[dict[str, float]], by_nodes: list[dict[str, float]], ti
     """The page."""
     head = ("points", "rays", "nodes", "set up, s", "sweep, s", "iteration, s", "covariance, s", "memory, MB", "sets",
             "fill", "exponent, s", "exponent, MB")  # fmt: skip
-    made_with = f"Made with {', '.join(f'{name} {version}' for name, version in versions().items())}."
     return "\n".join([
         WORDS.format(repeat=repeat), f"{title}. {machine()}.\n", "## More points\n",
         *table(head, rows_of(by_points, "points")), "", "## More nodes\n", *table(head, rows_of(by_nodes, "nodes")), "",
-        made_with, "",
+        made_with(), "",
     ])  # fmt: skip
 
 
-def positive(text: str) -> float:
-    """A positive number of seconds."""
-    value = float(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"{text}: expected a positive number")
-    return value
+def whole_page(chosen: Namespace) -> str:
+    """All processes, and their page."""
+    wanted = [(int(share * chosen.points), chosen.spacing) for share in SHARES]
+    wanted += [(chosen.points, chosen.spacing / share) for share in SHARES[:-1]]
+    found = {}
+    for points, spacing in wanted:
+        runs = []
+        for turn in range(chosen.repeat):
+            show(f"{points:,} points, {spacing:g} s, process {turn + 1} of {chosen.repeat}")
+            runs.append(one(chosen.strips, points, spacing, chosen.length))
+        found[points, spacing] = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
+    by_points = [found[points, chosen.spacing] for points, _ in wanted[: len(SHARES)]]
+    by_nodes = [found[one] for one in wanted[len(SHARES) :]] + by_points[-1:]
+    return page(by_points, by_nodes, f"{chosen.strips} strips of {chosen.length:g} km", chosen.repeat)
 
 
-def main() -> int:
-    """Command line."""
-    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(parser: OneLine, given: list[str]) -> int:
+    """`benchmark.py strips`."""
     parser.add_argument("--strips", type=at_least(1), default=10)
     parser.add_argument("--points", type=at_least(100), default=200_000, help="the most")
     parser.add_argument("--spacing", type=positive, default=13.5, help="s between nodes, the least")
     parser.add_argument("--length", type=positive, default=2000.0, help="km that a strip is long")
     parser.add_argument("--repeat", type=at_least(1), default=3, help="processes of each row")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder of the page")
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder of the page")
     parser.add_argument("--one", action="store_true", help="measure this one, and print it as JSON")
-    chosen: Any = parser.parse_args()
-
-    def job() -> None:
-        if chosen.one:
-            settings = BlockSettings(
-                strips=chosen.strips, points=chosen.points, spacing=chosen.spacing, terrain=None,
-                length=chosen.length * KM,
-            )  # fmt: skip
-            print(json.dumps(measured(simulate_hrsc_block(settings, 1).network)))
-            return
-        require_writable(chosen.out / PAGE)
-        wanted = [(int(share * chosen.points), chosen.spacing) for share in SHARES]
-        wanted += [(chosen.points, chosen.spacing / share) for share in SHARES[:-1]]
-        found = {}
-        for points, spacing in wanted:
-            runs = []
-            for turn in range(chosen.repeat):
-                show(f"{points:,} points, {spacing:g} s, process {turn + 1} of {chosen.repeat}")
-                runs.append(one(chosen.strips, points, spacing, chosen.length))
-            found[points, spacing] = medians(runs)
-        show("")
-        by_points = [found[points, chosen.spacing] for points, _ in wanted[: len(SHARES)]]
-        by_nodes = [found[one] for one in wanted[len(SHARES) :]] + by_points[-1:]
-        title = f"{chosen.strips} strips of {chosen.length:g} km"
-        text = page(by_points, by_nodes, title, chosen.repeat)
-        print(text)
-        write_text(text, chosen.out / PAGE)
-
-    return status("benchmark_strips", job)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    chosen = parser.parse_args(given)
+    if not chosen.one:
+        return write_page(parser, chosen.out / PAGE, lambda: whole_page(chosen))
+    settings = BlockSettings(
+        strips=chosen.strips, points=chosen.points, spacing=chosen.spacing, terrain=None, length=chosen.length * KM
+    )
+    return status(parser.prog, lambda: print(json.dumps(measured(simulate_hrsc_block(settings, 1).network))))

@@ -9,7 +9,6 @@ as a check point. Its images are matched (`mgsgraph match`), adjusted with these
 Writes dem_truth.md to the folder, docs by default. Exit status: 0 done, 2 bad input.
 """
 
-import argparse
 import resource
 import sys
 import tempfile
@@ -18,9 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_table import machine, number, table
+from study import DOCS, at_least, command, machine, number, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.reading import read_case
@@ -36,7 +33,6 @@ from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 
-OUT = Path(__file__).resolve().parents[1] / "docs"
 PAGE = "dem_truth.md"
 CHECK_EVERY = 3
 _ROUNDS = 5
@@ -69,26 +65,22 @@ class HeightErrors(NamedTuple):
 
 def main() -> int:
     """Entry point."""
-    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--sites", default=",".join(SITE_NAMES), help=f"some of {','.join(SITE_NAMES)}")
     parser.add_argument("--seeds", type=at_least(1), default=2)
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--out", type=Path, default=DOCS)
     chosen = parser.parse_args()
 
-    def job() -> None:
-        require_writable(chosen.out / PAGE)
+    def page() -> str:
         rows = list[tuple[str, ...]]()
         for site in chosen.sites.split(","):
             for seed in range(1, chosen.seeds + 1):
                 show(f"{site}, seed {seed} of {chosen.seeds}")
                 rows.append(one(site, seed))
-        show("")
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-        text = "\n".join([WORDS.format(machine=machine()), *table(HEAD, rows), "", f"Peak memory: {peak:.2f} GiB.", ""])
-        print(text)
-        write_text(text, chosen.out / PAGE)
+        return "\n".join([WORDS.format(machine=machine()), *table(HEAD, rows), "", f"Peak memory: {peak:.2f} GiB.", ""])
 
-    return status("terrain models", job)
+    return write_page(parser, chosen.out / PAGE, page)
 
 
 def one(name: str, seed: int) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ allowed ends the process. --label says how many of the file's first bytes hold a
 done to its first part and half to what follows it, none to the padding.
 """
 
-import argparse
 import importlib
 import random
 import resource
@@ -19,6 +18,8 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from study import command
 
 from mgsgraph.errors import InputError
 
@@ -92,7 +93,7 @@ def campaign(read: Callable[[Path], Any], seed: Path, mutations: int, label: int
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("reader", help="module:function that takes a path")
     parser.add_argument("seeds", nargs="+", type=Path, help="files that it can read")
     parser.add_argument("--mutations", type=int, default=10_000)

@@ -11,28 +11,21 @@ Writes hrsc_block.md and hrsc_block.png (heights above the terrain of the first 
 Exit status: 0 done, 2 bad input.
 """
 
-import argparse
 import shutil
 import sys
 import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_strips import positive
-from benchmark_table import machine, number, table
-from nees import Z99
+from study import DOCS, Z99, at_least, command, machine, made_with, number, positive, show, table, write_page
 
-from mgsgraph.adjustment.adjust import versions
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
-from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, StepMerit, step_merit
+from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, TwoStepStatistics, two_step_statistics
 from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
@@ -40,7 +33,6 @@ from mgsgraph.reports.two_steps import write_two_steps
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.units import KM, MGON
 
-OUT = Path(__file__).resolve().parents[1] / "docs"
 PAGE, PICTURE = "hrsc_block.md", "hrsc_block.png"
 ATTITUDE = np.array([4, 3, 5])
 """Components of a node about the camera's y, x and z: roll, pitch and yaw."""
@@ -79,7 +71,7 @@ of the nodes is a chi-square's for independent strips, and so a little too narro
 class Row:
     """One seed."""
 
-    merit: StepMerit
+    merit: TwoStepStatistics
     nodes: Array
     """(2, strips) squares of the nodes' errors, normalised; steps 1 and 2."""
     freedom: Array
@@ -109,7 +101,8 @@ def one_seed(settings: BlockSettings, seed: int) -> Row:
     networks = (steps.free.network, steps.free.network, steps.fitted.network)
     stated = np.array([_stated(network, joint) for network, joint in zip(networks, joints, strict=True)])
     freedom = np.array([6 * len(strip.nodes) for strip in block.network.strips])
-    return Row(step_merit(steps), np.array(pairs), freedom, np.array(points), attitude, stated, steps.converged)
+    found = two_step_statistics(steps)
+    return Row(found, np.array(pairs), freedom, np.array(points), attitude, stated, steps.converged)
 
 
 def _stated(network: Network, joint: JointCovariance | None) -> Array:
@@ -197,27 +190,25 @@ def page(rows: list[Row], settings: BlockSettings, seconds: float) -> str:
         planimetric=terrain.planimetric,
     )  # fmt: skip
     at_rest = sum(row.converged for row in rows)
-    made_with = f"Made with {', '.join(f'{name} {version}' for name, version in versions().items())}. {machine()}."
     return "\n".join([
         words, MERIT, *merit_table(rows), "", HONEST, *honesty_table(rows), "", BELOW,
         f"{at_rest} of {len(rows)} blocks converged in both steps; {seconds / len(rows):.0f} s a block.", "",
-        f"![heights above the terrain]({PICTURE})", "", made_with, "",
+        f"![heights above the terrain]({PICTURE})", "", f"{made_with()} {machine()}.", "",
     ])  # fmt: skip
 
 
 def main() -> int:
     """Command line."""
-    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--seeds", type=at_least(1), default=20)
     parser.add_argument("--strips", type=at_least(1), default=4)
     parser.add_argument("--points", type=at_least(100), default=10_000)
     parser.add_argument("--length", type=positive, default=1500.0, help="km")
     parser.add_argument("--spacing", type=positive, default=15.0, help="s between nodes")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder of the page")
-    chosen: Any = parser.parse_args()
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder of the page")
+    chosen = parser.parse_args()
 
-    def job() -> None:
-        require_writable(chosen.out / PAGE)
+    def text() -> str:
         settings = BlockSettings(
             strips=chosen.strips, points=chosen.points, length=chosen.length * KM, spacing=chosen.spacing
         )
@@ -229,12 +220,9 @@ def main() -> int:
                 with tempfile.TemporaryDirectory() as folder:
                     write_two_steps(rows[0].merit, Path(folder))
                     shutil.copy(Path(folder) / "height_map.png", chosen.out / PICTURE)
-        show("")
-        text = page(rows, settings, time.perf_counter() - begin)
-        print(text)
-        write_text(text, chosen.out / PAGE)
+        return page(rows, settings, time.perf_counter() - begin)
 
-    return status("hrsc_block", job)
+    return write_page(parser, chosen.out / PAGE, text)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
     python scripts/kill_project.py --moments 50 > table.md
 """
 
-import argparse
 import random
 import shutil
 import signal
@@ -15,6 +14,8 @@ import time
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
+
+from study import at_least, command, table
 
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import open_project
@@ -75,8 +76,8 @@ def trial(before: Path, verb: list[str], moments: int, work: Path) -> Counter[st
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--moments", type=int, default=50, help="how often each command is killed")
+    parser = command(__doc__)
+    parser.add_argument("--moments", type=at_least(1), default=50, help="how often each command is killed")
     moments = parser.parse_args().moments
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
@@ -84,15 +85,15 @@ def main() -> None:
         kept = work / "kept"
         run(kept, ["init", str(kept), "--case", str(case)], None)
         solve = ["solve", str(work / "project"), "--no-figures"]
-        print("| killed | moments | state before | state after | between |\n|---|---|---|---|---|")
         rows = {"solve": trial(kept, solve, moments, work)}
         run(kept, ["solve", str(kept), "--no-figures"], None)
         run(kept, ["remove", str(kept), "SIM/B"], None)
         ties = ["--ties", str(case.parent / "network.pvl"), "--shots", str(case.parent / "lidar.json")]
         add = ["add", str(work / "project"), f"SIM/B={case.parent / 'image_B.isd'}", *ties]
         rows["add"] = trial(kept, add, moments, work)
-        for verb, found in rows.items():
-            print(f"| {verb} | {moments} | {found['before']} | {found['after']} | {found['BETWEEN']} |")
+    counts = [[verb, *map(str, (moments, found["before"], found["after"], found["BETWEEN"]))]
+              for verb, found in rows.items()]  # fmt: skip
+    print("\n".join(table(("killed", "moments", "state before", "state after", "between"), counts)))
     sys.exit(1 if any(found["BETWEEN"] for found in rows.values()) else 0)
 
 

@@ -10,20 +10,16 @@ crop are for comparison alone.
 Prints, and writes to a file (Markdown) if one is given. Exit status: 0 done, 2 bad input.
 """
 
-import argparse
 import csv
 import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_strips import positive
-from benchmark_table import table
 from scipy.ndimage import map_coordinates, spline_filter
+from study import at_least, command, positive, show, table, write_page
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
@@ -37,7 +33,7 @@ from mgsgraph.io.image_label import read_label
 from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.moc_label import MocLabel, read_moc_label
-from mgsgraph.io.moc_pixels import read_moc_pixels
+from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
@@ -395,23 +391,15 @@ def page(found: Trial) -> str:
 
 def main() -> int:
     """Command line."""
-    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the real data")
     parser.add_argument("--method", choices=("sift", "grid"), default="sift")
     parser.add_argument("--step", type=positive, default=None, help="m between pixels of the ground grid")
     parser.add_argument("--cells", type=at_least(1), default=1000, help="of the ground that both show")
     parser.add_argument("--out", type=Path, default=None, help="file for what is printed")
-    chosen: Any = parser.parse_args()
-
-    def job() -> None:
-        require_writable(chosen.out)
-        settings = MatchSettings(method=chosen.method, step=chosen.step, cells=chosen.cells)
-        said = page(trial(chosen.data, settings))
-        print(said)
-        if chosen.out is not None:
-            write_text(said, chosen.out)
-
-    return status("match_moc_pair", job)
+    chosen = parser.parse_args()
+    settings = MatchSettings(method=chosen.method, step=chosen.step, cells=chosen.cells)
+    return write_page(parser, chosen.out, lambda: page(trial(chosen.data, settings)))
 
 
 if __name__ == "__main__":

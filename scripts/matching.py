@@ -9,7 +9,6 @@ pixel is cast on the true ground with the true orientation, and the place found 
 Writes matching_truth.md to the folder, docs by default. Exit status: 0 done, 2 bad input.
 """
 
-import argparse
 import sys
 import tempfile
 import time
@@ -18,9 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_table import machine, number, table
+from study import DOCS, at_least, command, machine, number, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution, orientation_profile
@@ -36,7 +33,6 @@ from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 
-OUT = Path(__file__).resolve().parents[1] / "docs"
 PAGE = "matching_truth.md"
 BLUNDER = 1.0
 """pixels in line or sample beyond which a match is called a blunder."""
@@ -75,26 +71,22 @@ class Row(NamedTuple):
 
 def main() -> int:
     """Entry point."""
-    parser = OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("--sites", default="gusev", help=f"some of {','.join(SITE_NAMES)}")
     parser.add_argument("--seeds", type=at_least(1), default=3)
     parser.add_argument("--method", choices=["sift", "grid"], default="sift")
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--out", type=Path, default=DOCS)
     chosen = parser.parse_args()
 
-    def job() -> None:
-        require_writable(chosen.out / PAGE)
+    def text() -> str:
         rows = list[Row]()
         for site in chosen.sites.split(","):
             for seed in range(1, chosen.seeds + 1):
                 show(f"{site}, seed {seed} of {chosen.seeds}")
                 rows.append(one(site, seed, MatchSettings(method=method_of(chosen.method))))
-        show("")
-        text = page(rows, chosen.method)
-        print(text)
-        write_text(text, chosen.out / PAGE)
+        return page(rows, chosen.method)
 
-    return status("matching", job)
+    return write_page(parser, chosen.out / PAGE, text)
 
 
 def one(name: str, seed: int, settings: MatchSettings) -> Row:

@@ -22,11 +22,9 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import REMEDY, require_writable, write_figure, write_text
 from montecarlo_draw import BLOCK, CASES, KINDS, LINES, NEW, PIXELS, POINTS, Drawn, Order, one_seed
-from montecarlo_figure import figure
-from montecarlo_page import page
+from montecarlo_page import figure, page
+from study import DOCS, REMEDY, OneLine, at_least, require_writable, show, status, write_figure, write_text
 
 from mgsgraph.adjustment.adjust import versions
 from mgsgraph.adjustment.cluster import Lost, open_cluster
@@ -37,7 +35,6 @@ CHOICES = {
     "block": tuple(name for name, case in CASES.items() if case.ground is None),
     "both": tuple(CASES),
 }
-OUT = Path(__file__).resolve().parents[1] / "docs"
 
 
 def work(orders: Sequence[Order], place: str | None) -> Iterator[Drawn]:
@@ -119,10 +116,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
     parser = OneLine(prog="montecarlo.py", description="Coverage, NEES and bias of the posterior over many seeds.")
     parser.add_argument("--case", choices=tuple(CHOICES), default="both")
     parser.add_argument("--seeds", type=at_least(2), default=200, help="seeds 0 .. N-1 of each case")
-    hands = parser.add_mutually_exclusive_group()
-    hands.add_argument("--processes", type=at_least(1), help="worker processes on this machine")
-    hands.add_argument("--cluster", metavar="PLACE", help="local, local:N, tcp://host:port or tls://host:port")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder of montecarlo.md and montecarlo.png")
+    workers = parser.add_mutually_exclusive_group()
+    workers.add_argument("--processes", type=at_least(1), help="worker processes on this machine")
+    workers.add_argument("--cluster", metavar="PLACE", help="local, local:N, tcp://host:port or tls://host:port")
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder of montecarlo.md and montecarlo.png")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="note seeds here, and go on where it ended")
     wanted = parser.parse_args(arguments)
     return status(parser.prog, lambda: prove(wanted))

@@ -113,7 +113,7 @@ def one_seed(order: Order) -> Drawn:
     network, settings = prepared(order.case)
     stated = CASES[order.case].stated
     draw = redraw(network, np.random.default_rng(order.seed), settings.angles)
-    solution = adjust_network(told(draw.network, stated), settings)
+    solution = adjust_network(with_stated_sigmas(draw.network, stated), settings)
     rng = np.random.default_rng([order.seed, 2])
     asked = questions(Posterior.of(solution), draw, stated, rng)
     squares, errors = {}, {}
@@ -125,7 +125,7 @@ def one_seed(order: Order) -> Drawn:
     return Drawn(order, solution.converged, squares, errors)
 
 
-def told(network: Network, stated: float) -> Network:
+def with_stated_sigmas(network: Network, stated: float) -> Network:
     """The network with its measures' sigmas misstated by a factor."""
     rays, ranges = network.rays, network.ranges
     return replace(

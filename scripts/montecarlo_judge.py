@@ -8,11 +8,11 @@ well their mean is known. The second sees smaller faults.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 from montecarlo_draw import KINDS, Drawn
-from nees import chi_square_band
+from scipy.stats import binom
+from study import chi_square_band, student
 
 from mgsgraph.analysis.estimates import chi_square_radius
 from mgsgraph.geometry.records import Array, Index
@@ -164,20 +164,4 @@ def judged(case: str, kind: str, draws: Sequence[Drawn]) -> Judged:
 
 def binomial_limits(seeds: int, level: float, chance: float = CHANCE) -> tuple[int, int]:
     """Least and most successes of so many trials: beyond either lies no more than half the chance."""
-    log = [
-        math.lgamma(seeds + 1) - math.lgamma(k + 1) - math.lgamma(seeds - k + 1)
-        + k * math.log(level) + (seeds - k) * math.log1p(-level)
-        for k in range(seeds + 1)
-    ]  # fmt: skip
-    below = np.cumsum(np.exp(log))
-    above = np.cumsum(np.exp(log[::-1]))
-    low = int(np.searchsorted(below, 0.5 * chance, side="right"))
-    high = seeds - int(np.searchsorted(above, 0.5 * chance, side="right"))
-    return low, high
-
-
-def student(chance: float, degrees: int) -> float:
-    """Student's quantile beyond which, two-sided, lies a chance (Abramowitz & Stegun 26.7.5; 1% from 8 degrees on)."""
-    z = NormalDist().inv_cdf(1.0 - 0.5 * chance)
-    first = (z**3 + z) / (4.0 * degrees)
-    return z + first + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * degrees**2)
+    return int(binom.ppf(0.5 * chance, seeds, level)), int(binom.isf(0.5 * chance, seeds, level))

@@ -7,16 +7,18 @@ the sigmas are honest. Writes a table, docs/nees.md by default.
     python scripts/nees.py [--draws 100] [--sites eos gusev isidis] [--cases rigorous no-terrain papers] [--out FILE]
 """
 
-import argparse
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import study
+from study import DOCS, at_least, chi_square_band, command, made_with, show, student, within, write_page
 
-from mgsgraph.adjustment.adjust import adjust_network, versions
+from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.reading import read_case
 from mgsgraph.demo.truth import nees
@@ -29,13 +31,10 @@ from mgsgraph.simulation.sites import SITE_NAMES
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from redraw import redraw
 
-Z99 = 2.5758293035489004
-"""Quantile of the normal distribution, 99% two-sided."""
 COLUMNS = ("orientation", "shifts", "ties", "laser", "squares")
 """Orientation coefficients; shifts of profiles and terrain; tie points; footprints; weighted squares of all rows."""
 CASES: dict[str, Weighting] = {"rigorous": "rigorous", "no-terrain": "rigorous", "papers": "papers"}
 """no-terrain is the rigorous case without its surface rows: what is left if these are at fault."""
-OUT = Path(__file__).resolve().parents[1] / "docs" / "nees.md"
 WORDS = """# NEES of the three sites
 
 Are the stated sigmas honest? Each draw takes the site's network (geometry, sigmas, terrain model), draws every
@@ -95,7 +94,6 @@ def campaign(site: str, case: str, network: Network, settings: SolverSettings, d
         values[seed], degrees, converged = one_draw(network, settings, seed)
         failures += not converged
         show(f"{site} {case}: draw {seed + 1} of {draws}")
-    show("")
     return Campaign(site, case, values, degrees, failures, time.perf_counter() - start)
 
 
@@ -135,68 +133,26 @@ def bands(found: Campaign) -> list[tuple[float, float]]:
         if name in ("orientation", "shifts", "squares") and found.degrees[k]:
             result.append(chi_square_band(draws * found.degrees[k]))
         else:
-            half = student99(draws - 1) * found.values[:, k].std(ddof=1) / np.sqrt(draws)
+            half = student(0.01, draws - 1) * found.values[:, k].std(ddof=1) / np.sqrt(draws)
             result.append((1.0 - half, 1.0 + half))
     return result
 
 
-def chi_square_band(degrees: int) -> tuple[float, float]:
-    """99% band of a chi-square variable over its degrees of freedom (Wilson & Hilferty 1931; 4e-4 at 100)."""
-    spread = 2.0 / (9.0 * degrees)
-    low, high = (float((1.0 - spread + sign * Z99 * np.sqrt(spread)) ** 3) for sign in (-1.0, 1.0))
-    return low, high
-
-
-def student99(degrees: int) -> float:
-    """Student's 99% quantile, two-sided (Abramowitz & Stegun 26.7.5; 1% from 8 degrees of freedom on)."""
-    first = (Z99**3 + Z99) / (4.0 * degrees)
-    return Z99 + first + (5.0 * Z99**5 + 16.0 * Z99**3 + 3.0 * Z99) / (96.0 * degrees**2)
-
-
 def table(found: list[Campaign]) -> list[str]:
     """Markdown: means, with their bands for the rigorous case."""
-    names = ("site", "case", "N", *COLUMNS, "not converged", "s per draw")
-    rows = ["| " + " | ".join(names) + " |", "|---" * len(names) + "|"]
+    rows = []
     for one in found:
         draws, means = one.values.shape[0], one.values.mean(axis=0)
         if one.case == "papers":
             cells = [f"{mean:.3g}" for mean in means]
         else:
-            cells = [cell(mean, band) for mean, band in zip(means, bands(one), strict=True)]
-        ends = (str(one.failures), f"{one.seconds / draws:.1f}")
-        rows.append("| " + " | ".join((one.site, one.case, str(draws), *cells, *ends)) + " |")
-    return rows
+            cells = [within(mean, band) for mean, band in zip(means, bands(one), strict=True)]
+        rows.append((one.site, one.case, str(draws), *cells, str(one.failures), f"{one.seconds / draws:.1f}"))
+    return study.table(("site", "case", "N", *COLUMNS, "not converged", "s per draw"), rows)
 
 
-def cell(mean: float, band: tuple[float, float]) -> str:
-    """Mean, band, and a word where it falls outside."""
-    if np.isnan(mean):
-        return "-"
-    low, high = band
-    return f"{mean:.3f} ({low:.3f} .. {high:.3f}){'' if low <= mean <= high else ' **outside**'}"
-
-
-def show(text: str) -> None:
-    """One line on the terminal that the next one replaces."""
-    if sys.stderr.isatty():
-        print(f"\r{text:60}", end="\r" if not text else "", file=sys.stderr, flush=True)
-
-
-def report(found: list[Campaign]) -> str:
-    """The whole page."""
-    made = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return "\n".join([WORDS, *table(found), READING, PAPERS, f"Made with {made}.", ""])
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--draws", type=int, default=100)
-    parser.add_argument("--sites", nargs="+", choices=SITE_NAMES, default=SITE_NAMES)
-    parser.add_argument("--cases", nargs="+", choices=tuple(CASES), default=tuple(CASES))
-    parser.add_argument("--out", type=Path, default=OUT)
-    wanted = parser.parse_args()
-    if wanted.draws < 2:
-        parser.error("at least 2 draws, to know their scatter")
+def page(wanted: Namespace) -> str:
+    """All campaigns, and their page."""
     found = []
     with tempfile.TemporaryDirectory() as folder:
         for site in wanted.sites:
@@ -205,11 +161,18 @@ def main() -> None:
                 read = read_case(write_site(simulated, Path(folder, site), CASES[case]))
                 network = replace(read.network, surface=None) if case == "no-terrain" else read.network
                 found.append(campaign(site, case, network, read.settings, wanted.draws))
-                print(table(found[-1:])[-1], flush=True)
-    wanted.out.parent.mkdir(parents=True, exist_ok=True)
-    wanted.out.write_text(report(found), encoding="utf-8")
-    print(f"Written to {wanted.out}")
+    return "\n".join([WORDS, *table(found), READING, PAPERS, made_with(), ""])
+
+
+def main() -> int:
+    parser = command(__doc__)
+    parser.add_argument("--draws", type=at_least(2), default=100, help="2 or more, to know their scatter")
+    parser.add_argument("--sites", nargs="+", choices=SITE_NAMES, default=SITE_NAMES)
+    parser.add_argument("--cases", nargs="+", choices=tuple(CASES), default=tuple(CASES))
+    parser.add_argument("--out", type=Path, default=DOCS / "nees.md")
+    wanted = parser.parse_args()
+    return write_page(parser, wanted.out, lambda: page(wanted))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -9,27 +9,23 @@ degree of freedom their mean is one if the sigmas are honest. Writes a table, do
 Exit status: 0 done (the figures are in the table, inside their bands or not), 2 bad input.
 """
 
-import argparse
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from benchmark_blocks import PEER_SIZES, SHARED, peer_size
-from benchmark_command import OneLine, at_least, show, status
-from benchmark_run import require_writable, write_text
-from benchmark_table import table
-from nees import cell, chi_square_band, student99
+from peer_blocks import PEER_SIZES, SHARED, peer_size
 from peer_problem import PeerProblem, Truth, network, peer_orientation
+from study import DOCS, at_least, chi_square_band, command, made_with, show, student, table, within, write_page
 
-from mgsgraph.adjustment.adjust import adjust_network, versions
+from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Line
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array, Index
 
 FORMS: tuple[Line, ...] = ("predicted", "measured")
-OUT = Path(__file__).resolve().parents[1] / "docs" / "nees_peer.md"
 WORDS = """# NEES at the peer's sizes
 
 Are the stated sigmas honest, and what does the measured line cost? Each draw is one of the C++ peer's own problems
@@ -68,9 +64,7 @@ class Drawn:
 
 def normalised(errors: Array, covariances: Array) -> float:
     """Mean of e' C^-1 e / 3 of errors (n, 3) with covariances (n, 3, 3); NaN for none."""
-    if not errors.size:
-        return float("nan")
-    return float(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]).mean() / 3.0)
+    return float(nees(errors, covariances).mean()) / 3.0 if errors.size else float("nan")
 
 
 def figures(problem: PeerProblem, truth: Truth, solution: Solution) -> list[float]:
@@ -102,14 +96,13 @@ def campaign(size: str, draws: int, shared: Path) -> list[Drawn]:
             failures[form] += not solution.converged
             freedom[form] = solution.fit.degrees_of_freedom
             values[form][seed] = figures(problem, truth, solution)
-    show("")
     return [Drawn(size, form, values[form], freedom[form], failures[form], seconds[form] / draws) for form in FORMS]
 
 
 def bands(one: Drawn) -> list[tuple[float, float]]:
     """99% bands of the means over the draws, if the sigmas are honest."""
     draws = one.values.shape[0]
-    half = student99(draws - 1) * one.values[:, :3].std(axis=0, ddof=1) / np.sqrt(draws)
+    half = student(0.01, draws - 1) * one.values[:, :3].std(axis=0, ddof=1) / np.sqrt(draws)
     return [*((1.0 - width, 1.0 + width) for width in half.tolist()), chi_square_band(draws * one.freedom)]
 
 
@@ -118,37 +111,33 @@ def report(found: list[Drawn]) -> str:
     head = ("size", "line", "N", *COLUMNS, "not converged", "s per draw")
     rows = []
     for one in found:
-        cells = [cell(mean, band) for mean, band in zip(one.values.mean(axis=0), bands(one), strict=True)]
+        cells = [within(mean, band) for mean, band in zip(one.values.mean(axis=0), bands(one), strict=True)]
         ends = (str(one.failures), f"{one.seconds:.2f}")
         rows.append((one.size, one.form, str(one.values.shape[0]), *cells, *ends))
-    told = []
+    differences = []
     for strict, loose in zip(found[::2], found[1::2], strict=True):
         gap = loose.values[:, 0] - strict.values[:, 0]
         error = gap.std(ddof=1) / np.sqrt(gap.size)
-        told.append(f"* {strict.size}: difference of the ties' NEES {gap.mean():+.3f} +- {error:.3f}")
-    made = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return "\n".join([WORDS, *table(head, rows), "", *told, "", f"Made with {made}.", ""])
+        differences.append(f"* {strict.size}: difference of the ties' NEES {gap.mean():+.3f} +- {error:.3f}")
+    return "\n".join([WORDS, *table(head, rows), "", *differences, "", made_with(), ""])
 
 
 def main() -> int:
-    parser = OneLine(prog="nees_peer", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command(__doc__)
     parser.add_argument("sizes", nargs="*", metavar="SIZE", help=f"of {', '.join(PEER_SIZES)}; S and L when absent")
     parser.add_argument("--draws", type=at_least(2), default=12)
     parser.add_argument("--shared", type=Path, default=SHARED, help="folder with the peer's gen.py")
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--out", type=Path, default=DOCS / "nees_peer.md")
     wanted = parser.parse_args()
     for size in wanted.sizes:
         if size not in PEER_SIZES:
             parser.error(f"no size {size!r}; there are {', '.join(PEER_SIZES)}")
+    sizes = wanted.sizes or ("S", "L")
 
-    def job() -> None:
-        require_writable(wanted.out)
-        found = [one for size in wanted.sizes or ("S", "L") for one in campaign(size, wanted.draws, wanted.shared)]
-        text = report(found)
-        write_text(text, wanted.out)
-        print(text)
+    def page() -> str:
+        return report([one for size in sizes for one in campaign(size, wanted.draws, wanted.shared)])
 
-    return status("nees_peer", job)
+    return write_page(parser, wanted.out, page)
 
 
 if __name__ == "__main__":

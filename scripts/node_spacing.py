@@ -6,25 +6,25 @@ the spectrum of the closest. Writes a table, docs/node_spacing.md by default.
     python scripts/node_spacing.py [--seeds 3] [--points 1500] [--out FILE]
 """
 
-import argparse
+import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from study import DOCS, at_least, command, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.spacing.choice import Choice, choose_spacing, respaced
-from mgsgraph.spacing.corrections import course
+from mgsgraph.spacing.corrections import correction_series
 from mgsgraph.spacing.densify import densify
 from mgsgraph.spacing.rays import hold_out, misfits, whitening
 from mgsgraph.spacing.spectrum import Peak, spectra
 from mgsgraph.units import MGON
 
-OUT = Path(__file__).resolve().parents[1] / "docs" / "node_spacing.md"
 SPACINGS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """s."""
 SHARE = 0.2
@@ -89,13 +89,13 @@ def run(errors: TrajectoryErrors, jitter: Jitter | None, stated: float, seed: in
     held = hold_out(net, SHARE, np.random.default_rng(seed))
     closer = densify(respaced(net, SPACINGS[-1]), plain, left_in=held.left_in(net)).solution
     white = np.einsum("hij,hj->hi", whitening(net, held, closer.places), misfits(closer, held))
-    fine = course(adjust_network(respaced(net, SPACINGS[0]), plain), 0)
+    fine = correction_series(adjust_network(respaced(net, SPACINGS[0]), plain), 0)
     found = [(spectrum.axis, peak) for spectrum in spectra(fine) for peak in spectrum.vibrations]
     nodes = sum(len(strip.nodes) for strip in closer.network.strips)
     return Run(choice, nodes, float(np.sqrt(np.nanmean(white**2))), found)
 
 
-def row(name: str, runs: list[Run]) -> str:
+def row(name: str, runs: list[Run]) -> list[str]:
     """Of the table."""
     rms = np.array([[one.rms for one in run.choice.candidates] for run in runs]).mean(axis=0)
     chosen = [f"{run.choice.spacing:g}" for run in runs]
@@ -111,25 +111,29 @@ def row(name: str, runs: list[Run]) -> str:
         for run in runs
     )  # fmt: skip
     cells = [name, *(f"{one:.3f}" for one in rms), " ".join(chosen), f"{at_chosen:.3f} ({nodes:.0f})"]
-    return "| " + " | ".join([*cells, f"{closer:.3f} ({closer_nodes:.0f})", peaks]) + " |"
+    return [*cells, f"{closer:.3f} ({closer_nodes:.0f})", peaks]
 
 
-def main() -> None:
+def main() -> int:
     """Run all, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--points", type=int, default=1500)
-    parser.add_argument("--out", type=Path, default=OUT)
-    wanted, began = parser.parse_args(), time.perf_counter()
-    titles = ["flight", *(f"{one:g} s" for one in SPACINGS), "chosen (s)", "there (nodes)", "densified (nodes)",
-              "vibrations named (mgon, Hz)"]  # fmt: skip
-    lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
-    for name, case in CASES.items():
-        lines.append(row(name, [run(*case, seed, wanted.points) for seed in range(1, wanted.seeds + 1)]))
-        print(lines[-1], flush=True)
-    took = f"{wanted.seeds} seeds, {wanted.points} points a strip, {time.perf_counter() - began:.0f} s."
-    wanted.out.write_text(WORDS.replace("TABLE", "\n".join([*lines, "", took])), encoding="utf-8")
+    parser = command(__doc__)
+    parser.add_argument("--seeds", type=at_least(1), default=3)
+    parser.add_argument("--points", type=at_least(1), default=1500)
+    parser.add_argument("--out", type=Path, default=DOCS / "node_spacing.md")
+    wanted = parser.parse_args()
+
+    def page() -> str:
+        began, rows = time.perf_counter(), []
+        for name, case in CASES.items():
+            show(name)
+            rows.append(row(name, [run(*case, seed, wanted.points) for seed in range(1, wanted.seeds + 1)]))
+        head = ["flight", *(f"{one:g} s" for one in SPACINGS), "chosen (s)", "there (nodes)", "densified (nodes)",
+                "vibrations named (mgon, Hz)"]  # fmt: skip
+        took = f"{wanted.seeds} seeds, {wanted.points} points a strip, {time.perf_counter() - began:.0f} s."
+        return WORDS.replace("TABLE", "\n".join([*table(head, rows), "", took]))
+
+    return write_page(parser, wanted.out, page)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,26 +1,28 @@
 """Tables of the papers' case in Markdown, each beside the published numbers (`published.py`)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import published
 from published import Scatter, Sigmas
+from study import table
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import point_statistics
 from mgsgraph.case.reading import Case
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import Ellipsoid, geodetic, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.site import SimulatedSite
-from mgsgraph.units import ARCMIN, ARCSEC, DEG
+from mgsgraph.units import ARCMIN, ARCSEC, DEG, KM
 
 PLACES = 31
+OLD_ELLIPSOID = Ellipsoid(3397.0 * KM, 3375.0 * KM)
+"""IAU 1994, as SPICE had it in 2002."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +47,6 @@ class Result:
 def scatter(values: Array) -> Scatter:
     """Mean, and RMSE as the papers define it: the spread about the mean."""
     return Scatter(tuple(values.mean(axis=0).tolist()), tuple(values.std(axis=0).tolist()))
-
-
-def markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
-    return ["| " + " | ".join(head) + " |", "|---" * len(head) + "|", *("| " + " | ".join(row) + " |" for row in rows)]
 
 
 def cells(found: Scatter, digits: int = 2) -> tuple[str, ...]:
@@ -80,7 +78,7 @@ def properties(result: Result) -> list[str]:
     ties = int(np.sum(result.solution.network.points.classes == PointClass.TIE))
     ratio, wanted_ratio = base_to_height(result.true), published.BASE_TO_HEIGHT[result.site]
     end = f"Tie points {ties} (published {published.TIES[result.site]}); base to height {ratio:.2f} ({wanted_ratio})."
-    return [*markdown(head, rows), "", end]
+    return [*table(head, rows), "", end]
 
 
 def line_and_sample(image: PushbroomImage) -> Array:
@@ -145,7 +143,7 @@ def orientation_table(result: Result) -> list[str]:
             rows.append((image.name if name == "papers' case" else "", name, *cells(scatter(in_units))))
         rows.append(("", "published", *cells(printed)))
     units = ("X (m)", "Y (m)", "Z (m)", "omega (')", "phi (')", "kappa (')")
-    return markdown(("image", "mean / RMSE", *units), rows)
+    return table(("image", "mean / RMSE", *units), rows)
 
 
 # --- Tables 3 to 5
@@ -162,10 +160,10 @@ def tie_table(results: list[Result]) -> list[str]:
     rows = []
     for one in results:
         rows.append((one.site, "ties", "papers' case", *cells(corrections_of(one.solution, PointClass.TIE))))
-        rows += [("", "", name, *cells(table[one.site])) for name, table in published.TIE_CORRECTIONS.items()]
+        rows += [("", "", name, *cells(printed[one.site])) for name, printed in published.TIE_CORRECTIONS.items()]
         rows.append(("", "footprints", "papers' case", *cells(corrections_of(one.solution, PointClass.LASER), 3)))
         rows.append(("", "", "ISPRS", *cells(published.MOLA_CORRECTIONS[one.site], 3)))
-    return markdown(("site", "points", "mean / RMSE", "X (m)", "Y (m)", "Z (m)"), rows)
+    return table(("site", "points", "mean / RMSE", "X (m)", "Y (m)", "Z (m)"), rows)
 
 
 def sigmas_of(solution: Solution) -> Sigmas:
@@ -183,10 +181,10 @@ def sigma_table(named: list[tuple[str, str, Solution]]) -> list[str]:
             three = [" ".join(f"{factor * value:.2f}" for value in part) for part in (found.mola, found.tie)]
             rows.append((site, weights, what, *three, f"{found.sigma0:.3f}"))
         if n + 1 == len(named) or named[n + 1][0] != site:
-            for paper, table in published.TABLE_4.items():
-                three = [" ".join(f"{value:.2f}" for value in part) for part in table[site][:2]]
-                rows.append((site, paper, "published", *three, f"{table[site].sigma0:.3f}"))
-    return markdown(("site", "weights", "", "MOLA X Y Z (m)", "ties X Y Z (m)", "sigma0"), rows)
+            for paper, printed in published.TABLE_4.items():
+                three = [" ".join(f"{value:.2f}" for value in part) for part in printed[site][:2]]
+                rows.append((site, paper, "published", *three, f"{printed[site].sigma0:.3f}"))
+    return table(("site", "weights", "", "MOLA X Y Z (m)", "ties X Y Z (m)", "sigma0"), rows)
 
 
 def image_scatter(solution: Solution, kind: PointClass, sign: float) -> Scatter:
@@ -201,13 +199,13 @@ def residual_table(results: list[Result]) -> list[str]:
     """Table 5 (corrections of footprints) and ISPRS Table 3 (residuals of ties); x runs along the flight."""
     rows = []
     for one in results:
-        for name, kind, sign, table in (
+        for name, kind, sign, printed in (
             ("MOLA corrections", PointClass.LASER, -1.0, published.TABLE_5),
             ("tie residuals", PointClass.TIE, 1.0, published.TIE_RESIDUALS),
         ):
             rows.append((one.site, name, "papers' case", *cells(image_scatter(one.solution, kind, sign), 3)))
-            rows.append(("", "", "published", *cells(table[one.site], 3)))
-    return markdown(("site", "rows", "mean / RMSE", "left x (px)", "left y (px)", "right x (px)", "right y (px)"), rows)
+            rows.append(("", "", "published", *cells(printed[one.site], 3)))
+    return table(("site", "rows", "mean / RMSE", "left x (px)", "left y (px)", "right x (px)", "right y (px)"), rows)
 
 
 def range_table(results: list[Result]) -> list[str]:
@@ -221,7 +219,7 @@ def range_table(results: list[Result]) -> list[str]:
         ))  # fmt: skip
     head = ("site", "SPICE: mean / RMSE (m)", "adjusted: mean / RMSE (m)", "adjusted: mean modulus, largest (m)")
     low, high = published.RANGE_RESIDUALS_M
-    return [*markdown(head, rows), "", f"Published: about {low:.0f} m up to about {high:.0f} m, of what is left open."]
+    return [*table(head, rows), "", f"Published: about {low:.0f} m up to about {high:.0f} m, of what is left open."]
 
 
 # --- the shift
@@ -257,7 +255,7 @@ def shift_table(named: list[tuple[str, Result]]) -> list[str]:
         "site", "attitude-time bias", "injected left, right (m)", "between them (m)", "corrections x (px)",
         "these imply (m)", "Table 5 implies (m)", "stated (m)",
     )  # fmt: skip
-    return markdown(head, rows)
+    return table(head, rows)
 
 
 # --- weights
@@ -273,8 +271,8 @@ def implied_sigma(site: str) -> float:
     shots = sum(row.shots for row in published.TABLE_1[site])
     ties = published.TIES[site]
     squares = [
-        sum(m**2 + s**2 for m, s in zip(*table[site], strict=True))
-        for table in (published.TABLE_5, published.TIE_RESIDUALS)
+        sum(m**2 + s**2 for m, s in zip(*printed[site], strict=True))
+        for printed in (published.TABLE_5, published.TIE_RESIDUALS)
     ]
     freedom = (4 * shots + 4 * ties + shots + 3 * shots) - 3 * (shots + ties)
     whole = published.TABLE_4["PE&RS"][site].sigma0 ** 2 * freedom
@@ -323,13 +321,65 @@ def sensitivity_table(result: Result) -> list[str]:
         f"Tie points move by at most {most[0]:.1f} m ({most[1]}), their sigmas change by at most a factor of "
         f"{widest[0]:.2f} ({widest[1]})."
     )
-    return [*markdown(head, rows), "", told]
+    return [*table(head, rows), "", told]
 
 
 def _summary(solution: Solution) -> tuple[str, ...]:
     found, image = sigmas_of(solution), image_scatter(solution, PointClass.LASER, -1.0)
     three = [" ".join(f"{value:.1f}" for value in part) for part in (found.tie, found.mola)]
     return (*three, f"{image.mean[0]:+.1f}, {image.mean[2]:+.1f}", f"{found.sigma0:.3f}")
+
+
+# --- Shan, Yoon et al. (ISPRS 2002) on Eos
+
+
+def eos_orientation(named: list[tuple[str, tuple[PushbroomImage, ...]]]) -> list[str]:
+    """ISPRS 2002, Table 1: SPICE orientation at the first and last line. `named`: option, nominal images."""
+    rows = []
+    for j, name in enumerate(("nadir (E02-02855)", "off-nadir (E04-01275)")):
+        for at, end in enumerate(("start", "end")):
+            rows.append((f"{name}, {end}", "published", *(_digits(published.EOS_ORIENTATION[j][at]))))
+            for option, images in named:
+                image = images[j]
+                pose = image.pose(np.array([float(image.lines) * at]))
+                angles = rotation.omega_phi_kappa(pose.matrix)[0] / DEG
+                rows.append(("", option, *_digits((*(pose.position[0] / KM).tolist(), *angles.tolist()))))
+    head = ("image, line", "", "X (km)", "Y (km)", "Z (km)", "omega (deg)", "phi (deg)", "kappa (deg)")
+    return table(head, rows)
+
+
+def _digits(values: tuple[float, ...]) -> tuple[str, ...]:
+    return tuple(f"{value:.3f}" for value in values)
+
+
+def footprint_table(result: Result) -> list[str]:
+    """ISPRS 2002, Table 2: the published footprints, and the simulated track at the same latitudes."""
+    track = planetocentric(result.simulated.images[1].profile.footprints)
+    track = track[np.argsort(track[:, 1])]
+    rows = []
+    given = np.array(published.EOS_FOOTPRINTS) * KM
+    heights = geodetic(given, OLD_ELLIPSOID)[:, 2]
+    for place, (longitude, latitude, radius), height in zip(
+        published.EOS_FOOTPRINTS, planetocentric(given), heights, strict=True
+    ):
+        there, below = (float(np.interp(latitude, track[:, 1], track[:, k])) for k in (0, 2))
+        away = (there - longitude + np.pi) % (2.0 * np.pi) - np.pi
+        rows.append((
+            *_digits(place), f"{latitude / DEG:.4f}", f"{longitude / DEG % 360.0:.4f}", f"{radius / KM:.3f}",
+            f"{height:+.1f}", f"{there / DEG % 360.0:.4f}", f"{below / KM:.3f}",
+            f"{away * np.cos(latitude) * radius / KM:+.2f}",
+        ))  # fmt: skip
+    steps = np.linalg.norm(np.diff(given, axis=0), axis=1)
+    head = (
+        "X (km)", "Y (km)", "Z (km)", "latitude (deg)", "longitude (deg)", "radius (km)", "above 3397/3375 km (m)",
+        "simulated longitude", "radius", "eastward off (km)",
+    )  # fmt: skip
+    end = (
+        f"Published footprints are {steps.min():.0f} m apart where none is missing; simulated ones "
+        f"{result.case.profiles[1].spacing:.0f} m. The published ones lie {heights.mean():+.1f} m from the ellipsoid "
+        "of 3397 and 3375 km (IAU 1994): their heights were left out, and Eos' floor is some 5 km below."
+    )
+    return [*table(head, rows), "", end]
 
 
 # --- what the issue asks for
@@ -340,9 +390,9 @@ def requirements(results: list[Result]) -> list[str]:
     said = []
     for one in (one for one in results if one.site != "eos"):
         found = sigmas_of(one.solution)
-        for paper, table in published.TABLE_4.items():
-            off = [mine / theirs - 1.0 for mine, theirs in zip(found.mola, table[one.site].mola, strict=True)]
-            times = factors(found.tie, table[one.site].tie)
+        for paper, printed in published.TABLE_4.items():
+            off = [mine / theirs - 1.0 for mine, theirs in zip(found.mola, printed[one.site].mola, strict=True)]
+            times = factors(found.tie, printed[one.site].tie)
             shown, told = ", ".join(f"{100.0 * value:+.1f}%" for value in off), ", ".join(f"{v:.2f}" for v in times)
             said += [
                 f"* {one.site}, {paper}, MOLA sigmas within 10%: {_verdict(max(map(abs, off)), 0.1)} ({shown}).",

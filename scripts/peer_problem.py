@@ -30,7 +30,7 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import fresh_file
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.ties import PointKind
 from mgsgraph.units import MM
@@ -263,10 +263,10 @@ class PeerTrajectory(PolynomialTrajectory):
         rate = 2.0 / (self.stop - self.start)
         s = rate * (times - self.start) - 1.0
         parts = (self.position, polynomial.polyder(self.position), self.angles, polynomial.polyder(self.angles))
-        position, velocity, angles, turning = (np.asarray(polynomial.polyval(s, part).T, float) for part in parts)
+        position, velocity, angles, angular_rate = (np.asarray(polynomial.polyval(s, part).T, float) for part in parts)
         axes = rotation.angle_axes(angles, camera_to_body=False)
         matrix = np.swapaxes(rotation.from_omega_phi_kappa(angles), 1, 2)
-        return Pose(position, rate * velocity, matrix, rate * np.einsum("nij,nj->ni", axes, turning))
+        return Pose(position, rate * velocity, matrix, rate * np.einsum("nij,nj->ni", axes, angular_rate))
 
 
 def network(problem: PeerProblem, line: Line) -> tuple[Network, SolverSettings]:

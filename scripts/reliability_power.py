@@ -4,13 +4,13 @@ Every seed draws truth and observations anew from the stated sigmas (`tests/redr
 two minimal detectable blunders in a measure of each kind in turn, adjusts, and asks the reliability table.
 """
 
-import argparse
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import binom, norm
+from study import DOCS, at_least, command, show, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -22,7 +22,13 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from networks import network, pair
 from redraw import redraw
 
-ROOT = Path(__file__).resolve().parents[1]
+WORDS = """# Reliability: power and false alarms
+
+`scripts/reliability_power.py`: a simulated pair, drawn anew for every seed, one blunder planted, and really
+adjusted again. MDB: minimal detectable blunder, by Baarda's levels 0.001 and 0.80. Limits: binomial, 99 %.
+
+    {network}
+"""
 KINDS = {MeasureKind.RAY: "image coordinate", MeasureKind.RANGE: "range", MeasureKind.GROUND: "ground coordinate"}
 
 
@@ -83,55 +89,39 @@ def campaign(network: Network, seeds: int) -> tuple[list[Row], int, int]:
                 abs(found.measures.test[k]) > found.critical,
                 found.measures.point[found.order(1)[0]] == found.measures.point[k],
             )
-        print(f"\r{seed + 1} of {seeds} seeds", end="", file=sys.stderr)
-    print(file=sys.stderr)
+        show(f"{seed + 1} of {seeds} seeds")
     rows = [Row(KINDS[kind], size, seeds, *count.tolist()) for (kind, size), count in counts.items()]
     return rows, alarms, tests
 
 
 def page(rows: list[Row], alarms: int, tests: int, network: Network) -> str:
     """The table as Markdown."""
-    lines = [
-        "# Reliability: power and false alarms",
-        "",
-        "`scripts/reliability_power.py`: a simulated pair, drawn anew for every seed, one blunder planted, and really",
-        "adjusted again. MDB: minimal detectable blunder, by Baarda's levels 0.001 and 0.80. Limits: binomial, 99 %.",
-        "",
-        f"    {network!r}",
-        "",
-        "| blunder | size | seeds | test over 3.29 | expected | within | its point first |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    cells = []
     for row in rows:
-        power = {1: 0.80, 2: float(np.round(1.0 - _above(2.0 * 4.1321 - 3.2905), 5))}[row.size]
+        power = {1: 0.80, 2: float(np.round(norm.cdf(2.0 * 4.1321 - 3.2905), 5))}[row.size]
         low, high = binom.ppf([0.005, 0.995], row.seeds, power)
-        lines.append(
-            f"| {row.what} | {row.size} MDB | {row.seeds} | {row.found} | {power * row.seeds:.1f} | "
-            f"{low:.0f} .. {high:.0f} | {row.first} |"
-        )
+        expected = f"{power * row.seeds:.1f}"
+        cells.append(
+            (row.what, f"{row.size} MDB", str(row.seeds), str(row.found), expected, f"{low:.0f} .. {high:.0f}",
+             str(row.first))
+        )  # fmt: skip
     low, high = binom.ppf([0.005, 0.995], tests, 0.001)
-    lines += [
-        "",
+    return "\n".join([
+        WORDS.format(network=repr(network)),
+        *table(("blunder", "size", "seeds", "test over 3.29", "expected", "within", "its point first"), cells), "",
         f"False alarms on clean draws: {alarms} of {tests} tests (samples not counted: those of a tie with two rays",
-        f"repeat its lines); {0.001 * tests:.1f} expected, {low:.0f} .. {high:.0f} if all were independent.",
-        "",
-    ]
-    return "\n".join(lines)
+        f"repeat its lines); {0.001 * tests:.1f} expected, {low:.0f} .. {high:.0f} if all were independent.", "",
+    ])  # fmt: skip
 
 
-def _above(value: float) -> float:
-    """Share of a normal distribution above a value."""
-    return float(norm.sf(value))
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=200)
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "reliability.md")
+def main() -> int:
+    parser = command(__doc__)
+    parser.add_argument("--seeds", type=at_least(1), default=200)
+    parser.add_argument("--out", type=Path, default=DOCS / "reliability.md")
     options = parser.parse_args()
     net = network(pair(ties=20, shots=10))
-    options.out.write_text(page(*campaign(net, options.seeds), net), encoding="utf-8")
+    return write_page(parser, options.out, lambda: page(*campaign(net, options.seeds), net))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -8,16 +8,17 @@ beside the published numbers, with a word where a simulation can't be expected t
 Prints the page and writes it as papers.md, with its figures in papers/, into the folder --out.
 """
 
-import argparse
+import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
-import papers_eos
 import papers_tables as tables
 import papers_words as words
 import published
 from papers_tables import Result
+from study import DOCS, command, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -29,7 +30,6 @@ from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import DEG
 
-OUT = Path(__file__).resolve().parents[1] / "docs"
 STATED_BIAS = 0.95
 """s, attitude-time bias of the nadir CK that gives the 325 m of the papers' text."""
 SHAN_EMISSION = 22.0 * DEG
@@ -136,8 +136,8 @@ def _eos(eos: Result, seed: int, work: Path) -> list[str]:
     named = [("simulated, 17.97 deg", eos.nominal), ("simulated, 22 deg", shan)]
     return [
         "## Shan, Yoon et al. (2002): orientation and footprints of Eos", "",
-        *papers_eos.eos_orientation(named), "", words.EOS,
-        *papers_eos.footprint_table(eos), "", words.FOOTPRINTS,
+        *tables.eos_orientation(named), "", words.EOS,
+        *tables.footprint_table(eos), "", words.FOOTPRINTS,
     ]  # fmt: skip
 
 
@@ -160,24 +160,27 @@ def draw_all(results: list[Result], folder: Path) -> None:
                 path.unlink()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sites", nargs="+", choices=SITE_NAMES, default=SITE_NAMES)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=OUT)
-    parser.add_argument("--no-figures", action="store_true")
-    wanted = parser.parse_args()
-    wanted.out.mkdir(parents=True, exist_ok=True)
+def reproduce(wanted: Namespace) -> str:
+    """All sites; the page, once its figures are drawn."""
     options = SimulationOptions(pictures=not wanted.no_figures)
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         results = [reproduced(site, wanted.seed, work / site, options) for site in wanted.sites]
         text = "\n".join(page(results, wanted.seed, work, not wanted.no_figures))
-        print(text)
-        (wanted.out / "papers.md").write_text(text, encoding="utf-8")
         if not wanted.no_figures:
             draw_all(results, wanted.out / "papers")
+    return text
+
+
+def main() -> int:
+    parser = command(__doc__)
+    parser.add_argument("--sites", nargs="+", choices=SITE_NAMES, default=SITE_NAMES)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=DOCS)
+    parser.add_argument("--no-figures", action="store_true")
+    wanted = parser.parse_args()
+    return write_page(parser, wanted.out / "papers.md", lambda: reproduce(wanted))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -2,23 +2,23 @@
 
 Planted: in each draw the groups of rows have errors 0.5, 2 or 5 times as large as their stated sigmas, by turns, all of
 them at once (of position and pointing one in turn: on narrow images neither is worth much against the other);
-`honest_sigmas` must find the factors. Null: all sigmas are right; one adjustment each, for the p-values
+`iterated_components` must find the factors. Null: all sigmas are right; one adjustment each, for the p-values
 of the tests. Writes docs/variance_components.md by default.
 
     python scripts/variance_components.py [--planted 90] [--null 60] [--images 24] [--out FILE]
 """
 
-import argparse
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import binom, chi2, kstest
+from study import DOCS, Z99, at_least, command, show, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network, versions
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.components import Components, Judgement, components_of, honest_sigmas
+from mgsgraph.analysis.components import Components, Judgement, components_of, iterated_components
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_tests import ALPHA, chi_square_test, residual_statistics
@@ -34,15 +34,14 @@ from redraw import redraw
 FACTORS = (0.5, 2.0, 5.0)
 NOISE = NoiseSettings(tie=0.5, shot_image=1.0, range=10.0, ground=3.0)
 """Under which every group of the strip can be judged."""
-OUT = Path(__file__).resolve().parents[1] / "docs" / "variance_components.md"
 WORDS = """# Variance components: are planted factors found?
 
 A strip, {network}, is drawn anew from its
 sigmas, but with the errors of each group of rows 0.5, 2 or 5 times as large as the sigmas that the adjustment is given,
 by turns and all groups at once, in {planted} draws; but of position and pointing priors one in turn is right (1), for
 they can hardly be told apart on narrow images, and what one of them is thought to be decides what the other is found to
-be. `honest_sigmas` scales and adjusts until all factors are one within 1%. Made by `scripts/variance_components.py`;
-seeds 0 .. N-1, {seconds:.0f} s on a busy machine.
+be. `iterated_components` scales and adjusts until all factors are one within 1%. Made by
+`scripts/variance_components.py`; seeds 0 .. N-1, {seconds:.0f} s on a busy machine.
 
 * *z*: the factor found against the planted one as a standard normal deviate (Wilson & Hilferty's transform of the
   chi-square with the stated degrees of freedom). Mean 0 and rms 1 are promised; in brackets their 99% bands. *beyond*:
@@ -95,7 +94,7 @@ def planted(network: Network, grouping: Grouping, draws: int) -> tuple[list[np.n
     for seed in range(draws):
         truth = planted_factors(seed, len(grouping.names))
         drawn = redraw(scaled(network, grouping, truth), np.random.default_rng([1, seed])).network
-        honest = honest_sigmas(scaled(drawn, grouping, 1.0 / truth), SolverSettings())
+        honest = iterated_components(scaled(drawn, grouping, 1.0 / truth), SolverSettings())
         restless += not honest.converged
         truths.append(truth)
         found.append(honest.components)
@@ -137,10 +136,10 @@ def figures(good: list) -> str:  # type: ignore[type-arg]
     logs = np.array([np.log(one.factor / truth) for truth, one in good])
     stated = np.sqrt(np.mean([(one.sigma / one.factor) ** 2 for _, one in good]))
     low, high = np.sqrt(chi2.ppf([0.005, 0.995], n) / n)
-    beyond, allowed = int(np.count_nonzero(np.abs(z) > 2.576)), int(binom.ppf(0.99, n, 0.01))
+    beyond, allowed = int(np.count_nonzero(np.abs(z) > Z99)), int(binom.ppf(0.99, n, 0.01))
     degrees = np.median([one.degrees for _, one in good])
     return (
-        f"{z.mean():.2f} (+-{2.576 / np.sqrt(n):.2f}) | {np.sqrt(np.mean(z**2)):.2f} ({low:.2f}-{high:.2f}) | "
+        f"{z.mean():.2f} (+-{Z99 / np.sqrt(n):.2f}) | {np.sqrt(np.mean(z**2)):.2f} ({low:.2f}-{high:.2f}) | "
         f"{beyond} ({allowed}) | {logs.std(ddof=1):.3f} | {stated:.3f} | {degrees:.0f}"
     )
 
@@ -162,7 +161,7 @@ def null_page(network: Network, grouping: Grouping, draws: int) -> str:
     page = NULL.format(
         null=draws, uniform=kstest([one.larger for one in tests], "uniform").pvalue, alpha=100 * ALPHA, low=low,
         high=high, alarms=sum(not one.passed for one in tests), sum=off,
-        ratio=np.mean([one.squares for one in tests]) / degrees, band=2.576 * np.sqrt(2.0 / degrees / draws),
+        ratio=np.mean([one.squares for one in tests]) / degrees, band=Z99 * np.sqrt(2.0 / degrees / draws),
     )  # fmt: skip
     for g, name in enumerate(grouping.names):
         one, p = found[0].groups[g], np.array(p_values)[:, g]
@@ -173,29 +172,27 @@ def null_page(network: Network, grouping: Grouping, draws: int) -> str:
     return page
 
 
-def show(text: str) -> None:
-    """One line of progress."""
-    print(f"\r{text:<60}", end="", file=sys.stderr, flush=True)
-
-
-def main() -> None:
+def main() -> int:
     """Draw, estimate, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--planted", type=int, default=90)
-    parser.add_argument("--null", type=int, default=60)
-    parser.add_argument("--images", type=int, default=24)
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser = command(__doc__)
+    parser.add_argument("--planted", type=at_least(0), default=90)
+    parser.add_argument("--null", type=at_least(1), default=60)
+    parser.add_argument("--images", type=at_least(2), default=24)
+    parser.add_argument("--out", type=Path, default=DOCS / "variance_components.md")
     options = parser.parse_args()
-    start, network = time.perf_counter(), strip(options.images)
-    grouping = group_rows(network)
-    truths, found, restless = planted(network, grouping, options.planted)
-    table, null = planted_table(grouping.names, truths, found), null_page(network, grouping, options.null)
-    seconds = time.perf_counter() - start
-    words = WORDS.format(network=network, planted=options.planted, seconds=seconds)
-    rest = f"\nNot at rest after all passes: {restless} of {options.planted} draws.\n"
-    options.out.write_text(f"{words}\n{table}\n{rest}{null}\n{versions()}\n", encoding="utf-8")
-    show("")
+
+    def page() -> str:
+        start, network = time.perf_counter(), strip(options.images)
+        grouping = group_rows(network)
+        truths, found, restless = planted(network, grouping, options.planted)
+        table, null = planted_table(grouping.names, truths, found), null_page(network, grouping, options.null)
+        seconds = time.perf_counter() - start
+        words = WORDS.format(network=network, planted=options.planted, seconds=seconds)
+        rest = f"\nNot at rest after all passes: {restless} of {options.planted} draws.\n"
+        return f"{words}\n{table}\n{rest}{null}\n{versions()}\n"
+
+    return write_page(parser, options.out, page)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,8 +1,8 @@
 """The oracle of bundles: rows put together by hand, and dense normal equations of the same rows one by one.
 
-A layout can be taken apart into points and sights, given columns that no network has yet (time bias, boresight, focal
-length, range bias, nodes), and packed again as the kernel wants it. What the kernel then sums is compared with NumPy's
-Schur complement of the explicit factors' Jacobians, which know nothing of patterns, tiles and blocks.
+A layout can be taken apart into points and observations, given columns that no network has yet (time bias, boresight,
+focal length, range bias, nodes), and packed again as the kernel wants it. What the kernel then sums is compared with
+NumPy's Schur complement of the explicit factors' Jacobians, which know nothing of patterns, tiles and blocks.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,11 +13,11 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
-from mgsgraph.adjustment.graph.explicit import sight_noise
+from mgsgraph.adjustment.graph.explicit import observation_noise
+from mgsgraph.adjustment.graph.observations import observation_factor
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables, make_groups, pair_blocks
-from mgsgraph.adjustment.graph.sights import sight_factor
 from mgsgraph.kernel.reduction import Reduction, point_covariances, reduce
-from mgsgraph.kernel.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, one_sight
+from mgsgraph.kernel.rows import FIXED, OUT, PIECE, PREDICTED, Groups, Model, Rows, one_observation
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
 
 Column = tuple[int, int]
@@ -25,8 +25,8 @@ Column = tuple[int, int]
 
 
 @dataclass(eq=False)
-class HandSight:
-    """One sight of one point, its constants by name."""
+class HandObservation:
+    """One observation of one point, its constants by name."""
 
     kind: int
     width: int
@@ -35,7 +35,7 @@ class HandSight:
     """What comes before the basis values in `Rows.data`."""
     weight: np.ndarray
     among: int
-    """Its place among all sights of the layout that it was taken from."""
+    """Its place among all observations of the layout that it was taken from."""
     terms: list[Column] = field(default_factory=list)
     basis: np.ndarray = field(default_factory=lambda: np.zeros(0))
     rates: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -46,7 +46,7 @@ class HandSight:
 
     @property
     def signature(self) -> tuple[Any, ...]:
-        """What sights of one pattern have in common."""
+        """What observations of one pattern have in common."""
         return self.kind, self.width, self.focal, tuple(self.terms), tuple(self.singles)
 
     @property
@@ -62,12 +62,12 @@ class HandSight:
 
 @dataclass(eq=False)
 class HandPoint:
-    """One point and its sights."""
+    """One point and its observations."""
 
     kind: int
     start: np.ndarray
     cell: np.ndarray
-    sights: list[HandSight]
+    observations: list[HandObservation]
 
 
 @dataclass(eq=False)
@@ -122,40 +122,40 @@ def take_apart(layout: Layout, rows: Rows | None = None) -> list[HandPoint]:
     """The points of a layout, in its order."""
     rows, points = layout.rows if rows is None else rows, list[HandPoint]()
     for pattern, first, count, begin, among in rows.piece.tolist():
-        sights = range(rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1])
+        observations = range(rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1])
         for i in range(count):
-            at, mine = begin + i, list[HandSight]()
-            for k, s in enumerate(sights):
-                size = int(rows.sight_numbers[s])
+            at, mine = begin + i, list[HandObservation]()
+            for k, s in enumerate(observations):
+                size = int(rows.observation_numbers[s])
                 values = rows.data[at + count * np.arange(size)]
                 at += size * count
-                mine.append(_sight(layout, rows, pattern, s, values, among + k * count + i))
+                mine.append(_observation(layout, rows, pattern, s, values, among + k * count + i))
             cell = rows.terrain_cell[first + i] if rows.terrain.size else np.full(3, -1)
             points.append(HandPoint(int(rows.kind[first + i]), rows.start[first + i].copy(), cell, mine))
     return points
 
 
-def _sight(layout: Layout, rows: Rows, pattern: int, s: int, values: np.ndarray, among: int) -> HandSight:
-    kind, width = int(rows.sight_kind[s]), int(rows.sight_width[s])
-    terms, shared = int(rows.sight_terms[s]), int(rows.sight_shared[s])
+def _observation(layout: Layout, rows: Rows, pattern: int, s: int, values: np.ndarray, among: int) -> HandObservation:
+    kind, width = int(rows.observation_kind[s]), int(rows.observation_width[s])
+    terms, shared = int(rows.observation_terms[s]), int(rows.observation_shared[s])
     rates = terms if kind == 0 and layout.model.line == PREDICTED else 0
-    if rows.sight_rate[s] and terms:  # of a polynomial u alone is there
+    if rows.observation_rate[s] and terms:  # of a polynomial u alone is there
         at = values.size - width * shared - 1
         u, t = values[at], np.arange(terms)
-        slopes = t * u ** np.maximum(t - 1, 0) * rows.sight_rate[s]
+        slopes = t * u ** np.maximum(t - 1, 0) * rows.observation_rate[s]
         values = np.concatenate([values[:at], u**t, slopes[:rates], values[at + 1 :]])
     own, basis, rate, directions = np.split(
         values, np.cumsum([values.size - terms - rates - width * shared, terms, rates])
     )
     members = layout.groups.member_variable[layout.groups.member_first[rows.pattern_group[pattern]] :]
-    entry = int(rows.sight_entry[s])
+    entry = int(rows.observation_entry[s])
     columns = [
         (int(members[rows.entry_member[e]]), int(rows.entry_inside[e])) for e in range(entry, entry + terms + shared)
     ]
-    return HandSight(
+    return HandObservation(
         kind,
         width,
-        float(rows.sight_focal[s]),
+        float(rows.observation_focal[s]),
         own,
         rows.weight[:, among].copy(),
         among,
@@ -170,34 +170,34 @@ def _sight(layout: Layout, rows: Rows, pattern: int, s: int, values: np.ndarray,
 def pack(points: list[HandPoint], units: list[np.ndarray], like: Layout, most: int = PIECE) -> System:
     """Points in the kernel's order, in pieces of at most `most`; units (w,) of each variable's columns.
 
-    A variable without columns (a held image) is not felt by any sight.
+    A variable without columns (a held image) is not felt by any observation.
     """
     variables = _variables(units)
-    sets = [tuple(sorted(set[int]().union(*(s.felt for s in p.sights)))) for p in points]
+    sets = [tuple(sorted(set[int]().union(*(s.felt for s in p.observations)))) for p in points]
     members = tuple(sorted(set(sets)))
     keys = [
-        (members.index(mine), point.kind == FIXED, *(sight.signature for sight in point.sights))
+        (members.index(mine), point.kind == FIXED, *(observation.signature for observation in point.observations))
         for mine, point in zip(sets, points, strict=True)
     ]
     patterns = sorted(set(keys))
     order = sorted(range(len(points)), key=lambda i: patterns.index(keys[i]))
-    pieces, data, weight, first, numbers, sights = list[list[int]](), [], [], 0, 0, 0
+    pieces, data, weight, first, numbers, observations = list[list[int]](), [], [], 0, 0, 0
     while first < len(order):
         pattern = keys[order[first]]
         run = [i for i in order[first : first + most] if keys[i] == pattern]
-        pieces.append([patterns.index(pattern), first, len(run), numbers, sights])
+        pieces.append([patterns.index(pattern), first, len(run), numbers, observations])
         for k in range(len(pattern) - 2):
-            data.append(np.stack([points[i].sights[k].numbers for i in run], axis=1).ravel())
-            weight.append(np.stack([points[i].sights[k].weight for i in run], axis=1))
+            data.append(np.stack([points[i].observations[k].numbers for i in run], axis=1).ravel())
+            weight.append(np.stack([points[i].observations[k].weight for i in run], axis=1))
             numbers += data[-1].size
-        first, sights = first + len(run), sights + (len(pattern) - 2) * len(run)
+        first, observations = first + len(run), observations + (len(pattern) - 2) * len(run)
     rows = like.rows._replace(
         kind=np.array([points[i].kind for i in order], dtype=np.int8),
         start=np.stack([points[i].start for i in order]),
         data=np.concatenate(data),
         weight=np.ascontiguousarray(np.concatenate(weight, axis=1)),
         piece=np.array(pieces),
-        pattern_sight=np.cumsum([0, *(len(pattern) - 2 for pattern in patterns)]),
+        pattern_observation=np.cumsum([0, *(len(pattern) - 2 for pattern in patterns)]),
         pattern_group=np.array([pattern[0] for pattern in patterns]),
         pattern_fixed=np.array([int(pattern[1]) for pattern in patterns]),
         pattern_shape=np.arange(len(patterns)),
@@ -206,7 +206,7 @@ def pack(points: list[HandPoint], units: list[np.ndarray], like: Layout, most: i
         else np.zeros((0, 3), dtype=np.int64),
         **_tables(
             [(signature, members[pattern[0]]) for pattern in patterns for signature in pattern[2:]],
-            [sight.numbers.size for pattern in patterns for sight in points[keys.index(pattern)].sights],
+            [one.numbers.size for pattern in patterns for one in points[keys.index(pattern)].observations],
             variables,
         ),
     )
@@ -223,26 +223,26 @@ def _variables(units: list[np.ndarray]) -> Variables:
 
 
 def _tables(
-    sights: list[tuple[Any, tuple[int, ...]]], numbers: list[int], variables: Variables
+    observations: list[tuple[Any, tuple[int, ...]]], numbers: list[int], variables: Variables
 ) -> dict[str, np.ndarray]:
-    """The tables of the patterns' sights, and their entries."""
-    signatures = [signature for signature, _ in sights]
+    """The tables of the patterns' observations, and their entries."""
+    signatures = [signature for signature, _ in observations]
     entries = [
         (variables.first[variable] + inside, members.index(variable), inside)
-        for (_, _, _, terms, singles), members in sights
+        for (_, _, _, terms, singles), members in observations
         for variable, inside in (*terms, *singles)
     ]
     sizes = np.array([len(terms) + len(singles) for _, _, _, terms, singles in signatures], dtype=np.int64)
     column, member, inside = np.array(entries, dtype=np.int64).reshape(-1, 3).T.copy()
     return {
-        "sight_kind": np.array([s[0] for s in signatures]),
-        "sight_width": np.array([s[1] for s in signatures]),
-        "sight_terms": np.array([len(s[3]) for s in signatures]),
-        "sight_shared": np.array([len(s[4]) for s in signatures]),
-        "sight_entry": np.cumsum(sizes) - sizes,
-        "sight_focal": np.array([s[2] for s in signatures]),
-        "sight_rate": np.zeros(len(signatures)),
-        "sight_numbers": np.array(numbers),
+        "observation_kind": np.array([s[0] for s in signatures]),
+        "observation_width": np.array([s[1] for s in signatures]),
+        "observation_terms": np.array([len(s[3]) for s in signatures]),
+        "observation_shared": np.array([len(s[4]) for s in signatures]),
+        "observation_entry": np.cumsum(sizes) - sizes,
+        "observation_focal": np.array([s[2] for s in signatures]),
+        "observation_rate": np.zeros(len(signatures)),
+        "observation_numbers": np.array(numbers),
         "entry_column": column,
         "entry_member": member,
         "entry_inside": inside,
@@ -251,7 +251,7 @@ def _tables(
 
 @dataclass(eq=False)
 class Factor:
-    """One sight as a GTSAM factor."""
+    """One observation as a GTSAM factor."""
 
     point: int
     """Place in the system's order."""
@@ -271,26 +271,26 @@ def point_key(point: int) -> int:
 
 
 def explicit_factors(system: System) -> Iterator[Factor]:
-    """A factor for each sight that takes part."""
+    """A factor for each observation that takes part."""
     rows, groups = system.rows, system.groups
     for pattern, first, count, _, among in rows.piece.tolist():
-        begin, end = rows.pattern_sight[pattern : pattern + 2]
+        begin, end = rows.pattern_observation[pattern : pattern + 2]
         for i in range(first, first + count):
             for s in range(begin, end):
                 weights = rows.weight[:, among + (s - begin) * count + i - first]
                 if rows.kind[i] != OUT and weights[0] > 0.0:
-                    entry = rows.sight_entry[s]
-                    mine = rows.entry_member[entry : entry + rows.sight_terms[s] + rows.sight_shared[s]]
+                    entry = rows.observation_entry[s]
+                    mine = rows.entry_member[entry : entry + rows.observation_terms[s] + rows.observation_shared[s]]
                     felt = groups.member_variable[groups.member_first[rows.pattern_group[pattern]] + np.unique(mine)]
                     fixed = bool(rows.kind[i] == FIXED)
-                    factor = sight_factor(
+                    factor = observation_factor(
                         [variable_key(v) for v in felt],
                         [int(system.variables.width[v]) for v in felt],
                         rows.start[i] if fixed else point_key(i),
-                        one_sight(rows, groups, i, int(s - begin)),
+                        one_observation(rows, groups, i, int(s - begin)),
                         system.model,
-                        sight_noise(int(rows.sight_kind[s]), weights, system.model),
-                        f"point {i}, sight {s - begin}",
+                        observation_noise(int(rows.observation_kind[s]), weights, system.model),
+                        f"point {i}, observation {s - begin}",
                     )
                     yield Factor(i, [int(v) for v in felt], factor, fixed)
 

@@ -15,8 +15,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage, joined
 from mgsgraph.planning.candidates import Candidate, PlannedTies, planned_image
-from mgsgraph.planning.coverage import Scene
-from mgsgraph.planning.state import Standing, standing_of
+from mgsgraph.planning.coverage import ImageCoverage
+from mgsgraph.planning.state import NetworkState, state_of_solution
 from mgsgraph.simulation.strip import SimulatedStrip
 
 SMALL = 0.02
@@ -36,21 +36,21 @@ def solved(images: int = 8) -> Solution:
 
 
 @cache
-def scene(images: int = 8) -> Scene:
+def coverage(images: int = 8) -> ImageCoverage:
     """Their ground."""
-    return Scene(standing_of(solved(images)))
+    return ImageCoverage(state_of_solution(solved(images)))
 
 
-def standing(images: int = 8) -> Standing:
+def state(images: int = 8) -> NetworkState:
     """Where they stand."""
-    return scene(images).standing
+    return coverage(images).state
 
 
 @cache
 def candidate(k: int, count: int = 12, existing: bool = False, images: int = 8, sigma: float = NOISE.tie) -> Candidate:
     """One of the strip's other images."""
     ties = PlannedTies(count, sigma=sigma, existing=existing)
-    return planned_image(scene(images), KnownImage(made().images[k], NOISE.prior), ties)
+    return planned_image(coverage(images), KnownImage(made().images[k], NOISE.prior), ties)
 
 
 def well_known(k: int, existing: bool = False) -> tuple[Candidate, dict[str, OrientationCorrection]]:
@@ -59,7 +59,7 @@ def well_known(k: int, existing: bool = False) -> tuple[Candidate, dict[str, Ori
     image, true = made().images[k], truth(made())
     ties = PlannedTies(12, sigma=NOISE.tie, existing=existing)
     corrections = true | {image.name: OrientationCorrection(true[image.name].coefficients * SMALL)}
-    return planned_image(scene(), KnownImage(image, prior), ties), corrections
+    return planned_image(coverage(), KnownImage(image, prior), ties), corrections
 
 
 def addition(chosen: Candidate) -> Network:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from networks import network, pair, with_shift_and_surface
 
-from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared, Store
+from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared, StateStore
 from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage, Members, Unknown, bundles, part
 from mgsgraph.project.project import open_project
@@ -70,7 +70,7 @@ def bundle_of(rng: np.random.Generator, members: Members, net: Network) -> Bundl
     return Bundle(net, reduced, places, covariances)
 
 
-def change(store: Store, seed: int) -> None:
+def change(store: StateStore, seed: int) -> None:
     """One random change, the same for the same seed and state."""
     rng, net = np.random.default_rng(seed), four_images()
     there = set(store.image_names())
@@ -94,7 +94,7 @@ def change(store: Store, seed: int) -> None:
         store.drop_shared([adjusted[int(rng.integers(len(adjusted)))]])
 
 
-def contents(store: Store) -> Iterator[tuple[str, Any]]:
+def contents(store: StateStore) -> Iterator[tuple[str, Any]]:
     """Everything that a store says, in a form that can be compared bit by bit."""
     yield "images", tuple(store.image_names())
     for name in store.image_names():
@@ -128,13 +128,13 @@ def _leaves(where: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield where, float(value).hex() if isinstance(value, float) else repr(value)
 
 
-def differences(one: Store, other: Store) -> list[str]:
+def differences(one: StateStore, other: StateStore) -> list[str]:
     """Where two stores say something else."""
     want, got = dict(contents(one)), dict(contents(other))
     return [name for name in want | got if want.get(name, "nothing") != got.get(name, "nothing")]
 
 
-def digest(store: Store) -> str:
+def digest(store: StateStore) -> str:
     """Of everything in it."""
     return hashlib.sha256(repr(list(contents(store))).encode()).hexdigest()
 

@@ -46,8 +46,7 @@ ONLY_IN = {
     "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment", "mgsgraph.incremental", "mgsgraph.analysis.forward"),
     "matplotlib": ("mgsgraph.figures",),
     "numba": (
-        "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.geometry", "mgsgraph.adjustment.graph",
-        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.matching", "mgsgraph.dem",
+        "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.adjustment.graph.rows",
     ),
     "llvmlite": ("mgsgraph.kernel.lanes",),
     "cv2": ("mgsgraph.matching",),

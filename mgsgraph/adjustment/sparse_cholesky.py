@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from functools import cache
 
 import gtsam
-import numba
 import numpy as np
 from scipy.linalg import blas, lapack
 from threadpoolctl import ThreadpoolController
 
 from mgsgraph.adjustment.square_root import SquareRoot, begins
+from mgsgraph.compiled import cached_kernel
 from mgsgraph.geometry.records import Array, Index
 
 _RELAXED = 0.1
@@ -259,7 +259,7 @@ def _cliques(order: Index, pairs: Index, width: Index) -> tuple[list[tuple[list[
     return cliques, [owner[min(later[end])] if later[end] else -1 for end in last]
 
 
-@numba.njit(cache=True, nogil=True)
+@cached_kernel
 def _scale(flat, offset, shape, first, scales):
     """Bring blocks to units of `scales`."""
     for b in range(offset.size):
@@ -270,7 +270,7 @@ def _scale(flat, offset, shape, first, scales):
                 at += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@cached_kernel
 def _assemble(own, across, flat, source, shape, place, turned):
     """Put original blocks into the rows of a front's frontal variables, upper triangle."""
     width = own.shape[0]
@@ -287,7 +287,7 @@ def _assemble(own, across, flat, source, shape, place, turned):
                     across[row, column - width] += value
 
 
-@numba.njit(cache=True, nogil=True)
+@cached_kernel
 def _add_at(own, across, beyond, part, index):
     """Add the upper triangle of a child's left-over to its parent's front, at rows and columns `index`, ascending."""
     width = own.shape[0]

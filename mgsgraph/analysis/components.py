@@ -3,7 +3,7 @@ one can be of it.
 
 components = mgsgraph.analysis.components.components_of(solution)
 print(components.words())
-honest = honest_sigmas(network, settings)  # scaled and adjusted again, until all factors are one
+honest = iterated_components(network, settings)  # scaled and adjusted again, until all factors are one
 
 A pass solves Helmert's equations S s = q (see `helmert`) for the variance factors s. They are unbiased, and repeated
 until s = 1 they give what Foerstner's simpler v'v / r leads to as well, in fewer passes; for normal errors that is the
@@ -22,7 +22,7 @@ from mgsgraph.adjustment.passes import Selection, everything
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.helmert import DENSE, TIGHT, Redundancy, entanglement, given, group_redundancy, nearest
+from mgsgraph.analysis.helmert import CORRELATED, DENSE, Redundancy, given, group_redundancy, most_correlated, nearest
 from mgsgraph.analysis.linearised import Linearised, at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
@@ -50,7 +50,7 @@ class Judgement(StrEnum):
     JUDGED = "judged"
     FEW = "too little redundancy"
     """Redundancy below `LEAST`."""
-    ENTANGLED = "can't be told apart from another group"
+    INSEPARABLE = "can't be told apart from another group"
     """The factor of another group takes up what its own has."""
     LOST = "runs away to where nothing can be said"
     """Judged with the stated sigmas, not with those that were found; kept as stated. Corrections that fit priors of any
@@ -121,7 +121,7 @@ class Component:
     @property
     def entangled(self) -> bool:
         """Whether another group may have taken what is its own: `sigma` holds near the estimate, not beyond."""
-        return abs(self.correlation) > TIGHT or bool(self.given)
+        return abs(self.correlation) > CORRELATED or bool(self.given)
 
     def verdict(self) -> str:
         """One sentence."""
@@ -129,8 +129,9 @@ class Component:
 
 
 def _judged(one: Component) -> str:
-    notes = [f"entangled with {one.beside}, correlation {one.correlation:.2f}"] if abs(one.correlation) > TIGHT else []
-    notes += [f"if the stated sigmas of {one.given} are right"] if one.given else []
+    notes = [f"if the stated sigmas of {one.given} are right"] if one.given else []
+    if abs(one.correlation) > CORRELATED:
+        notes.insert(0, f"entangled with {one.beside}, correlation {one.correlation:.2f}")
     return "; ".join([_plainly(one), *notes])
 
 
@@ -149,8 +150,8 @@ def _plainly(one: Component) -> str:
     return f"too pessimistic, sigmas too large by a factor of {_with_sigma(inverse, one.sigma * inverse**2)}"
 
 
-def _entangled(one: Component) -> str:
-    if not abs(one.correlation) > TIGHT:
+def _inseparable(one: Component) -> str:
+    if not abs(one.correlation) > CORRELATED:
         return f"too little of its {one.redundancy:.2g} redundancy is its own (most of it is shared with {one.beside})"
     return f"can't be told apart from {one.beside} (correlation {one.correlation:.2f}); {one.redundancy:.2g} redundancy"
 
@@ -158,7 +159,7 @@ def _entangled(one: Component) -> str:
 _VERDICTS: dict[Judgement, Callable[[Component], str]] = {
     Judgement.JUDGED: _judged,
     Judgement.FEW: lambda one: f"can't be judged ({max(one.redundancy, 0.0):.1g} redundancy)",
-    Judgement.ENTANGLED: _entangled,
+    Judgement.INSEPARABLE: _inseparable,
     Judgement.LOST: lambda one: (
         "can't be judged, the estimate runs away to sigmas of which nothing can be said; kept as stated"
     ),
@@ -214,7 +215,7 @@ class Components:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HonestSigmas:
+class IteratedComponents:
     """A network whose sigmas agree with its residuals."""
 
     network: Network
@@ -241,7 +242,7 @@ def components_of(
     """Variance components from one adjustment.
 
     With factors far from one they are rough, and their sigmas too small where other groups' sigmas are too small:
-    `honest_sigmas` repeats them. After a robust loss or a blunder pass the largest residuals are missing, and
+    `iterated_components` repeats them. After a robust loss or a blunder pass the largest residuals are missing, and
     factors are too small.
 
     Parameters
@@ -262,14 +263,14 @@ def components_of(
     return replace(components, rough=any(far))
 
 
-def honest_sigmas(
+def iterated_components(
     network: Network,
     settings: SolverSettings,
     grouping: Grouping | None = None,
     most: int = 25,
     tolerance: float = 0.01,
     dense: int = DENSE,
-) -> HonestSigmas:
+) -> IteratedComponents:
     """Scale the sigmas of each group, adjust again, and so on until all factors are one.
 
     Rays and ranges that the network marks as rejected stay out, unless `settings.reject` judges all of them anew.
@@ -315,7 +316,7 @@ def honest_sigmas(
         for g in lost:  # with its new sigmas nothing can be said of them: neither for them nor against the stated ones
             held[g], total[g] = Judgement.LOST, 1.0
     components = _components(found, judgements, total)
-    return HonestSigmas(present, solution, components, converged, np.array(history))
+    return IteratedComponents(present, solution, components, converged, np.array(history))
 
 
 def _unmarked(network: Network) -> Selection:
@@ -336,7 +337,7 @@ def _judgements(found: Redundancy, held: dict[int, Judgement]) -> list[Judgement
         degrees = _degrees(found.helmert[np.ix_(judged, judged)])
         if not degrees.size or degrees.min() >= LEAST:
             return judgements
-        judgements[int(judged[np.argmin(degrees)])] = Judgement.ENTANGLED
+        judgements[int(judged[np.argmin(degrees)])] = Judgement.INSEPARABLE
 
 
 def _judged_groups(judgements: list[Judgement]) -> Index:
@@ -369,8 +370,8 @@ def _components(found: Redundancy, judgements: list[Judgement], factors: Array) 
     groups = []
     for g, judgement in enumerate(judgements):
         numbers = found.names[g], judgement, int(found.counts[g]), float(found.redundancy[g]), float(found.squares[g])
-        lost = judgement in (Judgement.ENTANGLED, Judgement.LOST)
-        beside, shared = nearest(found, g) if lost else entanglement(found, judged, g)
+        lost = judgement in (Judgement.INSEPARABLE, Judgement.LOST)
+        beside, shared = nearest(found, g) if lost else most_correlated(found, judged, g)
         depends = given(found, judged, g, degrees[g])
         known = judgement in (Judgement.JUDGED, Judgement.ZERO, Judgement.UNBOUNDED)
         factor = float(factors[g]) if known else math.nan

@@ -111,7 +111,7 @@ def overhead(image: PushbroomImage, lines: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StripCourse:
+class StripCorrections:
     """Corrections along a strip, at some times."""
 
     times: Array
@@ -122,7 +122,7 @@ class StripCourse:
     """(n, 6) the same, of `values`, for sigma0 = 1."""
 
 
-def strip_course(solution: Solution, strip: int, times: Array) -> StripCourse:
+def strip_corrections(solution: Solution, strip: int, times: Array) -> StripCorrections:
     """Corrections of a strip at times (n,) in s TDB past J2000, by the four nodes nearest to each."""
     nodes = solution.network.strips[strip].nodes
     first, basis, _ = nodes.at(times - nodes.epoch, nodes.epoch)
@@ -136,7 +136,7 @@ def strip_course(solution: Solution, strip: int, times: Array) -> StripCourse:
         covariance[mine] = np.einsum("np,piqj,nq->nij", basis[mine], joint, basis[mine])
     turn = strip_turns(solution.network, strip, times, solution.settings.angles)
     sigmas = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", turn, covariance, turn), 0.0))
-    return StripCourse(times, np.einsum("nij,nj->ni", turn, values), sigmas)
+    return StripCorrections(times, np.einsum("nij,nj->ni", turn, values), sigmas)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +157,7 @@ class StripReport:
     """The same in lines of the image that looks straight down."""
     ground: float
     """The same in m over ground; NaN where that image misses the body."""
-    course: StripCourse
+    corrections: StripCorrections
     """Corrections at the nodes within the strip."""
     trend: tuple[tuple[str, str, float, float], ...]
     """Bias and drift of the observed trajectory: "bias" or "drift", component (of the camera's own axes), value and
@@ -166,12 +166,12 @@ class StripReport:
     @property
     def largest(self) -> Array:
         """(6,) m and rad, largest correction at a node."""
-        return np.asarray(np.abs(self.course.values).max(axis=0))
+        return np.asarray(np.abs(self.corrections.values).max(axis=0))
 
     @property
     def mean_sigmas(self) -> Array:
         """(6,) m and rad, mean sigma of the nodes."""
-        return np.asarray(self.course.sigmas.mean(axis=0))
+        return np.asarray(self.corrections.sigmas.mean(axis=0))
 
 
 def strip_reports(solution: Solution) -> list[StripReport]:
@@ -195,7 +195,7 @@ def _report(solution: Solution, strip: int) -> StripReport:
     return StripReport(
         one.name, one.nodes.basis, tuple(picture.name for picture in pictures),
         len(one.nodes), spacing, lines, float(np.linalg.norm(derivative[0, :, 0])) * lines,
-        strip_course(solution, strip, node_times(solution, strip)), _trend(solution, strip),
+        strip_corrections(solution, strip, node_times(solution, strip)), _trend(solution, strip),
     )  # fmt: skip
 
 

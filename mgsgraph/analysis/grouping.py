@@ -43,15 +43,15 @@ class Grouping:
         if any(part.size and not 0 <= part.min() <= part.max() < len(self.names) for part in parts):
             raise InputError("grouping", "a group without a name", f"numbers 0 .. {len(self.names) - 1}")
 
-    def of_sights(self, layout: Layout) -> Index:
-        """(t,) group of each sight of a layout."""
+    def of_observations(self, layout: Layout) -> Index:
+        """(t,) group of each observation of a layout."""
         places, rows = layout.places, layout.rows
         found = np.full(rows.weight.shape[1], -1)
         found[places.rays], found[places.ranges] = self.rays, self.ranges
         found[places.heights] = self.heights[places.on_terrain]
         for pattern, first, count, _, among in rows.piece.tolist():
-            sights = slice(rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1])
-            for i in np.flatnonzero(rows.sight_kind[sights] == GROUND).tolist():
+            observations = slice(rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1])
+            for i in np.flatnonzero(rows.observation_kind[observations] == GROUND).tolist():
                 of_points = self.ground[layout.point_order[first : first + count]]
                 found[among + i * count : among + (i + 1) * count] = of_points
         return found

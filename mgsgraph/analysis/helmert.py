@@ -78,21 +78,21 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
 
 def _alike(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRows, Index]]:
     """Rows of points that take part and whose rows belong to the same groups (r,)."""
-    of_sight, rows = grouping.of_sights(at.layout), at.rows
+    of_observation, rows = grouping.of_observations(at.layout), at.rows
     for piece, (pattern, first, count, _, among) in enumerate(rows.piece.tolist()):
         inside = np.flatnonzero(rows.kind[first : first + count] != OUT)
-        sights = int(rows.pattern_sight[pattern + 1] - rows.pattern_sight[pattern])
-        if not inside.size or not sights:
+        observations = int(rows.pattern_observation[pattern + 1] - rows.pattern_observation[pattern])
+        if not inside.size or not observations:
             continue
         whole = at.rows_of_piece(piece)
-        groups = of_sight[among : among + sights * count].reshape(sights, count)[:, inside]
+        groups = of_observation[among : among + observations * count].reshape(observations, count)[:, inside]
         sets, which = np.unique(groups, axis=1, return_inverse=True)
         for k, of_set in enumerate(sets.T):
             mine = inside[which.reshape(-1) == k]
             part = replace(
                 whole, residuals=whole.residuals[mine], by_point=whole.by_point[mine], by_shared=whole.by_shared[mine]
             )
-            yield part, of_set[part.sight]
+            yield part, of_set[part.observation]
 
 
 class _Sums:
@@ -200,7 +200,7 @@ def _estimated_traces(normals: "list[csr_array]", joint: JointCovariance) -> Arr
     return np.array([[np.sum(one * other) for other in felt] for one in felt]) / _PROBES
 
 
-TIGHT = 0.5
+CORRELATED = 0.5
 """Correlation of two groups' squared factors from which on a verdict names the other group."""
 _HALF = 0.75
 """By how much a variance factor changes when sigmas change by half."""
@@ -217,7 +217,7 @@ def nearest(found: Redundancy, group: int) -> tuple[str, float]:
     return found.names[k], -float(alike[k])
 
 
-def entanglement(found: Redundancy, judged: Index, group: int) -> tuple[str, float]:
+def most_correlated(found: Redundancy, judged: Index, group: int) -> tuple[str, float]:
     """The judged group whose squared factor is most correlated with that of a group, were they estimated together."""
     others = judged[judged != group]
     if not others.size or found.helmert[group, group] <= 0.0:
@@ -236,8 +236,8 @@ def given(found: Redundancy, judged: Index, group: int, degrees: float) -> str:
     if group not in judged or not others.size:
         return ""
     for other in others:
-        beside, shared = entanglement(found, judged, int(other))
-        if beside == found.names[group] and abs(shared) > TIGHT:
+        beside, shared = most_correlated(found, judged, int(other))
+        if beside == found.names[group] and abs(shared) > CORRELATED:
             return found.names[int(other)]
     effects = np.linalg.solve(found.helmert[np.ix_(judged, judged)], found.helmert[np.ix_(judged, others)])
     mine = np.abs(effects[judged == group][0])

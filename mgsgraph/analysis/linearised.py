@@ -13,10 +13,10 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.design import OWN_NUMBERS
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.reduction import design
 from mgsgraph.kernel.rows import OUT, Rows, of_points
+from mgsgraph.kernel.sweep import ROW_NUMBERS
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges
 from mgsgraph.ties import PointKind
 
@@ -34,8 +34,8 @@ class PointRows:
     """(m, r, 3) per m."""
     by_shared: Array
     """(m, r, c) per m and rad."""
-    sight: Index
-    """(r,) sight, counted within the points' pattern, that each row belongs to."""
+    observation: Index
+    """(r,) observation, counted within the points' pattern, that each row belongs to."""
     row: Index
     """(r,) which row of it: line 0, sample 1; x, y, z of a ground prior."""
     known: bool
@@ -147,30 +147,30 @@ class Linearised:
 def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) -> PointRows:
     """Rows of the points (m, 3) of one piece, which is all that `rows` holds of the layout's."""
     pattern, _, count, _, _ = rows.piece[0].tolist()
-    group, first = int(rows.pattern_group[pattern]), int(rows.pattern_sight[pattern])
-    sights = np.arange(first, rows.pattern_sight[pattern + 1])
+    group, first = int(rows.pattern_group[pattern]), int(rows.pattern_observation[pattern])
+    observations = np.arange(first, rows.pattern_observation[pattern + 1])
     numbers = design(rows, layout.groups, layout.blocks.target, layout.model, orientation, points)
-    counts = map(row_count.py_func, rows.sight_kind[sights].tolist())
+    counts = map(row_count.py_func, rows.observation_kind[observations].tolist())
     of_row = [(i, row) for i, count_of in enumerate(counts) for row in range(count_of)]
-    sight, row = np.array(of_row, dtype=np.int64).reshape(-1, 2).T
-    mine = numbers.reshape(-1, count, *numbers.shape[1:])[sight, :, row].transpose(1, 0, 2)
+    observation, row = np.array(of_row, dtype=np.int64).reshape(-1, 2).T
+    mine = numbers.reshape(-1, count, *numbers.shape[1:])[observation, :, row].transpose(1, 0, 2)
     members = slice(*layout.groups.member_first[group : group + 2])
     width = layout.groups.member_width[members]
-    by_shared = np.zeros((count, sight.size, int(width.sum())))
-    for k, places in enumerate(_columns(rows, first + sight, np.cumsum(width) - width)):
+    by_shared = np.zeros((count, observation.size, int(width.sum())))
+    for k, places in enumerate(_columns(rows, first + observation, np.cumsum(width) - width)):
         for n, column in enumerate(places.tolist()):
-            by_shared[:, k, column] += mine[:, k, OWN_NUMBERS + n]
+            by_shared[:, k, column] += mine[:, k, ROW_NUMBERS + n]
     known = bool(rows.pattern_fixed[pattern])
-    by_point = mine[:, :, 1:OWN_NUMBERS]
-    return PointRows(layout.group_variables[group], mine[:, :, 0], by_point, by_shared, sight, row, known)
+    by_point = mine[:, :, 1:ROW_NUMBERS]
+    return PointRows(layout.group_variables[group], mine[:, :, 0], by_point, by_shared, observation, row, known)
 
 
-def _columns(rows: Rows, sights: Index, first_of_member: Index) -> list[Index]:
-    """Of each row's sight, where its numbers go among the columns of the group."""
+def _columns(rows: Rows, observations: Index, first_of_member: Index) -> list[Index]:
+    """Of each row's observation, where its numbers go among the columns of the group."""
     found = []
-    for i in sights.tolist():
-        entry, terms, shared = (int(table[i]) for table in (rows.sight_entry, rows.sight_terms, rows.sight_shared))
-        mine = slice(entry, entry + terms + shared)
+    for i in observations.tolist():
+        entry, terms = int(rows.observation_entry[i]), int(rows.observation_terms[i])
+        mine = slice(entry, entry + terms + int(rows.observation_shared[i]))
         begin = first_of_member[rows.entry_member[mine]] + rows.entry_inside[mine]
         found.append(np.concatenate([(begin[:terms, None] + np.arange(6)).ravel(), begin[terms:]]))
     return found

@@ -116,8 +116,8 @@ class Measures:
     """(m,) ground point; -1 for priors."""
     image: Places
     """(m,) image; -1 for a-priori places, heights and priors that are no image's."""
-    sight: Places
-    """(m,) place among the layout's sights; -1 for priors."""
+    observation: Places
+    """(m,) place among the layout's observations; -1 for priors."""
     sigma: Array
     """(m,) a-priori, px, m, rad or s."""
     residual: Array
@@ -148,11 +148,11 @@ class Measures:
         row: Index | Places,
         point: Index | int,
         image: Index | int,
-        sight: Index | Places | int,
+        observation: Index | Places | int,
     ) -> None:
         """Write down what they are."""
         self.kind[:], self.component[:], self.row[:] = kind, component, row
-        self.point[:], self.image[:], self.sight[:] = point, image, sight
+        self.point[:], self.image[:], self.observation[:] = point, image, observation
 
 
 def room(size: int) -> Measures:

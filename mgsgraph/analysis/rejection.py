@@ -18,15 +18,15 @@ from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
-SightName = tuple[MeasureKind, int]
+ObservationKey = tuple[MeasureKind, int]
 """A whole ray, range, a-priori place or height, and its row in the network (of the latter two, the point)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """What went at one stroke: a sight, and those that can't be told apart from it."""
+    """What went at one stroke: an observation, and those that can't be told apart from it."""
 
-    sights: tuple[SightName, ...]
+    observations: tuple[ObservationKey, ...]
     """The one with the largest test first."""
     names: tuple[str, ...]
     """The same in words."""
@@ -55,15 +55,15 @@ class Taken:
     heights: Mask
     """(n,) points whose height above the terrain is out."""
 
-    def changed(self, sights: Iterable[SightName], out: bool) -> "Taken":
-        """The same with some sights out, or in."""
+    def changed(self, observations: Iterable[ObservationKey], out: bool) -> "Taken":
+        """The same with some observations out, or in."""
         masks = {
             MeasureKind.RAY: self.rays.copy(),
             MeasureKind.RANGE: self.ranges.copy(),
             MeasureKind.GROUND: self.places.copy(),
             MeasureKind.HEIGHT: self.heights.copy(),
         }
-        for kind, row in sights:
+        for kind, row in observations:
             masks[kind][row] = out
         return Taken(*masks.values())
 
@@ -76,14 +76,14 @@ class Taken:
             ranges=replace(left.ranges, rejected=self.ranges),
         )
 
-    def holds(self, sight: SightName) -> bool:
+    def holds(self, observation: ObservationKey) -> bool:
         """Whether it is out."""
-        kind, row = sight
+        kind, row = observation
         masks = (self.rays, self.ranges, self.places, self.heights)
         return bool(masks[kind][row])
 
 
-def nothing_taken(network: Network) -> Taken:
+def nothing_rejected(network: Network) -> Taken:
     """All in."""
     sizes = network.rays.point.size, network.ranges.point.size, len(network.points), len(network.points)
     return Taken(*(np.zeros(size, dtype=np.bool_) for size in sizes))
@@ -108,8 +108,8 @@ def selection(network: Network, taken: Taken) -> Selection:
     return Selection(~taken.rays, ~taken.ranges, everything(network).out)
 
 
-class SightIndex:
-    """Which sights each point of a linearised network has."""
+class ObservationIndex:
+    """Which observations each point of a linearised network has."""
 
     def __init__(self, at: Linearised) -> None:
         network, places, self._at = at.network, at.layout.places, at
@@ -121,19 +121,19 @@ class SightIndex:
             )
         )
 
-    def of(self, point: int) -> dict[SightName, int]:
-        """Sights of a network point, and the place of each among those of its pattern (`PointRows.sight`)."""
+    def of(self, point: int) -> dict[ObservationKey, int]:
+        """Observations of a network point, and the index of each in those of its pattern (`PointRows.observation`)."""
         rows, patterns = self._at.rows, self._at.layout.patterns
         place = int(patterns.point_place[point])
-        pattern, first, count, _, sight = rows.piece[patterns.piece_of(place)].tolist()
-        found: dict[SightName, int] = {}
+        pattern, first, count, _, observation = rows.piece[patterns.piece_of(place)].tolist()
+        found: dict[ObservationKey, int] = {}
         for kind, index, places in self._measured:
             for k in index.of(point).tolist():
-                found[kind, k] = (int(places[k]) - sight - (place - first)) // count
-        for slot, k in enumerate(range(rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1])):
-            if rows.sight_kind[k] == GROUND:
+                found[kind, k] = (int(places[k]) - observation - (place - first)) // count
+        for slot, k in enumerate(range(rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1])):
+            if rows.observation_kind[k] == GROUND:
                 found[MeasureKind.GROUND, point] = slot
-            elif rows.sight_kind[k] == SURFACE:
+            elif rows.observation_kind[k] == SURFACE:
                 found[MeasureKind.HEIGHT, point] = slot
         return found
 
@@ -193,7 +193,7 @@ def readmissible(
     points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
     layout, points = exactly(layout.following(points, at.orientation), at.orientation, points)
     whole = Linearised(layout, at.settings, layout.rows, at.orientation, points, at.joint)
-    index = SightIndex(whole)
+    index = ObservationIndex(whole)
     return [
         one for one in removals if _agrees(whole, index, one, taken, bool(solution.determined[one.point]), critical)
     ]
@@ -201,7 +201,7 @@ def readmissible(
 
 def _agrees(
     whole: Linearised,
-    index: SightIndex,
+    index: ObservationIndex,
     removal: Removal,
     taken: Taken,
     determined: bool,
@@ -210,9 +210,9 @@ def _agrees(
     """Whether a removal's rows agree with the others."""
     if whole.rows.kind[whole.layout.patterns.point_place[removal.point]] == OUT:
         return False
-    rows, sights = whole.rows_of(removal.point), index.of(removal.point)
-    back = np.isin(rows.sight, [sights[one] for one in removal.sights])
-    used = np.isin(rows.sight, [slot for one, slot in sights.items() if not taken.holds(one)])
+    rows, observations = whole.rows_of(removal.point), index.of(removal.point)
+    back = np.isin(rows.observation, [observations[one] for one in removal.observations])
+    used = np.isin(rows.observation, [slot for one, slot in observations.items() if not taken.holds(one)])
     shared = whole.joint.of(rows.variables)
     if determined:
         test, dimensions = _prediction(rows, back, used, shared)
@@ -228,7 +228,7 @@ def _chosen_rows(rows: PointRows, chosen: Mask) -> PointRows:
         residuals=rows.residuals[:, chosen],
         by_point=rows.by_point[:, chosen],
         by_shared=rows.by_shared[:, chosen],
-        sight=rows.sight[chosen],
+        observation=rows.observation[chosen],
         row=rows.row[chosen],
     )
 

@@ -38,7 +38,7 @@ from mgsgraph.kernel.reliability import NUMBERS
 from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR, partition
 
 _AT_A_TIME = 1 << 17
-"""Sights that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
+"""Observations that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
 _RAYS = 1 << 18
 """Rays: large pages of memory, which arrays of 4 MB and more get, cost least."""
 _Part = TypeVar("_Part")
@@ -173,13 +173,13 @@ def _taking_part(at: Linearised, roots: tuple[Array, Array] | None) -> tuple[Mas
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Numbers:
-    """What the kernel says of the first two rows of sights."""
+    """What the kernel says of the first two rows of observations."""
 
     packed: Array
-    """(t, 8) side by side, lest each look-up of a sight cost several."""
+    """(t, 8) side by side, lest each look-up of an observation cost several."""
 
     def of(self, places: Index | Places | slice) -> "_Numbers":
-        """Of some sights."""
+        """Of some observations."""
         return _Numbers(self.packed[places])
 
     @property
@@ -204,19 +204,19 @@ class _Numbers:
 
 
 def _ground_places(at: Linearised, points: Index) -> Index:
-    """(g,) places among all sights of the a-priori places of network points."""
+    """(g,) places among all observations of the a-priori places of network points."""
     rows, place = at.rows, at.layout.patterns.point_place
     of_pattern = np.full(rows.pattern_group.size, -1)
-    own = np.flatnonzero(rows.sight_kind == GROUND)
-    pattern = np.searchsorted(rows.pattern_sight, own, side="right") - 1
-    of_pattern[pattern] = own - rows.pattern_sight[pattern]
+    own = np.flatnonzero(rows.observation_kind == GROUND)
+    pattern = np.searchsorted(rows.pattern_observation, own, side="right") - 1
+    of_pattern[pattern] = own - rows.pattern_observation[pattern]
     inside = place[points]
-    pattern, first, count, _, sight = rows.piece[at.layout.patterns.piece_of(inside)].T
-    return np.asarray(sight + of_pattern[pattern] * count + inside - first, dtype=np.int64)
+    pattern, first, count, _, observation = rows.piece[at.layout.patterns.piece_of(inside)].T
+    return np.asarray(observation + of_pattern[pattern] * count + inside - first, dtype=np.int64)
 
 
 def _swept(at: Linearised, ground: Index) -> tuple[_Numbers, Array]:
-    """The kernel's numbers, and all of them (g, 3, 7) for some sights."""
+    """The kernel's numbers, and all of them (g, 3, 7) for some observations."""
     rows, layout = at.rows, at.layout
     pairs = at.pair_blocks(layout)
     begins = np.append(rows.piece[:, 4], rows.weight.shape[1])
@@ -331,7 +331,7 @@ def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> 
 
 
 def _used(at: Linearised, places: Index | Places, points: Index, root: Array | None) -> Mask:
-    """Which sights take part, by their places and points."""
+    """Which observations take part, by their places and points."""
     used = (at.rows.weight[0, places] > 0.0) & (at.layout.network_order(at.rows.kind)[points] != OUT)
     return np.asarray(used if root is None else used & (root > 0.0))
 

@@ -235,13 +235,13 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
     numbers = reliability(at.rows, layout.groups, target, layout.model, at.orientation, pairs, at.points)
     # rows that don't take part are zero, those of points left out or undetermined NaN
     taken = np.any(numbers != 0.0, axis=2) & np.all(np.isfinite(numbers), axis=2)
-    of_sight = np.repeat(grouping.of_sights(layout)[:, None], 3, axis=1)
+    of_observation = np.repeat(grouping.of_observations(layout)[:, None], 3, axis=1)
     shares = np.stack([numbers[:, row, 1 + row] for row in range(3)], axis=1)
     known = prior_rows(at)
     return (
         np.concatenate([numbers[:, :, 0][taken], known.misfit]),
         np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
-        np.concatenate([of_sight[taken], grouping.of_columns(layout)[known.about]]),
+        np.concatenate([of_observation[taken], grouping.of_columns(layout)[known.about]]),
     )
 
 

@@ -18,12 +18,12 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import Linearised, at_solution
 from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.rejection import (
+    ObservationIndex,
+    ObservationKey,
     Removal,
-    SightIndex,
-    SightName,
     Taken,
     direction,
-    nothing_taken,
+    nothing_rejected,
     readmissible,
     selection,
 )
@@ -66,7 +66,7 @@ class Snooping:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidate:
-    """The most suspicious sight of a point, and those that can't be told apart from it."""
+    """The most suspicious observation of a point, and those that can't be told apart from it."""
 
     removal: Removal
     variables: tuple[int, ...]
@@ -112,16 +112,16 @@ def snoop(
         raise InputError("data snooping", f"reject = {settings.reject:g}", "0", "choose one way of seeking blunders")
     if most < 0:
         raise InputError("data snooping, most", f"{most}", "0 or more")
-    run = _Run(network, settings, levels, most, name, progress)
+    run = _Search(network, settings, levels, most, name, progress)
     run.take_out()
     back = readmissible(network, run.at, run.solution, run.taken, run.removals, run.critical)
     if back:
         run.removals = [one for one in run.removals if one not in back]
-        run.taken = run.taken.changed([sight for one in back for sight in one.sights], False)
+        run.taken = run.taken.changed([observation for one in back for observation in one.observations], False)
         run.adjust()
         run.take_out()
-        again = {sight for one in run.removals for sight in one.sights}
-        back = [one for one in back if not again.issuperset(one.sights)]
+        again = {observation for one in run.removals for observation in one.observations}
+        back = [one for one in back if not again.issuperset(one.observations)]
     return Snooping(
         run.solution,
         run.found,
@@ -133,7 +133,7 @@ def snoop(
     )
 
 
-class _Run:
+class _Search:
     """One search, and where it stands."""
 
     def __init__(
@@ -141,7 +141,7 @@ class _Run:
     ) -> None:
         self._network, self._settings, self._levels, self._name = network, settings, levels, name
         self._most, self._progress = most, progress
-        self.taken, self.removals = nothing_taken(network), list[Removal]()
+        self.taken, self.removals = nothing_rejected(network), list[Removal]()
         self.adjustments, self.complete = 0, True
         self.adjust()
 
@@ -163,7 +163,7 @@ class _Run:
                 return
             for one in _independent(candidates, self.at, self.scale)[:room]:
                 self.removals.append(one.removal)
-                self.taken = self.taken.changed(one.removal.sights, True)
+                self.taken = self.taken.changed(one.removal.observations, True)
                 self._progress(one.removal)
             self.adjust()
 
@@ -177,28 +177,28 @@ class _Run:
 
 
 def _candidates(found: Reliability, scale: float, number: int) -> list[_Candidate]:
-    """One for each point that has a sight over its critical value, worst first."""
+    """One for each point that has an observation over its critical value, worst first."""
     over = (found.severity > 1.0) & (found.measures.kind != MeasureKind.PRIOR)
     worst = np.flatnonzero(over)[np.argsort(-found.severity[over], kind="stable")]
     points, first = np.unique(found.measures.point[worst], return_index=True)
     chosen = points[np.argsort(first)][:_MOST_CANDIDATES]
     if not chosen.size:
         return []
-    index = SightIndex(found.at)
+    index = ObservationIndex(found.at)
     candidates = [_candidate(found, index, int(point), scale, number) for point in chosen]
     return sorted((one for one in candidates if one.severity > 1.0), key=lambda one: -one.severity)
 
 
-def _candidate(found: Reliability, index: SightIndex, point: int, scale: float, number: int) -> _Candidate:
-    """The worst sight of a point, by its direction of the largest test."""
+def _candidate(found: Reliability, index: ObservationIndex, point: int, scale: float, number: int) -> _Candidate:
+    """The worst observation of a point, by its direction of the largest test."""
     at = found.at
-    rows, sights = at.rows_of(point), index.of(point)
+    rows, observations = at.rows_of(point), index.of(point)
     covariance, through = residual_covariance(at, rows)
-    tests = list[tuple[SightName, Array, float, int]]()
-    for sight, slot in sights.items():
-        combination, test, dimensions = direction(covariance, rows.residuals[0], rows.sight == slot)
+    tests = list[tuple[ObservationKey, Array, float, int]]()
+    for observation, slot in observations.items():
+        combination, test, dimensions = direction(covariance, rows.residuals[0], rows.observation == slot)
         if dimensions and test > 0.0:
-            tests.append((sight, combination, test, dimensions))
+            tests.append((observation, combination, test, dimensions))
     worst = max(tests, key=lambda one: one[2] / found.critical_joint(one[3]))
     _, combination, test, dimensions = worst
     shadow = covariance @ combination
@@ -206,14 +206,14 @@ def _candidate(found: Reliability, index: SightIndex, point: int, scale: float, 
         one[0] for one in tests if abs(one[1] @ shadow) > INSEPARABLE * np.sqrt(one[2] * test) and one is not worst
     ]
     together = (worst[0], *alike)
-    names = tuple(_name(at, *sight) for sight in together)
+    names = tuple(_name(at, *observation) for observation in together)
     critical = found.critical_joint(dimensions)
     removal = Removal(together, names, point, test / scale**2, dimensions, critical, number)
     return _Candidate(removal, rows.variables, through.T @ combination, float(np.sqrt(test)))
 
 
 def _name(at: Linearised, kind: MeasureKind, row: int) -> str:
-    """A whole sight in words."""
+    """A whole observation in words."""
     network = at.network
     if kind is MeasureKind.RAY:
         of, image = network.points.ids[network.rays.point[row]], network.images[network.rays.image[row]].name

@@ -122,11 +122,11 @@ def combinations(found: Reliability, measures: Index, rows: PointRows) -> Array:
     table, at = found.measures, found.at
     point = int(table.point[measures[0]])
     place = int(at.layout.patterns.point_place[point])
-    _, first, count, _, sight = at.rows.piece[at.layout.patterns.piece_of(place)].tolist()
-    slot = (table.sight[measures] - sight - (place - first)) // count
+    _, first, count, _, observation = at.rows.piece[at.layout.patterns.piece_of(place)].tolist()
+    slot = (table.observation[measures] - observation - (place - first)) // count
     chosen = np.zeros((rows.row.size, measures.size))
     for q, k in enumerate(measures.tolist()):
-        here = np.flatnonzero(rows.sight == slot[q])
+        here = np.flatnonzero(rows.observation == slot[q])
         if table.kind[k] == MeasureKind.GROUND:
             chosen[here, q] = _root(at.network.points.covariances[point])[:, table.component[k]] * table.sigma[k]
         else:

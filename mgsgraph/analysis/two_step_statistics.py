@@ -3,7 +3,7 @@ each stage; by strip and for all. SI units, NaN for nothing.
 
 Heights are compared like with like: at every stage of the places where the rays alone put the points, with the
 orientation of the stage. (In step 2 each point has a height row of its own, which pulls it to the terrain; with that
-the heights would be smaller, whatever the orientation. `HeightMerit.rms_adjusted` has them.)
+the heights would be smaller, whatever the orientation. `HeightStatistics.rms_adjusted` has them.)
 
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
 """
@@ -27,13 +27,13 @@ STAGES = ("before", "step_1", "step_2")
 POINT_AXES = ("X", "Y", "Z")
 """Flight direction, across track to the left, height."""
 POSE_AXES = FLIGHT_NAMES
-"""Components of `GroupMerit.poses`: m, then rad."""
+"""Components of `GroupStatistics.poses`: m, then rad."""
 _LINES = 31
 """Lines of an image at which its orientation is looked at, as the papers do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeightMerit:
+class HeightStatistics:
     """Heights of points above the terrain model."""
 
     count: int
@@ -54,7 +54,7 @@ class HeightMerit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroupMerit:
+class GroupStatistics:
     """Of one strip, one image in no strip, or all."""
 
     name: str
@@ -67,7 +67,7 @@ class GroupMerit:
     """(stages, 3) m, median of the same."""
     poses: Array
     """(stages, 6) m and rad, mean sigma of the orientation over evenly spaced lines, as POSE_AXES."""
-    heights: HeightMerit
+    heights: HeightStatistics
     """Of tie points over the terrain model."""
 
     @property
@@ -82,14 +82,14 @@ class GroupMerit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StepMerit:
+class TwoStepStatistics:
     """All of an adjustment in two steps."""
 
     steps: TwoSteps
     """What was adjusted."""
-    whole: GroupMerit
+    whole: GroupStatistics
     """All strips together; each point counts once, in the axes of the first strip that sees it."""
-    groups: tuple[GroupMerit, ...]
+    groups: tuple[GroupStatistics, ...]
     """Strips, then images in none; a point that two of them see counts in both."""
     points: Index
     """(m,) points of `heights`."""
@@ -110,7 +110,7 @@ def ratio(before: Array, after: Array) -> Array:
         return np.asarray(np.where(np.asarray(after) > 0.0, before / np.asarray(after), np.nan))
 
 
-def step_merit(steps: TwoSteps) -> StepMerit:
+def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     """Figures of merit of both steps.
 
     A-priori sigmas of points are those of forward intersection (`analysis.forward`), of the rays that step 1 left in.
@@ -130,7 +130,7 @@ def step_merit(steps: TwoSteps) -> StepMerit:
         mine = network.rays.point[rays]
         fresh = first[mine] < 0
         first[mine[fresh]] = rays[fresh]
-        heights_of = _height_merit(heights, others, mine[used[mine]])
+        heights_of = _height_statistics(heights, others, mine[used[mine]])
         poses = _poses(steps, int(images[images.size // 2]))
         sigmas = _sigmas(steps, covariances, rays[ties[mine]])
         groups.append(_group(name, sigmas, poses, heights_of))
@@ -139,11 +139,11 @@ def step_merit(steps: TwoSteps) -> StepMerit:
         "all",
         _sigmas(steps, covariances, rays),
         np.mean([group.poses for group in groups], axis=0),
-        _height_merit(heights, others, np.flatnonzero(used & (first >= 0))),
+        _height_statistics(heights, others, np.flatnonzero(used & (first >= 0))),
     )
     points = np.flatnonzero(whole)
     bare, lost = (int(np.count_nonzero(of_ties & one)) for one in (~with_row, with_row & ~whole))
-    return StepMerit(steps, everything, tuple(groups), points, heights[:, points], used[points], bare, lost)
+    return TwoStepStatistics(steps, everything, tuple(groups), points, heights[:, points], used[points], bare, lost)
 
 
 def owners(network: Network) -> list[tuple[str, Index]]:
@@ -214,15 +214,15 @@ def _heights(steps: TwoSteps, before: Array) -> tuple[Array, Array]:
     return heights, np.stack([one[0] for one in others])
 
 
-def _height_merit(heights: Array, others: Array, points: Index) -> HeightMerit:
+def _height_statistics(heights: Array, others: Array, points: Index) -> HeightStatistics:
     mean, rms = mean_and_rms(heights[:, points].T)
     given, adjusted = mean_and_rms(others[:, points].T)[1].tolist()
-    return HeightMerit(points.size, rms, mean, given, adjusted)
+    return HeightStatistics(points.size, rms, mean, given, adjusted)
 
 
-def _group(name: str, sigmas: Array, poses: Array, heights: HeightMerit) -> GroupMerit:
+def _group(name: str, sigmas: Array, poses: Array, heights: HeightStatistics) -> GroupStatistics:
     count = sigmas.shape[1]
     nothing = np.full((len(STAGES), 3), np.nan)
     mean = sigmas.mean(axis=1) if count else nothing
     median = np.median(sigmas, axis=1) if count else nothing
-    return GroupMerit(name, count, mean, median, poses, heights)
+    return GroupStatistics(name, count, mean, median, poses, heights)

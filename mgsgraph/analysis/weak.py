@@ -43,7 +43,7 @@ _TURNED = 60
 """Directions, of equals, that are turned to simple structure at least: those that move most."""
 
 
-class _Run(NamedTuple):
+class _EqualDirections(NamedTuple):
     """Directions that are equally weak."""
 
     vectors: Array
@@ -173,7 +173,7 @@ def _lanczos(joint: JointCovariance, scales: Array, count: int, prior: "csr_arra
     return values[order], vectors[:, order]
 
 
-def _own(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_Run]:
+def _own(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_EqualDirections]:
     """Directions of single images that are as weak as the weakest, where there are `count`; those that move most."""
     layout, found = frames.layout, list[tuple[slice, Array]]()
     joined = {v for factor in layout.prior.factors for v in factor.variables}
@@ -191,15 +191,15 @@ def _own(frames: Frames, joint: JointCovariance, largest: float, count: int) -> 
     together = np.zeros((layout.columns, chosen.size))
     for place, k in enumerate(chosen):
         together[each[k][0], place] = each[k][1]
-    yield _Run(together, len(each))
+    yield _EqualDirections(together, len(each))
 
 
-def _runs(values: Array, vectors: Array) -> Iterator[_Run]:
+def _runs(values: Array, vectors: Array) -> Iterator[_EqualDirections]:
     """Runs of equally weak directions."""
     first, sigmas = 0, np.sqrt(np.maximum(values, 0.0))
     while first < sigmas.size:
         last = max(int(np.searchsorted(-sigmas, -sigmas[first] * (1.0 - _EQUAL), side="right")), first + 1)
-        yield _Run(vectors[:, first:last], last - first)
+        yield _EqualDirections(vectors[:, first:last], last - first)
         first = last
 
 
@@ -208,7 +208,7 @@ def _longest(vectors: Array, moved: Array) -> Array:
     return np.asarray(vectors @ np.linalg.eigh(moved.T @ moved)[1][:, ::-1])
 
 
-def _legible(frames: Frames, run: _Run, most: int) -> Array:
+def _legible(frames: Frames, run: _EqualDirections, most: int) -> Array:
     """(columns, k) directions of one run, `most` at the most, turned to simple structure, what moves most first."""
     every, vectors = slice(0, run.vectors.shape[0]), run.vectors
     if vectors.shape[1] > most:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.errors import InputError
-from mgsgraph.io.checksum import sha256_of
+from mgsgraph.io.files import sha256_of
 
 SUFFIX = ".toml"
 _PLAIN = "case"

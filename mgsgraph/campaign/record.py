@@ -15,13 +15,13 @@ import msgspec
 
 from mgsgraph.adjustment.settings import Form, Loss, SolverSettings
 from mgsgraph.errors import InputError
-from mgsgraph.io.claim import claim
+from mgsgraph.io.files import claim
 
 Status = Literal["done", "not converged", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class Overrides:
     """What overrules all case files alike."""
 
     form: Form | None = None
@@ -41,11 +41,11 @@ class Wishes:
         return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
 
 
-AS_WRITTEN = Wishes()
+AS_WRITTEN = Overrides()
 """Nothing overrules the case files."""
 
 
-class Entry(msgspec.Struct, frozen=True):
+class CampaignEntry(msgspec.Struct, frozen=True):
     """How one case ended."""
 
     case: str
@@ -67,7 +67,7 @@ class Entry(msgspec.Struct, frozen=True):
     """Number of steps tried."""
     checksums: dict[str, str | None]
     """SHA-256 of the case file and of its inputs, by path as the case writes it."""
-    wishes: Wishes
+    overrides: Overrides = msgspec.field(name="wishes")
     """What overruled the case file."""
     version: str
     """Of this program."""
@@ -87,17 +87,17 @@ class Record:
     Attributes
     ----------
     path : Path
-    entries : dict of str to Entry
-        The last one of each case, by `Entry.case`.
+    entries : dict of str to CampaignEntry
+        The last one of each case, by `CampaignEntry.case`.
     """
 
     def __init__(self, path: Path, descriptor: int) -> None:
         self.path = path
         self._descriptor = descriptor
         self._new = False
-        self.entries: dict[str, Entry] = {}
+        self.entries: dict[str, CampaignEntry] = {}
 
-    def append(self, entry: Entry) -> None:
+    def append(self, entry: CampaignEntry) -> None:
         """Add a line: all of it or nothing, and on the disk before this returns."""
         _append(self._descriptor, msgspec.json.encode(entry) + b"\n", self.path)
         self.entries[entry.case] = entry
@@ -172,11 +172,11 @@ def _append(descriptor: int, line: bytes, path: Path) -> None:
         raise InputError(str(path), "can't be written (the disk is full)", remedy="free some space, and run this again")
 
 
-def _entries(lines: list[bytes], path: Path) -> list[Entry]:
+def _entries(lines: list[bytes], path: Path) -> list[CampaignEntry]:
     found = []
     for number, line in enumerate(lines, start=2):
         try:
-            found.append(msgspec.json.decode(line, type=Entry))
+            found.append(msgspec.json.decode(line, type=CampaignEntry))
         except msgspec.MsgspecError as error:
             remedy = "take that line out: its case will be done again"
             raise InputError(f"{path}, line {number}", f"no entry of a campaign ({error})", remedy=remedy) from None

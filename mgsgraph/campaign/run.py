@@ -21,7 +21,7 @@ from typing import Any
 
 from mgsgraph.adjustment.cluster import Lost, open_cluster, parse_cluster
 from mgsgraph.campaign.inputs import checksums, find_cases, result_folders
-from mgsgraph.campaign.record import AS_WRITTEN, Entry, Record, Wishes, open_record
+from mgsgraph.campaign.record import AS_WRITTEN, CampaignEntry, Overrides, Record, open_record
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.output.folders import RECORD as RESULT
@@ -30,7 +30,7 @@ from mgsgraph.reports.results import write_results
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class CaseTask:
     """A case to be done."""
 
     case: Path
@@ -41,35 +41,35 @@ class Order:
     """Folder of the campaign's results, absolute."""
     folder: str
     """Name of the folder in it for this case."""
-    wishes: Wishes
+    overrides: Overrides
     """What overrules the case file."""
     base: Path
     """Working directory, from which SPICE looks for what a meta-kernel lists."""
 
 
-def run_case(order: Order) -> Entry:
-    """Do a case; whatever goes wrong is told in the entry."""
-    if order.base.is_dir():
-        os.chdir(order.base)  # that of a worker elsewhere is another
-    began, sums = time.perf_counter(), checksums(order.case)
+def run_case(task: CaseTask) -> CampaignEntry:
+    """Do a case; whatever goes wrong is outcome in the entry."""
+    if task.base.is_dir():
+        os.chdir(task.base)  # that of a worker elsewhere is another
+    began, sums = time.perf_counter(), checksums(task.case)
     try:
-        told = _adjusted(order)
+        outcome = _adjusted(task)
     except MgsgraphError as error:
-        told = {"message": str(error)}
+        outcome = {"message": str(error)}
     except MemoryError:
-        told = {"message": "out of memory; give the machine more or leave images out"}
+        outcome = {"message": "out of memory; give the machine more or leave images out"}
     except Exception as error:  # one case must not end the others
-        told = {"message": f"unforeseen {type(error).__name__}: {error}; `mgsgraph adjust` shows where"}
-    return _entry(order, sums, time.perf_counter() - began, told)
+        outcome = {"message": f"unforeseen {type(error).__name__}: {error}; `mgsgraph adjust` shows where"}
+    return _entry(task, sums, time.perf_counter() - began, outcome)
 
 
-def _adjusted(order: Order) -> dict[str, Any]:
+def _adjusted(task: CaseTask) -> dict[str, Any]:
     """Read, adjust and write; the figures that the record keeps."""
-    target = order.out / order.folder
+    target = task.out / task.folder
     require_replaceable(target)
-    case = read_case(order.case, laser=order.wishes.laser)
-    solution = adjust(dataclasses.replace(case, settings=order.wishes.over(case.settings)))
-    write_results(solution, target, figures=order.wishes.figures)
+    case = read_case(task.case, laser=task.overrides.laser)
+    solution = adjust(dataclasses.replace(case, settings=task.overrides.over(case.settings)))
+    write_results(solution, target, figures=task.overrides.figures)
     return {
         "status": "done" if solution.converged else "not converged",
         "message": solution.message,
@@ -80,43 +80,43 @@ def _adjusted(order: Order) -> dict[str, Any]:
     }
 
 
-def failed(order: Order, message: str) -> Entry:
+def failed(task: CaseTask, message: str) -> CampaignEntry:
     """Entry of a case whose worker has not come back."""
-    return _entry(order, checksums(order.case), 0.0, {"message": message})
+    return _entry(task, checksums(task.case), 0.0, {"message": message})
 
 
-def _entry(order: Order, sums: dict[str, str | None], seconds: float, told: dict[str, Any]) -> Entry:
+def _entry(task: CaseTask, sums: dict[str, str | None], seconds: float, outcome: dict[str, Any]) -> CampaignEntry:
     missing: dict[str, Any] = {"status": "failed", "converged": False, "sigma0": None, "cost": None, "iterations": None}
-    told = missing | told
-    told["message"] = " ".join(told["message"].split())
-    if told["status"] == "failed" and (order.out / order.folder).exists():
-        told["message"] += f" (what is in {order.folder} is from before)"
-    return Entry(
-        case=order.name,
-        folder=order.folder,
+    outcome = missing | outcome
+    outcome["message"] = " ".join(outcome["message"].split())
+    if outcome["status"] == "failed" and (task.out / task.folder).exists():
+        outcome["message"] += f" (what is in {task.folder} is from before)"
+    return CampaignEntry(
+        case=task.name,
+        folder=task.folder,
         seconds=round(seconds, 3),
         checksums=sums,
-        wishes=order.wishes,
+        overrides=task.overrides,
         version=version("mgsgraph"),
         machine=socket.gethostname(),
         finished=datetime.now(UTC).isoformat(timespec="seconds"),
-        **told,
+        **outcome,
     )
 
 
-Progress = Callable[[int, int, Entry | None], None]
+Progress = Callable[[int, int, CampaignEntry | None], None]
 """Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
-_Each = Callable[[Callable[[Order], Entry], Sequence[Order]], Iterator[tuple[int, Entry | Lost]]]
+_Each = Callable[[Callable[[CaseTask], CampaignEntry], Sequence[CaseTask]], Iterator[tuple[int, CampaignEntry | Lost]]]
 
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
     """How all cases stand."""
 
-    entries: tuple[Entry, ...]
+    entries: tuple[CampaignEntry, ...]
     """One for each case, in the order in which they were given."""
     kept: frozenset[str]
-    """`Entry.case` of those that were left as an earlier run had ended them."""
+    """`CampaignEntry.case` of those that were left as an earlier run had ended them."""
 
     def count(self, status: str) -> int:
         """How many cases ended so."""
@@ -131,7 +131,7 @@ class Campaign:
 def run_campaign(
     given: Iterable[Path],
     out: Path,
-    wishes: Wishes = AS_WRITTEN,
+    overrides: Overrides = AS_WRITTEN,
     cluster: str | None = None,
     retry: bool = False,
     progress: Progress = lambda over, due, entry: None,
@@ -145,7 +145,7 @@ def run_campaign(
         Case files and folders of them.
     out : Path
         Folder of the results and of the record; absent, empty or an earlier campaign's.
-    wishes : Wishes
+    overrides : Overrides
         What overrules the case files.
     cluster : str, optional
         Where to work (see `mgsgraph.adjustment.cluster.parse_cluster`); in this process when absent.
@@ -164,11 +164,11 @@ def run_campaign(
     if cluster is not None:
         parse_cluster(cluster)
     with open_record(out) as record:
-        orders = _orders(cases, out.resolve(), record, wishes)
-        due = [order for order in orders if _is_due(order, record.entries.get(order.name), retry)]
+        tasks = _tasks(cases, out.resolve(), record, overrides)
+        due = [task for task in tasks if _is_due(task, record.entries.get(task.name), retry)]
         if due:
             try:
-                with _hands(cluster, record, due) as each:
+                with _workers(cluster, record, due) as each:
                     progress(0, len(due), None)
                     for over, (place, entry) in enumerate(each(run_case, due), start=1):
                         ended = failed(due[place], entry.message) if isinstance(entry, Lost) else entry
@@ -176,46 +176,48 @@ def run_campaign(
                         progress(over, len(due), ended)
             finally:
                 _sweep(out, due)
-        entries = tuple(record.entries[order.name] for order in orders)
-        return Campaign(entries, frozenset(order.name for order in orders) - {order.name for order in due})
+        entries = tuple(record.entries[task.name] for task in tasks)
+        return Campaign(entries, frozenset(task.name for task in tasks) - {task.name for task in due})
 
 
-def _orders(cases: tuple[Path, ...], out: Path, record: Record, wishes: Wishes) -> list[Order]:
+def _tasks(cases: tuple[Path, ...], out: Path, record: Record, overrides: Overrides) -> list[CaseTask]:
     taken = {Path(os.path.normpath(out / entry.case)): entry.folder for entry in record.entries.values()}
     folders = result_folders(cases, taken)
     here = Path.cwd()
-    return [Order(case, os.path.relpath(case, out), out, folders[case], wishes, here) for case in cases]
+    return [CaseTask(case, os.path.relpath(case, out), out, folders[case], overrides, here) for case in cases]
 
 
-def _is_due(order: Order, last: Entry | None, retry: bool) -> bool:
+def _is_due(task: CaseTask, last: CampaignEntry | None, retry: bool) -> bool:
     """Whether a case has to be done: never done, done otherwise or from other inputs, or its results are gone."""
-    if last is None or last.wishes != order.wishes or last.checksums != checksums(order.case):
+    if last is None or last.overrides != task.overrides or last.checksums != checksums(task.case):
         return True
     if last.status != "done" and retry:
         return True
-    return last.status != "failed" and not (order.out / order.folder / RESULT).is_file()
+    return last.status != "failed" and not (task.out / task.folder / RESULT).is_file()
 
 
 @contextmanager
-def _hands(cluster: str | None, record: Record, due: Sequence[Order]) -> Iterator[_Each]:
+def _workers(cluster: str | None, record: Record, due: Sequence[CaseTask]) -> Iterator[_Each]:
     """Who does the work: this process, or a cluster whose workers see the same files."""
     if cluster is None:
         yield _one_by_one
         return
     with open_cluster(cluster, most=len(due)) as connection:
         for path in (record.path, due[0].case):
-            connection.require_sight(path)
+            connection.require_visible_file(path)
         yield connection.each
 
 
-def _one_by_one(function: Callable[[Order], Entry], orders: Sequence[Order]) -> Iterator[tuple[int, Entry | Lost]]:
-    for place, order in enumerate(orders):
-        yield place, function(order)
+def _one_by_one(
+    function: Callable[[CaseTask], CampaignEntry], tasks: Sequence[CaseTask]
+) -> Iterator[tuple[int, CampaignEntry | Lost]]:
+    for place, task in enumerate(tasks):
+        yield place, function(task)
 
 
-def _sweep(out: Path, orders: Sequence[Order]) -> None:
+def _sweep(out: Path, tasks: Sequence[CaseTask]) -> None:
     """Take away what workers that died have left half-written."""
-    names = {order.folder for order in orders}
+    names = {task.folder for task in tasks}
     for path in out.iterdir():
         match = re.fullmatch(r"\.(.+)\.[0-9a-f]{8}\.unfinished", path.name)
         if match and match[1] in names:
@@ -245,7 +247,7 @@ def summary(campaign: Campaign) -> str:
     return "\n".join(lines)
 
 
-def line(entry: Entry) -> str:
+def line(entry: CampaignEntry) -> str:
     """One case that is over, in one line."""
     if entry.status == "failed":
         return f"{entry.folder}: failed after {entry.seconds:.1f} s: {entry.message}"
@@ -253,7 +255,7 @@ def line(entry: Entry) -> str:
     return f"{entry.folder}: {entry.status}, {entry.iterations} iterations, sigma0 {sigma0}, {entry.seconds:.1f} s"
 
 
-def _row(entry: Entry, width: int) -> list[str]:
+def _row(entry: CampaignEntry, width: int) -> list[str]:
     name = entry.folder if len(entry.folder) <= width else f"{entry.folder[: width - 3]}..."
     head = f"{name:<{width}}  {entry.status:<13}  "
     return textwrap.wrap(entry.message, _WIDTH, initial_indent=head, subsequent_indent=" " * len(head))

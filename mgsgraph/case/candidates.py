@@ -15,7 +15,7 @@ from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.case.images import read_image
 from mgsgraph.case.reading import read_shots
 from mgsgraph.case.schema import ImageInput, OrientationInput, Positive, Sigma, SpiceInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
@@ -30,8 +30,8 @@ from mgsgraph.planning.candidates import (
     planned_image,
     planned_profile,
 )
-from mgsgraph.planning.coverage import Scene
-from mgsgraph.planning.state import Standing
+from mgsgraph.planning.coverage import ImageCoverage
+from mgsgraph.planning.state import NetworkState
 from mgsgraph.registration.footprints import footprints_in_images
 from mgsgraph.units import DEG
 
@@ -132,7 +132,7 @@ class CandidatesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 def read_candidates(
-    path: str | Path, standing: Standing, progress: Callable[[int, int], None] = lambda _done, _most: None
+    path: str | Path, state: NetworkState, progress: Callable[[int, int], None] = lambda _done, _most: None
 ) -> tuple[Candidate, ...]:
     """Read a candidates file and everything that it names, and plan the measures of each candidate.
 
@@ -140,7 +140,7 @@ def read_candidates(
     ----------
     path : path
         TOML file.
-    standing : Standing
+    state : NetworkState
         The network over which they are planned.
     progress : callable
         Called with how many are planned, and how many there are.
@@ -159,17 +159,15 @@ def read_candidates(
         raise InputError(str(path), "no candidate", expected)
     for name in sorted({one for one in names if names.count(one) > 1})[:1]:
         raise InputError(str(path), f"two candidates named {name!r}", "each name once")
-    scene, found = Scene(standing), list[Candidate]()
+    coverage, found = ImageCoverage(state), list[Candidate]()
     plans = [
-        *(partial(_image, scene, one, wanted, path, k) for k, one in enumerate(wanted.images)),
-        *(partial(_profile, scene, one, path, k) for k, one in enumerate(wanted.profiles)),
-        *(partial(_control, scene, one, path, k) for k, one in enumerate(wanted.control)),
+        *(partial(_image, coverage, one, wanted, path, k) for k, one in enumerate(wanted.images)),
+        *(partial(_profile, coverage, one, path, k) for k, one in enumerate(wanted.profiles)),
+        *(partial(_control, coverage, one, path, k) for k, one in enumerate(wanted.control)),
     ]
     for planned in plans:
-        try:
+        with errors_from(str(path)):
             found.append(planned())
-        except InputError as error:
-            raise error if str(path) in str(error) else error.within(str(path)) from None
         progress(len(found), len(plans))
     return tuple(found)
 
@@ -179,24 +177,24 @@ def decode_candidates(path: Path) -> CandidatesInput:
     return validated(read_table(path, "candidates file"), CandidatesInput, path, "see docs/plan.md")
 
 
-def _image(scene: Scene, entry: CandidateImage, wanted: CandidatesInput, path: Path, k: int) -> Candidate:
+def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInput, path: Path, k: int) -> Candidate:
     where = f"{path}, images[{k}]"
     orientation = entry.orientation or wanted.orientation
     prior = orientation.prior(f"{where}.orientation" if entry.orientation else f"{path}, orientation")
     ties = entry.planned(where)
-    if entry.name in scene.views:
+    if entry.name in coverage.views:
         found = f"the image {entry.name!r}, which is in the network already"
         raise InputError(where, found, "a new image", "take it out of the candidates")
     image = read_image(entry, wanted.spice, path.parent, where)
-    if image.body != scene.network.images[0].body:
+    if image.body != coverage.network.images[0].body:
         raise InputError(where, "an image of another body than the network's", "one body")
-    for known in scene.network.images:
+    for known in coverage.network.images:
         if _same_exposure(image, known):
             found = f"image {entry.name!r}, which is {known.name!r} of the network under another name"
             raise InputError(where, found, "a new image", "take it out of the candidates")
     if orientation.nominal == "polynomial":
         image, _ = fit_polynomials(image, orientation.nominal_order)
-    return planned_image(scene, KnownImage(image, prior, entry.held), ties)
+    return planned_image(coverage, KnownImage(image, prior, entry.held), ties)
 
 
 def _same_exposure(one: PushbroomImage, other: PushbroomImage) -> bool:
@@ -208,50 +206,50 @@ def _same_exposure(one: PushbroomImage, other: PushbroomImage) -> bool:
     return bool(np.linalg.norm(apart[0] - apart[1]) < _SAME_LOOK)
 
 
-def _profile(scene: Scene, entry: CandidateProfile, path: Path, k: int) -> Candidate:
+def _profile(coverage: ImageCoverage, entry: CandidateProfile, path: Path, k: int) -> Candidate:
     where = f"{path}, profiles[{k}]"
     if (entry.file is None) == (entry.every_s is None):
         found = "neither file nor every_s" if entry.file is None else "both file and every_s"
         raise InputError(where, found, "a file, or image and every_s")
     if entry.image is not None:
-        _require_image(scene, entry.image, where)
+        _require_image(coverage, entry.image, where)
     elif entry.file is None:
         raise InputError(where, "every_s without image", "the image of the network along whose track shots are planned")
     if entry.file is None:
-        times, footprints, image = _track(scene, entry, where)
+        times, footprints, image = _track(coverage, entry, where)
     elif entry.file.lower().endswith(".json"):
-        times, footprints, image = _of_lidar(scene, entry, path.parent / entry.file)
+        times, footprints, image = _of_lidar(coverage, entry, path.parent / entry.file)
     else:
-        times, footprints, image = _of_pedr(scene, entry, path.parent / entry.file)
+        times, footprints, image = _of_pedr(coverage, entry, path.parent / entry.file)
     n = times.size
     shots = PlannedShots(
         times, footprints, image if entry.ranges else None, np.full(n, entry.range_sigma_m),
         np.broadcast_to(np.eye(3) * entry.ground_sigma_m**2, (n, 3, 3)), entry.shift_sigma_m, entry.image_sigma_px,
     )  # fmt: skip
-    return planned_profile(scene, entry.name, shots)
+    return planned_profile(coverage, entry.name, shots)
 
 
 _Shots = tuple[Array, Array, str | None]
 """Times (n,) in s TDB past J2000, footprints (n, 3) in m, and the image that carries the ranges."""
 
 
-def _track(scene: Scene, entry: CandidateProfile, where: str) -> _Shots:
+def _track(coverage: ImageCoverage, entry: CandidateProfile, where: str) -> _Shots:
     """Shots at the nadir of an image, evenly in time about its middle."""
     assert entry.image is not None
     assert entry.every_s is not None
-    view = scene.views[entry.image]
+    view = coverage.views[entry.image]
     first, last = view.image.timing.at(np.array([0.0, float(view.image.lines)]))[0] + view.image.trajectory.epoch
     count = int((last - first) / entry.every_s) + 1
     if count > _MOST_SHOTS:
         raise InputError(f"{where}, every_s", f"{count} shots", f"at most {_MOST_SHOTS}", "take a longer interval")
     times = 0.5 * (first + last) + entry.every_s * (np.arange(count) - 0.5 * (count - 1))
-    return times, scene.below(view.positions(times), view.height), entry.image
+    return times, coverage.below(view.positions(times), view.height), entry.image
 
 
-def _of_lidar(scene: Scene, entry: CandidateProfile, path: Path) -> _Shots:
+def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of ISIS lidar data that were taken along with one image of the network (or with the one named)."""
     profile = read_lidar(path)
-    named = {name for names in profile.simultaneous for name in names if name in scene.views}
+    named = {name for names in profile.simultaneous for name in names if name in coverage.views}
     owner = entry.image or _only(sorted(named), str(path))
     if owner is None:
         return profile.times, profile.footprints, None
@@ -259,9 +257,9 @@ def _of_lidar(scene: Scene, entry: CandidateProfile, path: Path) -> _Shots:
     return profile.times[mine], profile.footprints[mine], owner
 
 
-def _of_pedr(scene: Scene, entry: CandidateProfile, path: Path) -> _Shots:
+def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of MOLA that fall in images: those taken along with one of them (or with the one named), if any were."""
-    shots, views = read_shots(path), list(scene.views.values())
+    shots, views = read_shots(path), list(coverage.views.values())
     images, corrections = [view.image for view in views], [view.correction for view in views]
     seen = footprints_in_images(images, shots, corrections)
     along = seen.inside & seen.simultaneous & shots.ground
@@ -279,21 +277,21 @@ def _only(owners: list[str], source: str) -> str | None:
     return owners[0] if owners else None
 
 
-def _control(scene: Scene, entry: CandidateControl, path: Path, k: int) -> Candidate:
+def _control(coverage: ImageCoverage, entry: CandidateControl, path: Path, k: int) -> Candidate:
     where = f"{path}, control[{k}]"
     if (entry.height_m is None) == (entry.radius_m is None):
         found = "neither height_m nor radius_m" if entry.height_m is None else "both height_m and radius_m"
         raise InputError(where, found, "one of them")
     for name in entry.images or ():
-        _require_image(scene, name, where)
+        _require_image(coverage, name, where)
     if entry.images is not None and len(set(entry.images)) < len(entry.images):
         raise InputError(f"{where}, images", "an image twice", "each once")
     at = entry.longitude_deg * DEG, entry.latitude_deg * DEG
     if entry.height_m is not None:
-        place = from_geodetic(np.array([*at, entry.height_m]), scene.network.images[0].body)
+        place = from_geodetic(np.array([*at, entry.height_m]), coverage.network.images[0].body)
     else:
         place = from_planetocentric(np.array([[*at, entry.radius_m]]))[0]
-    radius = scene.network.images[0].body.equatorial
+    radius = coverage.network.images[0].body.equatorial
     if abs(float(np.linalg.norm(place)) - radius) > _FAR * radius:
         found = f"a point {np.linalg.norm(place):.6g} m from the body's centre"
         raise InputError(where, found, f"one near the ground, {radius:.6g} m from it", "give metres")
@@ -302,10 +300,10 @@ def _control(scene: Scene, entry: CandidateControl, path: Path, k: int) -> Candi
         raise InputError(f"{where}, sigma_m", f"{sigmas.size} numbers", "one, or three: eastward, northward, upward")
     axes = east_north_up(place[None])[0]
     covariance = axes.T @ np.diag(np.broadcast_to(sigmas, 3) ** 2) @ axes
-    return planned_control(scene, entry.name, place, covariance, entry.sigma_px, entry.images)
+    return planned_control(coverage, entry.name, place, covariance, entry.sigma_px, entry.images)
 
 
-def _require_image(scene: Scene, name: str, where: str) -> None:
-    if name not in scene.views:
-        known = ", ".join(list(scene.views)[:4])
+def _require_image(coverage: ImageCoverage, name: str, where: str) -> None:
+    if name not in coverage.views:
+        known = ", ".join(list(coverage.views)[:4])
         raise InputError(where, f"the image {name!r}", f"an image of the network ({known})")

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.text import read_text
+from mgsgraph.io.files import read_text
 
 FORMAT = 1
 """Of case files, settings of projects and candidates."""

@@ -21,7 +21,7 @@ from mgsgraph.case.images import read_images
 from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, TerrainInput, TiesInput, decode
 from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import read_terrain_model
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
@@ -119,10 +119,8 @@ def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]]
         return times_of_utc(texts, [path.parent / kernel for kernel in kernels], where)
 
     strips = strips_of(wanted.strips, of_strips, network.images, to_et, str(path))
-    try:
+    with errors_from(str(path)):
         return replace(network, strips=strips)
-    except InputError as error:
-        raise error.within(str(path)) from None
 
 
 def _with_shared(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
@@ -133,12 +131,10 @@ def _with_shared(network: Network, wanted: CaseInput, path: Path, laser: bool) -
     shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
     if not laser:
         shared = tuple(one for one in shared if not one.kind.of_laser)
-    try:
+    with errors_from(str(path)):
         network = replace(network, shared=shared)
         network.require_felt()
         return network
-    except InputError as error:
-        raise error.within(str(path)) from None
 
 
 def _require_seeing_images(network: Network) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method
 from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.case.strips import StripInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.isd import Observer
@@ -236,10 +236,8 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             sigmas = _three_sigmas(given[wanted], f"{where}, {wanted}") * MRAD
         else:
             sigmas = np.array([given[wanted]])
-        try:
+        with errors_from(where):
             return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
-        except InputError as error:
-            raise error.within(where) from None
 
 
 _SHARED_SIGMAS = {"s": "sigma_s", "rad": "sigma_mrad", "m": "sigma_m"}

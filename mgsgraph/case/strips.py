@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask
@@ -105,10 +105,8 @@ class StripPriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             np.where(said | np.isfinite(sigmas), values, 0.0)  # a default gives way where nodes know nothing
             for values, said in (self._six(part, where) for part in ("bias_", "drift_"))
         ]
-        try:
+        with errors_from(where):
             return NodePrior(sigmas, trends[0], trends[1], self.correlation_time_s)
-        except InputError as error:
-            raise error.within(where) from None
 
     def _six(self, part: str, where: str) -> tuple[Array, Mask]:
         """(6,) m and rad of departures, bias or drift, and which of them are said."""
@@ -197,9 +195,7 @@ def strips_of(
     for k, (entry, mine) in enumerate(zip(entries, of_strips, strict=True)):
         where, pictures = f"{path}, strips[{k}]", [images[j] for j in mine]
         require_one_pass(pictures, where)
-        try:
+        with errors_from(f"{where}.nodes", path):
             nodes = entry.nodes.images(pictures, partial(to_et, k), f"{where}.nodes")
-        except InputError as error:
-            raise error if path in str(error) else error.within(f"{where}.nodes") from None
         found.append(Strip(entry.name, np.array(mine), nodes, entry.prior.prior(f"{where}.prior")))
     return tuple(found)

@@ -12,7 +12,7 @@ from mgsgraph.cli.overruling import overruling
 if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster import Connection
     from mgsgraph.adjustment.settings import SolverSettings
-    from mgsgraph.campaign import Wishes
+    from mgsgraph.campaign import Overrides
     from mgsgraph.case.reading import Case
 
 
@@ -34,7 +34,7 @@ def adjust(
     cluster: str | None,
     two_steps: bool,
     ties: Path | None,
-    wishes: "Wishes",
+    overrides: "Overrides",
     verbose: bool,
 ) -> None:
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
@@ -55,14 +55,14 @@ def adjust(
     require_replaceable(out)
     if cluster is not None:
         parse_cluster(cluster)
-    read = read_case(case, wishes.laser, ties)
-    settings = wishes.over(read.settings)
+    read = read_case(case, overrides.laser, ties)
+    settings = overrides.over(read.settings)
     hands: AbstractContextManager[Connection | None] = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:
-        ctx.exit(0 if _in_two_steps(read, settings, out, hands, wishes, verbose) else 1)
+        ctx.exit(0 if _in_two_steps(read, settings, out, hands, overrides, verbose) else 1)
     with hands as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         solution = adjust_network(read.network, settings, read.name, bar, workers)
-    write_results(solution, out, figures=wishes.figures)
+    write_results(solution, out, figures=overrides.figures)
     click.echo(summary_table(solution))
     for sentence in statements(solution):
         click.echo(f"- {sentence}")
@@ -75,12 +75,12 @@ def _in_two_steps(
     settings: "SolverSettings",
     out: Path,
     hands: AbstractContextManager["Connection | None"],
-    wishes: "Wishes",
+    overrides: "Overrides",
     verbose: bool,
 ) -> bool:
     """Whether both steps converged."""
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
-    from mgsgraph.analysis.two_step_statistics import step_merit
+    from mgsgraph.analysis.two_step_statistics import two_step_statistics
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.cli.stages import stage_bar
     from mgsgraph.reports.results import write_results
@@ -92,9 +92,9 @@ def _in_two_steps(
     write_results(steps.fitted, out, figures=False)  # what took longest is safe, whatever becomes of the rest
     with _solution_kept(out), stage_bar(2) as stages:
         with stages.stage("figures of merit"):
-            merit = step_merit(steps)
+            merit = two_step_statistics(steps)
         with stages.stage("tables and figures"):
-            write_two_steps(merit, out, figures=wishes.figures)
+            write_two_steps(merit, out, figures=overrides.figures)
     click.echo(two_steps_page(merit))
     click.echo(f"Results are in {out}")
     return steps.converged

@@ -10,7 +10,7 @@ from tqdm import tqdm
 from mgsgraph.cli.overruling import overruling
 
 if TYPE_CHECKING:
-    from mgsgraph.campaign import Entry, Wishes
+    from mgsgraph.campaign import CampaignEntry, Overrides
 
 _PATIENCE = 20.0
 """s after which the silence is explained."""
@@ -30,7 +30,7 @@ def campaign(
     out: Path,
     cluster: str | None,
     retry: bool,
-    wishes: "Wishes",
+    overrides: "Overrides",
     verbose: bool,
 ) -> None:
     """Adjust each CASE (a TOML file; of a FOLDER, every *.toml at any depth) into a folder of its own in OUT.
@@ -44,7 +44,7 @@ def campaign(
 
     bar = _CaseBar(verbose)
     try:
-        done = run_campaign(cases, out, wishes, cluster, retry, bar)
+        done = run_campaign(cases, out, overrides, cluster, retry, bar)
     except KeyboardInterrupt:
         bar.close()
         click.echo(f"mgsgraph: interrupted; {bar.state()}; the same command goes on", err=True)
@@ -65,7 +65,7 @@ class _CaseBar:
         self._timer = threading.Timer(_PATIENCE, self.explain)
         self._timer.daemon = True
 
-    def __call__(self, over: int, due: int, entry: "Entry | None") -> None:
+    def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:
         """Show that a case is over."""
         from mgsgraph.campaign.run import line
 

@@ -29,10 +29,10 @@ _OPTIONS = (
 
 
 def overruling(verb: Callable[..., None]) -> Callable[..., None]:
-    """Give a verb the options that overrule case files; it takes them together, as `wishes` (a `campaign.Wishes`)."""
+    """Give a verb the options that overrule case files, which it takes together as `overrides`."""
 
     @wraps(verb)
-    def with_wishes(
+    def with_overrides(
         *,
         form: "Form | None",
         loss: "Loss | None",
@@ -41,10 +41,10 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
         no_figures: bool,
         **others: Any,
     ) -> None:
-        from mgsgraph.campaign import Wishes
+        from mgsgraph.campaign import Overrides
 
-        verb(wishes=Wishes(form, loss, reject, not no_laser, not no_figures), **others)
+        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures), **others)
 
     for option in reversed(_OPTIONS):
-        option(with_wishes)
-    return with_wishes
+        option(with_overrides)
+    return with_overrides

@@ -33,18 +33,18 @@ def plan(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.output.folders import PLAN, require_replaceable
     from mgsgraph.planning.plan import plan as make
-    from mgsgraph.project.reading import read_standing
+    from mgsgraph.project.reading import read_state
     from mgsgraph.reports.plan import plan_table, statements, write_plan
 
     if out is not None:
         require_replaceable(out, PLAN)
-    name, standing, warning = read_standing(adjusted)
+    name, state, warning = read_state(adjusted)
     if warning:
         click.echo(f"- {warning}")
     with counting_bar("planning measures", "candidate") as bar:
-        wanted = read_candidates(candidates, standing, bar)
+        wanted = read_candidates(candidates, state, bar)
     with counting_bar("judging", "candidate") as bar:
-        made = make(standing, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
+        made = make(state, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
     if out is not None:
         write_plan(made, out)
     click.echo(plan_table(made))

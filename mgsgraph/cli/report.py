@@ -45,7 +45,7 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:
     """Checksums of the solutions' archives, of the case, and of every file that it names."""
     from mgsgraph.campaign.inputs import checksums
-    from mgsgraph.io.checksum import sha256_of
+    from mgsgraph.io.files import sha256_of
     from mgsgraph.reports.archive import ARCHIVE
 
     given = [path / ARCHIVE if path.is_dir() else path for path in solutions if path is not None]

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.matching.window import compiled
 
 LEAST = 4
 """Points that a plane with scatter takes."""
@@ -305,7 +305,7 @@ def _correlated(given: _Given, near: _Near, n: int) -> tuple[float, float, float
     return variance, explained, diagonal
 
 
-@compiled
+@cached_kernel
 def surface(
     first_row: int, last_row: int, columns: int, first: Index, points: Array, spread: Array, orientation: Array,
     pair: Index, reach: float, window: float, found: Array,

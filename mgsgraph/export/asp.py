@@ -17,7 +17,7 @@ from mgsgraph.export.isis import adjusted_network
 from mgsgraph.io.asp.gcp import ground_control_text
 from mgsgraph.io.asp.match import match_files
 from mgsgraph.io.control.record import ControlNetwork, ControlPoint, PointType
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import write_files
 from mgsgraph.units import KM
 
 PREFIX, CONTROL, ADJUSTED = "matches/run", "control.gcp", "adjusted.gcp"
@@ -69,10 +69,7 @@ def write_asp(
     texts[IMAGE_LIST] = "".join(f"{name}\n" for name in files)
     texts[CAMERA_LIST] = "".join(f"{stem}{STATE}\n" for stem in file_stems(solution))
     texts[README] = _readme(solution, list(texts), scaled)
-    for name, content in texts.items():
-        with fresh_file(folder / name) as path:
-            path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return [folder / name for name in texts]
+    return write_files(folder, texts)
 
 
 def _files(solution: Solution, named: Mapping[str, str]) -> list[str]:

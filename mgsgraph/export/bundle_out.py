@@ -26,12 +26,11 @@ from mgsgraph.export.bundle_orientation import (
 from mgsgraph.export.bundle_text import Tables, bundle_text
 from mgsgraph.geometry.body import east_north_up, in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import write_files
 from mgsgraph.network import PointClass
 from mgsgraph.output.csv_json import picked, quoted
-from mgsgraph.output.table import ISIS
 from mgsgraph.ties import PointKind
-from mgsgraph.units import DEG, KM, MM
+from mgsgraph.units import DEG, ISIS_OFFSET, KM, MM
 
 TEXT, IMAGES, POINTS, LIDAR, RESIDUALS = (
     "bundleout.txt", "bundleout_images.csv", "bundleout_points.csv", "bundleout_lidar.csv", "residuals.csv",
@@ -98,10 +97,7 @@ def write_bundle_out(solution: Solution, folder: Path, scaled: bool = False) -> 
         **({LIDAR: _lidar_csv(solution)} if solution.network.ranges.point.size else {}),
         RESIDUALS: _residuals_csv(solution),
     }
-    for name, text in texts.items():
-        with fresh_file(folder / name) as path:
-            path.write_text(text, encoding="utf-8", newline="\n")
-    return [folder / name for name in texts]
+    return write_files(folder, texts)
 
 
 def _tables(solution: Solution, orientation: list[OrientationPolynomials], factor: float) -> Tables:
@@ -213,7 +209,7 @@ def _residuals_csv(solution: Solution) -> str:
         focal[mine], _ = solution.image(j).interior.focal_plane(rays.places[mine, 1])
     residuals = solution.residuals[:, ::-1]
     magnitude = np.hypot(residuals[:, 0], residuals[:, 1])
-    places = np.column_stack([focal / MM, rays.places[:, ::-1] + ISIS])
+    places = np.column_stack([focal / MM, rays.places[:, ::-1] + ISIS_OFFSET])
     numbers = np.column_stack([places, residuals, magnitude])[order].tolist()
     ids, names = [quoted(name) for name in network.points.ids], [quoted(image.name) for image in network.images]
     form = "{},{},{}," + ",".join([_NUMBER] * 7) + "{}\n"

@@ -16,17 +16,16 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export.csm_state import model_state
-from mgsgraph.export.csm_tables import RefinedTables, Turning, body_table, continuous, refined_tables
+from mgsgraph.export.csm_tables import RefinedTables, Turning, body_table, refined_tables
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import read_json, write_files
 from mgsgraph.io.isd import Aberration, read_isd
-from mgsgraph.io.text import read_json
-from mgsgraph.units import KM, MM
+from mgsgraph.units import ISIS_OFFSET, KM, MM
 
 MODEL = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
 """What usgscsm calls a line scanner."""
@@ -72,7 +71,7 @@ def write_csm(
     for name in originals.keys() - {image.name for image in solution.network.images}:
         raise InputError(f"support data of {name}", "no image of the solution", "one that was adjusted")
     stems = file_stems(solution)
-    texts: dict[str, str] = {}
+    texts = dict[str, str | bytes]()
     for j, stem in enumerate(stems):
         image = solution.image(j)
         original = _original(image, originals.get(image.name), _heights(solution))
@@ -85,10 +84,7 @@ def write_csm(
             texts[stem + SUPPORT_DATA] = _text(data)
         state = model_state(solution, j, tables, data, body.at) | {"m_mgsgraph": _provenance(solution)}
         texts[stem + STATE] = f"{MODEL}\n{_text(state)}"
-    for name, text in texts.items():
-        with fresh_file(folder / name) as path:
-            path.write_text(text, encoding="utf-8", newline="\n")
-    return [folder / name for name in texts]
+    return write_files(folder, texts)
 
 
 def distortion_fields(distortion: Distortion, where: str) -> tuple[str, list[float]]:
@@ -201,14 +197,14 @@ def _require_timing(image: PushbroomImage) -> None:
         line = timing.first_lines[k[off.argmax()] + 1]
         raise InputError(
             f"image {image.name}, line_scan_rate", f"{timing.first_lines.size} segments; after the change at line "
-            f"{line + 0.5:g} usgscsm would be {off.max():.3g} lines off", "one segment, or smaller changes",
+            f"{line + ISIS_OFFSET:g} usgscsm would be {off.max():.3g} lines off", "one segment, or smaller changes",
             "write the model states alone (support=False), which hold them",
         )  # fmt: skip
 
 
 def _line_scan_rate(timing: LineTiming, shift: float) -> Array:
     """Rows of line (ISIS: top edge of the first one 0.5), s past center_ephemeris_time, and s per line."""
-    return np.column_stack([timing.first_lines + 0.5, timing.start_times - shift, timing.periods])
+    return np.column_stack([timing.first_lines + ISIS_OFFSET, timing.start_times - shift, timing.periods])
 
 
 def _support_data(
@@ -264,15 +260,15 @@ def _pointing_table(tables: RefinedTables, body: AttitudeTable, original: Mappin
     to_camera = rotation.to_matrix(tables.quaternions)
     to_body, body_turning = body.at(times)
     matrix = to_camera @ to_body
-    turning = tables.turnings + np.einsum("nij,nj->ni", to_camera, body_turning)
-    return _attitude_table(tables.epoch + times, matrix, turning, original.get("instrument_pointing"))
+    angular_rate = tables.angular_rates + np.einsum("nij,nj->ni", to_camera, body_turning)
+    return _attitude_table(tables.epoch + times, matrix, angular_rate, original.get("instrument_pointing"))
 
 
 def _body_table(epoch: float, body: AttitudeTable, original: Mapping[str, Any]) -> dict[str, Any]:
     return _attitude_table(epoch + body.times, *body.at(body.times), original.get("body_rotation"))
 
 
-def _attitude_table(times: Array, matrices: Array, turnings: Array, said: Any) -> dict[str, Any]:
+def _attitude_table(times: Array, matrices: Array, angular_rates: Array, said: Any) -> dict[str, Any]:
     """Rotation table of attitudes (n, 3, 3), inertial to the frame, that turn with (n, 3) rad/s about its axes; the
     angular velocities of ALE and NAIF are about inertial ones.
     """
@@ -284,17 +280,17 @@ def _attitude_table(times: Array, matrices: Array, turnings: Array, said: Any) -
         "ck_table_end_time": float(times[-1]),
         "ck_table_original_size": times.size,
         "ephemeris_times": times.tolist(),
-        "quaternions": continuous(rotation.from_matrix(matrices)).tolist(),
-        "angular_velocities": np.einsum("nji,nj->ni", matrices, turnings).tolist(),
+        "quaternions": rotation.continuous(rotation.from_matrix(matrices)).tolist(),
+        "angular_velocities": np.einsum("nji,nj->ni", matrices, angular_rates).tolist(),
         "constant_rotation": np.eye(3).ravel().tolist(),
         "reference_frame": _INERTIAL,
     }
 
 
 def _position_table(tables: RefinedTables, body: AttitudeTable) -> dict[str, Any]:
-    to_body, turning = body.at(tables.position_times)
+    to_body, angular_rate = body.at(tables.position_times)
     times = tables.epoch + tables.position_times
-    motion = tables.velocities + np.cross(turning, tables.positions)
+    motion = tables.velocities + np.cross(angular_rate, tables.positions)
     return {
         "spk_table_start_time": float(times[0]),
         "spk_table_end_time": float(times[-1]),

@@ -138,9 +138,10 @@ def _sun(said: dict[str, Any], tables: RefinedTables, body: Turning) -> dict[str
     vectors = [np.asarray(said.get(key, np.zeros((times.size, 3))), dtype=np.float64) * KM
                for key in ("positions", "velocities")]  # fmt: skip
     place, motion = (np.array([np.interp(0.0, times, one[:, axis]) for axis in range(3)]) for one in vectors)
-    ((matrix,), (turning,)) = body(np.zeros(1))
+    ((matrix,), (angular_rate,)) = body(np.zeros(1))
     fixed = matrix @ place
-    return {"m_sunPosition": fixed.tolist(), "m_sunVelocity": (matrix @ motion - np.cross(turning, fixed)).tolist()}
+    velocity = matrix @ motion - np.cross(angular_rate, fixed)
+    return {"m_sunPosition": fixed.tolist(), "m_sunVelocity": velocity.tolist()}
 
 
 def _scales(image: PushbroomImage, correction: OrientationCorrection) -> dict[str, Any]:

@@ -52,7 +52,7 @@ class RefinedTables:
     """(q,) s past the epoch, even steps."""
     quaternions: Array
     """(q, 4) body-fixed to camera axes, scalar first (NAIF q2m), without jumps of sign."""
-    turnings: Array
+    angular_rates: Array
     """(q, 3) rad/s, angular velocity of the camera against the body-fixed frame, in camera axes."""
     pixel: float
     """m, the smaller side of the middle pixel on the ground."""
@@ -104,11 +104,12 @@ def refined_tables(image: PushbroomImage, correction: OrientationCorrection) -> 
     (position_times, place), (attitude_times, attitude) = found["m_positions"], found["m_quaternions"]
     return RefinedTables(
         epoch, shift, position_times, place.position, place.velocity,
-        attitude_times, continuous(rotation.from_matrix(attitude.matrix)), attitude.turning, pixel, distance,
+        attitude_times, rotation.continuous(rotation.from_matrix(attitude.matrix)), attitude.angular_rate,
+        pixel, distance,
     )  # fmt: skip
 
 
-def body_table(tables: RefinedTables, turning: Turning) -> AttitudeTable:
+def body_table(tables: RefinedTables, angular_rate: Turning) -> AttitudeTable:
     """The body's rotation at as few of the attitude's times as do, evenly chosen and the outer two among them.
 
     Inertial positions and attitudes have to be made with this one, between its nodes too, so that whoever turns them
@@ -116,20 +117,14 @@ def body_table(tables: RefinedTables, turning: Turning) -> AttitudeTable:
     """
     times = tables.attitude_times
     lever = float(np.linalg.norm(tables.positions, axis=1).max()) / tables.pixel
-    count, matrices = times.size - 1, turning(times)[0]
+    count, matrices = times.size - 1, angular_rate(times)[0]
     for stride in (k for k in range(count, 0, -1) if count % k == 0):
         first = matrices[:-1:stride]
         turn = rotation.logarithm(matrices[stride::stride] @ np.swapaxes(first, 1, 2))
         between = rotation.exponential(turn[:, None] * (np.arange(stride) / stride)[:, None]) @ first[:, None]
         if np.abs(between.reshape(-1, 3, 3) - matrices[:-1]).max() * lever <= _BODY_TOLERANCE:
             break
-    return AttitudeTable(times[::stride], continuous(rotation.from_matrix(matrices[::stride])), np.eye(3))
-
-
-def continuous(quaternions: Array) -> Array:
-    """The same rotations (n, 4) without jumps of sign, which no interpolation of their components would survive."""
-    signs = np.where(np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0.0, -1.0, 1.0)
-    return quaternions * np.cumprod(np.concatenate([[1.0], signs]))[:, None]
+    return AttitudeTable(times[::stride], rotation.continuous(rotation.from_matrix(matrices[::stride])), np.eye(3))
 
 
 def _middle_pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[float, float]:
@@ -160,7 +155,7 @@ def _interpolation_errors(
     attitudes in rad.
     """
     nodes = pose_at(image, correction, times)
-    quaternions, step = continuous(rotation.from_matrix(nodes.matrix)), float(times[1] - times[0])
+    quaternions, step = rotation.continuous(rotation.from_matrix(nodes.matrix)), float(times[1] - times[0])
     position = attitude = 0.0
     inner = slice(_BEYOND - 1, times.size - _BEYOND)
     for share in _BETWEEN:

@@ -12,16 +12,15 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_losses import Format, losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.io.asp.gcp import ground_control_text, read_ground_control_network
-from mgsgraph.io.asp.match import Matches, match_files, read_match, read_match_text
+from mgsgraph.io.asp.match import Matches, joined, match_files, read_match, read_match_text
 from mgsgraph.io.asp.match_names import images_of, prefix_of
 from mgsgraph.io.asp.nvm import half_sizes, nvm_files, read_nvm
-from mgsgraph.io.asp.tracks import joined
 from mgsgraph.io.control.binary import binary_network
 from mgsgraph.io.control.network_file import read_network
 from mgsgraph.io.control.pvl_writing import network_text
 from mgsgraph.io.control.record import ControlNetwork, ControlPoint
 from mgsgraph.io.control.table import read_table, table_text
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import fresh_file
 from mgsgraph.wording import many, some
 
 Paths = str | Path | Iterable[str | Path]

@@ -14,7 +14,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.export.round_trip import reprojection
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import write_file
 from mgsgraph.output.folders import EXPORT, PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import read_solution
 
@@ -247,8 +247,7 @@ def _note(path: Path, done: Exported) -> bool:
         return False
     exports = {**earlier, done.target.value: {**_figures(done), "folder": str(done.folder)}}
     try:
-        with fresh_file(file) as aside:
-            aside.write_text(_text({**record, "exports": exports}), encoding="utf-8", newline="\n")
+        write_file(file, _text({**record, "exports": exports}))
     except InputError:
         return False  # the export is there all the same
     return True

@@ -20,7 +20,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.overlap_sigmas import SigmaGrid
 from mgsgraph.errors import InputError
 from mgsgraph.export.gis_layers import Layer, ellipse_layers, footprint_layers, point_layers, vector_layers
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import fresh_file
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.reports.sigmas import body_crs, write_sigma_raster
 

@@ -25,9 +25,8 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.output.csv_json import columns, picked
-from mgsgraph.output.table import ISIS
 from mgsgraph.ties import PointKind
-from mgsgraph.units import DEG, KM
+from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 PROBABILITY = 0.95
 """That the true place lies in an error ellipse."""
@@ -307,7 +306,7 @@ def _misregistration(solution: Solution) -> Vectors:
     fields = {
         **_point_names(solution, points),
         "image": images,
-        **columns(["isis_line", "isis_sample"], after + ISIS),
+        **columns(["isis_line", "isis_sample"], after + ISIS_OFFSET),
         **columns(["moved_line_px", "moved_sample_px"], after - before),
     }
     return Vectors(starts, ends - starts, np.ones(points.size, dtype=bool), fields)
@@ -355,7 +354,7 @@ def _residuals(solution: Solution) -> Vectors:
         **_point_names(solution, rays.point[kept]),
         "image": picked(names, rays.image[kept]),
         "used": solution.rays_used[kept],
-        **columns(["isis_line", "isis_sample"], rays.places[kept] + ISIS),
+        **columns(["isis_line", "isis_sample"], rays.places[kept] + ISIS_OFFSET),
         **columns(["residual_line_px", "residual_sample_px"], solution.residuals[kept]),
         **columns(["normalised_line", "normalised_sample"], solution.residuals[kept] / rays.sigmas[kept]),
     }

@@ -29,11 +29,11 @@ from mgsgraph.io.control.record import (
     MeasureType,
     PointType,
 )
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import write_file
 from mgsgraph.network import PointClass
 from mgsgraph.output.folders import PROGRAM
-from mgsgraph.output.table import ISIS
 from mgsgraph.ties import PointKind
+from mgsgraph.units import ISIS_OFFSET
 
 NETWORK, NETWORK_TEXT, WITHOUT_LASER, LIDAR = "network.net", "network.pvl", "network_without_laser.net", "lidar.json"
 """Files of the export beside jigsaw's tables (`bundle_out`)."""
@@ -76,8 +76,7 @@ def write_isis(solution: Solution, folder: Path, scaled: bool = False, target: s
     write_binary_network(network, paths[0])
     write_pvl_network(network, paths[1])
     if lidar := lidar_text(solution, covariance_factor(solution, scaled)):
-        with fresh_file(folder / LIDAR) as aside:
-            aside.write_text(lidar, encoding="utf-8", newline="\n")
+        write_file(folder / LIDAR, lidar)
         paths.append(folder / LIDAR)
         laser = solution.network.points.classes[solution.network.rays.point] == PointClass.LASER
         if np.any(laser) and not np.all(laser):
@@ -156,7 +155,7 @@ def _measures(solution: Solution) -> list[list[ControlMeasure]]:
     rays, images = solution.network.rays, [image.name for image in solution.network.images]
     found = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
     guessed = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=np.bool_)
-    numbers, marks = (rays.places + ISIS, solution.residuals, rays.sigmas), (rejected_rays(solution), guessed)
+    numbers, marks = (rays.places + ISIS_OFFSET, solution.residuals, rays.sigmas), (rejected_rays(solution), guessed)
     columns = [column.tolist() for column in (rays.point, rays.image, *numbers, *marks)]
     for i, j, place, residual, sigma, rejected, guess in zip(*columns, strict=True):
         known = math.isfinite(residual[0]) and math.isfinite(residual[1])

@@ -13,9 +13,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.records import Array
-from mgsgraph.output.table import ISIS
 from mgsgraph.ties import PointKind
-from mgsgraph.units import DEG, KM
+from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 
 def lidar_text(solution: Solution, factor: float = 1.0) -> str:
@@ -86,7 +85,7 @@ def _measures(solution: Solution) -> dict[int, list[dict[str, Any]]]:
     found = dict[int, list[dict[str, Any]]]()
     rays, names = solution.network.rays, [image.name for image in solution.network.images]
     for k in np.flatnonzero(solution.rays_used).tolist():
-        line, sample = (rays.places[k] + ISIS).tolist()
+        line, sample = (rays.places[k] + ISIS_OFFSET).tolist()
         measure = {"line": line, "sample": sample, "serialNumber": names[int(rays.image[k])]}
         found.setdefault(int(rays.point[k]), []).append(measure)
     return found

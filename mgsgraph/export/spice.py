@@ -120,8 +120,8 @@ def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = N
         _write_attitudes(NAMES[6], export)
         if export.body.relative is None:
             _write_rotation(NAMES[4], export)
-    turning = NAMES[4:5] if export.body.relative is None else ()
-    kernels = [*clocks, *texts, *turning, *NAMES[5:]]
+    angular_rate = NAMES[4:5] if export.body.relative is None else ()
+    kernels = [*clocks, *texts, *angular_rate, *NAMES[5:]]
     (folder / META_KERNEL).write_text(list_text(kernels, export.comments), encoding="ascii", newline="\n")
     return [folder / name for name in (META_KERNEL, *kernels)]
 
@@ -173,8 +173,8 @@ def _body(solution: Solution, naming: SpiceNaming) -> Body:
     except NotFoundError:
         found = f"one that SPICE doesn't know ({name}, of an equatorial radius of {ellipsoid.equatorial:.10g} m)"
         raise InputError("body", found, "a body with a NAIF id", "say its name") from None
-    turning = all(isinstance(image.trajectory, Trajectory) for image in solution.network.images)
-    relative = naming.body_frame or (None if turning else f"IAU_{name.upper()}")
+    angular_rate = all(isinstance(image.trajectory, Trajectory) for image in solution.network.images)
+    relative = naming.body_frame or (None if angular_rate else f"IAU_{name.upper()}")
     return Body(name, code, (ellipsoid.equatorial, ellipsoid.equatorial, ellipsoid.polar), relative)
 
 
@@ -290,7 +290,7 @@ def _write_attitudes(name: str, export: _Export) -> None:
     with _opened(name, export) as handle:
         for one, nodes, times, segment in export.segments:
             matrices = nodes.matrices
-            _add_attitudes(handle, one.camera, export, export.body.frame, segment, times, matrices, nodes.turning)
+            _add_attitudes(handle, one.camera, export, export.body.frame, segment, times, matrices, nodes.angular_rate)
 
 
 def _write_rotation(name: str, export: _Export) -> None:
@@ -301,19 +301,19 @@ def _write_rotation(name: str, export: _Export) -> None:
             table, (first, last) = one.image.trajectory.body, nodes.times[[0, -1]]
             inner = table.times[(table.times > first) & (table.times < last)] + nodes.epoch
             places = np.unique(np.concatenate([times[[0, -1]], inner]))
-            matrices, turning = table.at(places - nodes.epoch)
-            inertial = np.einsum("nji,nj->ni", matrices, turning)
+            matrices, angular_rate = table.at(places - nodes.epoch)
+            inertial = np.einsum("nji,nj->ni", matrices, angular_rate)
             _add_attitudes(handle, export.body.rotation_id, export, "J2000", segment, places, matrices, inertial)
 
 
 def _add_attitudes(
-    handle: int, code: int, export: _Export, reference: str, segment: str, times: Array, matrices: Array, turning: Array
+    handle: int, code: int, export: _Export, reference: str, segment: str, times: Array, matrices: Array, rates: Array
 ) -> None:
-    """One CK segment; turning (n, 3) rad/s in axes of the reference frame."""
+    """One CK segment; rates (n, 3) rad/s in axes of the reference frame."""
     with spice_words(f"clock {export.clock}", "give the SCLK (and LSK) of this clock, at the images' times"):
         ticks = np.array([spiceypy.sce2c(export.clock, float(time)) for time in times])
     quaternions = rotation.from_matrix(matrices)
     spiceypy.ckw03(
         handle, ticks[0], ticks[-1], code, reference, True, segment, ticks.size, ticks, quaternions,
-        np.ascontiguousarray(turning), 1, ticks[:1],
+        np.ascontiguousarray(rates), 1, ticks[:1],
     )  # fmt: skip

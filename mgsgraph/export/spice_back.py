@@ -4,8 +4,7 @@ Nothing is taken from the writer or from our geometry. The line is found by the 
 kernel says of detector, optics and line times (its comments have the formulas).
 """
 
-from collections.abc import Iterator
-from contextlib import chdir, contextmanager
+from contextlib import chdir
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +14,7 @@ from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.round_trip import Reprojection, images_of
+from mgsgraph.io.kernels import loaded
 
 Numbers = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -24,7 +24,6 @@ _REST = 1e-5
 """lines, at which the secant method ends: attitudes are looked up to 3e-6 of LROC-NAC's, as exact as a time is."""
 _SEEN = 1e-3
 """px: nearer than this to the detector a point is seen there, not lost at an end of the lines covered."""
-_PAGE = 1000
 
 
 def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
@@ -51,7 +50,7 @@ def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
     if not meta.is_file():
         raise InputError(str(meta), "no such file", "the meta-kernel of an export to SPICE")
     try:
-        with _own_pool(), chdir(folder):
+        with loaded([]), chdir(folder):
             spiceypy.furnsh(_META_KERNEL)
             cameras = _cameras()
             for name, mine in images_of(wanted).items():
@@ -63,39 +62,6 @@ def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
     except SpiceyError as error:
         raise InputError(str(meta), f"SPICE says: {' '.join(str(error).split())[:300]}") from None
     return np.where(np.isnan(differences), np.inf, differences)
-
-
-@contextmanager
-def _own_pool() -> Iterator[None]:
-    """An empty kernel pool, and afterwards again the files and variables that were there."""
-    files = [spiceypy.kdata(k, "ALL", 1024, 32, 1024) for k in range(spiceypy.ktotal("ALL"))]
-    own = [name for name, _, source, *_ in files if not source]
-    before = _variables()
-    spiceypy.kclear()
-    try:
-        yield
-    finally:
-        spiceypy.kclear()
-        for name in own:
-            spiceypy.furnsh(name)
-        now = _variables()
-        for name in now.keys() - before.keys():
-            spiceypy.dvpool(name)
-        for name, values in before.items():
-            if now.get(name) != values:
-                (spiceypy.pcpool if isinstance(values[0], str) else spiceypy.pdpool)(name, values)
-
-
-def _variables() -> dict[str, list[Any]]:
-    names: list[str] = []
-    try:
-        while len(page := spiceypy.gnpool("*", len(names), _PAGE, 33)):
-            names += page
-            if len(page) < _PAGE:
-                break
-    except NotFoundError:
-        pass
-    return {name: _variable(name) for name in names}
 
 
 def _variable(name: str) -> list[Any]:
@@ -172,13 +138,13 @@ def _off_line(camera: _Camera, points: Numbers, lines: Numbers) -> tuple[Numbers
     for i, time in enumerate(times):
         ticks = spiceypy.sce2c(camera.clock, time)
         try:
-            matrix, turning, _ = spiceypy.ckgpav(camera.frame, ticks, 0, camera.body_frame)
+            matrix, angular_rate, _ = spiceypy.ckgpav(camera.frame, ticks, 0, camera.body_frame)
         except NotFoundError:
             ray[i] = np.nan
             continue
         state, _ = spiceypy.spkgeo(camera.spacecraft, time, camera.body_frame, camera.body)
         arm = points[i] / 1e3 - state[:3]
-        ray[i] = matrix @ (arm - rest[i] * (state[3:] + np.cross(turning, arm)))
+        ray[i] = matrix @ (arm - rest[i] * (state[3:] + np.cross(angular_rate, arm)))
     ray[ray[:, 2] <= 0.0] = np.nan  # behind the camera
     x, y = _distorted(camera, camera.focal_length * ray[:, :2].T / ray[:, 2])
     line = camera.centre[0] + camera.to_line[0] + camera.to_line[1] * x + camera.to_line[2] * y

@@ -45,7 +45,7 @@ class AdjustedNodes:
     """(n, 3) m/s, the change of these positions in the body-fixed frame."""
     matrices: Array
     """(n, 3, 3) body-fixed to camera frame, camera +Z out of the lens."""
-    turning: Array
+    angular_rate: Array
     """(n, 3) rad/s, angular velocity of the camera against the body-fixed frame, in body-fixed axes."""
     error: float
     """px, largest between nodes, where it was measured."""
@@ -98,8 +98,8 @@ def _nodes(image: PushbroomImage, correction: OrientationCorrection, times: Arra
     kept = kept[np.diff(reached[kept], prepend=-np.inf) > _NEAR]
     pose = image.pose(lines[kept], correction)
     rate = 1.0 / periods[kept, None]
-    turning = np.einsum("nji,nj->ni", pose.matrix, pose.turning * rate)
-    return epoch, (reached[kept] + epoch) - epoch, pose.position, pose.velocity * rate, pose.matrix, turning
+    angular_rate = np.einsum("nji,nj->ni", pose.matrix, pose.angular_rate * rate)
+    return epoch, (reached[kept] + epoch) - epoch, pose.position, pose.velocity * rate, pose.matrix, angular_rate
 
 
 def _first_times(

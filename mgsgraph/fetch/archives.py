@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.text import read_text
+from mgsgraph.io.files import read_text
 
 VARIABLE = "MGSGRAPH_MIRRORS"
 """Environment variable with the path of a file of mirrors."""

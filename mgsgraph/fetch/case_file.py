@@ -12,7 +12,7 @@ from pathlib import Path
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.grids import Grid, topography
 from mgsgraph.fetch.needs import FIXED, LEAP_SECONDS, ImageNeeds, kernel_path, kernels_of
-from mgsgraph.io.pvl import finite_number
+from mgsgraph.io.files import finite_number
 from mgsgraph.wording import some
 
 META_KERNEL = "kernels/mgs.tm"

@@ -20,9 +20,7 @@ from mgsgraph.fetch.product import ProductId, products_of
 from mgsgraph.fetch.search import Search
 from mgsgraph.fetch.store import Progress, Store
 from mgsgraph.fetch.volumes import volumes_of
-from mgsgraph.io.claim import claimed
-from mgsgraph.io.fresh_file import fresh_file
-from mgsgraph.io.text import read_bytes
+from mgsgraph.io.files import claimed, read_bytes, write_file
 from mgsgraph.wording import many
 
 _REMEDY = "choose another --out"
@@ -138,7 +136,7 @@ def fetch_images(
         _find(products, lock, Search(archives, store, volumes), update)
         needs = tuple(lock.images.values())
         store.get_all(wanted_files(needs, archives))
-        _write(folder / META_KERNEL, meta_kernel(needs))
+        write_file(folder / META_KERNEL, meta_kernel(needs), remedy=_REMEDY)
         notes = [note for image in needs for note in image.notes]
         places = list[tuple[float, float]]()
         for image in needs:
@@ -241,12 +239,7 @@ def _write_case(lock: Lock, needs: Sequence[ImageNeeds], grid: Grid | None) -> l
         there = hashlib.sha256(read_bytes(path)).hexdigest()
         if there not in (lock.case, mine):
             return [f"{path} is not as it was written here, and was left alone; move it away to have a new one"]
-    _write(path, text)
+    write_file(path, text, remedy=_REMEDY)
     lock.case = mine
     lock.write()
     return []
-
-
-def _write(path: Path, text: str) -> None:
-    with fresh_file(path, remedy=_REMEDY) as aside:
-        aside.write_text(text, encoding="utf-8", newline="\n")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.product import ProductId
+from mgsgraph.io.files import read_bytes
 from mgsgraph.io.pvl import Block, Document, whole_label
-from mgsgraph.io.text import read_bytes
 
 _COLUMNS = ("PRODUCT_ID", "FILE_SPECIFICATION_NAME", "INSTRUMENT_NAME")
 

@@ -4,9 +4,9 @@ from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.pds3 import Pds3Label
+from mgsgraph.io.pvl import Block
 
-_NONE = ("N/A", "UNK", "NULL", "")
+_NONE = ("N/A", "UNK", "")
 """What PDS3 labels write for no value."""
 _DAY_OF_YEAR = "%Y-%jT%H:%M:%S"
 
@@ -18,19 +18,18 @@ class Interval(NamedTuple):
     stop: datetime
 
     @classmethod
-    def of(cls, label: Pds3Label) -> "Interval":
+    def of(cls, label: Block) -> "Interval":
         """START_TIME and STOP_TIME of a label; InputError where one is missing, no time, or they are exchanged."""
-        found = cls(*(utc(label.text(key), f"{label.where}, {key}") for key in ("START_TIME", "STOP_TIME")))
+        found = cls(*(utc(label.text(key), label.where(key)) for key in ("START_TIME", "STOP_TIME")))
         if found.start > found.stop:
-            raise InputError(label.where, f"START_TIME {found.start} after STOP_TIME {found.stop}", "the reverse")
+            raise InputError(label.where(), f"START_TIME {found.start} after STOP_TIME {found.stop}", "the reverse")
         return found
 
     @classmethod
-    def said_by(cls, label: Pds3Label) -> "Interval | None":
+    def said_by(cls, label: Block) -> "Interval | None":
         """The same; None for a label that says no times."""
-        keys = ("START_TIME", "STOP_TIME")
-        silent = any(key not in label or label.text(key).upper() in _NONE for key in keys)
-        return None if silent else cls.of(label)
+        stated = [str(label.entries[key.lower()].value) for key in ("START_TIME", "STOP_TIME") if key in label]
+        return cls.of(label) if len(stated) == 2 and not any(text.upper() in _NONE for text in stated) else None
 
     @property
     def middle(self) -> datetime:

@@ -11,9 +11,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import require_address
 from mgsgraph.fetch.needs import ImageNeeds
 from mgsgraph.fetch.part import Source
-from mgsgraph.io.checksum import sha256_of
-from mgsgraph.io.fresh_file import fresh_file
-from mgsgraph.io.text import Fields, read_json
+from mgsgraph.io.files import read_json, sha256_of, write_file
+from mgsgraph.io.json_fields import Fields
 from mgsgraph.wording import many, some
 
 LOCK = "fetch.lock"
@@ -94,8 +93,7 @@ class Lock:
             "files": {name: asdict(self.files[name]) for name in sorted(self.files)},
             "written": {"case.toml": self.case} if self.case else {},
         }  # fmt: skip
-        with fresh_file(self.folder / LOCK, remedy="choose another --out") as path:
-            path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
+        write_file(self.folder / LOCK, json.dumps(content, indent=1) + "\n", remedy="choose another --out")
 
     def whole(self, name: str) -> bool:
         """Whether a file is there as it was locked."""

@@ -12,8 +12,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.download import NotInArchive, Remote
 from mgsgraph.fetch.interval import Interval
-from mgsgraph.io.pds3 import Pds3Label
 from mgsgraph.io.pedr import FRAME, HEADER_RECORDS
+from mgsgraph.io.pvl import flat_label
 
 RANGING_ENDED = datetime(2001, 6, 30, 23, 59, 59, tzinfo=UTC)
 """MOLA's last range was on this day."""
@@ -53,7 +53,7 @@ def find_profile(orbit: int, taken: Interval, archives: Archives, remote: Remote
             head = remote.head(archives.pedr + path, HEADER_RECORDS * FRAME.itemsize)
         except NotInArchive:
             continue
-        covered = Interval.said_by(Pds3Label(_label_text(head, archives.pedr + path), archives.pedr + path))
+        covered = Interval.said_by(flat_label(_label_text(head, archives.pedr + path), archives.pedr + path))
         if covered is None:
             return path, f"{where}: the label of {path} says no times; it is taken by its orbit"
         if covered.holds(taken.middle):

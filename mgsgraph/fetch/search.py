@@ -14,7 +14,7 @@ from mgsgraph.fetch.product import ProductId
 from mgsgraph.fetch.profiles import find_profile, orbit_at
 from mgsgraph.fetch.store import Store
 from mgsgraph.fetch.volumes import NAMES, find_image, volumes_listed
-from mgsgraph.io.pds3 import Pds3Label
+from mgsgraph.io.pvl import Block, flat_label
 
 _LABEL = 8192
 """bytes in which the label of an image lies: that of a compressed one takes 2048."""
@@ -73,11 +73,11 @@ class Search:
                 continue
         return ()
 
-    def _image_label(self, product: ProductId, url: str) -> Pds3Label:
+    def _image_label(self, product: ProductId, url: str) -> Block:
         head = self._store.remote.head(url, _LABEL)
         if not head.lstrip().startswith(b"PDS_VERSION_ID"):
             raise InputError(url, f"it begins with {head[:16]!r}", "an image with its PDS3 label", "try another mirror")
-        label = Pds3Label(head.decode("latin-1"), url)
+        label = flat_label(head.decode("latin-1"), url)
         if (found := label.text("PRODUCT_ID").strip()) != str(product):
             raise InputError(f"{url}, PRODUCT_ID", repr(found), str(product), "the index and the image disagree")
         if (instrument := label.text("INSTRUMENT_ID").upper()) != "MOC-NA":
@@ -90,4 +90,4 @@ class Search:
             path = self._store.get(Wanted(self._archives.kernels + label, kernel_path(label)))
         except NotInArchive:
             return None
-        return Interval.said_by(Pds3Label(path.read_text(encoding="latin-1"), str(path)))
+        return Interval.said_by(flat_label(path.read_text(encoding="latin-1"), str(path)))

@@ -11,7 +11,7 @@ from mgsgraph.fetch.contents import require_content
 from mgsgraph.fetch.download import Remote
 from mgsgraph.fetch.lock import Lock, LockedFile
 from mgsgraph.fetch.needs import Wanted
-from mgsgraph.io.checksum import sha256_of
+from mgsgraph.io.files import sha256_of
 
 Progress = Callable[[int, int], None]
 """Is told of bytes that have come and of all bytes that are known to come."""

@@ -18,7 +18,7 @@ from mgsgraph.figures.overlay import overlay_sheets, pixels_of
 from mgsgraph.figures.registration import registration_sheets
 from mgsgraph.figures.residuals import residual_sheets
 from mgsgraph.figures.sheet import Sheet, plain_style, save
-from mgsgraph.io.moc_pixels import Pixels
+from mgsgraph.io.pictures import Pixels
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration

@@ -35,7 +35,7 @@ from mgsgraph.figures.sheet import (
     words,
 )
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.io.moc_pixels import Pixels
+from mgsgraph.io.pictures import Pixels
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.units import KM

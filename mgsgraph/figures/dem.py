@@ -29,6 +29,7 @@ from mgsgraph.figures.sheet import (
     words,
 )
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.pictures import open_raster
 from mgsgraph.units import KM
 from mgsgraph.wording import many, some
 
@@ -52,9 +53,7 @@ def write_dem_figure(dem: Dem, folder: Path) -> list[str]:
 
 def _small(path: Path) -> NDArray[np.uint8]:
     """An ortho image as it is drawn."""
-    import rasterio
-
-    with rasterio.open(path) as file:
+    with open_raster(path, "the ortho image") as file:
         step = max(1.0, max(file.shape) / _MOST_POSTS)
         found: NDArray[np.uint8] = file.read(1, out_shape=tuple(max(1, round(size / step)) for size in file.shape))
     return found

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.analysis.height_cells import HeightCells, turned
-from mgsgraph.analysis.two_step_statistics import StepMerit, owners
+from mgsgraph.analysis.two_step_statistics import TwoStepStatistics, owners
 from mgsgraph.figures.sheet import INK, Sheet, legend, new_sheet, number, panels, plain_style, save, words
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.footprint import footprint
@@ -28,13 +28,13 @@ _DOWN = 0.95
 _MOST_OUTLINES = 60
 
 
-def write_height_map(merit: StepMerit, found: HeightCells, folder: Path) -> list[str]:
+def write_height_map(merit: TwoStepStatistics, found: HeightCells, folder: Path) -> list[str]:
     """Draw the map; names of the files."""
     with plain_style():
         return save(height_map_sheet(merit, found), folder)
 
 
-def height_map_sheet(merit: StepMerit, found: HeightCells) -> Sheet:
+def height_map_sheet(merit: TwoStepStatistics, found: HeightCells) -> Sheet:
     """Root mean square and mean of the heights by cell, with the nominal orientation and after both steps."""
     west, east, south, north = found.extent
     tall = (north - south) > (east - west) * np.cos(0.5 * (south + north) * DEG)
@@ -113,7 +113,7 @@ def _bar(sheet: Sheet, pair: list[Axes], shown: AxesImage, what: str, extend: st
     axes.set_xlabel(what)
 
 
-def _outlines(merit: StepMerit, found: HeightCells) -> list[Array]:
+def _outlines(merit: TwoStepStatistics, found: HeightCells) -> list[Array]:
     """(k, 2) deg, of each strip's middle image, or of each image, adjusted; at the middle height of the points."""
     steps = merit.steps
     places = steps.fitted.places[merit.points]
@@ -128,7 +128,7 @@ def _outlines(merit: StepMerit, found: HeightCells) -> list[Array]:
     return result
 
 
-def _caption(merit: StepMerit, found: HeightCells, sides: tuple[str, str]) -> str:
+def _caption(merit: TwoStepStatistics, found: HeightCells, sides: tuple[str, str]) -> str:
     heights = merit.whole.heights
     width, height = (number(step / DEG) for step in found.steps)
     before, free, fitted = (number(value) for value in found.total)

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
-from mgsgraph.analysis.flight import node_times, strip_course
+from mgsgraph.analysis.flight import node_times, strip_corrections
 from mgsgraph.figures.sheet import (
     AFTER,
     INK,
@@ -118,9 +118,9 @@ def drawn_strip(solution: Solution, strip: int) -> Drawn:
     one, nodes = solution.network.strips[strip], node_times(solution, strip)
     start, stop = one.nodes.coverage
     times = np.linspace(start, stop, max(_PLACES, _PER_INTERVAL * nodes.size + 1)) + one.nodes.epoch
-    course, there = strip_course(solution, strip, times), strip_course(solution, strip, nodes)
+    series, there = strip_corrections(solution, strip, times), strip_corrections(solution, strip, nodes)
     scale = [1.0] * 3 + [MGON] * 3
-    curves = [(course.values[:, c] / scale[c], course.sigmas[:, c] / scale[c]) for c in range(6)]
+    curves = [(series.values[:, c] / scale[c], series.sigmas[:, c] / scale[c]) for c in range(6)]
     variable = int(solution.network.first_of_strips[strip]) + len(one.nodes) // 2
     middle = _largest_correlation(solution.joint_covariance.block(variable, variable))
     return Drawn(

@@ -37,8 +37,7 @@ from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.moc_label import read_moc_label
-from mgsgraph.io.moc_pixels import Pixels, read_moc_pixels
-from mgsgraph.io.pictures import as_bytes, is_moc, read_picture
+from mgsgraph.io.pictures import Pixels, as_bytes, is_moc, read_moc_pixels, read_picture
 from mgsgraph.registration.case import CaseRegistration, ProfileRegistration
 
 AFTER = "#56B4E9"

@@ -14,7 +14,7 @@ from mgsgraph.figures.overlay import averaged, footprint_heights, ground_size, p
 from mgsgraph.figures.page import data_uri
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.moc_pixels import Pixels
+from mgsgraph.io.pictures import Pixels
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.measured import thinned
 

@@ -23,7 +23,7 @@ from mgsgraph.figures.sheet import (
     short,
     words,
 )
-from mgsgraph.planning.plan import Judged, Plan
+from mgsgraph.planning.plan import Evaluation, Plan
 
 _MOST = 20
 """Candidates that are drawn."""
@@ -82,7 +82,7 @@ def _draw_steps(panel: Axes, plan: Plan) -> None:
     words(panel, f"{what} sigma of the targets (m)", "", "one after the other")
 
 
-def _bars(panel: Axes, shown: Sequence[Judged], values: Sequence[float], chosen: set[str]) -> None:
+def _bars(panel: Axes, shown: Sequence[Evaluation], values: Sequence[float], chosen: set[str]) -> None:
     colours = [AFTER if one.name in chosen else SOFT for one in shown]
     panel.barh(np.arange(len(shown)), values, color=colours, height=0.68)
     panel.set_xlim(left=0.0)

@@ -28,7 +28,7 @@ from mgsgraph.figures.sheet import (
     words,
 )
 from mgsgraph.spacing.choice import Choice
-from mgsgraph.spacing.corrections import Course
+from mgsgraph.spacing.corrections import CorrectionSeries
 from mgsgraph.spacing.spectrum import FALSE_ALARMS, Spectrum
 from mgsgraph.spacing.study import NodeStudy, StripSpectra
 from mgsgraph.units import ARCSEC, MGON
@@ -47,7 +47,7 @@ def _sheets(study: NodeStudy) -> Iterator[Sheet]:
     shown = study.strips[:MOST_SHEETS]
     for k, one in enumerate(shown):
         yield spectrum_sheet(one, sheet_name("spectrum", k + 1, len(shown)))
-    courses = study.courses[:MOST_SHEETS]
+    courses = study.corrections[:MOST_SHEETS]
     for k, course in enumerate(courses):
         yield course_sheet(course, study.choice.spacing, sheet_name("course", k + 1, len(courses)))
 
@@ -162,13 +162,13 @@ def _said(found: StripSpectra) -> str:
     return (
         f"{what}{more}. Noise alone shows {', '.join(number(one) for one in floors)} mgon rms in roll, pitch and yaw "
         f"(medians over frequency), and crosses the dashed level somewhere in {100.0 * FALSE_ALARMS:g} % of such "
-        f"panels. {found.course.times.size} orientation images tell frequencies up to {number(first.nyquist)} Hz; what "
-        "is above the level but no vibration is explained by the departures that the prior expects, surer in another "
-        "axis, or may be the trace of a stronger one."
+        f"panels. {found.corrections.times.size} orientation images tell frequencies up to {number(first.nyquist)} Hz; "
+        "what is above the level but no vibration is explained by the departures that the prior expects, surer in "
+        "another axis, or may be the trace of a stronger one."
     )
 
 
-def course_sheet(course: Course, spacing: float, name: str) -> Sheet:
+def course_sheet(course: CorrectionSeries, spacing: float, name: str) -> Sheet:
     """Corrections of a strip over time, with their sigmas and the nodes."""
     since = course.times - course.times[0]
     sigmas = course.sigmas

@@ -1,42 +1,34 @@
 """Nominal poses by compiled code: sampled tables interpolated as ISIS and SPICE do, and polynomials of the papers."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-from mgsgraph.compiled import digest_of, make_equations_compilable
-from mgsgraph.factors import algebra
+from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
 from mgsgraph.factors.algebra import add, cross, product, scale, subtract, transform, transpose
 from mgsgraph.factors.interpolation import hermite
 from mgsgraph.factors.rotation import matrix_quaternion, opk_paper_axes, opk_rotation, quaternion_matrix, rotation
 
 make_equations_compilable()
 
-_compiled: Any = njit(nogil=True, error_model="numpy")
-_kept: Any = njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_compiled
+@compiled
 def interval(times, at):
     """Interval k of the samples times[k] .. times[k + 1] that serves a time; the outer ones extrapolate."""
     return min(max(np.searchsorted(times, at, side="right") - 1, 0), times.size - 2)
 
 
-@_compiled
+@compiled
 def vector(values, k):
     """Row k of an array (n, 3)."""
     return values[k, 0], values[k, 1], values[k, 2]
 
 
-@_compiled
+@compiled
 def put(values, k, vector):
     """Set row k of an array (n, 3)."""
     values[k, 0], values[k, 1], values[k, 2] = vector
 
 
-@_compiled
+@compiled
 def place_at(time, table):
     """Position and velocity of a table (times, positions, velocities) at a time."""
     times, positions, velocities = table
@@ -51,7 +43,7 @@ def place_at(time, table):
     )
 
 
-@_compiled
+@compiled
 def attitude_at(time, table):
     """Matrix of a table (times, quaternions, turns, constant) at a time, and angular velocity, in the wanted frame.
 
@@ -66,7 +58,7 @@ def attitude_at(time, table):
     return product(fixed, sampled), transform(fixed, scale(1.0 / step, turn))
 
 
-@_compiled
+@compiled
 def polynomial_at(coefficients, s):
     """Value and derivative by s of a polynomial with coefficients (d, 3)."""
     value, slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -76,75 +68,59 @@ def polynomial_at(coefficients, s):
     return value, slope
 
 
-def _compile(sources: str) -> Any:
-    """What is called from Python; it holds the digest of all that it is compiled from."""
-
-    @_kept
-    def places(times, table, position, velocity):
-        """Positions (n, 3) and velocities (n, 3) of a table at times (n,)."""
-        if len(sources) == 0:
-            return
-        for i in range(times.size):
-            place, motion = place_at(times[i], table)
-            put(position, i, place)
-            put(velocity, i, motion)
-
-    @_kept
-    def quaternions(matrix, found):
-        """Unit quaternions (n, 4) of rotation matrices (n, 3, 3)."""
-        if len(sources) == 0:
-            return
-        for i in range(matrix.shape[0]):
-            m = matrix[i]
-            rows = vector(m, 0), vector(m, 1), vector(m, 2)
-            found[i, 0], found[i, 1], found[i, 2], found[i, 3] = matrix_quaternion(rows)
-
-    @_kept
-    def attitudes(times, table, matrix, turning):
-        """Matrices (n, 3, 3) and angular velocities (n, 3) of a table at times (n,)."""
-        if len(sources) == 0:
-            return
-        for i in range(times.size):
-            attitude, turn = attitude_at(times[i], table)
-            for j in range(3):
-                put(matrix[i], j, attitude[j])
-            put(turning, i, turn)
-
-    @_kept
-    def sampled_poses(times, position_table, camera_table, body_table, position, velocity, matrix, turning):
-        """Poses at times (n,): body-fixed position and attitude of the camera, and their rates per second."""
-        if len(sources) == 0:
-            return
-        for i in range(times.size):
-            place, motion = place_at(times[i], position_table)
-            to_camera, camera_turning = attitude_at(times[i], camera_table)
-            to_body, body_turning = attitude_at(times[i], body_table)
-            fixed = transform(to_body, place)
-            attitude = product(to_camera, transpose(to_body))
-            put(position, i, fixed)
-            put(velocity, i, subtract(transform(to_body, motion), cross(body_turning, fixed)))
-            put(turning, i, subtract(camera_turning, transform(attitude, body_turning)))
-            for j in range(3):
-                put(matrix[i], j, attitude[j])
-
-    @_kept
-    def polynomial_poses(s, rate, places, angles, position, velocity, matrix, turning):
-        """Poses of polynomials in X, Y, Z and in omega, phi, kappa at s (n,); `rate` is ds/dt."""
-        if len(sources) == 0:
-            return
-        for i in range(s.size):
-            place, motion = polynomial_at(places, s[i])
-            opk, opk_rate = polynomial_at(angles, s[i])
-            attitude = transpose(opk_rotation(opk))
-            put(position, i, place)
-            put(velocity, i, scale(rate, motion))
-            put(turning, i, scale(rate, transform(opk_paper_axes(opk), opk_rate)))
-            for j in range(3):
-                put(matrix[i], j, attitude[j])
-
-    return places, quaternions, attitudes, sampled_poses, polynomial_poses
+@cached_kernel
+def places(times, table, position, velocity):
+    """Positions (n, 3) and velocities (n, 3) of a table at times (n,)."""
+    for i in range(times.size):
+        place, motion = place_at(times[i], table)
+        put(position, i, place)
+        put(velocity, i, motion)
 
 
-places, quaternions, attitudes, sampled_poses, polynomial_poses = _compile(
-    digest_of(Path(__file__).parent, Path(algebra.__file__).parent)
-)
+@cached_kernel
+def quaternions(matrix, found):
+    """Unit quaternions (n, 4) of rotation matrices (n, 3, 3)."""
+    for i in range(matrix.shape[0]):
+        m = matrix[i]
+        rows = vector(m, 0), vector(m, 1), vector(m, 2)
+        found[i, 0], found[i, 1], found[i, 2], found[i, 3] = matrix_quaternion(rows)
+
+
+@cached_kernel
+def attitudes(times, table, matrix, angular_rate):
+    """Matrices (n, 3, 3) and angular velocities (n, 3) of a table at times (n,)."""
+    for i in range(times.size):
+        attitude, turn = attitude_at(times[i], table)
+        for j in range(3):
+            put(matrix[i], j, attitude[j])
+        put(angular_rate, i, turn)
+
+
+@cached_kernel
+def sampled_poses(times, position_table, camera_table, body_table, position, velocity, matrix, angular_rate):
+    """Poses at times (n,): body-fixed position and attitude of the camera, and their rates per second."""
+    for i in range(times.size):
+        place, motion = place_at(times[i], position_table)
+        to_camera, camera_turning = attitude_at(times[i], camera_table)
+        to_body, body_turning = attitude_at(times[i], body_table)
+        fixed = transform(to_body, place)
+        attitude = product(to_camera, transpose(to_body))
+        put(position, i, fixed)
+        put(velocity, i, subtract(transform(to_body, motion), cross(body_turning, fixed)))
+        put(angular_rate, i, subtract(camera_turning, transform(attitude, body_turning)))
+        for j in range(3):
+            put(matrix[i], j, attitude[j])
+
+
+@cached_kernel
+def polynomial_poses(s, rate, places, angles, position, velocity, matrix, angular_rate):
+    """Poses of polynomials in X, Y, Z and in omega, phi, kappa at s (n,); `rate` is ds/dt."""
+    for i in range(s.size):
+        place, motion = polynomial_at(places, s[i])
+        opk, opk_rate = polynomial_at(angles, s[i])
+        attitude = transpose(opk_rotation(opk))
+        put(position, i, place)
+        put(velocity, i, scale(rate, motion))
+        put(angular_rate, i, scale(rate, transform(opk_paper_axes(opk), opk_rate)))
+        for j in range(3):
+            put(matrix[i], j, attitude[j])

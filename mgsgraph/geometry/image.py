@@ -167,7 +167,7 @@ class PushbroomImage:
         look, direction, slope = self._looks(pose, samples)
         d_origins = np.stack([pose.velocity, np.zeros_like(pose.velocity)], axis=2)
         along_detector = np.column_stack([slope, np.zeros(samples.size)])
-        turned = np.stack([np.cross(pose.turning, look), along_detector], axis=2)
+        turned = np.stack([np.cross(pose.angular_rate, look), along_detector], axis=2)
         return pose.position, direction, d_origins, np.swapaxes(pose.matrix, 1, 2) @ turned
 
     def sightlines(
@@ -249,7 +249,7 @@ class PushbroomImage:
         attitude, focal = rotation.rows(pose.matrix), self.interior.focal_length
         ray = transform(attitude, rotation.components(points - pose.position))
         ray = ray[0], ray[1], np.where(ray[2] > 0.0, ray[2], np.nan)
-        motion = ray_motion(attitude, ray, rotation.components(pose.velocity), rotation.components(pose.turning))
+        motion = ray_motion(attitude, ray, rotation.components(pose.velocity), rotation.components(pose.angular_rate))
         by_line = rotation.stacked(image_motion(ray, motion, focal))
         points_rows = [rotation.stacked(by_point(row, attitude)) for row in image_by_ray(ray, focal)]
         error = rotation.stacked(focal_plane(ray, focal)) - detector

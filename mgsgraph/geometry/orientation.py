@@ -134,17 +134,17 @@ class OrientationCorrection:
         attitude_of, at, rates = self._nominal_attitude(nominal)
         turned = attitude_of(at, rates, 0.0, rotation.components(turn), rotation.components(turn_rate))
         position = nominal.position + correction[:, :3]
-        matrix, _, turning = turned
-        return Pose(position, nominal.velocity + slope[:, :3], rotation.matrices(matrix), rotation.stacked(turning))
+        matrix, _, rate = turned
+        return Pose(position, nominal.velocity + slope[:, :3], rotation.matrices(matrix), rotation.stacked(rate))
 
     def _nominal_attitude(self, nominal: Pose) -> tuple[Callable[..., Any], tuple[Array, ...], tuple[Array, ...]]:
         """The equation of `factors.pose` that adds corrections, and nominal attitude and rates as it takes them."""
         if self.angles == "camera":
             at = rotation.components(rotation.from_matrix(nominal.matrix))
-            return about_axes, at, rotation.components(nominal.turning)
+            return about_axes, at, rotation.components(nominal.angular_rate)
         paper = self.angles == "opk-paper"
         angles = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
-        rates = np.linalg.solve(rotation.angle_axes(angles, paper), nominal.turning[:, :, None])[:, :, 0]
+        rates = np.linalg.solve(rotation.angle_axes(angles, paper), nominal.angular_rate[:, :, None])[:, :, 0]
         return opk_paper if paper else opk_peer, rotation.components(angles), tuple(rates.T)
 
     def axes(self, nominal: Pose, moments: Moments) -> Array:

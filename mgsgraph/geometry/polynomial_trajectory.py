@@ -70,7 +70,7 @@ class PolynomialTrajectory:
         from mgsgraph.geometry.compiled_pose import polynomial_poses  # compiled: not before it is needed
 
         pose = Pose(np.empty((s.size, 3)), np.empty((s.size, 3)), np.empty((s.size, 3, 3)), np.empty((s.size, 3)))
-        where = pose.position, pose.velocity, pose.matrix, pose.turning
+        where = pose.position, pose.velocity, pose.matrix, pose.angular_rate
         polynomial_poses(s, rate, self.position, self.angles, *where)
         return pose
 

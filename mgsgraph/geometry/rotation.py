@@ -81,6 +81,12 @@ def from_matrix(matrix: Array) -> Array:
     return found
 
 
+def continuous(quaternion: Array) -> Array:
+    """The same rotations (n, 4) without jumps of sign between neighbours, so that they can be interpolated."""
+    signs = np.where(np.einsum("ni,ni->n", quaternion[1:], quaternion[:-1]) < 0.0, -1.0, 1.0)
+    return quaternion * np.cumprod(np.concatenate([[1.0], signs]))[:, None]
+
+
 def omega_phi_kappa(camera_matrix: Array) -> Array:
     """Angles (..., 3) omega, phi, kappa in rad of body-to-camera matrices M (..., 3, 3).
 

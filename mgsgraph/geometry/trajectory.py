@@ -95,9 +95,9 @@ class AttitudeTable:
         """Matrix (n, 3, 3) inertial to wanted frame, and its angular velocity (n, 3) in rad/s in the wanted frame."""
         from mgsgraph.geometry.compiled_pose import attitudes  # compiled: not before it is needed
 
-        matrix, turning = np.empty((times.size, 3, 3)), np.empty((times.size, 3))
-        attitudes(times, (self.times, self.quaternions, self.turns, self.constant), matrix, turning)
-        return matrix, turning
+        matrix, angular_rate = np.empty((times.size, 3, 3)), np.empty((times.size, 3))
+        attitudes(times, (self.times, self.quaternions, self.turns, self.constant), matrix, angular_rate)
+        return matrix, angular_rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,13 +110,13 @@ class Pose:
     """(n, 3) m per unit of rate, body-fixed (the frame's own turning included)."""
     matrix: Array
     """(n, 3, 3) body-fixed to camera frame, camera +Z out of the lens."""
-    turning: Array
+    angular_rate: Array
     """(n, 3) rad per unit of rate: angular velocity of the camera against the body-fixed frame, in camera axes;
-    dM = -[turning]x M."""
+    dM = -[angular_rate]x M."""
 
     def scaled(self, rate: Array) -> "Pose":
         """The same pose with rates multiplied by `rate` (n,): seconds per line turn them into rates per line."""
-        return Pose(self.position, self.velocity * rate[:, None], self.matrix, self.turning * rate[:, None])
+        return Pose(self.position, self.velocity * rate[:, None], self.matrix, self.angular_rate * rate[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,8 +151,8 @@ class Trajectory:
     @property
     def spin(self) -> Array:
         """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes: of its table."""
-        _, turning = self.body.at(self.body.times[[0, -1]])
-        return np.asarray(turning.mean(axis=0))
+        _, angular_rate = self.body.at(self.body.times[[0, -1]])
+        return np.asarray(angular_rate.mean(axis=0))
 
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
@@ -172,6 +172,6 @@ class Trajectory:
             (self.position.times, self.position.positions, self.position.velocities),
             (camera.times, camera.quaternions, camera.turns, camera.constant),
             (body.times, body.quaternions, body.turns, body.constant),
-            pose.position, pose.velocity, pose.matrix, pose.turning,
+            pose.position, pose.velocity, pose.matrix, pose.angular_rate,
         )  # fmt: skip
         return pose

@@ -16,7 +16,7 @@ import numpy as np
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.incremental.shared import image_motion
-from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, Store, stretches
+from mgsgraph.incremental.state import NOTICEABLE, Bundle, ReducedSystem, Settled, Shared, StateStore, stretches
 from mgsgraph.incremental.sweep import Sweep, probes
 from mgsgraph.incremental.tree import Tree
 from mgsgraph.network import Network
@@ -71,11 +71,11 @@ class Engine:
     Parameters
     ----------
     settings : SolverSettings
-    store : Store
+    store : StateStore
         Read here, never written.
     """
 
-    def __init__(self, settings: SolverSettings, store: Store) -> None:
+    def __init__(self, settings: SolverSettings, store: StateStore) -> None:
         self._settings, self._store = settings, store
         self._begin(store.shared(), store.reduced())
 

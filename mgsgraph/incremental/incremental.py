@@ -26,7 +26,7 @@ from mgsgraph.incremental.state import (
     KnownImage,
     Settled,
     Shared,
-    Store,
+    StateStore,
     require_one_body,
     with_addition,
     without,
@@ -49,19 +49,19 @@ class IncrementalAdjustment:
     ----------
     settings : SolverSettings, optional
         Measurement model and loss; the defaults when absent. Blunders are sought by batch alone (`close`).
-    store : Store, optional
+    store : StateStore, optional
         Where the state lies; in memory when absent.
     """
 
-    def __init__(self, settings: SolverSettings | None = None, store: Store | None = None) -> None:
+    def __init__(self, settings: SolverSettings | None = None, store: StateStore | None = None) -> None:
         self.settings = settings or SolverSettings()
-        self.store: Store = InMemory() if store is None else store
+        self.store: StateStore = InMemory() if store is None else store
         if self.settings.form != "bundle":
             raise InputError("incremental adjustment", f"the {self.settings.form} form", "the bundle form")
         self._engine = Engine(self.settings, self.store)
 
     @classmethod
-    def of(cls, solution: Solution, store: Store | None = None) -> "IncrementalAdjustment":
+    def of(cls, solution: Solution, store: StateStore | None = None) -> "IncrementalAdjustment":
         """Go on from a batch solution."""
         found = cls(solution.settings, store)
         found.adopt(solution)

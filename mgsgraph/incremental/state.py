@@ -120,7 +120,7 @@ class Settled:
     """Whether it came to rest."""
 
 
-class Store(Protocol):
+class StateStore(Protocol):
     """Where the state lies: in memory (`InMemory`), or in the file of a kept project."""
 
     def image_names(self) -> list[str]:
@@ -183,7 +183,7 @@ class Store(Protocol):
 class ImagesByName(Mapping[str, KnownImage]):
     """New images, and those of a store, read when they are asked for."""
 
-    def __init__(self, store: Store, new: Sequence[KnownImage]) -> None:
+    def __init__(self, store: StateStore, new: Sequence[KnownImage]) -> None:
         self._store, self._new = store, {one.image.name: one for one in new}
         self._names = dict.fromkeys([*self._new, *store.image_names()])
 
@@ -277,7 +277,7 @@ class InMemory:
         self._bundles |= bundles
 
 
-def with_addition(store: Store, addition: Network | None) -> tuple[list[Members], dict[Members, Network]]:
+def with_addition(store: StateStore, addition: Network | None) -> tuple[list[Members], dict[Members, Network]]:
     """Bundles with points that an addition sees, too, and what they become with it.
 
     Raises InputError when the two contradict each other (`network.parts.joined`).
@@ -288,14 +288,14 @@ def with_addition(store: Store, addition: Network | None) -> tuple[list[Members]
     return _completed(store, gone, [*(store.bundle(members).network for members in gone), addition])
 
 
-def without(store: Store, images: Sequence[str]) -> tuple[list[Members], dict[Members, Network]]:
+def without(store: StateStore, images: Sequence[str]) -> tuple[list[Members], dict[Members, Network]]:
     """Bundles that some images see, and what is left of them; points that nothing else sees go with the images."""
     gone = list(dict.fromkeys(members for image in images for members in store.seen_by(image)))
     parts = (store.bundle(members).network for members in gone)
     return _completed(store, gone, [rest for network in parts if (rest := without_images(network, images)) is not None])
 
 
-def require_one_body(store: Store, new: Sequence[KnownImage]) -> None:
+def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:
     """Raise InputError for a new image that shows another body than those that are there, or than the first new one."""
     there = store.image_names()
     known = [store.image(there[0])] if there else []
@@ -308,7 +308,7 @@ def require_one_body(store: Store, new: Sequence[KnownImage]) -> None:
 
 
 def _completed(
-    store: Store, gone: list[Members], parts: list[Network]
+    store: StateStore, gone: list[Members], parts: list[Network]
 ) -> tuple[list[Members], dict[Members, Network]]:
     """Bundles of some parts, together with those that were there before of the same unknowns."""
     found = bundles(joined(parts)) if parts else {}

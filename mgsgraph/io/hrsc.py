@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import spiceypy
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
@@ -31,7 +31,7 @@ from mgsgraph.io.kernels import (
     pool_numbers,
     sample_trajectory,
 )
-from mgsgraph.units import MM
+from mgsgraph.units import ISIS_OFFSET, MM
 
 MEX, MEX_SC_REF, HRSC_HEAD = -41, -41001, -41210
 """NAIF ids of the spacecraft, of its structure's frame (CK), and of the camera that all lines share."""
@@ -113,32 +113,28 @@ def read_hrsc_strip(
     for other in said[1:]:
         if other.target.upper() != said[0].target.upper():
             raise InputError(str(other.path), f"an image of {other.target}", f"one of {said[0].target}, as the others")
-    where = str(labels[0])
-    try:
-        with loaded(kernels):
-            sources = line_times or [None] * len(said)
-            times = [_line_times(one, source) for one, source in zip(said, sources, strict=True)]
-            start, stop = min(one.start for one in times), max(one.stop for one in times)
-            mount = fixed_rotation(MEX_SC_REF, HRSC_HEAD, start)
-            trajectory = sample_trajectory(
-                MEX, said[0].target, MEX_SC_REF, mount, start, stop, interval,
-                attitude_bias=attitude_bias, position_bias=position_bias, aberration=aberration,
-            )  # fmt: skip
-            body = ellipsoid(said[0].target)
-            return tuple(
-                PushbroomImage(
-                    name=name or one.product,
-                    lines=one.lines,
-                    samples=one.samples,
-                    interior=_interior(one, constants, focal_length),
-                    timing=when.timing(trajectory.epoch),
-                    trajectory=trajectory,
-                    body=body,
-                )
-                for one, when, name in zip(said, times, names or [None] * len(said), strict=True)
+    with errors_from(*map(str, labels)), loaded(kernels):
+        sources = line_times or [None] * len(said)
+        times = [_line_times(one, source) for one, source in zip(said, sources, strict=True)]
+        start, stop = min(one.start for one in times), max(one.stop for one in times)
+        mount = fixed_rotation(MEX_SC_REF, HRSC_HEAD, start)
+        trajectory = sample_trajectory(
+            MEX, said[0].target, MEX_SC_REF, mount, start, stop, interval,
+            attitude_bias=attitude_bias, position_bias=position_bias, aberration=aberration,
+        )  # fmt: skip
+        body = ellipsoid(said[0].target)
+        return tuple(
+            PushbroomImage(
+                name=name or one.product,
+                lines=one.lines,
+                samples=one.samples,
+                interior=_interior(one, constants, focal_length),
+                timing=when.timing(trajectory.epoch),
+                trajectory=trajectory,
+                body=body,
             )
-    except InputError as error:
-        raise error if any(str(label) in str(error) for label in labels) else error.within(where) from None
+            for one, when, name in zip(said, times, names or [None] * len(said), strict=True)
+        )
 
 
 def _line_times(label: HrscLabel, source: LineTimesSource) -> LineTimes:
@@ -181,8 +177,8 @@ def _addendum(code: int) -> tuple[Array, Array, float]:
             f"kernels, INS{code}_FOCAL_LENGTH", found, "the addendum's, such as 174.8",
             "name the addendum after the instrument kernel (or take constants = 'ik')",
         )  # fmt: skip
-    line = float(pool_numbers(f"INS{code}_BORESIGHT_LINE", 1)[0])
-    return to_pixel, np.array([line, float(pool_numbers(f"INS{code}_BORESIGHT_SAMPLE", 1)[0]) - 0.5]), focal * MM
+    line, sample = (float(pool_numbers(f"INS{code}_BORESIGHT_{axis}", 1)[0]) for axis in ("LINE", "SAMPLE"))
+    return to_pixel, np.array([line, sample - ISIS_OFFSET]), focal * MM
 
 
 def _instrument_kernel(code: int) -> tuple[Array, Array, float]:

@@ -19,12 +19,11 @@ from typing import Literal
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import LineTiming
 from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.io.files import number_of, read_text
 from mgsgraph.io.hrsc_label import HrscLabel, LineTimesPlace
-from mgsgraph.io.pvl import finite_number
-from mgsgraph.io.text import read_text
 from mgsgraph.units import MILLISECOND
 
 LineTimesSource = Path | Literal["mean"] | None
@@ -131,14 +130,12 @@ def read_line_times(label: HrscLabel, start: float, stop: float, source: LineTim
             f"name that, or line_times = a text file of {', '.join(_COLUMNS)}, or 'mean' for a rough one",
         )  # fmt: skip
     where = source or (place.file if place else label.path)
-    try:
+    with errors_from(str(where)):
         if source is not None:
             times = _of_text(source, label.lines)
         else:
             assert place is not None
             times = _of_prefixes(place) if place.kind == "prefixes" else _of_table(place, label.lines)
-    except InputError as error:
-        raise error if str(where) in str(error) else error.within(str(where)) from None
     for what, ours, theirs in (("START_TIME", times.start, start), ("STOP_TIME", times.last, stop)):
         if not abs(ours - theirs) <= _SLACK:
             raise InputError(
@@ -153,10 +150,8 @@ def _mean(label: HrscLabel, start: float, stop: float) -> LineTimes:
     if label.lines < 2:
         raise InputError(str(label.path), "one line", "at least two for a mean line rate")
     period = (stop - start) / (label.lines - 1)
-    try:
+    with errors_from(f"{label.path}, START_TIME, STOP_TIME and lines"):
         return LineTimes(np.zeros(1), np.array([start]), np.array([period]), label.lines)
-    except InputError as error:
-        raise error.within(f"{label.path}, START_TIME, STOP_TIME and lines") from None
 
 
 def _of_prefixes(place: LineTimesPlace) -> LineTimes:
@@ -184,13 +179,9 @@ def _of_text(path: Path, lines: int) -> LineTimes:
     if any(name not in names for name in _COLUMNS):
         raise InputError(str(path), f"the columns {', '.join(names) or 'none'}", f"{', '.join(_COLUMNS)}")
     rows.fieldnames = names
-    values = [[_number(row[name], f"{path}, line {rows.line_num}, {name}") for name in _COLUMNS] for row in rows]
+    values = [
+        [number_of((row[name] or "").strip(), f"{path}, line {rows.line_num}, {name}") for name in _COLUMNS]
+        for row in rows
+    ]
     table = np.array(values, dtype=np.float64).reshape(-1, 3)
     return LineTimes(table[:, 2] - 1.0, table[:, 0], table[:, 1], lines)
-
-
-def _number(text: str | None, where: str) -> float:
-    try:
-        return finite_number((text or "").strip())
-    except ValueError:
-        raise InputError(where, repr(text), "a number") from None

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import (
     Distortion,
@@ -23,8 +23,9 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.io.aberration import geometric
-from mgsgraph.io.text import Fields, read_json
-from mgsgraph.units import KM, MM
+from mgsgraph.io.files import read_json
+from mgsgraph.io.json_fields import Fields
+from mgsgraph.units import ISIS_OFFSET, KM, MM
 
 Observer = Literal["body", "spacecraft"]
 _LONGEST = 1e5
@@ -69,7 +70,7 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     model = isd.text("name_model")
     if model != "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL":
         raise InputError(f"{path}, name_model", repr(model), "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL (a line scanner)")
-    try:
+    with errors_from(str(path)):
         trajectory = _trajectory(isd, aberration)
         image = PushbroomImage(
             name=name,
@@ -80,8 +81,6 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
             trajectory=trajectory,
             body=_body(isd),
         )
-    except InputError as error:  # what a record refuses doesn't know the file
-        raise error if str(path) in str(error) else error.within(str(path)) from None
     _require_outside(trajectory, image.body, path)
     return image
 
@@ -120,8 +119,7 @@ def _timing(isd: Fields) -> LineTiming:
             f"{isd.where}, line_scan_rate", f"times from {table[0, 1]:.3f} s on, since J2000",
             "seconds from center_ephemeris_time", "take center_ephemeris_time off them",
         )  # fmt: skip
-    # ISIS line 0.5 is the top edge of the first line, which is 0.0 inside
-    return LineTiming(table[:, 0] - 0.5, table[:, 1], table[:, 2])
+    return LineTiming(table[:, 0] - ISIS_OFFSET, table[:, 1], table[:, 2])
 
 
 def _interior(isd: Fields) -> InteriorOrientation:
@@ -167,10 +165,8 @@ def _attitude(table: Fields, epoch: float) -> AttitudeTable:
         raise InputError(table.where, found, "the rotation between them")
     constant = np.array(table.numbers("constant_rotation", 9)) if "constant_rotation" in table else np.eye(3)
     quaternions = np.array(table.numbers("quaternions", times.size, 4), dtype=np.float64)
-    try:
+    with errors_from(table.where):
         return AttitudeTable(times, quaternions, constant.reshape(3, 3))
-    except InputError as error:
-        raise error.within(table.where) from None
 
 
 def _require_j2000(table: Fields) -> None:
@@ -187,10 +183,8 @@ def _trajectory(isd: Fields, aberration: Aberration | None) -> Trajectory:
     if "velocities" not in table:
         raise InputError(table.where, "no velocities", "one per position", "write the support data with velocities")
     velocities = np.array(table.numbers("velocities", times.size, 3), dtype=np.float64) * unit
-    try:
+    with errors_from(table.where):
         position = PositionTable(times, positions, velocities)
-    except InputError as error:
-        raise error.within(table.where) from None
     pointing, rotation = isd.section("instrument_pointing"), isd.section("body_rotation")
     for part in (table, pointing, rotation):
         _require_j2000(part)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
@@ -21,7 +21,7 @@ from mgsgraph.io.aberration import geometric
 from mgsgraph.io.image_label import cube_size, read_label
 from mgsgraph.io.moc_label import EXPOSURE_UNITS
 from mgsgraph.io.pvl import Block
-from mgsgraph.units import KM, MM
+from mgsgraph.units import ISIS_OFFSET, KM, MM
 
 _MARS = Ellipsoid(3_396_190.0, 3_376_200.0)
 """m, IAU 2000, as in the PCK that spiceinit takes."""
@@ -87,7 +87,7 @@ def read_isis_cube(path: Path, name: str | None = None, apparent: bool = False) 
     period = _line_period(instrument)
     start = _start(tables["InstrumentPosition"], lines * period)
     epoch = start + 0.5 * lines * period
-    try:
+    with errors_from(str(path)):
         return PushbroomImage(
             name=name or cube.inner("IsisCube").inner("Archive").text("ProductId"),
             lines=lines,
@@ -97,8 +97,6 @@ def read_isis_cube(path: Path, name: str | None = None, apparent: bool = False) 
             trajectory=_trajectory(tables, epoch, apparent),
             body=_MARS,
         )
-    except InputError as error:  # what a record refuses doesn't know the file
-        raise error if str(path) in str(error) else error.within(str(path)) from None
 
 
 def is_map_projected(path: Path) -> bool:
@@ -140,7 +138,7 @@ def _interior(instrument: Block) -> InteriorOrientation:
     return InteriorOrientation(
         focal_length=_FOCAL_LENGTH,
         to_pixel=to_pixel,
-        centre=np.array([0.0, _CENTRE - 0.5]),
+        centre=np.array([0.0, _CENTRE - ISIS_OFFSET]),
         first=np.array([0.0, first]),
         sample_summing=float(instrument.count("CrosstrackSumming")),
         distortion=NoDistortion(),
@@ -176,10 +174,8 @@ def _attitude(table: _Table, epoch: float) -> AttitudeTable:
     constant = np.eye(3)
     if "ConstantRotation" in table.label:
         constant = np.array(table.label.numbers("ConstantRotation", 9)).reshape(3, 3)
-    try:
+    with errors_from(table.where):
         return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), constant)
-    except InputError as error:
-        raise error.within(table.where) from None
 
 
 def _table(path: Path, root: Block, name: str) -> _Table:

@@ -287,17 +287,10 @@ def _attitude(
     with spice_words(f"attitude of {frame_id}", "load a CK (and SCLK) that covers this time"):
         for k, time in enumerate(times):
             matrices[k], _ = spiceypy.ckgp(frame_id, spiceypy.sce2c(spacecraft, time + bias), _CK_TOLERANCE, "J2000")
-    return AttitudeTable(times - epoch, _steady(rotation.from_matrix(matrices)), constant)
+    return AttitudeTable(times - epoch, rotation.continuous(rotation.from_matrix(matrices)), constant)
 
 
 def _body_rotation(body: int, times: Array, epoch: float) -> AttitudeTable:
     with spice_words(f"rotation of {body}", "load the PCK"):
         matrices = np.stack([spiceypy.tipbod("J2000", body, time) for time in times])
-    return AttitudeTable(times - epoch, _steady(rotation.from_matrix(matrices)), np.eye(3))
-
-
-def _steady(quaternions: Array) -> Array:
-    """The same rotations without flips of sign between neighbours."""
-    flips = np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0.0
-    signs = np.where(np.cumsum(np.concatenate([[False], flips])) % 2 == 1, -1.0, 1.0)
-    return quaternions * signs[:, None]
+    return AttitudeTable(times - epoch, rotation.continuous(rotation.from_matrix(matrices)), np.eye(3))

@@ -12,11 +12,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import from_planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.text import Fields, read_json
-from mgsgraph.units import DEG, KM
+from mgsgraph.io.files import read_json
+from mgsgraph.io.json_fields import Fields
+from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
-_FIRST_CENTRE = 0.5
-"""ISIS counts the first pixel's centre (1, 1), which is (0.5, 0.5) inside."""
 _FROM_TRIANGLE = np.array([[3, 1, 4], [1, 0, 2], [4, 2, 5]])
 """Where in the file's triangle (lat-lat, lat-lon, lat-rad, lon-lon, lon-rad, rad-rad) each element of the covariance of
 longitude, latitude, radius stands, which is the order of `planetocentric_jacobian`."""
@@ -64,7 +63,7 @@ def read_lidar(path: Path) -> LaserProfile:
         ),
         measure_shot=np.repeat(np.arange(len(ids)), [len(of_shot) for of_shot in measures]),
         measure_image=tuple(image for image, _, _ in flat),
-        measures=np.array([place for _, *place in flat], dtype=np.float64).reshape(-1, 2) - _FIRST_CENTRE,
+        measures=np.array([place for _, *place in flat], dtype=np.float64).reshape(-1, 2) - ISIS_OFFSET,
     )
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind
-from mgsgraph.io.pds3 import Pds3Label
-from mgsgraph.io.text import read_text
+from mgsgraph.io.files import read_text
+from mgsgraph.io.pvl import Block, flat_label
 from mgsgraph.units import DEG
 
 REFERENCE_RADIUS = 3_396_000.0
@@ -130,7 +130,7 @@ def _from_name(path: Path) -> _Layout:
 
 
 def _from_label(path: Path, image: Path) -> _Layout:
-    label = Pds3Label(read_text(path), str(path))
+    label = flat_label(read_text(path), str(path))
     projection = label.text("MAP_PROJECTION_TYPE").upper().replace("_", " ")
     if projection != "SIMPLE CYLINDRICAL":
         raise InputError(f"{path}, MAP_PROJECTION_TYPE", projection, "SIMPLE CYLINDRICAL")
@@ -154,6 +154,6 @@ def _from_label(path: Path, image: Path) -> _Layout:
     )
 
 
-def _skipped(label: Pds3Label) -> int:
+def _skipped(label: Block) -> int:
     """Bytes before the image, of a label that stands at the head of its file."""
     return label.count("LABEL_RECORDS") * label.count("RECORD_BYTES") if "LABEL_RECORDS" in label else 0

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import spiceypy
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
@@ -29,7 +29,7 @@ from mgsgraph.io.kernels import (
     sample_trajectory,
 )
 from mgsgraph.io.moc_label import MocLabel, read_moc_label
-from mgsgraph.units import MM
+from mgsgraph.units import ISIS_OFFSET, MM
 
 MGS, MGS_SPACECRAFT, MOC_NA = -94, -94000, -94031
 """NAIF ids of the spacecraft, of its structure's frame (CK), and of the narrow angle."""
@@ -83,25 +83,22 @@ def read_moc(
             str(label), f"an image of {said.instrument}", "MOC-NA",
             "the strong distortion of the wide angles is not modelled: use the narrow angle",
         )
-    try:
-        with loaded(kernels):
-            start = _start(said)
-            stop = start + said.lines * said.line_period
-            trajectory = sample_trajectory(
-                MGS, said.target, MGS_SPACECRAFT, fixed_rotation(MGS_SPACECRAFT, MOC_NA), start, stop, interval,
-                attitude_bias=attitude_bias, position_bias=position_bias, aberration=aberration,
-            )  # fmt: skip
-            return PushbroomImage(
-                name=name or said.product,
-                lines=said.lines,
-                samples=said.samples,
-                interior=_interior(said, constants, focal_length),
-                timing=LineTiming(np.zeros(1), np.array([start - trajectory.epoch]), np.array([said.line_period])),
-                trajectory=trajectory,
-                body=ellipsoid(said.target),
-            )
-    except InputError as error:
-        raise error if str(label) in str(error) else error.within(str(label)) from None
+    with errors_from(str(label)), loaded(kernels):
+        start = _start(said)
+        stop = start + said.lines * said.line_period
+        trajectory = sample_trajectory(
+            MGS, said.target, MGS_SPACECRAFT, fixed_rotation(MGS_SPACECRAFT, MOC_NA), start, stop, interval,
+            attitude_bias=attitude_bias, position_bias=position_bias, aberration=aberration,
+        )  # fmt: skip
+        return PushbroomImage(
+            name=name or said.product,
+            lines=said.lines,
+            samples=said.samples,
+            interior=_interior(said, constants, focal_length),
+            timing=LineTiming(np.zeros(1), np.array([start - trajectory.epoch]), np.array([said.line_period])),
+            trajectory=trajectory,
+            body=ellipsoid(said.target),
+        )
 
 
 def _start(label: MocLabel) -> float:
@@ -138,7 +135,7 @@ def _addendum() -> tuple[Array, float]:
     line, sample = (pool_numbers(f"INS{MOC_NA}_ITRANS{axis}", 3) for axis in "LS")
     to_pixel = np.stack([line, sample])
     to_pixel[:, 1:] /= MM
-    return to_pixel, float(pool_numbers(f"INS{MOC_NA}_BORESIGHT_SAMPLE", 1)[0]) - 0.5
+    return to_pixel, float(pool_numbers(f"INS{MOC_NA}_BORESIGHT_SAMPLE", 1)[0]) - ISIS_OFFSET
 
 
 def _instrument_kernel() -> tuple[Array, float]:

@@ -21,7 +21,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.pds3 import Pds3Label
+from mgsgraph.io.files import read_bytes
+from mgsgraph.io.pvl import Block, flat_label
 from mgsgraph.units import DEG
 
 SHOTS = 20
@@ -125,7 +126,7 @@ def read_pedr(path: Path, clock_bias: float = 0.0, version: str | None = None) -
         Where the file is missing, ends within a frame, has no frame or records of another length, where a frame's
         clock, times or radii can't be, or where the version is not to be found.
     """
-    content = _content(path)
+    content = read_bytes(path)
     label = _label(content, path)
     frames = _frames(content, label, path)
     letter = pedr_version(path, label, version)
@@ -133,7 +134,7 @@ def read_pedr(path: Path, clock_bias: float = 0.0, version: str | None = None) -
     return in_iau2000(shots) if letter < IAU2000_VERSION else shots
 
 
-def pedr_version(path: Path, label: Pds3Label | None, version: str | None) -> str:
+def pedr_version(path: Path, label: Block | None, version: str | None) -> str:
     """The version letter that the caller, the file's name or its label gives; InputError without one up to L."""
     names = [path.name] + ([label.text(key) for key in ("PRODUCT_ID", "FILE_NAME") if key in label] if label else [])
     found = [match[1] for name in names if (match := re.fullmatch(r"ap\d{5}([a-z])\.\w+", name.strip(), re.IGNORECASE))]
@@ -175,29 +176,20 @@ def _about_x(points: Array, degrees: Array) -> Array:
     return np.roll(_about_z(np.roll(points, -1, axis=1), degrees), 1, axis=1)
 
 
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file") from None
-    except OSError as error:
-        raise InputError(str(path), f"can't be read ({error.strerror})") from None
-
-
-def _label(content: bytes, path: Path) -> Pds3Label | None:
+def _label(content: bytes, path: Path) -> Block | None:
     """The label before the frames, if there is one: a frame begins with seconds, whose first byte is no letter."""
     start = content[:8]
     if len(start) < 8 or not all(32 <= byte < 127 or byte in (9, 10, 13) for byte in start):
         return None
-    return Pds3Label(content[: HEADER_RECORDS * FRAME.itemsize].decode("ascii", "replace"), f"{path}, label")
+    return flat_label(content[: HEADER_RECORDS * FRAME.itemsize].decode("ascii", "replace"), f"{path}, label")
 
 
-def _frames(content: bytes, label: Pds3Label | None, path: Path) -> NDArray[np.void]:
+def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]:
     size, header = FRAME.itemsize, 0
     if label is not None:
         length = label.count("RECORD_BYTES") if "RECORD_BYTES" in label else size
         if length != size:
-            raise InputError(f"{label.where}, RECORD_BYTES", f"{length}", f"{size}", "is this a PEDR file?")
+            raise InputError(label.where("RECORD_BYTES"), f"{length}", f"{size}", "is this a PEDR file?")
         header = size * (label.count("LABEL_RECORDS") if "LABEL_RECORDS" in label else HEADER_RECORDS)
     body = len(content) - header
     if body < 0:
@@ -246,7 +238,7 @@ def _crossover(frames: NDArray[np.void]) -> tuple[Array, Array]:
     return value[:, None], change[:, None]
 
 
-def _shots(frames: NDArray[np.void], label: Pds3Label | None, clock_bias: float, path: Path) -> AltimeterShots:
+def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, path: Path) -> AltimeterShots:
     x = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
 
     def field(name: str, scale: float = 1.0) -> Array:
@@ -301,7 +293,7 @@ def _shots(frames: NDArray[np.void], label: Pds3Label | None, clock_bias: float,
     )
 
 
-def _software(label: Pds3Label | None) -> float | None:
+def _software(label: Block | None) -> float | None:
     """Version of the software that wrote the file; None where the label doesn't say, and it is taken for a late one."""
     text = label.text("SOFTWARE_NAME") if label is not None and "SOFTWARE_NAME" in label else ""
     numbers = re.findall(r"\d+\.\d+", text)

@@ -17,8 +17,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.io.files import read_text
 from mgsgraph.io.pedr import IAU2000_VERSION, in_iau2000, pedr_version
-from mgsgraph.io.text import read_text
 from mgsgraph.units import DEG
 
 _COLUMNS = {

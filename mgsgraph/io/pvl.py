@@ -5,13 +5,13 @@ angle brackets, values carried over lines (a trailing hyphen joins without a bla
 ``/* */`` anywhere and ``#`` up to the end of the line. Language: CCSDS 641.0-B-2; dialect: ISIS Pvl, PvlKeyword.
 """
 
-import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeVar
 
 from mgsgraph.errors import InputError
+from mgsgraph.io.files import finite_number
 
 _BEGIN = {"object": "object", "begin_object": "object", "group": "group", "begin_group": "group"}
 _CLOSE = {"end_object": "object", "end_group": "group"}
@@ -30,11 +30,10 @@ _QUOTED = re.compile(r"\"([^\"]*)\"|'([^']*)'")
 _CHARACTER = r"(?:(?!/\*)[^\s,(){}\"'<>=])"
 _WORD = re.compile(rf"{_CHARACTER}+(?:(?<=-)\n\s*{_CHARACTER}+)*")
 _UNIT = re.compile(r"\s*<([^<>]*)>")
+_ENVELOPE = re.compile(r"\A\s*CCSD[^\n]*\n")
+"""First line of an SFDU, in which PEDR labels lie; it is no PVL."""
 _LINE_END = re.compile(r"[ \t]*(?:/\*.*?\*/[ \t]*)*(?:#[^\n]*)?(?:\n|\Z)", re.DOTALL)
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _Value = TypeVar("_Value", str, tuple[str, ...])
-_NULL = 1e300
-"""ISIS writes its Null as -1.797e308 where a number was never set: larger ones are no numbers."""
 
 
 class Entry(NamedTuple):
@@ -100,10 +99,12 @@ class Block:
             raise InputError(self.where(key), "an empty text" if not value else "a list", "one word or string")
         return value
 
-    def number(self, key: str, units: Mapping[str, float]) -> float:
-        """A finite number times the factor of its unit, which must be one of `units` ("" for none)."""
+    def number(self, key: str, units: Mapping[str, float] | None = None) -> float:
+        """A finite number times the factor of its unit, which must be one of `units` ("" for none), or any without."""
         value = self._finite(key, self.text(key))
         unit = self.entries[key.lower()].unit
+        if units is None:
+            return value
         if unit not in units:
             raise InputError(self.where(key), f"the unit <{unit}>", f"one of {', '.join(filter(None, units))}, or none")
         return value * units[unit]
@@ -119,8 +120,8 @@ class Block:
         return [self._finite(key, value) for value in values]
 
     def count(self, key: str) -> int:
-        """A whole number of at least 1, without a unit."""
-        value = self.number(key, {"": 1.0})
+        """A whole number of at least 1."""
+        value = self.number(key)
         if value < 1.0 or value % 1.0 != 0.0:
             raise InputError(self.where(key), f"{value:g}", "a whole number above zero")
         return int(value)
@@ -146,14 +147,6 @@ class Block:
             return finite_number(value)
         except ValueError:
             raise InputError(self.where(key), f"{value[:60]!r}", "a finite number") from None
-
-
-def finite_number(text: str) -> float:
-    """The number a text spells in decimal; ValueError for anything else, NaN, infinity and ISIS's Null included."""
-    value = float(text) if _NUMBER.fullmatch(text) else math.nan
-    if not abs(value) < _NULL:
-        raise ValueError(text)
-    return value
 
 
 def inner_blocks(document: Document) -> Iterator[tuple[Block, Block]]:
@@ -211,6 +204,19 @@ def whole_label(document: Document) -> Block:
     if len(stack) > 1:
         raise _never_closed(stack[-1])
     return root
+
+
+def flat_label(text: str, source: str) -> Block:
+    """Keywords of a PDS3 label up to its END in one block, whichever object they stand in; of several that of the
+    outermost and first object counts.
+    """
+    plain = _ENVELOPE.sub("\n", text.replace("\r\n", "\n"), count=1)
+    root = whole_label(Document(source, plain))
+    flat, blocks = Block(root.document, "label", "label", 0), [root]
+    for block in blocks:
+        flat.entries = block.entries | flat.entries
+        blocks += block.blocks
+    return flat
 
 
 def _enter(block: Block, keyword: str, entry: Entry) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind
+from mgsgraph.io.pictures import open_raster
 from mgsgraph.units import DEG
 
 if TYPE_CHECKING:
@@ -50,26 +51,15 @@ def read_terrain(
         Where the file can't be read, is turned or in another projection, has no place, or holds heights although
         radii are asked for.
     """
-    try:
-        import rasterio
-    except ImportError:
-        remedy = "pip install rasterio"
-        raise InputError(str(path), "a raster, but rasterio is not installed", remedy=remedy) from None
-    if not path.is_file():
-        raise InputError(str(path), "no such file")
-    try:
-        with rasterio.open(path) as file:
-            posts = file.read(1, masked=True)
-            place = _place(file, path)
-            scale, offset = file.scales[0], file.offsets[0]
-    except rasterio.errors.RasterioError as error:
-        raise InputError(str(path), f"GDAL can't read it: {str(error).splitlines()[0]}", "a GeoTIFF") from None
+    with open_raster(path, "a GeoTIFF") as file:
+        posts = file.read(1, masked=True)
+        longitude, latitude, longitude_step, latitude_step = _first_post_and_steps(file, path)
+        scale, offset = file.scales[0], file.offsets[0]
     values = np.ma.filled(posts.astype(np.float64), np.nan)
     values[~np.isfinite(values)] = np.nan
     values = values * scale + offset
     values += reference_radius or 0.0
     _require_plausible(values, kind, path)
-    longitude, latitude, longitude_step, latitude_step = place
     wraps = abs(values.shape[1] * longitude_step - 2.0 * np.pi) < 0.5 * longitude_step
     if wraps:  # metres on a rounded radius don't come out as a whole turn
         longitude_step = 2.0 * np.pi / values.shape[1]
@@ -79,7 +69,7 @@ def read_terrain(
     )
 
 
-def _place(file: "DatasetReader", path: Path) -> tuple[float, float, float, float]:
+def _first_post_and_steps(file: "DatasetReader", path: Path) -> tuple[float, float, float, float]:
     """Longitude and latitude of the first post, and the steps, rad."""
     crs: Any = file.crs
     if not crs:

@@ -1,17 +1,16 @@
 """Covariances of the points by back-substitution: S_p = V^-1 + V^-1 W' S W V^-1, S that of the shared unknowns.
 
-Per sight pair S is first taken to the sights' states (pose covariance at their lines), then through Y = W L^-T:
-S_p = L^-T (1 + sum_ij Y_i' S_ij Y_j) L^-1.
+Per observation pair S is first taken to the observations' states (pose covariance at their lines), then through Y = W
+L^-T: S_p = L^-T (1 + sum_ij Y_i' S_ij Y_j) L^-1.
 """
 
 import numpy as np
 
-from mgsgraph.kernel.blocks import block_place, sight_columns
 from mgsgraph.kernel.elimination import couple_all
 from mgsgraph.kernel.lanes import (
     BASIS,
-    CARRIED_PAIR,
     COUPLED,
+    COVARIED_PAIR,
     FACTOR,
     LANES,
     MIDDLE,
@@ -25,48 +24,59 @@ from mgsgraph.kernel.lanes import (
     lane,
 )
 from mgsgraph.kernel.rows import OUT, WEAK
-from mgsgraph.kernel.tile import BEGIN, END, PATTERN, point_of, pose_components, sights_of
+from mgsgraph.kernel.tile import (
+    BEGIN,
+    END,
+    PATTERN,
+    block_index,
+    observation_columns,
+    observations_of,
+    point_of,
+    pose_components,
+)
 
 
 @inlined
 def entry_columns(rows, i, e):
-    """Columns of a sight's e-th entry: the components of a basis term, or a single one."""
-    return pose_components(rows.sight_width[i]) if e < rows.sight_terms[i] else 1
+    """Columns of an observation's e-th entry: the components of a basis term, or a single one."""
+    return pose_components(rows.observation_width[i]) if e < rows.observation_terms[i] else 1
 
 
 @inlined
 def lift(rows, i, e, a, s):
-    """How column a of a sight's e-th entry acts on its state: first register, its step, and the components it moves."""
-    terms = rows.sight_terms[i]
+    """How column a of an observation's e-th entry acts on its state: first register, its step, and the components it
+    moves.
+    """
+    terms = rows.observation_terms[i]
     if e < terms:
         return s + BASIS + e * LANES, 0, a, a + 1
-    return s + BASIS + 2 * terms * LANES + (e - terms) * WIDTH, LANES, 0, rows.sight_width[i]
+    return s + BASIS + 2 * terms * LANES + (e - terms) * WIDTH, LANES, 0, rows.observation_width[i]
 
 
 @inlined
 def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t):
-    """PAIR: covariance (7, 7) between the states of two sights."""
+    """PAIR: covariance (7, 7) between the states of two observations."""
     for r in range(STATE_WIDTH * WIDTH):
         w[PAIR + r] = 0.0
-    components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
-    for p in range(rows.sight_terms[i]):
-        for q in range(rows.sight_terms[j]):
+    components_i, components_j = observation_columns(rows, i)[0], observation_columns(rows, j)[0]
+    for p in range(rows.observation_terms[i]):
+        for q in range(rows.observation_terms[j]):
             first, second = s + BASIS + p * LANES, t + BASIS + q * LANES
             for l in range(LANES):
                 w[PRODUCT + l] = w[first + l] * w[second + l]
             for k in range(count):
                 pattern = segments[k, PATTERN]
-                entry_i = rows.sight_entry[rows.pattern_sight[pattern] + i - begin]
-                entry_j = rows.sight_entry[rows.pattern_sight[pattern] + j - begin]
+                entry_i = rows.observation_entry[rows.pattern_observation[pattern] + i - begin]
+                entry_j = rows.observation_entry[rows.pattern_observation[pattern] + j - begin]
                 group = rows.pattern_group[pattern]
-                start, down, across, _ = block_place(rows, groups, target, group, entry_i + p, entry_j + q)
+                start, down, across, _ = block_index(rows, groups, target, group, entry_i + p, entry_j + q)
                 for a in range(components_i):
                     for b in range(components_j):
                         value = joint[start + a * down + b * across]
                         m = PAIR + a * WIDTH + b * LANES
                         for l in range(segments[k, BEGIN], segments[k, END]):
                             w[m + l] += value * w[PRODUCT + l]
-    if rows.sight_shared[i] + rows.sight_shared[j] > 0:
+    if rows.observation_shared[i] + rows.observation_shared[j] > 0:
         for k in range(count):
             singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t)
 
@@ -75,12 +85,12 @@ def state_covariance(rows, groups, target, segments, count, joint, i, j, begin, 
 def singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w, s, t):
     """Add, in a segment, the share of pairs of entries of which one at least is a single column."""
     pattern = segments[k, PATTERN]
-    first, group = rows.pattern_sight[pattern] - begin, rows.pattern_group[pattern]
-    entry_i, entry_j = rows.sight_entry[first + i], rows.sight_entry[first + j]
-    terms_i, terms_j = rows.sight_terms[i], rows.sight_terms[j]
-    for e in range(terms_i + rows.sight_shared[i]):
-        for f in range(0 if e >= terms_i else terms_j, terms_j + rows.sight_shared[j]):
-            start, down, across, _ = block_place(rows, groups, target, group, entry_i + e, entry_j + f)
+    first, group = rows.pattern_observation[pattern] - begin, rows.pattern_group[pattern]
+    entry_i, entry_j = rows.observation_entry[first + i], rows.observation_entry[first + j]
+    terms_i, terms_j = rows.observation_terms[i], rows.observation_terms[j]
+    for e in range(terms_i + rows.observation_shared[i]):
+        for f in range(0 if e >= terms_i else terms_j, terms_j + rows.observation_shared[j]):
+            start, down, across, _ = block_index(rows, groups, target, group, entry_i + e, entry_j + f)
             for a in range(entry_columns(rows, i, e)):
                 left = lift(rows, i, e, a, s)
                 for b in range(entry_columns(rows, j, f)):
@@ -90,7 +100,7 @@ def singles_covariance(rows, groups, target, segments, k, joint, i, j, begin, w,
 
 @lane
 def add_lifted(value, left, right, first, last, w):
-    """Add to PAIR the covariance of two columns, each as it acts on its sight's state (`lift`)."""
+    """Add to PAIR the covariance of two columns, each as it acts on its observation's state (`lift`)."""
     from_left, left_step, left_begin, left_end = left
     from_right, right_step, right_begin, right_end = right
     for a in range(left_begin, left_end):
@@ -105,23 +115,23 @@ def through_coupling(width_i, width_j, twice, w, y, c, d):
     """Add Y_i' PAIR Y_j to MIDDLE, and its transpose if `twice`."""
     for a in range(width_i):
         for e in range(3):
-            u = CARRIED_PAIR + (3 * a + e) * LANES
+            u = COVARIED_PAIR + (3 * a + e) * LANES
             for l in range(LANES):
                 w[u + l] = 0.0
             for b in range(width_j):
                 k, z = PAIR + a * WIDTH + b * LANES, d + (3 * b + e) * LANES
                 for l in range(LANES):
                     w[u + l] += w[k + l] * y[z + l]
-    place = 0
+    index = 0
     for b in range(3):
         for e in range(b, 3):
             for a in range(width_i):
-                z, u = c + 3 * a * LANES, CARRIED_PAIR + 3 * a * LANES
+                z, u = c + 3 * a * LANES, COVARIED_PAIR + 3 * a * LANES
                 for l in range(LANES):
-                    w[MIDDLE + place * LANES + l] += y[z + b * LANES + l] * w[u + e * LANES + l]
+                    w[MIDDLE + index * LANES + l] += y[z + b * LANES + l] * w[u + e * LANES + l]
                 for l in range(LANES if twice else 0):
-                    w[MIDDLE + place * LANES + l] += y[z + e * LANES + l] * w[u + b * LANES + l]
-            place += 1
+                    w[MIDDLE + index * LANES + l] += y[z + e * LANES + l] * w[u + b * LANES + l]
+            index += 1
 
 
 @lane
@@ -173,12 +183,12 @@ def covariance_tile(rows, groups, target, model, segments, count, joint, w, dept
     """
     couple_all(rows, model, segments, w, depth, y)
     begin_middle(w)
-    begin, end = sights_of(rows, segments)
+    begin, end = observations_of(rows, segments)
     for i in range(begin, end):
         s = TILE + (i - begin) * depth
         for j in range(i, end):
-            if sight_columns(rows, i)[1] > 0 and sight_columns(rows, j)[1] > 0:
-                t, widths = TILE + (j - begin) * depth, (rows.sight_width[i], rows.sight_width[j])
+            if observation_columns(rows, i)[1] > 0 and observation_columns(rows, j)[1] > 0:
+                t, widths = TILE + (j - begin) * depth, (rows.observation_width[i], rows.observation_width[j])
                 state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t)
                 through_coupling(*widths, i != j, w, y, (i - begin) * COUPLED, (j - begin) * COUPLED)
     for k in range(count):

@@ -1,27 +1,27 @@
 """Exact elimination of the points (Schur complement) and the sum of what is left over all of them.
 
 With J the rows by the unknowns, B by the point and V = B'B = L L', a point leaves J'J - W V^-1 W' with W = J'B. A
-sight feels the unknowns through its state (pose correction at its line): J = G' J_state with G its basis values and
-directions. So the small matrices K_ij between states are formed per point, and only their sums over points, weighted
-with products of basis values, reach the size of the unknowns: 36 x 9 products for two polynomials of degree two.
+observation feels the unknowns through its state (pose correction at its line): J = G' J_state with G its basis values
+and directions. So the small matrices K_ij between states are formed per point, and only their sums over points,
+weighted with products of basis values, reach the size of the unknowns: 36 x 9 products for two polynomials of degree
+two.
 
 For the sums the numbers of K_ij are laid side by side, lane by lane: no sum over lanes has to be ended, and a segment's
 sums lie as their block does, so that one of five points costs per point hardly more than one of a thousand.
 """
 
 from mgsgraph.factors.algebra import add, dot, scale
-from mgsgraph.kernel.blocks import add_entry, add_sums, block_place, paired, sight_columns
 from mgsgraph.kernel.lanes import (
     BASIS,
     BY_POINT,
     BY_STATE,
-    CARRY,
     COLUMN,
     COUPLED,
     FACTOR,
     FORWARD,
     FOUR,
     LANES,
+    LINE_OFFSET,
     MOST_SUMS,
     PAIR,
     RESIDUAL,
@@ -41,21 +41,33 @@ from mgsgraph.kernel.lanes import (
     inlined,
     lane,
     summing,
-    turn_four,
+    transpose_four,
 )
 from mgsgraph.kernel.measurements import row_count, vector
 from mgsgraph.kernel.rows import GOOD, IMAGE, PREDICTED
-from mgsgraph.kernel.tile import BEGIN, END, PATTERN, all_good, pose_components, sights_of
+from mgsgraph.kernel.tile import (
+    BEGIN,
+    END,
+    PATTERN,
+    add_entry,
+    add_sums,
+    all_good,
+    block_index,
+    observation_columns,
+    observations_of,
+    paired,
+    pose_components,
+)
 
 
 @inlined
-def carry_basis(rows, i, w, s):
+def move_basis(rows, i, w, s):
     """Basis values at the line whose pose was used."""
-    terms = rows.sight_terms[i]
-    for t in range(terms if rows.sight_kind[i] == IMAGE else 0):
+    terms = rows.observation_terms[i]
+    for t in range(terms if rows.observation_kind[i] == IMAGE else 0):
         basis = s + BASIS + t * LANES
         for l in range(LANES):
-            w[basis + l] += w[s + RESULT + CARRY + l] * w[basis + terms * LANES + l]
+            w[basis + l] += w[s + RESULT + LINE_OFFSET + l] * w[basis + terms * LANES + l]
 
 
 @lane
@@ -81,7 +93,7 @@ def put_coupling(w, y, mine, right, l, a, r):
 
 @lane
 def couple(count, width, w, s, y, c):
-    """Y = W L^-T from register c of the coupling on, and RIGHT J'r - Y L^-1 g, of a sight, W = J_state' B."""
+    """Y = W L^-T from register c of the coupling on, and RIGHT J'r - Y L^-1 g, of an observation, W = J_state' B."""
     b, r = s + RESULT + BY_POINT, s + RESULT + RESIDUAL
     for a in range(width):
         f, right, mine = s + RESULT + BY_STATE + a * LANES, s + RIGHT + a * LANES, c + 3 * a * LANES
@@ -104,8 +116,8 @@ def couple(count, width, w, s, y, c):
 
 @lane
 def couple_all(rows, model, segments, w, depth, y):
-    """Coupling and RIGHT of all sights that feel an unknown."""
-    begin, end = sights_of(rows, segments)
+    """Coupling and RIGHT of all observations that depend on an unknown."""
+    begin, end = observations_of(rows, segments)
     lost = not all_good(w)
     if rows.pattern_fixed[segments[0, PATTERN]]:  # known points have nothing to eliminate: an endless L
         for r in range(6 * LANES):
@@ -114,12 +126,12 @@ def couple_all(rows, model, segments, w, depth, y):
             w[FORWARD + r] = 0.0
     for i in range(begin, end):
         s = TILE + (i - begin) * depth
-        if sight_columns(rows, i)[1] > 0:
+        if observation_columns(rows, i)[1] > 0:
             if lost:
-                leave_out_unsolved(row_count(rows.sight_kind[i]), w, s)
+                leave_out_unsolved(row_count(rows.observation_kind[i]), w, s)
             if model.line == PREDICTED:
-                carry_basis(rows, i, w, s)
-            couple(row_count(rows.sight_kind[i]), rows.sight_width[i], w, s, y, (i - begin) * COUPLED)
+                move_basis(rows, i, w, s)
+            couple(row_count(rows.observation_kind[i]), rows.observation_width[i], w, s, y, (i - begin) * COUPLED)
 
 
 @inlined
@@ -131,7 +143,9 @@ def put_products(w, k, y, z0, z1, z2, z3, z4, z5):
 
 @lane
 def pose_pair(w, y, c, d):
-    """PAIR: -Y_i Y_j' between the poses of two sights, whose coupling begins at c and d; each number is read once."""
+    """PAIR: -Y_i Y_j' between the poses of two observations, whose coupling begins at c and d; each number is read
+    once.
+    """
     for l in range(LANES):
         z0, z1, z2 = vector(y, d, l), vector(y, d + 3 * LANES, l), vector(y, d + 6 * LANES, l)
         z3, z4, z5 = vector(y, d + 9 * LANES, l), vector(y, d + 12 * LANES, l), vector(y, d + 15 * LANES, l)
@@ -145,7 +159,7 @@ def pose_pair(w, y, c, d):
 
 @lane
 def state_pair(count, first_width, second_width, same, w, s, y, c, d):
-    """PAIR: K_ij = (J_i'J_i, if the same) - Y_i Y_j' between the states of two sights; a <= b alone, if the same."""
+    """PAIR: K_ij = (J_i'J_i, if the same) - Y_i Y_j' between two observations' states; a <= b alone, if the same."""
     if first_width == 6 and second_width == 6:
         pose_pair(w, y, c, d)
     for a in range(first_width):
@@ -168,7 +182,7 @@ def fours(count):
 
 
 @lane
-def turn(count, columns, row, same, first, w, turned):
+def transpose_lanes(count, columns, row, same, first, w, transposed):
     """Numbers (count / columns, columns) of registers from `first` on, whose rows are `row` apart, lane by lane: how
     many there are for each, in fours. If the `same`, the lower triangle is that of the upper one.
     """
@@ -180,40 +194,40 @@ def turn(count, columns, row, same, first, w, turned):
         fourth, a, b = register_of(a, b, columns, row, same)
         for l in range(0, LANES, FOUR):
             k = first + l
-            turn_four(w, k + first_number, k + second, k + third, k + fourth, turned, l * stride + e, stride)
+            transpose_four(w, k + first_number, k + second, k + third, k + fourth, transposed, l * stride + e, stride)
     return stride
 
 
 @inlined
 def register_of(a, b, columns, row, same):
     """Register of a number (a, b), from the first one on; and the next number. Beyond the last one all goes on."""
-    place = min(a, b) * row + max(a, b) * LANES if same else a * row + b * LANES
-    return (place, a, b + 1) if b + 1 < columns else (place, a + 1, 0)
+    register = min(a, b) * row + max(a, b) * LANES if same else a * row + b * LANES
+    return (register, a, b + 1) if b + 1 < columns else (register, a + 1, 0)
 
 
 @lane
-def weighted_sums(first, last, weights, weight, twice, turned, stride, sums, to):
-    """Sums from `to` on, over lanes first .. last, of a register times the `stride` numbers of each lane; if `twice`,
-    with the next register from MOST_SUMS beyond.
+def weighted_sums(first, last, weights, weight, in_pairs, transposed, stride, sums, to):
+    """Sums from `to` on, over lanes first .. last, of a register times the `stride` numbers of each lane; if
+    `in_pairs`, with the next register from MOST_SUMS beyond.
     """
     if stride == MOST_SUMS:
-        if twice:
-            accumulate_nine_twice(weights, weight, first, last, turned, 0, stride, sums, to)
+        if in_pairs:
+            accumulate_nine_twice(weights, weight, first, last, transposed, 0, stride, sums, to)
         else:
-            accumulate_nine(weights, weight, first, last, turned, 0, stride, sums, to)
+            accumulate_nine(weights, weight, first, last, transposed, 0, stride, sums, to)
         return
     k = 0
     while k + 2 * FOUR <= stride:
-        if twice:
-            accumulate_two_twice(weights, weight, first, last, turned, k, stride, sums, to + k)
+        if in_pairs:
+            accumulate_two_twice(weights, weight, first, last, transposed, k, stride, sums, to + k)
         else:
-            accumulate_two(weights, weight, first, last, turned, k, stride, sums, to + k)
+            accumulate_two(weights, weight, first, last, transposed, k, stride, sums, to + k)
         k += 2 * FOUR
     if k < stride:
-        if twice:
-            accumulate_one_twice(weights, weight, first, last, turned, k, stride, sums, to + k)
+        if in_pairs:
+            accumulate_one_twice(weights, weight, first, last, transposed, k, stride, sums, to + k)
         else:
-            accumulate_one(weights, weight, first, last, turned, k, stride, sums, to + k)
+            accumulate_one(weights, weight, first, last, transposed, k, stride, sums, to + k)
 
 
 @summing
@@ -227,7 +241,7 @@ def lane_dot(first, last, w, a, b):
 
 @lane
 def times_direction(first_width, second_width, same, w, direction):
-    """COLUMN: K_ij times a direction in the second sight's state."""
+    """COLUMN: K_ij times a direction in the second observation's state."""
     for a in range(first_width):
         for l in range(LANES):
             w[COLUMN + a * LANES + l] = 0.0
@@ -239,7 +253,7 @@ def times_direction(first_width, second_width, same, w, direction):
 
 @lane
 def direction_times(first_width, second_width, w, direction):
-    """COLUMN: a direction in the first sight's state times K_ij, i != j."""
+    """COLUMN: a direction in the first observation's state times K_ij, i != j."""
     for b in range(second_width):
         for l in range(LANES):
             w[COLUMN + b * LANES + l] = 0.0
@@ -250,12 +264,12 @@ def direction_times(first_width, second_width, w, direction):
 
 
 @inlined
-def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, room, blocks):
+def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, buffers, blocks):
     """Add K_ij, weighted with products of basis values, to the blocks of the variables of each pair of terms."""
-    turned, weights, sums = room
-    terms_i, terms_j, same = rows.sight_terms[i], rows.sight_terms[j], i == j
-    components_i, components_j = sight_columns(rows, i)[0], sight_columns(rows, j)[0]
-    stride, pairs = turn(components_i * components_j, components_j, WIDTH, same, PAIR, w, turned), 0
+    transposed, weights, sums = buffers
+    terms_i, terms_j, same = rows.observation_terms[i], rows.observation_terms[j], i == j
+    components_i, components_j = observation_columns(rows, i)[0], observation_columns(rows, j)[0]
+    stride, pairs = transpose_lanes(components_i * components_j, components_j, WIDTH, same, PAIR, w, transposed), 0
     for p in range(terms_i):
         for q in range(p if same else 0, terms_j):
             for l in range(LANES):
@@ -263,59 +277,59 @@ def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, room,
             pairs += 1
     for k in range(count):
         for n in range(0, pairs, 2):
-            twice, to = n + 1 < pairs, n * MOST_SUMS
-            weighted_sums(segments[k, BEGIN], segments[k, END], weights, n * LANES, twice, turned, stride, sums, to)
-        (group, first), at = segment_sights(rows, segments, k, begin), 0
+            first, last, in_pairs = segments[k, BEGIN], segments[k, END], n + 1 < pairs
+            weighted_sums(first, last, weights, n * LANES, in_pairs, transposed, stride, sums, n * MOST_SUMS)
+        (group, first), at = segment_observations(rows, segments, k, begin), 0
         for p in range(terms_i):
             for q in range(p if same else 0, terms_j):
-                one, other = rows.sight_entry[first + i] + p, rows.sight_entry[first + j] + q
-                start, down, across, own = block_place(rows, groups, target, group, one, other)
+                one, other = rows.observation_entry[first + i] + p, rows.observation_entry[first + j] + q
+                start, down, across, own = block_index(rows, groups, target, group, one, other)
                 add_sums(blocks, start, down, across, sums, at, components_i, components_j)
                 if own and one != other:  # a variable's block with itself holds both triangles
-                    start, down, across, _ = block_place(rows, groups, target, group, other, one)
+                    start, down, across, _ = block_index(rows, groups, target, group, other, one)
                     down, across = (down, across) if same else (across, down)
                     add_sums(blocks, start, down, across, sums, at, components_i, components_j)
                 at += MOST_SUMS
 
 
 @inlined
-def segment_sights(rows, segments, k, begin):
-    """Group of a segment, and what brings a sight of the tile's first pattern to that of the segment's."""
+def segment_observations(rows, segments, k, begin):
+    """Group of a segment, and what brings an observation of the tile's first pattern to that of the segment's."""
     pattern = segments[k, PATTERN]
-    return rows.pattern_group[pattern], rows.pattern_sight[pattern] - begin
+    return rows.pattern_group[pattern], rows.pattern_observation[pattern] - begin
 
 
 @inlined
 def add_dots(rows, groups, target, segments, count, i, e, a, j, f, begin, w, one, other, components, blocks):
-    """Add, to the block of column a of entry e of sight i and entry f (a single column) of sight j, the product of
-    `components` registers each, from `one` and `other` on, summed over them and over lanes.
+    """Add, to the block of column a of entry e of observation i and entry f (a single column) of observation j, the
+    product of `components` registers each, from `one` and `other` on, summed over them and over lanes.
     """
     for k in range(count):
-        group, first = segment_sights(rows, segments, k, begin)
+        group, first = segment_observations(rows, segments, k, begin)
         value = 0.0
         for c in range(components):
             value += lane_dot(segments[k, BEGIN], segments[k, END], w, one + c * LANES, other + c * LANES)
-        entry_i, entry_j = rows.sight_entry[first + i] + e, rows.sight_entry[first + j] + f
+        entry_i, entry_j = rows.observation_entry[first + i] + e, rows.observation_entry[first + j] + f
         add_entry(rows, groups, target, group, entry_i, a, entry_j, value, blocks)
 
 
 @inlined
 def sum_singles(rows, groups, target, segments, count, i, j, begin, w, s, t, blocks):
     """Add K_ij of single columns to the blocks: of those of j with all of i, then of those of i with the terms of j."""
-    width_i, width_j = rows.sight_width[i], rows.sight_width[j]
-    terms_i, terms_j = rows.sight_terms[i], rows.sight_terms[j]
+    width_i, width_j = rows.observation_width[i], rows.observation_width[j]
+    terms_i, terms_j = rows.observation_terms[i], rows.observation_terms[j]
     singles_i, singles_j = s + BASIS + 2 * terms_i * LANES, t + BASIS + 2 * terms_j * LANES
     tile = rows, groups, target, segments, count
-    for f in range(rows.sight_shared[j]):
+    for f in range(rows.observation_shared[j]):
         times_direction(width_i, width_j, i == j, w, singles_j + f * WIDTH)
         for a in range(pose_components(width_i) if terms_i > 0 else 0):
             for p in range(terms_i):
                 register, value = COLUMN + a * LANES, s + BASIS + p * LANES
                 add_dots(*tile, i, p, a, j, terms_j + f, begin, w, register, value, 1, blocks)
-        for e in range(rows.sight_shared[i] if i != j else f + 1):
+        for e in range(rows.observation_shared[i] if i != j else f + 1):
             direction = singles_i + e * WIDTH
             add_dots(*tile, i, terms_i + e, 0, j, terms_j + f, begin, w, COLUMN, direction, width_i, blocks)
-    for e in range(rows.sight_shared[i] if i != j and terms_j > 0 else 0):
+    for e in range(rows.observation_shared[i] if i != j and terms_j > 0 else 0):
         direction_times(width_i, width_j, w, singles_i + e * WIDTH)
         for b in range(pose_components(width_j)):
             for q in range(terms_j):
@@ -324,46 +338,46 @@ def sum_singles(rows, groups, target, segments, count, i, j, begin, w, s, t, blo
 
 
 @inlined
-def sum_right(rows, groups, target, segments, count, i, begin, w, s, room, gradient):
-    """Add a sight's RIGHT to the gradient."""
-    turned, _, sums = room
-    components, width, terms = sight_columns(rows, i)[0], rows.sight_width[i], rows.sight_terms[i]
-    stride = turn(components, components, 0, False, s + RIGHT, w, turned)
+def sum_right(rows, groups, target, segments, count, i, begin, w, s, buffers, gradient):
+    """Add an observation's RIGHT to the gradient."""
+    transposed, _, sums = buffers
+    components, width, terms = observation_columns(rows, i)[0], rows.observation_width[i], rows.observation_terms[i]
+    stride = transpose_lanes(components, components, 0, False, s + RIGHT, w, transposed)
     for k in range(count):
         first, last, pattern = segments[k, BEGIN], segments[k, END], segments[k, PATTERN]
-        entry = rows.sight_entry[rows.pattern_sight[pattern] + i - begin]
+        entry = rows.observation_entry[rows.pattern_observation[pattern] + i - begin]
         member = groups.member_first[rows.pattern_group[pattern]]
         for p in range(0, terms, 2):
-            weighted_sums(first, last, w, s + BASIS + p * LANES, p + 1 < terms, turned, stride, sums, 0)
+            weighted_sums(first, last, w, s + BASIS + p * LANES, p + 1 < terms, transposed, stride, sums, 0)
             for r in range(min(2, terms - p)):
                 term = entry + p + r
-                place = target.right[member + rows.entry_member[term]] + rows.entry_inside[term]
+                register = target.right[member + rows.entry_member[term]] + rows.entry_inside[term]
                 for a in range(components):
-                    gradient[place + a] += sums[r * MOST_SUMS + a]
-        for e in range(terms, terms + rows.sight_shared[i]):
-            place = target.right[member + rows.entry_member[entry + e]] + rows.entry_inside[entry + e]
+                    gradient[register + a] += sums[r * MOST_SUMS + a]
+        for e in range(terms, terms + rows.observation_shared[i]):
+            register = target.right[member + rows.entry_member[entry + e]] + rows.entry_inside[entry + e]
             direction = s + BASIS + 2 * terms * LANES + (e - terms) * WIDTH
             for a in range(width):
-                gradient[place] += lane_dot(first, last, w, s + RIGHT + a * LANES, direction + a * LANES)
+                gradient[register] += lane_dot(first, last, w, s + RIGHT + a * LANES, direction + a * LANES)
 
 
 @inlined
-def eliminate_tile(rows, groups, target, model, segments, count, whole, w, depth, y, room, blocks, gradient):
+def eliminate_tile(rows, groups, target, model, segments, count, whole, w, depth, y, buffers, blocks, gradient):
     """Add a tile's solved points to the gradient and, if `whole`, to the blocks of pairs of variables."""
     couple_all(rows, model, segments, w, depth, y)
-    begin, end = sights_of(rows, segments)
+    begin, end = observations_of(rows, segments)
     fixed, tile = rows.pattern_fixed[segments[0, PATTERN]] > 0, (rows, groups, target, segments, count)
     for i in range(begin, end):
         s = TILE + (i - begin) * depth
-        if sight_columns(rows, i)[1] > 0:
-            sum_right(*tile, i, begin, w, s, room, gradient)
+        if observation_columns(rows, i)[1] > 0:
+            sum_right(*tile, i, begin, w, s, buffers, gradient)
         for j in range(i, end if whole else i):
             if not paired(rows, fixed, i, j):
                 continue
-            t, widths = TILE + (j - begin) * depth, (rows.sight_width[i], rows.sight_width[j])
+            t, widths = TILE + (j - begin) * depth, (rows.observation_width[i], rows.observation_width[j])
             own, other = (i - begin) * COUPLED, (j - begin) * COUPLED
-            state_pair(row_count(rows.sight_kind[i]), *widths, i == j, w, s, y, own, other)
-            if rows.sight_terms[i] * rows.sight_terms[j] > 0:
-                sum_terms(*tile, i, j, begin, w, s, t, room, blocks)
-            if rows.sight_shared[i] + rows.sight_shared[j] > 0:
+            state_pair(row_count(rows.observation_kind[i]), *widths, i == j, w, s, y, own, other)
+            if rows.observation_terms[i] * rows.observation_terms[j] > 0:
+                sum_terms(*tile, i, j, begin, w, s, t, buffers, blocks)
+            if rows.observation_shared[i] + rows.observation_shared[j] > 0:
                 sum_singles(*tile, i, j, begin, w, s, t, blocks)

@@ -2,9 +2,9 @@
 
 A tile of up to `LANES` points is worked on in one flat array of registers, `LANES` numbers each: `w[REGISTER + l]` is
 lane l of a register. Registers lie at constant distances, which is what lets LLVM prove that they don't overlap. The
-first ones belong to the tile, then come those of the measurement that is worked on; each sight (an image ray, a range,
-a ground prior, a surface row) has a block of its own beyond, from where its constants are copied and to where its rows
-go.
+first ones belong to the tile, then come those of the measurement that is worked on; each observation (an image ray, a
+range, a ground prior, a surface row) has a block of its own beyond, from where its constants are copied and to where
+its rows go.
 """
 
 import operator
@@ -28,9 +28,9 @@ class Registers(types.Type):
     names don't overlap, which LLVM is told.
     """
 
-    def __init__(self, own: str) -> None:
-        self.own = own
-        super().__init__(name=f"Registers({own})")
+    def __init__(self, array: str) -> None:
+        self.array = array
+        super().__init__(name=f"Registers({array})")
 
 
 @register_model(Registers)
@@ -49,10 +49,10 @@ def _view(kind: Registers) -> Any:
     return intrinsic(made)
 
 
-_APART = ("tile", "blocks", "turned", "coupling")
-registers, blocks_of, turned_of, coupling_of = (_view(Registers(name)) for name in _APART)
+_APART = ("tile", "blocks", "transposed", "coupling")
+registers, blocks_of, transposed_of, coupling_of = (_view(Registers(name)) for name in _APART)
 """Registers in a contiguous array of float64, which the caller keeps alive; the blocks of the normal matrix; numbers
-lane by lane; the sights' coupling to their points.
+lane by lane; the observations' coupling to their points.
 """
 
 
@@ -75,7 +75,7 @@ def _apart(builder: Any, instruction: Any, kind: Registers) -> Any:
     add = builder.module.add_metadata
     domain = add([ir.MetaDataString(builder.module, "mgsgraph registers")])
     scopes = {name: add([ir.MetaDataString(builder.module, f"mgsgraph {name}"), domain]) for name in _APART}
-    instruction.set_metadata("alias.scope", add([scopes.pop(kind.own)]))
+    instruction.set_metadata("alias.scope", add([scopes.pop(kind.array)]))
     instruction.set_metadata("noalias", add(list(scopes.values())))
     return instruction
 
@@ -144,15 +144,15 @@ def put_four(typing: Any, array: Any, index: Any, value: Any) -> Any:
 
 
 @_intrinsic
-def turn_four(typing: Any, array: Any, a: Any, b: Any, c: Any, d: Any, sink: Any, index: Any, step: Any) -> Any:
+def transpose_four(typing: Any, array: Any, a: Any, b: Any, c: Any, d: Any, sink: Any, index: Any, step: Any) -> Any:
     """Four numbers from a, b, c and d on, put side by side: the first of each at an index of `sink`, the second ones a
     step beyond, ..
     """
 
     def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
-        source, *places, sink, index, step = arguments
+        source, *starts, sink, index, step = arguments
         rows = [
-            _apart(builder, builder.load(_address(builder, source, place), align=8), call.args[0]) for place in places
+            _apart(builder, builder.load(_address(builder, source, start), align=8), call.args[0]) for start in starts
         ]
         for one, column in enumerate(_transposed(builder, rows)):
             there = builder.add(index, builder.mul(step, ir.Constant(step.type, one)))
@@ -196,38 +196,38 @@ def _accumulating(fours: int, weights: int) -> Any:
     """Sums of so many fours with so many weights at once: as many additions wait for one another."""
 
     def accumulate(
-        typing: Any, array: Any, weight: Any, first: Any, last: Any, turned: Any, at: Any, step: Any, sums: Any, to: Any
+        typing: Any, array: Any, weight: Any, first: Any, last: Any, values: Any, at: Any, step: Any, sums: Any, to: Any
     ) -> Any:
         def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
-            array, weight, first, last, turned, at, step, sums, to = arguments
+            array, weight, first, last, values, at, step, sums, to = arguments
             zero, kinds = ir.Constant(_VECTOR, FOUR * [0.0]), call.args
             totals = [[cgutils.alloca_once_value(builder, zero) for _ in range(fours)] for _ in range(weights)]
 
-            def place(index: Any, constant: int) -> Any:
+            def after(index: Any, constant: int) -> Any:
                 return builder.add(index, ir.Constant(index.type, constant))
 
             def load(pointer: Any, kind: Any) -> Any:
                 return _apart(builder, builder.load(pointer, align=8), kind)
 
             with cgutils.for_range_slice(builder, first, last, ir.Constant(first.type, 1)) as (lane, _):
-                own, here = builder.add(weight, lane), builder.add(at, builder.mul(lane, step))
+                register, here = builder.add(weight, lane), builder.add(at, builder.mul(lane, step))
                 factors = [
-                    _spread(builder, load(cgutils.gep_inbounds(builder, array, place(own, k * LANES)), kinds[0]))
+                    _spread(builder, load(cgutils.gep_inbounds(builder, array, after(register, k * LANES)), kinds[0]))
                     for k in range(weights)
                 ]
                 for f in range(fours):
-                    values = load(_address(builder, turned, place(here, f * FOUR)), kinds[4])
+                    four_values = load(_address(builder, values, after(here, f * FOUR)), kinds[4])
                     for factor, row in zip(factors, totals, strict=True):
-                        product = builder.fmul(factor, values, ("contract",))
+                        product = builder.fmul(factor, four_values, ("contract",))
                         builder.store(builder.fadd(product, builder.load(row[f]), ("contract",)), row[f])
             for k, row in enumerate(totals):
                 for f, total in enumerate(row):
-                    address = _address(builder, sums, place(to, k * MOST_SUMS + f * FOUR))
+                    address = _address(builder, sums, after(to, k * MOST_SUMS + f * FOUR))
                     _apart(builder, builder.store(builder.load(total), address, align=8), kinds[7])
             return context.get_dummy_value()
 
         whole = types.int64
-        return types.none(array, whole, whole, whole, turned, whole, whole, sums, whole), generate
+        return types.none(array, whole, whole, whole, values, whole, whole, sums, whole), generate
 
     return _intrinsic(accumulate)
 
@@ -236,13 +236,13 @@ MOST_SUMS = 36
 """Numbers of a pair of poses, in fours."""
 accumulate_nine, accumulate_two, accumulate_one = (_accumulating(fours, 1) for fours in (9, 2, 1))
 accumulate_nine_twice, accumulate_two_twice, accumulate_one_twice = (_accumulating(fours, 2) for fours in (9, 2, 1))
-"""Of nine, two or one four(s) of each lane in `turned`, `step` apart from `at` on: their sums over lanes first .. last,
-times a register, or, twice, times it and the next one; to `sums` from `to` on, and from MOST_SUMS beyond.
+"""Of nine, two or one four(s) of each lane in `transposed`, `step` apart from `at` on: their sums over lanes first ..
+last, times a register, or, twice, times it and the next one; to `sums` from `to` on, and from MOST_SUMS beyond.
 """
 
 _config: Any = config
 if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what they are
-    registers = blocks_of = turned_of = coupling_of = lambda array: array.reshape(-1)
+    registers = blocks_of = transposed_of = coupling_of = lambda array: array.reshape(-1)
     four = lambda array, index: array[index : index + FOUR].copy()  # noqa: E731
     multiply_add = lambda factor, value, total: factor * value + total  # noqa: E731
 
@@ -252,11 +252,11 @@ if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what
 
     def _plainly(fours: int, weights: int) -> Any:
         def accumulate(
-            array: Any, weight: int, first: int, last: int, turned: Any, at: int, step: int, sums: Any, to: int
+            array: Any, weight: int, first: int, last: int, transposed: Any, at: int, step: int, sums: Any, to: int
         ) -> None:
             for k in range(weights):
                 for f in range(fours * FOUR):
-                    values = turned[at + f + first * step : at + f + last * step : step]
+                    values = transposed[at + f + first * step : at + f + last * step : step]
                     factors = array[weight + k * LANES + first : weight + k * LANES + last]
                     sums[to + k * MOST_SUMS + f] = factors @ values
 
@@ -265,10 +265,10 @@ if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what
     accumulate_nine, accumulate_two, accumulate_one = (_plainly(fours, 1) for fours in (9, 2, 1))
     accumulate_nine_twice, accumulate_two_twice, accumulate_one_twice = (_plainly(fours, 2) for fours in (9, 2, 1))
 
-    def turn_four(array: Any, a: int, b: int, c: int, d: int, sink: Any, index: int, step: int) -> None:
+    def transpose_four(array: Any, a: int, b: int, c: int, d: int, sink: Any, index: int, step: int) -> None:
         """Four numbers from a, b, c and d on, put side by side."""
         for one in range(FOUR):
-            sink[index + one * step : index + one * step + FOUR] = [array[place + one] for place in (a, b, c, d)]
+            sink[index + one * step : index + one * step + FOUR] = [array[row + one] for row in (a, b, c, d)]
 
 
 _INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -289,10 +289,10 @@ summing = njit(fastmath={"contract", "nsz", "reassoc"}, **_INSIDE)
 """The same for sums over lanes, whose order is free."""
 
 STATE_WIDTH = 7
-"""Most components of a sight's state."""
+"""Most components of an observation's state."""
 
 # ---- registers of the tile
-PLACE = 0 * LANES  # 3: m, the point
+POINT = 0 * LANES  # 3: m, its coordinates
 NORMAL = 3 * LANES  # 6: lower triangle of its normal matrix
 GRADIENT = 9 * LANES  # 3
 FACTOR = 12 * LANES  # 6: L of NORMAL = L L', with 1 / L_jj for L_jj
@@ -301,59 +301,59 @@ COST = 21 * LANES
 SQUARE = 22 * LANES  # squared length of the last step, in sigmas
 STATE = 23 * LANES  # GOOD, BEHIND or WEAK
 ACTIVE = 24 * LANES  # 1 where the point takes part, else 0
-PAIR = 25 * LANES  # 49: normal matrix, or covariance, between two sights' states
+PAIR = 25 * LANES  # 49: normal matrix, or covariance, between two observations' states
 COLUMN = 74 * LANES  # 7: PAIR times a direction
 PRODUCT = 81 * LANES  # product of two basis values
 MIDDLE = 82 * LANES  # 6: upper triangle of 1 + sum_ij Y_i' S_ij Y_j
-CARRIED_PAIR = 88 * LANES  # 21: PAIR times Y_j
-J_U = 109 * LANES  # 9: J U of a sight's rows
-B_L = 118 * LANES  # 9: B L^-T of a sight's rows
+COVARIED_PAIR = 88 * LANES  # 21: PAIR times Y_j
+J_U = 109 * LANES  # 9: J U of an observation's rows
+B_L = 118 * LANES  # 9: B L^-T of an observation's rows
 ERROR = 127 * LANES  # 9: M P' - (J U)'
 
 # ---- registers of the measurement that is worked on: what the unknowns do to it, its constants, its rows
 DELTA = 136 * LANES  # 7: correction of the pose (m, rad), and of focal length or range bias (m)
 RATE = 143 * LANES  # 6: its rate per line
-BEYOND = 149 * LANES  # lines from the pose's line to the predicted one
+NEWTON_STEP = 149 * LANES  # lines from the pose's line to the predicted line
 SQUARES = 150 * LANES  # squared norm of its rows; of a robust loss, then the root of its weight
 CONSTANTS = 151 * LANES
 ROWS = CONSTANTS + 32 * LANES
 
-# constants, from CONSTANTS or from a sight's own first register
+# constants, from CONSTANTS or from an observation's own first register
 WEIGHT = 0 * LANES  # 2
 FOCAL = 2 * LANES
-CENTRE = 3 * LANES  # 3
+POSITION = 3 * LANES  # 3: m, perspective centre, instrument of a range, or a-priori position of the point
 NOMINAL = 6 * LANES  # 4: quaternion (w, x, y, z), or omega, phi, kappa
 DETECTOR = 10 * LANES  # 2
 SCALE = 12 * LANES  # 4
 VELOCITY = 16 * LANES  # 3
-TURNING = 19 * LANES  # 3
+ANGULAR_RATE = 19 * LANES  # 3
 SLOPE = 22 * LANES  # 2
-OFFSET = 24 * LANES  # lines from the measured line to the one of the constants
+REFERENCE_OFFSET = 24 * LANES  # lines from the measured line to the reference line
 ROOT = 25 * LANES  # 6: upper triangle of a ground prior's square root information
 DISTANCE = 31 * LANES  # measured range
 OF_MEASURED, OF_PREDICTED, OF_ANY = 16 * LANES, 25 * LANES, 32 * LANES
-"""Registers up to which a ray of either form, and any sight, has constants."""
+"""Registers up to which a ray of either form, and any observation, has constants."""
 
-# rows, from ROWS or from a sight's register RESULT; of each row, ROW apart:
-CARRY = 0 * LANES  # lines from the line of the constants to the one whose pose is used
+# rows, from ROWS or from an observation's register RESULT; of each row, ROW apart:
+LINE_OFFSET = 0 * LANES  # lines from the reference line to the one whose pose is used
 FRONT = 1 * LANES  # 1 where the point is before the camera
 RESIDUAL = 2 * LANES  # whitened
 BY_POINT = 3 * LANES  # 3: derivatives by the point
-BY_STATE = 6 * LANES  # 7: by what the sight feels of the shared unknowns, its state
+BY_STATE = 6 * LANES  # 7: by what the shared unknowns do to the observation, its state
 ROW = (1 + 3 + STATE_WIDTH) * LANES
 OF_ROWS = (RESIDUAL, RESIDUAL + ROW, RESIDUAL + 2 * ROW, RESIDUAL + 3 * ROW)
 """Registers of none to three rows."""
 
-# ---- further registers of a sight
+# ---- further registers of an observation
 RESULT = OF_ANY
 RIGHT = RESULT + OF_ROWS[3]  # 7: reduced gradient
-CARRIED = RIGHT + 7 * LANES  # (7, 3): U = sum_j S_ij Y_j
-OWN = CARRIED + 21 * LANES  # upper triangle (3, 3) of J S J'
-BASIS = OWN + 6 * LANES  # values of all terms, then their rates per line, then directions of single columns
+COVARIED = RIGHT + 7 * LANES  # (7, 3): U = sum_j S_ij Y_j
+SHARED_PART = COVARIED + 21 * LANES  # upper triangle (3, 3) of J S J'
+BASIS = SHARED_PART + 6 * LANES  # values of all terms, then their rates per line, then directions of single columns
 TILE = ROWS + OF_ROWS[3]
-"""Registers before those of the first sight."""
+"""Registers before those of the first observation."""
 WIDTH = STATE_WIDTH * LANES
 """From one row of PAIR, or one direction, to the next."""
 
-# ---- registers of a sight in the array of its own that keeps coupling
+# ---- registers of an observation in the array of its own that keeps coupling
 COUPLED = 21 * LANES  # Y (7, 3): state against point, times L^-T

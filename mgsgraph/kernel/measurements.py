@@ -1,7 +1,7 @@
 """Rows of all measurements of a tile: one loop over lanes around the equations of each (`mgsgraph.factors`).
 
-Each loop reads the registers of the measurement that is worked on and the place of the points, and leaves RESIDUAL,
-BY_POINT and BY_STATE at ROWS, whitened; zero where a row takes no part.
+Each loop reads the registers of the measurement that is worked on and the coordinates of the points, and leaves
+RESIDUAL, BY_POINT and BY_STATE at ROWS, whitened; zero where a row takes no part.
 """
 
 import numpy as np
@@ -25,14 +25,12 @@ from mgsgraph.factors.ground import ground_residual, upper_triangle
 from mgsgraph.factors.laser_range import range_residual
 from mgsgraph.factors.loss import cauchy, huber, tukey
 from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer, perspective_centre
-from mgsgraph.factors.surface import bilinear, cell_place, height_above
+from mgsgraph.factors.surface import bilinear, cell_position, height_above
 from mgsgraph.kernel.lanes import (
     ACTIVE,
-    BEYOND,
+    ANGULAR_RATE,
     BY_POINT,
     BY_STATE,
-    CARRY,
-    CENTRE,
     CONSTANTS,
     COST,
     DELTA,
@@ -42,15 +40,18 @@ from mgsgraph.kernel.lanes import (
     FRONT,
     GRADIENT,
     LANES,
+    LINE_OFFSET,
+    NEWTON_STEP,
     NOMINAL,
     NORMAL,
     OF_ANY,
     OF_MEASURED,
     OF_PREDICTED,
     OF_ROWS,
-    OFFSET,
-    PLACE,
+    POINT,
+    POSITION,
     RATE,
+    REFERENCE_OFFSET,
     RESIDUAL,
     RESULT,
     ROOT,
@@ -61,7 +62,6 @@ from mgsgraph.kernel.lanes import (
     SQUARES,
     STATE,
     TILE,
-    TURNING,
     VELOCITY,
     WEIGHT,
     inlined,
@@ -78,7 +78,7 @@ from mgsgraph.kernel.rows import (
     PREDICTED,
     RANGE,
 )
-from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, point_of, sights_of
+from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_of, point_of
 
 make_equations_compilable()
 
@@ -105,21 +105,24 @@ def _image_loop(attitude_of, predicted):
 
     @lane
     def loop(w):
-        """Rows of an image sight with the pose of CARRY; BEYOND is left how far the predicted line is from there."""
+        """Rows of an image observation with the pose of LINE_OFFSET; NEWTON_STEP is left how far the predicted line is
+        from there.
+        """
         for l in range(LANES):
-            carry = w[ROWS + CARRY + l] if predicted else 0.0
+            line_offset = w[ROWS + LINE_OFFSET + l] if predicted else 0.0
             velocity = vector(w, _C + VELOCITY, l) if predicted else (0.0, 0.0, 0.0)
-            turning = vector(w, _C + TURNING, l) if predicted else (0.0, 0.0, 0.0)
+            angular_rate = vector(w, _C + ANGULAR_RATE, l) if predicted else (0.0, 0.0, 0.0)
             nominal = (*vector(w, _C + NOMINAL, l), w[_C + NOMINAL + 3 * LANES + l])
             rate = vector(w, RATE + 3 * LANES, l) if predicted else (0.0, 0.0, 0.0)
-            attitude, axes, turned = attitude_of(nominal, turning, carry, vector(w, DELTA + 3 * LANES, l), rate)
-            centre = perspective_centre(vector(w, _C + CENTRE, l), velocity, carry, vector(w, DELTA, l))
-            ray = transform(attitude, subtract(vector(w, PLACE, l), centre))
+            theta = vector(w, DELTA + 3 * LANES, l)
+            attitude, axes, camera_rate = attitude_of(nominal, angular_rate, line_offset, theta, rate)
+            centre = perspective_centre(vector(w, _C + POSITION, l), velocity, line_offset, vector(w, DELTA, l))
+            ray = transform(attitude, subtract(vector(w, POINT, l), centre))
             focal = w[_C + FOCAL + l] + w[DELTA + 6 * LANES + l]
             detector = w[_C + DETECTOR + l], w[_C + DETECTOR + LANES + l]
             image = focal_plane(ray, focal)
             if predicted:
-                motion = ray_motion(attitude, ray, add(velocity, vector(w, RATE, l)), turned)
+                motion = ray_motion(attitude, ray, add(velocity, vector(w, RATE, l)), camera_rate)
                 slope = w[_C + SLOPE + l], w[_C + SLOPE + LANES + l]
                 scale = to_lines_and_samples(image_motion(ray, motion, focal), slope)
             else:
@@ -127,7 +130,7 @@ def _image_loop(attitude_of, predicted):
                     (w[_C + SCALE + l], w[_C + SCALE + LANES + l]),
                     (w[_C + SCALE + 2 * LANES + l], w[_C + SCALE + 3 * LANES + l]),
                 )
-            beyond = w[_C + OFFSET + l] + carry if predicted else 0.0
+            beyond = w[_C + REFERENCE_OFFSET + l] + line_offset if predicted else 0.0
             line, sample = residual(scale, image, detector, beyond)
             of_line, of_sample = by_ray(scale, ray, focal)
             weight_line, weight_sample = w[_C + WEIGHT + l] * w[ACTIVE + l], w[_C + WEIGHT + LANES + l] * w[ACTIVE + l]
@@ -135,7 +138,7 @@ def _image_loop(attitude_of, predicted):
             used = front & wanted
             w[ROWS + FRONT + l] = 1.0 if front else 0.0
             w[STATE + l] = w[STATE + l] if front | (not wanted) else BEHIND
-            w[BEYOND + l] = line + beyond if used else 0.0
+            w[NEWTON_STEP + l] = line + beyond if used else 0.0
             w[ROWS + RESIDUAL + l] = weight_line * line if used else 0.0
             w[ROWS + RESIDUAL + ROW + l] = weight_sample * sample if used else 0.0
             of_line = weight_line * of_line[0], weight_line * of_line[1], weight_line * of_line[2]
@@ -160,22 +163,22 @@ _opk_peer_predicted, _opk_peer_measured = _image_loop(opk_peer, True), _image_lo
 
 @lane
 def next_line(w):
-    """Move CARRY on to the predicted line, lane by lane, unless it is near; whether any lane has moved."""
+    """Move LINE_OFFSET on to the predicted line, lane by lane, unless it is near; whether any lane has moved."""
     moved = False
     for l in range(LANES):
-        far = abs(w[BEYOND + l]) >= NEWTON_TOLERANCE
-        w[ROWS + CARRY + l] -= w[BEYOND + l] if far else 0.0
+        far = abs(w[NEWTON_STEP + l]) >= NEWTON_TOLERANCE
+        w[ROWS + LINE_OFFSET + l] -= w[NEWTON_STEP + l] if far else 0.0
         moved |= far
     return moved
 
 
 @inlined
 def image_rows(rows, model, segments, count, i, x, w, s):
-    """Rows of image sight i: at the predicted line by Newton's method, or at the measured one."""
+    """Rows of image observation i: at the predicted line by Newton's method, or at the measured one."""
     predicted = model.line == PREDICTED
     copy_block(w, s, _C, OF_PREDICTED if predicted else OF_MEASURED)
     for l in range(LANES):
-        w[ROWS + CARRY + l] = 0.0
+        w[ROWS + LINE_OFFSET + l] = 0.0
     for step in range(NEWTON_STEPS if predicted else 1):
         correct(rows, segments, count, i, x, w, s, predicted)
         if predicted:
@@ -197,12 +200,12 @@ def image_rows(rows, model, segments, count, i, x, w, s):
 
 @lane
 def range_rows(w):
-    """Row of a range; its state is the instrument's place, and the range bias."""
+    """Row of a range; its state is the instrument's position, and the range bias."""
     for l in range(LANES):
         weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
         used = weight > 0.0
-        centre, bias = add(vector(w, _C + CENTRE, l), vector(w, DELTA, l)), w[DELTA + 3 * LANES + l]
-        value, of_point = range_residual(w[_C + DISTANCE + l], vector(w, PLACE, l), centre, bias)
+        centre, bias = add(vector(w, _C + POSITION, l), vector(w, DELTA, l)), w[DELTA + 3 * LANES + l]
+        value, of_point = range_residual(w[_C + DISTANCE + l], vector(w, POINT, l), centre, bias)
         of_point = weight * of_point[0], weight * of_point[1], weight * of_point[2]
         w[ROWS + RESIDUAL + l] = weight * value if used else 0.0
         put(w, _LINE, l, of_point, used)
@@ -212,11 +215,11 @@ def range_rows(w):
 
 @lane
 def ground_rows(w):
-    """Rows of an a-priori place; its state is the shift."""
+    """Rows of an a-priori position; its state is the shift."""
     for l in range(LANES):
         used = w[ACTIVE + l] > 0.0
         root = upper_triangle((*vector(w, _C + ROOT, l), *vector(w, _C + ROOT + 3 * LANES, l)))
-        values = ground_residual(root, vector(w, PLACE, l), vector(w, _C + CENTRE, l), vector(w, DELTA, l))
+        values = ground_residual(root, vector(w, POINT, l), vector(w, _C + POSITION, l), vector(w, DELTA, l))
         for row in range(3):
             w[ROWS + RESIDUAL + row * ROW + l] = values[row] if used else 0.0
             of_point = root[row]
@@ -239,9 +242,9 @@ def surface_rows(rows, segments, count, w):
             row, left, right = rows.terrain_cell[point + l]
             weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
             if row >= 0 and weight > 0.0:
-                moved = subtract(vector(w, PLACE, l), vector(w, DELTA, l))
+                moved = subtract(vector(w, POINT, l), vector(w, DELTA, l))
                 corners = posts[row, left], posts[row, right], posts[row + 1, left], posts[row + 1, right]
-                east, south = cell_place(moved, first, step, left, row)
+                east, south = cell_position(moved, first, step, left, row)
                 height, slope = height_above(moved, bilinear(east, south, corners), step)
                 w[ROWS + RESIDUAL + l] = weight * height
                 put(w, _LINE, l, (weight * slope[0], weight * slope[1], weight * slope[2]), True)
@@ -251,7 +254,7 @@ def surface_rows(rows, segments, count, w):
 
 @inlined
 def row_count(kind):
-    """Rows of a sight."""
+    """Rows of an observation."""
     return 2 if kind == IMAGE else 3 if kind == GROUND else 1
 
 
@@ -270,7 +273,7 @@ def _loss_loop(loss):
 
     @lane
     def loop(width, count, components, w):
-        """Add a sight's loss to COST and scale its rows by the root of the loss's weight."""
+        """Add an observation's loss to COST and scale its rows by the root of the loss's weight."""
         for l in range(LANES):
             cost, weight = loss(w[SQUARES + l], width)
             w[COST + l] += cost
@@ -288,7 +291,9 @@ _huber, _cauchy, _tukey = _loss_loop(huber), _loss_loop(cauchy), _loss_loop(tuke
 
 @lane
 def add_rows(model, robust, kind, width, w):
-    """Add a sight's rows to COST, with the loss if `robust`, and to NORMAL (00, 10, 11, 20, 21, 22) and GRADIENT."""
+    """Add an observation's rows to COST, with the loss if `robust`, and to NORMAL (00, 10, 11, 20, 21, 22) and
+    GRADIENT.
+    """
     count = row_count(kind)
     sum_squares(count, w)
     if not robust:
@@ -317,14 +322,16 @@ def add_rows(model, robust, kind, width, w):
 
 @inlined
 def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
-    """Rows of all sights at PLACE, their COST and normal equations; if `kept` they go to the sights' own registers."""
+    """Rows of all observations at POINT, their COST and normal equations; if `kept` they go to the observations' own
+    registers.
+    """
     for l in range(LANES):
         w[COST + l] = 0.0
     for r in range(9 * LANES):
         w[NORMAL + r] = 0.0
-    begin, end = sights_of(rows, segments)
+    begin, end = observations_of(rows, segments)
     for i in range(begin, end):
-        s, kind = TILE + (i - begin) * depth, rows.sight_kind[i]
+        s, kind = TILE + (i - begin) * depth, rows.observation_kind[i]
         if kind == IMAGE:
             image_rows(rows, model, segments, count, i, x, w, s)
         else:
@@ -336,6 +343,6 @@ def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
                 ground_rows(w)
             else:
                 surface_rows(rows, segments, count, w)
-        add_rows(model, robust and (kind == IMAGE or kind == RANGE), kind, rows.sight_width[i], w)
+        add_rows(model, robust and (kind == IMAGE or kind == RANGE), kind, rows.observation_width[i], w)
         if kept:
             copy_block(w, ROWS, s + RESULT, OF_ROWS[row_count(kind)])

@@ -10,7 +10,7 @@ from mgsgraph.kernel.lanes import (
     GRADIENT,
     LANES,
     NORMAL,
-    PLACE,
+    POINT,
     SQUARE,
     STATE,
     inlined,
@@ -70,9 +70,9 @@ def step_points(w):
         x2 = w[FORWARD + 2 * LANES + l] * w[FACTOR + 5 * LANES + l]
         x1 = (w[FORWARD + LANES + l] - w[FACTOR + 4 * LANES + l] * x2) * w[FACTOR + 2 * LANES + l]
         x0 = (w[FORWARD + l] - w[FACTOR + LANES + l] * x1 - w[FACTOR + 3 * LANES + l] * x2) * w[FACTOR + l]
-        w[PLACE + l] -= x0
-        w[PLACE + LANES + l] -= x1
-        w[PLACE + 2 * LANES + l] -= x2
+        w[POINT + l] -= x0
+        w[POINT + LANES + l] -= x1
+        w[POINT + 2 * LANES + l] -= x2
         w[COST + l] -= 0.5 * w[SQUARE + l]
 
 
@@ -86,17 +86,18 @@ def largest_step(w):
 
 
 @inlined
-def solve_tile(rows, model, segments, count, x, places, move, everything, w, depth, kept):
-    """Best places of a tile's points with the orientation held: PLACE, COST and STATE, and, if `kept`, rows there.
+def solve_tile(rows, model, segments, count, x, points, move, everything, w, depth, kept):
+    """Coordinates of a tile's points of least cost with the orientation held: POINT, COST and STATE, and, if `kept`,
+    rows there.
 
-    Begins at `places` (n, 3); rows, FACTOR and FORWARD stay those of the place before the last, short step. Unless
-    `move`, the points stay where they are, and take part all if `everything`. With a robust loss the way is begun
-    anew, at `rows.start` and with plain squares, for where such a loss is flat it leads nowhere; so earlier calls
+    Begins at `points` (n, 3); rows, FACTOR and FORWARD stay those of the coordinates before the last, short step.
+    Unless `move`, the points stay where they are, and take part all if `everything`. With a robust loss the way is
+    begun anew, at `rows.start` and with plain squares, for where such a loss is flat it leads nowhere; so earlier calls
     don't count.
     """
     fixed = rows.pattern_fixed[segments[0, PATTERN]] > 0
     robust = model.loss != NO_LOSS
-    load(rows, model, segments, count, w, depth, rows.start if move and (robust or fixed) else places)
+    load(rows, model, segments, count, w, depth, rows.start if move and (robust or fixed) else points)
     for k in range(count if everything else 0):
         for l in range(segments[k, BEGIN], segments[k, END]):
             w[ACTIVE + l] = 1.0

@@ -9,10 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.kernel.design import most_columns
 from mgsgraph.kernel.reliability import NUMBERS
 from mgsgraph.kernel.rows import NO_LOSS, Groups, Model, Rows, Target
-from mgsgraph.kernel.sweep import COVARIANCES, DESIGN, RELIABILITY, RESIDUALS, SYSTEM, sweep_all
+from mgsgraph.kernel.sweep import COVARIANCES, DESIGN, RELIABILITY, RESIDUALS, ROW_NUMBERS, SYSTEM, sweep_all
 
 Array = NDArray[np.float64]
 
@@ -34,7 +33,7 @@ class Reduction:
     gradient: Array
     """(columns,) reduced gradient; empty unless it was asked for."""
     points: Array
-    """(n, 3) m, solved places in the layout's order."""
+    """(n, 3) m, solved coordinates in the layout's order."""
     states: NDArray[np.int8]
     """(n,) rows.GOOD, BEHIND or WEAK."""
 
@@ -57,11 +56,11 @@ def reduce(
     The inner solve begins at `points` (n, 3), where an earlier call ended (with a robust loss, and without them, at
     `rows.start`): that saves steps; the result is the same to the tolerance of that solve.
     """
-    places = (rows.start if points is None else points).copy()
+    points = (rows.start if points is None else points).copy()
     states, costs = np.empty(rows.kind.size, dtype=np.int8), np.empty(rows.piece.shape[0])
-    blocks, gradient = sweep_all(rows, groups, target, model, orientation, task, places, states, costs)
+    blocks, gradient = sweep_all(rows, groups, target, model, orientation, task, points, states, costs)
     own, cost = blocks if task == SYSTEM else None, float(costs.sum())
-    return Reduction(task, orientation.copy(), cost, costs, own, gradient, places, states)
+    return Reduction(task, orientation.copy(), cost, costs, own, gradient, points, states)
 
 
 def point_covariances(
@@ -79,7 +78,7 @@ def point_covariances(
 def reliability(
     rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, joint: Array, points: Array
 ) -> Array:
-    """What each row of each sight says of itself (t, 3, 7): whitened residual, its row of H, effect on its point.
+    """What each row of each observation says of itself (t, 3, 7): whitened residual, its row of H, effect on its point.
 
     H (3 columns) is the covariance of the adjusted measures in units of their own, 1 minus which is the residuals'; the
     effect (3 columns) is how far, in m, an error of one sigma in the row moves the point. An image ray has two rows, a
@@ -92,19 +91,21 @@ def reliability(
 
 
 def design(rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, points: Array) -> Array:
-    """Whitened rows of sights (t, 3, 4 + c) with points at (n, 3): the residual, its derivatives by the point per m,
-    and by the unknowns that the sight feels per m and rad: six columns of each basis term, then single ones.
+    """Whitened rows of observations (t, 3, 4 + c) with points at (n, 3): the residual, its derivatives by the point per
+    m, and by the unknowns that the observation depends on per m and rad: six columns of each basis term, then single
+    ones.
 
-    With a robust loss each is scaled by the root of its weight. Rows that don't take part, or that a sight hasn't, are
-    zero.
+    With a robust loss each is scaled by the root of its weight. Rows that don't take part, or that an observation
+    hasn't, are zero.
     """
-    values = np.zeros((rows.weight.shape[1], 3, most_columns(rows)))
+    most_columns = ROW_NUMBERS + int((6 * rows.observation_terms + rows.observation_shared).max(initial=0))
+    values = np.zeros((rows.weight.shape[1], 3, most_columns))
     sweep_all(rows, groups, target, model, orientation, DESIGN, points, values=values)
     return values
 
 
 def all_residuals(rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, points: Array) -> Array:
-    """Residuals (t, 2) of all sights with points at (n, 3), measured minus predicted, of rows in and out alike.
+    """Residuals (t, 2) of all observations with points at (n, 3), measured minus predicted, of rows in and out alike.
 
     An image ray's in pixels, a range's in m and a point's height above the terrain in m, the latter two in the first
     column; NaN for a ray whose point is behind the camera, and where there is no terrain. `rows` need full weights.
@@ -130,7 +131,7 @@ def dense(reduction: Reduction, groups: Groups, target: Target, group: int) -> t
 
 
 def sparse(block: Array, groups: Groups, target: Target, group: int) -> Array:
-    """Blocks of the target with the dense matrix (d, d) of one group in its place; zero elsewhere."""
+    """Blocks of the target with the dense matrix (d, d) of one group; zero elsewhere."""
     blocks = np.zeros(target.size)
     for rows, columns, at in _blocks(groups, target, group):
         own = block[rows, columns]

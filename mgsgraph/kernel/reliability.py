@@ -2,32 +2,31 @@
 
 With A the whitened rows and Q the covariance of all unknowns, the adjusted measures have the covariance H = A Q A' and
 the residuals 1 - H (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Per point, with P = B L^-T, Y = W L^-T and S
-the covariance of the sights' states, all that is needed of Q is U_i = sum_j S_ij Y_j and M = 1 + sum_i Y_i' U_i:
+the covariance of the observations' states, all that is needed of Q is U_i = sum_j S_ij Y_j and M = 1 + sum_i Y_i' U_i:
 H_i = P_i M P_i' - P_i (J_i U_i)' - (J_i U_i) P_i' + J_i S_ii J_i'; an error e in the rows moves the point by
 -L^-T (M P_i' - (J_i U_i)') e.
 """
 
 import numpy as np
 
-from mgsgraph.kernel.blocks import sight_columns
 from mgsgraph.kernel.covariance import begin_middle, state_covariance
 from mgsgraph.kernel.elimination import couple_all
 from mgsgraph.kernel.lanes import (
     B_L,
     BY_POINT,
     BY_STATE,
-    CARRIED,
     COUPLED,
+    COVARIED,
     ERROR,
     FACTOR,
     J_U,
     LANES,
     MIDDLE,
-    OWN,
     PAIR,
     RESIDUAL,
     RESULT,
     ROW,
+    SHARED_PART,
     STATE,
     TILE,
     WIDTH,
@@ -36,19 +35,19 @@ from mgsgraph.kernel.lanes import (
 )
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.rows import OUT, WEAK
-from mgsgraph.kernel.tile import BEGIN, END, point_of, sight_place, sights_of
+from mgsgraph.kernel.tile import BEGIN, END, observation_columns, observation_index, observations_of, point_of
 
 NUMBERS = 7
 """Per row: the whitened residual, its row of H (3), the effect on the point (3, m) of an error of one sigma in it."""
 
 
 @lane
-def add_carried(width_i, width_j, turned, w, s, y, d):
-    """Add PAIR Y_j, whose coupling begins at d, to U_i, or PAIR' Y_j if `turned` (then PAIR is that of j and i)."""
+def add_covaried(width_i, width_j, transposed, w, s, y, d):
+    """Add PAIR Y_j, whose coupling begins at d, to U_i, or PAIR' Y_j if `transposed` (then PAIR is that of j and i)."""
     for a in range(width_i):
         for b in range(width_j):
-            k = PAIR + (b * WIDTH + a * LANES if turned else a * WIDTH + b * LANES)
-            u, z = s + CARRIED + 3 * a * LANES, d + 3 * b * LANES
+            k = PAIR + (b * WIDTH + a * LANES if transposed else a * WIDTH + b * LANES)
+            u, z = s + COVARIED + 3 * a * LANES, d + 3 * b * LANES
             for l in range(LANES):
                 w[u + l] += w[k + l] * y[z + l]
                 w[u + LANES + l] += w[k + l] * y[z + LANES + l]
@@ -57,11 +56,11 @@ def add_carried(width_i, width_j, turned, w, s, y, d):
 
 @lane
 def own_share(count, width, w, s):
-    """OWN: J PAIR J' of a sight with itself."""
-    place = 0
+    """SHARED_PART: J PAIR J' of an observation with itself."""
+    index = 0
     for row in range(count):
         for other in range(row, count):
-            sink = s + OWN + place * LANES
+            sink = s + SHARED_PART + index * LANES
             for l in range(LANES):
                 w[sink + l] = 0.0
             for a in range(width):
@@ -70,20 +69,20 @@ def own_share(count, width, w, s):
                     right = s + RESULT + BY_STATE + other * ROW + b * LANES
                     for l in range(LANES):
                         w[sink + l] += w[left + l] * w[k + l] * w[right + l]
-            place += 1
+            index += 1
 
 
 @lane
 def add_middle(width, w, s, y, d):
-    """Add Y' U of a sight to MIDDLE."""
-    place = 0
+    """Add Y' U of an observation to MIDDLE."""
+    index = 0
     for b in range(3):
         for c in range(b, 3):
             for a in range(width):
-                z, u = d + (3 * a + b) * LANES, s + CARRIED + (3 * a + c) * LANES
+                z, u = d + (3 * a + b) * LANES, s + COVARIED + (3 * a + c) * LANES
                 for l in range(LANES):
-                    w[MIDDLE + place * LANES + l] += y[z + l] * w[u + l]
-            place += 1
+                    w[MIDDLE + index * LANES + l] += y[z + l] * w[u + l]
+            index += 1
 
 
 @lane
@@ -94,8 +93,8 @@ def middle(b, c):
 
 
 @lane
-def through_point(count, width, felt, w, s):
-    """J_U, B_L and ERROR, row by row of a sight: J U, P = B L^-T, and M P' - (J U)'."""
+def through_point(count, width, linked, w, s):
+    """J_U, B_L and ERROR, row by row of an observation: J U, P = B L^-T, and M P' - (J U)'."""
     for row in range(count):
         ju, p, e = J_U + 3 * row * LANES, B_L + 3 * row * LANES, ERROR + 3 * row * LANES
         b = s + RESULT + BY_POINT + row * ROW
@@ -107,8 +106,8 @@ def through_point(count, width, felt, w, s):
         for c in range(3):
             for l in range(LANES):
                 w[ju + c * LANES + l] = 0.0
-            for a in range(width if felt else 0):
-                state, u = s + RESULT + BY_STATE + row * ROW + a * LANES, s + CARRIED + (3 * a + c) * LANES
+            for a in range(width if linked else 0):
+                state, u = s + RESULT + BY_STATE + row * ROW + a * LANES, s + COVARIED + (3 * a + c) * LANES
                 for l in range(LANES):
                     w[ju + c * LANES + l] += w[state + l] * w[u + l]
         for c in range(3):
@@ -129,19 +128,19 @@ def share(row, other, l, w):
 
 
 @inlined
-def store_sight(rows, count, felt, at, point, first, last, w, s, values):
-    """`NUMBERS` of each row of a sight, lanes first .. last; NaN where the point is out or weak."""
+def store_observation(rows, count, linked, at, point, first, last, w, s, values):
+    """`NUMBERS` of each row of an observation, lanes first .. last; NaN where the point is out or weak."""
     for l in range(first, last):
         known = (rows.kind[point + l] != OUT) & (w[STATE + l] != WEAK)
-        place = 0
+        index = 0
         for row in range(count):
             values[at + l, row, 0] = w[s + RESULT + RESIDUAL + row * ROW + l] if known else np.nan
             for other in range(row, count):
-                value = share(row, other, l, w) + (w[s + OWN + place * LANES + l] if felt else 0.0)
+                value = share(row, other, l, w) + (w[s + SHARED_PART + index * LANES + l] if linked else 0.0)
                 value = value if known else np.nan
                 values[at + l, row, 1 + other] = value
                 values[at + l, other, 1 + row] = value
-                place += 1
+                index += 1
             e = ERROR + 3 * row * LANES
             z2 = w[e + 2 * LANES + l] * w[FACTOR + 5 * LANES + l]
             z1 = (w[e + LANES + l] - w[FACTOR + 4 * LANES + l] * z2) * w[FACTOR + 2 * LANES + l]
@@ -156,29 +155,29 @@ def reliability_tile(rows, groups, target, model, segments, count, joint, w, dep
     """`NUMBERS` of all rows of a tile's points, whose rows and L are there; `joint` as for covariances."""
     couple_all(rows, model, segments, w, depth, y)
     begin_middle(w)
-    begin, end = sights_of(rows, segments)
+    begin, end = observations_of(rows, segments)
     for i in range(begin, end):
-        u = TILE + (i - begin) * depth + CARRIED
+        u = TILE + (i - begin) * depth + COVARIED
         for r in range(3 * WIDTH):
             w[u + r] = 0.0
     for i in range(begin, end):
-        s, width_i = TILE + (i - begin) * depth, rows.sight_width[i]
+        s, width_i = TILE + (i - begin) * depth, rows.observation_width[i]
         for j in range(i, end):
-            if sight_columns(rows, i)[1] > 0 and sight_columns(rows, j)[1] > 0:
-                t, width_j = TILE + (j - begin) * depth, rows.sight_width[j]
+            if observation_columns(rows, i)[1] > 0 and observation_columns(rows, j)[1] > 0:
+                t, width_j = TILE + (j - begin) * depth, rows.observation_width[j]
                 state_covariance(rows, groups, target, segments, count, joint, i, j, begin, w, s, t)
-                add_carried(width_i, width_j, False, w, s, y, (j - begin) * COUPLED)
+                add_covaried(width_i, width_j, False, w, s, y, (j - begin) * COUPLED)
                 if i == j:
-                    own_share(row_count(rows.sight_kind[i]), width_i, w, s)
+                    own_share(row_count(rows.observation_kind[i]), width_i, w, s)
                 else:
-                    add_carried(width_j, width_i, True, w, t, y, (i - begin) * COUPLED)
+                    add_covaried(width_j, width_i, True, w, t, y, (i - begin) * COUPLED)
     for i in range(begin, end):
-        if sight_columns(rows, i)[1] > 0:
-            add_middle(rows.sight_width[i], w, TILE + (i - begin) * depth, y, (i - begin) * COUPLED)
+        if observation_columns(rows, i)[1] > 0:
+            add_middle(rows.observation_width[i], w, TILE + (i - begin) * depth, y, (i - begin) * COUPLED)
     for i in range(begin, end):
-        s, felt = TILE + (i - begin) * depth, sight_columns(rows, i)[1] > 0
-        rows_of = row_count(rows.sight_kind[i])
-        through_point(rows_of, rows.sight_width[i], felt, w, s)
+        s, linked = TILE + (i - begin) * depth, observation_columns(rows, i)[1] > 0
+        rows_of = row_count(rows.observation_kind[i])
+        through_point(rows_of, rows.observation_width[i], linked, w, s)
         for k in range(count):
-            at, point = sight_place(rows, segments, k, i - begin), point_of(rows, segments, k)
-            store_sight(rows, rows_of, felt, at, point, segments[k, BEGIN], segments[k, END], w, s, values)
+            at, point = observation_index(rows, segments, k, i - begin), point_of(rows, segments, k)
+            store_observation(rows, rows_of, linked, at, point, segments[k, BEGIN], segments[k, END], w, s, values)

@@ -1,9 +1,9 @@
 """The rows of the adjustment as plain arrays: everything about an observation that doesn't change between iterations.
 
-What a point sees is a list of *sights*: image rays, ranges, its a-priori place, the terrain under it. Points with the
-same list share a *pattern* and lie side by side in *pieces* of at most `PIECE` points; a piece's numbers are stored
-sight by sight and component by component, contiguous over its points, so that the kernel reads them as SIMD vectors.
-`mgsgraph.adjustment.graph` fills the arrays from a network; the kernels take the tuples as they stand.
+What a point sees is a list of *observations*: image rays, ranges, its a-priori position, the terrain under it. Points
+with the same list share a *pattern* and lie side by side in *pieces* of at most `PIECE` points; a piece's numbers are
+stored observation by observation and component by component, contiguous over its points, so that the kernel reads them
+as SIMD vectors. `mgsgraph.adjustment.graph` fills the arrays from a network; the kernels take the tuples as they stand.
 """
 
 from typing import NamedTuple
@@ -16,10 +16,10 @@ Index = NDArray[np.int64]
 Small = NDArray[np.int8]
 
 FREE, PRIOR, FIXED, OUT = 0, 1, 2, 3
-"""What a point is: unknown; unknown with an a-priori place; known; not determined and left out."""
+"""What a point is: unknown; unknown with an a-priori position; known; not determined and left out."""
 
 IMAGE, RANGE, GROUND, SURFACE = 0, 1, 2, 3
-"""What a sight is: an image ray, a laser range, the a-priori place, the height above the terrain model."""
+"""What an observation is: an image ray, a laser range, the a-priori position, the height above the terrain model."""
 
 PREDICTED, MEASURED = 0, 1
 """Line at which the pose is taken: the predicted one (strict form), or the measured one (the papers' form)."""
@@ -38,48 +38,49 @@ PIECE = 2048
 
 
 class Rows(NamedTuple):
-    """n points, m pieces, q patterns, s sights of patterns, e entries: unknowns that a sight feels."""
+    """n points, m pieces, q patterns, s observations of patterns, e entries: unknowns that an observation has."""
 
     kind: Small
     """(n,) FREE, PRIOR, FIXED or OUT."""
     start: Array
-    """(n, 3) m: a-priori place, place of a fixed point, or where the inner solve begins."""
+    """(n, 3) m: a-priori position, coordinates of a fixed point, or where the inner solve begins."""
     data: Array
-    """Constants of all sights, in the order in which `tile.load_sight` takes them."""
+    """Constants of all observations, in the order in which `tile.load_observation` takes them."""
     weight: Array
     """(2, t) 1/sigma per line and per sample (an image ray), 1/m in the first row (range, surface); 0 leaves it out."""
     piece: Index
-    """(m, 5) pattern, first point, number of points, where its constants begin in `data`, and its sights among all t
-    of them (sight by sight, contiguous over its points)."""
-    pattern_sight: Index
-    """(q + 1,) first sight of each pattern."""
+    """(m, 5) pattern, first point, number of points, where its constants begin in `data`, and its observations among
+    all t of them (observation by observation, contiguous over its points).
+    """
+    pattern_observation: Index
+    """(q + 1,) first observation of each pattern."""
     pattern_group: Index
     """(q,) group: set of unknowns."""
     pattern_fixed: Index
     """(q,) 1 where the points are known."""
     pattern_shape: Index
-    """(q,) shape: sights of the same kinds and sizes, whatever unknowns they feel (`shapes`)."""
-    sight_kind: Index
+    """(q,) shape: observations of the same kinds and sizes, whatever unknowns they depend on (`shapes`)."""
+    observation_kind: Index
     """(s,) IMAGE, RANGE, GROUND or SURFACE."""
-    sight_width: Index
-    """(s,) components of its state that are felt: 6 (7 with the focal length) of an image, 3 (4 with the bias) of a
+    observation_width: Index
+    """(s,) components of its state: 6 (7 with the focal length) of an image, 3 (4 with the bias) of a
     range, 3 of a ground prior or a surface row."""
-    sight_terms: Index
+    observation_terms: Index
     """(s,) number of basis terms, each of six columns."""
-    sight_shared: Index
-    """(s,) number of single columns, each with a direction in the sight's state."""
-    sight_entry: Index
+    observation_shared: Index
+    """(s,) number of single columns, each with a direction in the observation's state."""
+    observation_entry: Index
     """(s,) first of its entries: terms, then single columns."""
-    sight_focal: Array
+    observation_focal: Array
     """(s,) m, nominal focal length."""
-    sight_rate: Array
+    observation_rate: Array
     """(s,) du/dline where the basis is a polynomial 1, u, u^2, .. of the line, of which u alone is stored; else 0."""
-    sight_numbers: Index
+    observation_numbers: Index
     """(s,) numbers per point in `data` (`numbers_stored`)."""
     entry_column: Index
     """(e,) column of the orientation vector: the first of six, or the single one."""
     entry_member: Index
-    """(e,) place of its variable among those of the group."""
+    """(e,) index of its variable among those of the group."""
     entry_inside: Index
     """(e,) the same column within that variable."""
     terrain: Array
@@ -92,10 +93,10 @@ class Rows(NamedTuple):
 
 
 def shapes(first: Index, fixed: Index, *tables: Index) -> Index:
-    """(q,) shape of each pattern, from 0 on: the same for patterns whose sights are alike.
+    """(q,) shape of each pattern, from 0 on: the same for patterns whose observations are alike.
 
-    `first` (q + 1,) is each pattern's first sight, `fixed` (q,) as in `Rows`, and the tables (s,) are what sights have
-    to share: kind, width, numbers of terms and single columns.
+    `first` (q + 1,) is each pattern's first observation, `fixed` (q,) as in `Rows`, and the tables (s,) are what
+    observations have to share: kind, width, numbers of terms and single columns.
     """
     _, alike = np.unique(np.stack(tables), axis=1, return_inverse=True)
     count = np.diff(first)
@@ -129,16 +130,16 @@ class Groups(NamedTuple):
     member_width: Index
     """(b,) its columns."""
     pair_first: Index
-    """(g + 1,) first place of the group's table of pairs (members x members) in `Target.pair`."""
+    """(g + 1,) index of the group's table of pairs (members x members) in `Target.pair`."""
 
 
 class Target(NamedTuple):
     """Where a reduced system is summed: dense blocks of variable pairs in one flat array, and a flat gradient."""
 
     pair: Index
-    """For each group its members x members table of first places; used for first member <= second member."""
+    """For each group its members x members table of first indices; used for first member <= second member."""
     right: Index
-    """(b,) first place of each member's gradient."""
+    """(b,) index of each member's gradient."""
     size: int
     """Length of the flat array of blocks."""
     columns: int
@@ -148,62 +149,66 @@ class Target(NamedTuple):
 def numbers_stored(
     model: Model, kind: Index, width: Index, terms: Index, shared: Index, polynomial: NDArray[np.bool_]
 ) -> Index:
-    """Numbers per point that sights (s,) store in `Rows.data`, in the order of `tile.load_sight`.
+    """Numbers per point that observations (s,) store in `Rows.data`, in the order of `tile.load_observation`.
 
-    Its own, then the line u of a polynomial, or basis values and (where the pose is carried) rates, then directions.
+    The observation's constants, then the line u of a polynomial, or basis values and (where the pose is that of the
+    predicted line) rates, then directions.
     """
-    carried = model.line == PREDICTED
-    own = np.array([9 + (4 if model.angles == CAMERA else 3) + (5 if carried else 0), 3 + 1, 3 + 6, 0])
-    of_basis = terms * np.where((kind == IMAGE) & carried, 2, 1)
-    return np.asarray(own[kind] + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
+    predicted = model.line == PREDICTED
+    constants = np.array([9 + (4 if model.angles == CAMERA else 3) + (5 if predicted else 0), 3 + 1, 3 + 6, 0])
+    of_basis = terms * np.where((kind == IMAGE) & predicted, 2, 1)
+    return np.asarray(constants[kind] + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
 
 
-def one_sight(rows: Rows, groups: Groups, point: int, sight: int) -> Rows:
-    """Rows of a single point (place in the layout) with a single one of its sights, at weight 1.
+def one_observation(rows: Rows, groups: Groups, point: int, observation: int) -> Rows:
+    """Rows of a single point (index in the layout) with a single one of its observations, at weight 1.
 
-    Its columns are counted through the variables that the sight feels, in the order of the group.
+    Its columns are counted through the variables that the observation depends on, in the order of the group.
     """
     piece = int(np.searchsorted(rows.piece[:, 1], point, side="right")) - 1
     pattern, first, count, start, _ = rows.piece[piece]
-    begin = int(rows.pattern_sight[pattern])
-    sizes = rows.sight_numbers[begin : begin + sight + 1].tolist()
+    begin = int(rows.pattern_observation[pattern])
+    sizes = rows.observation_numbers[begin : begin + observation + 1].tolist()
     at = start + sum(sizes[:-1]) * count + (point - first)
-    i = begin + sight
-    entries = slice(rows.sight_entry[i], rows.sight_entry[i] + rows.sight_terms[i] + rows.sight_shared[i])
-    felt, place = np.unique(rows.entry_member[entries], return_inverse=True)
-    width = groups.member_width[groups.member_first[rows.pattern_group[pattern]] + felt]
+    i = begin + observation
+    entry = rows.observation_entry[i]
+    entries = slice(entry, entry + rows.observation_terms[i] + rows.observation_shared[i])
+    used, member = np.unique(rows.entry_member[entries], return_inverse=True)
+    width = groups.member_width[groups.member_first[rows.pattern_group[pattern]] + used]
     return rows._replace(
         kind=np.zeros(1, dtype=np.int8),
         start=rows.start[point : point + 1],
         data=np.ascontiguousarray(rows.data[at : at + sizes[-1] * count : count]),
         weight=np.ones((2, 1)),
         piece=np.array([[0, 0, 1, 0, 0]]),
-        pattern_sight=np.array([0, 1]),
+        pattern_observation=np.array([0, 1]),
         pattern_group=np.zeros(1, dtype=np.int64),
         pattern_fixed=np.zeros(1, dtype=np.int64),
         pattern_shape=np.zeros(1, dtype=np.int64),
         **{
-            f"sight_{name}": getattr(rows, f"sight_{name}")[i : i + 1]
+            f"observation_{name}": getattr(rows, f"observation_{name}")[i : i + 1]
             for name in ("kind", "width", "terms", "shared", "focal", "rate", "numbers")
         },
-        sight_entry=np.zeros(1, dtype=np.int64),
-        entry_column=(np.cumsum(width) - width)[place.reshape(-1)] + rows.entry_inside[entries],
-        entry_member=place.reshape(-1).astype(np.int64),
+        observation_entry=np.zeros(1, dtype=np.int64),
+        entry_column=(np.cumsum(width) - width)[member.reshape(-1)] + rows.entry_inside[entries],
+        entry_member=member.reshape(-1).astype(np.int64),
         entry_inside=rows.entry_inside[entries],
         terrain_cell=rows.terrain_cell[point : point + 1],
     )
 
 
 def of_points(rows: Rows, piece: int, inside: Index) -> Rows:
-    """Rows of some points of one piece, by their places in it; tables of patterns, sights and entries stay whole."""
-    pattern, first, count, number, sight = rows.piece[piece].tolist()
+    """Rows of some points of one piece, by their indices in it; tables of patterns, observations and entries stay
+    whole.
+    """
+    pattern, first, count, number, observation = rows.piece[piece].tolist()
     ends = [rows.data.size, rows.weight.shape[1]]
     last = ends if piece + 1 == len(rows.piece) else rows.piece[piece + 1, 3:].tolist()
     return rows._replace(
         kind=rows.kind[first + inside],
         start=rows.start[first + inside],
         data=rows.data[number : last[0]].reshape(-1, count)[:, inside].ravel(),
-        weight=rows.weight[:, sight : last[1]].reshape(2, -1, count)[:, :, inside].reshape(2, -1),
+        weight=rows.weight[:, observation : last[1]].reshape(2, -1, count)[:, :, inside].reshape(2, -1),
         piece=np.array([[pattern, 0, inside.size, 0, 0]]),
         terrain_cell=rows.terrain_cell[first + inside] if rows.terrain_cell.size else rows.terrain_cell,
     )
@@ -212,18 +217,18 @@ def of_points(rows: Rows, piece: int, inside: Index) -> Rows:
 def partition(rows: Rows, first_piece: int, last_piece: int) -> Rows:
     """Rows of the points of some neighbouring pieces, first_piece .. last_piece - 1, by themselves.
 
-    Reduced systems of partitions that together hold all pieces add up to the whole's: tables of patterns, sights,
-    entries and the terrain model stay as they are, so that variables, groups and columns keep their places.
+    Reduced systems of partitions that together hold all pieces add up to the whole's: tables of patterns, observations,
+    entries and the terrain model stay as they are, so that variables, groups and columns keep their indices.
     """
     ends = np.array([0, rows.kind.size, 0, rows.data.size, rows.weight.shape[1]])
     edges = np.vstack([rows.piece, ends])
-    (_, point, _, number, sight), (_, last_point, _, last_number, last_sight) = edges[[first_piece, last_piece]]
-    points, sights = slice(point, last_point), slice(sight, last_sight)
+    (_, *first), (_, *last) = edges[[first_piece, last_piece]].tolist()
+    points, numbers, observations = (slice(first[k], last[k]) for k in (0, 2, 3))
     return rows._replace(
         kind=rows.kind[points],
         start=rows.start[points],
-        data=rows.data[number:last_number],
-        weight=np.ascontiguousarray(rows.weight[:, sights]),
-        piece=rows.piece[first_piece:last_piece] - np.array([0, point, 0, number, sight]),
+        data=rows.data[numbers],
+        weight=np.ascontiguousarray(rows.weight[:, observations]),
+        piece=rows.piece[first_piece:last_piece] - np.array([0, first[0], 0, *first[2:]]),
         terrain_cell=rows.terrain_cell[points],
     )

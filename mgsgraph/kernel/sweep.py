@@ -4,59 +4,73 @@ Compiled once and cached on disk; it holds no lock, so that threads share a swee
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from mgsgraph.compiled import digest_of
-from mgsgraph.factors import collinearity
+from mgsgraph.compiled import cached_kernel
 from mgsgraph.kernel.covariance import covariance_tile
-from mgsgraph.kernel.design import design_tile
-from mgsgraph.kernel.elimination import eliminate_tile
+from mgsgraph.kernel.elimination import eliminate_tile, move_basis
 from mgsgraph.kernel.lanes import (
+    BASIS,
+    BY_POINT,
+    BY_STATE,
     COST,
     COUPLED,
     FRONT,
     LANES,
     MOST_SUMS,
-    PLACE,
+    POINT,
     RESIDUAL,
     RESULT,
     ROW,
     STATE,
     TILE,
+    WIDTH,
     blocks_of,
     coupling_of,
     inlined,
     lane,
     registers,
-    turned_of,
+    transposed_of,
 )
+from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.points import solve_tile
 from mgsgraph.kernel.reliability import reliability_tile
-from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, SURFACE, Groups, Model, Rows, Target
-from mgsgraph.kernel.tile import BEGIN, END, PIECE_OF, fill, point_of, sight_place, sights_of, workspace
+from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, PREDICTED, SURFACE, Groups, Model, Rows, Target
+from mgsgraph.kernel.tile import (
+    BEGIN,
+    END,
+    PIECE_OF,
+    fill,
+    observation_index,
+    observations_of,
+    point_of,
+    pose_components,
+    workspace,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 COSTS, GRADIENT, SYSTEM, COVARIANCES, RESIDUALS, RELIABILITY, DESIGN = 0, 1, 2, 3, 4, 5, 6
-"""What a sweep is for: costs of the best places; the reduced gradient there, too; that and the reduced normal matrix;
+"""What a sweep is for: costs of the solved points; the reduced gradient there, too; that and the reduced normal matrix;
 covariances, or residuals of all rows, taking part or not, or reliability or design of those that take part, at given
-places.
+points.
 """
 
+ROW_NUMBERS = 4
+"""Numbers of a row before its columns: the residual, and the derivatives by the point (3)."""
+
 _WORTHWHILE = 5000.0
-"""Sights below which a second thread costs more than it saves."""
+"""Observations below which a second thread costs more than it saves."""
 
 
 @inlined
-def store_places(rows, segments, count, w, places, states, costs):
+def store_points(rows, segments, count, w, points, states, costs):
     """Places (n, 3) and states (n,) of a tile; its costs are added to those of its pieces, infinite where a point is
     behind a camera.
     """
@@ -64,7 +78,7 @@ def store_places(rows, segments, count, w, places, states, costs):
         point, cost = point_of(rows, segments, k), 0.0
         for l in range(segments[k, BEGIN], segments[k, END]):
             for j in range(3):
-                places[point + l, j] = w[PLACE + j * LANES + l]
+                points[point + l, j] = w[POINT + j * LANES + l]
             states[point + l] = w[STATE + l]
             cost += np.inf if w[STATE + l] == BEHIND else w[COST + l]
         costs[segments[k, PIECE_OF]] += cost
@@ -72,14 +86,14 @@ def store_places(rows, segments, count, w, places, states, costs):
 
 @lane
 def store_residuals(rows, segments, count, w, depth, values):
-    """Residuals (t, 2) of a tile's sights, measured minus predicted: of an image ray in pixels, of a range in m, of a
-    surface row its height in m; NaN for a ray whose point is behind the camera, and where there is no terrain.
+    """Residuals (t, 2) of a tile's observations, measured minus predicted: of an image ray in pixels, of a range in m,
+    of a surface row its height in m; NaN for a ray whose point is behind the camera, and where there is no terrain.
     """
-    begin, end = sights_of(rows, segments)
+    begin, end = observations_of(rows, segments)
     for i in range(begin, end):
-        s, kind = TILE + (i - begin) * depth, rows.sight_kind[i]
+        s, kind = TILE + (i - begin) * depth, rows.observation_kind[i]
         for k in range(count):
-            point, at = point_of(rows, segments, k), sight_place(rows, segments, k, i - begin)
+            point, at = point_of(rows, segments, k), observation_index(rows, segments, k, i - begin)
             for row in range(2 if kind == IMAGE else 0 if kind == GROUND else 1):
                 for l in range(segments[k, BEGIN], segments[k, END]):
                     value = w[s + RESULT + RESIDUAL + row * ROW + l] / rows.weight[row, at + l]
@@ -90,100 +104,124 @@ def store_residuals(rows, segments, count, w, depth, values):
                     values[at + l, row] = value
 
 
+@lane
+def design_tile(rows, model, segments, count, w, depth, values):
+    """Of each row of a tile's observations `ROW_NUMBERS`, then its derivatives: six columns per basis term, then the
+    single ones.
+    """
+    begin, end = observations_of(rows, segments)
+    for i in range(begin, end):
+        if model.line == PREDICTED:
+            move_basis(rows, i, w, TILE + (i - begin) * depth)
+        for k in range(count):
+            first, last = segments[k, BEGIN], segments[k, END]
+            at = observation_index(rows, segments, k, i - begin)
+            store_design(rows, i, at, first, last, w, TILE + (i - begin) * depth, values)
+
+
+@inlined
+def store_design(rows, i, at, first, last, w, s, values):
+    """Residual and derivatives of the rows of observation i, in lanes first .. last."""
+    terms, width = rows.observation_terms[i], rows.observation_width[i]
+    for row in range(row_count(rows.observation_kind[i])):
+        point, state = s + RESULT + BY_POINT + row * ROW, s + RESULT + BY_STATE + row * ROW
+        for l in range(first, last):
+            values[at + l, row, 0] = w[s + RESULT + RESIDUAL + row * ROW + l]
+            for c in range(3):
+                values[at + l, row, 1 + c] = w[point + c * LANES + l]
+            for t in range(terms):
+                for a in range(pose_components(width)):
+                    by_state = w[state + a * LANES + l]
+                    values[at + l, row, ROW_NUMBERS + 6 * t + a] = by_state * w[s + BASIS + t * LANES + l]
+            for e in range(rows.observation_shared[i]):
+                direction, total = s + BASIS + 2 * terms * LANES + e * WIDTH, 0.0
+                for a in range(width):
+                    total += w[state + a * LANES + l] * w[direction + a * LANES + l]
+                values[at + l, row, ROW_NUMBERS + 6 * terms + e] = total
+
+
 class Scratch(NamedTuple):
     """What a thread works in."""
 
     work: Array
     """Registers of a tile."""
     depth: int
-    """Numbers per sight among them."""
+    """Numbers per observation among them."""
     segments: Index
     """(LANES, 5) of a tile."""
-    turned: Array
+    transposed: Array
     """Numbers to be summed, lane by lane."""
     weights: Array
-    """Products of two sights' basis values."""
+    """Products of two observations' basis values."""
     sums: Array
     """Of a segment's lanes, for each product."""
     coupling: Array
-    """Of the sights to their points."""
+    """Of the observations to their points."""
 
 
 def scratch_for(rows: Rows) -> Scratch:
     """Room for a thread."""
-    (size, depth), most = workspace(rows), int(np.diff(rows.pattern_sight).max(initial=0))
-    pairs = max(2, int(rows.sight_terms.max(initial=0)) ** 2)
+    (size, depth), most = workspace(rows), int(np.diff(rows.pattern_observation).max(initial=0))
+    pairs = max(2, int(rows.observation_terms.max(initial=0)) ** 2)
     sums = np.zeros(LANES * MOST_SUMS), np.zeros(pairs * LANES), np.zeros((pairs + 1) * MOST_SUMS)
     return Scratch(np.zeros(size), depth, np.zeros((LANES, 5), dtype=np.int64), *sums, np.zeros(most * COUPLED))
 
 
-def _compiled(sources: str) -> Any:
-    """The kernel. Numba's cache looks at one file alone; that the kernel holds the digest of all of them makes it
-    forget what was compiled from others.
+@partial(cached_kernel, fastmath={"contract", "nsz"})
+def sweep(
+    rows,
+    groups,
+    target,
+    model,
+    x,
+    task,
+    first_piece,
+    last_piece,
+    scratch,
+    points,
+    states,
+    costs,
+    blocks,
+    gradient,
+    values,
+):
+    """One sweep over the pieces first_piece .. last_piece.
+
+    COSTS, GRADIENT and SYSTEM begin at `points` (n, 3) and leave the best ones there, with states (n,) and the cost
+    of each piece in costs (m,); the latter two add the reduced gradient to `gradient`, SYSTEM the normal matrix to
+    `blocks`.
+    COVARIANCES and RELIABILITY take the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3)
+    covariances, (t, 2, 1) residuals, (t, 3, 7) `reliability.NUMBERS` or (t, 3, c) rows as in `design`.
     """
-
-    @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-    def sweep(
-        rows,
-        groups,
-        target,
-        model,
-        x,
-        task,
-        first_piece,
-        last_piece,
-        scratch,
-        places,
-        states,
-        costs,
-        blocks,
-        gradient,
-        values,
-    ):
-        """One sweep over the pieces first_piece .. last_piece.
-
-        COSTS, GRADIENT and SYSTEM begin at `places` (n, 3) and leave the best ones there, with states (n,) and the cost
-        of each piece in costs (m,); the latter two add the reduced gradient to `gradient`, SYSTEM the normal matrix to
-        `blocks`.
-        COVARIANCES and RELIABILITY take the covariance of the shared unknowns from `blocks`; `values` are (n, 3, 3)
-        covariances, (t, 2, 1) residuals, (t, 3, 7) `reliability.NUMBERS` or (t, 3, c) rows as in `design`.
-        """
-        if len(sources) == 0:
-            return
-        w, flat, y = registers(scratch.work), blocks_of(blocks), coupling_of(scratch.coupling)
-        room = turned_of(scratch.turned), turned_of(scratch.weights), turned_of(scratch.sums)
-        segments, depth = scratch.segments, scratch.depth
-        costs[first_piece:last_piece] = 0.0
-        piece, first = first_piece, 0
-        while piece < last_piece:
-            count, piece, first = fill(rows, piece, first, last_piece, segments)
-            solve_tile(
-                rows, model, segments, count, x, places, task <= SYSTEM, task == RESIDUALS, w, depth, task != COSTS
-            )
-            if task <= SYSTEM:
-                store_places(rows, segments, count, w, places, states, costs)
-            if task == GRADIENT or task == SYSTEM:
-                whole = task == SYSTEM
-                eliminate_tile(rows, groups, target, model, segments, count, whole, w, depth, y, room, flat, gradient)
-            elif task == COVARIANCES:
-                covariance_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
-            elif task == RESIDUALS:
-                store_residuals(rows, segments, count, w, depth, values[:, :, 0])
-            elif task == RELIABILITY:
-                reliability_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
-            elif task == DESIGN:
-                design_tile(rows, model, segments, count, w, depth, values)
-
-    return sweep
-
-
-sweep = _compiled(digest_of(Path(__file__).parent, Path(collinearity.__file__).parent))
+    w, flat, y = registers(scratch.work), blocks_of(blocks), coupling_of(scratch.coupling)
+    buffers = transposed_of(scratch.transposed), transposed_of(scratch.weights), transposed_of(scratch.sums)
+    segments, depth = scratch.segments, scratch.depth
+    costs[first_piece:last_piece] = 0.0
+    piece, first = first_piece, 0
+    while piece < last_piece:
+        count, piece, first = fill(rows, piece, first, last_piece, segments)
+        solve_tile(
+            rows, model, segments, count, x, points, task <= SYSTEM, task == RESIDUALS, w, depth, task != COSTS
+        )
+        if task <= SYSTEM:
+            store_points(rows, segments, count, w, points, states, costs)
+        if task == GRADIENT or task == SYSTEM:
+            tile = rows, groups, target, model, segments, count
+            eliminate_tile(*tile, task == SYSTEM, w, depth, y, buffers, flat, gradient)
+        elif task == COVARIANCES:
+            covariance_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
+        elif task == RESIDUALS:
+            store_residuals(rows, segments, count, w, depth, values[:, :, 0])
+        elif task == RELIABILITY:
+            reliability_tile(rows, groups, target, model, segments, count, blocks, w, depth, y, values)
+        elif task == DESIGN:
+            design_tile(rows, model, segments, count, w, depth, values)
 
 
 def even_parts(rows: Rows, parts: int) -> Index:
     """(p + 1,) pieces at which the work is divided into so many even parts."""
-    sights = np.diff(rows.pattern_sight)[rows.piece[:, 0]]
-    costs = rows.piece[:, 2] * (sights + 0.25 * sights**2) + 8.0 * sights**2
+    observations = np.diff(rows.pattern_observation)[rows.piece[:, 0]]
+    costs = rows.piece[:, 2] * (observations + 0.25 * observations**2) + 8.0 * observations**2
     work = np.concatenate([[0.0], np.cumsum(costs)])
     edges = np.searchsorted(work, work[-1] * np.arange(1, parts) / parts)
     return np.concatenate([[0], np.maximum.accumulate(edges), [costs.size]]).astype(np.int64)
@@ -201,7 +239,7 @@ def with_frozen_terrain(rows: Rows) -> Rows:
     return rows._replace(terrain=terrain)
 
 
-def own(values: NDArray[Any]) -> NDArray[Any]:
+def writable(values: NDArray[Any]) -> NDArray[Any]:
     """The array itself, or a copy of one that is read-only (as what comes over a wire may be), strided or not aligned:
     to the kernel that would be another type, compiled anew.
     """
@@ -215,7 +253,7 @@ def sweep_all(
     model: Model,
     x: Array,
     task: int,
-    places: Array,
+    points: Array,
     states: NDArray[np.int8] | None = None,
     costs: Array | None = None,
     joint: Array | None = None,
@@ -231,14 +269,14 @@ def sweep_all(
     states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states
     costs = np.empty(rows.piece.shape[0]) if costs is None else costs
     values = np.empty((0, 0, 0)) if values is None else values
-    none = np.empty(0) if joint is None else own(joint)
-    x, places = own(x), own(places)
+    none = np.empty(0) if joint is None else writable(joint)
+    x, points = writable(x), writable(points)
     rows = with_frozen_terrain(rows)
 
     def part(k: int) -> tuple[Array, Array]:
         blocks = np.zeros(target.size) if whole else none
         gradient = np.zeros(target.columns) if with_gradient else none
-        results = (scratch_for(rows), places, states, costs, blocks, gradient, values)
+        results = (scratch_for(rows), points, states, costs, blocks, gradient, values)
         sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
         return blocks, gradient
 

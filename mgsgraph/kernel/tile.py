@@ -1,25 +1,26 @@
 """A tile: up to 64 points of one shape, of one piece or of several, their constants loaded into lanes.
 
-Points have the same *shape* when their sights are of the same kinds, in the same order, with as many terms and single
-columns; which unknowns these are may differ from *segment* to segment of a tile, the lanes of one piece.
+Points have the same *shape* when their observations are of the same kinds, in the same order, with as many terms and
+single columns; which unknowns these are may differ from *segment* to segment of a tile, the lanes of one piece.
 """
 
 import numpy as np
 
 from mgsgraph.kernel.lanes import (
     ACTIVE,
+    ANGULAR_RATE,
     BASIS,
-    CARRY,
-    CENTRE,
     DELTA,
     DETECTOR,
     DISTANCE,
     FOCAL,
     LANES,
+    LINE_OFFSET,
     NOMINAL,
-    OFFSET,
-    PLACE,
+    POINT,
+    POSITION,
     RATE,
+    REFERENCE_OFFSET,
     ROOT,
     ROWS,
     SCALE,
@@ -27,12 +28,14 @@ from mgsgraph.kernel.lanes import (
     STATE,
     STATE_WIDTH,
     TILE,
-    TURNING,
     VELOCITY,
     WEIGHT,
     WIDTH,
+    four,
     inlined,
     lane,
+    multiply_add,
+    put_four,
     registers,
 )
 from mgsgraph.kernel.rows import CAMERA, GOOD, GROUND, IMAGE, OUT, PREDICTED, RANGE, SURFACE, Rows
@@ -42,10 +45,10 @@ PIECE_OF, FIRST, BEGIN, END, PATTERN = 0, 1, 2, 3, 4
 
 
 def workspace(rows: Rows) -> tuple[int, int]:
-    """Numbers that a tile of these rows needs, and numbers per sight."""
-    most = int(np.diff(rows.pattern_sight).max(initial=1))
-    own = 2 * rows.sight_terms + STATE_WIDTH * rows.sight_shared
-    depth = BASIS + int(own.max(initial=0)) * LANES
+    """Numbers that a tile of these rows needs, and numbers per observation."""
+    most = int(np.diff(rows.pattern_observation).max(initial=1))
+    constants = 2 * rows.observation_terms + STATE_WIDTH * rows.observation_shared
+    depth = BASIS + int(constants.max(initial=0)) * LANES
     return TILE + most * depth, depth
 
 
@@ -65,10 +68,10 @@ def fill(rows, piece, first, last_piece, segments):
 
 
 @inlined
-def sights_of(rows, segments):
-    """First sight of the tile's first pattern, which stands for its shape, and the one after its last."""
+def observations_of(rows, segments):
+    """First observation of the tile's first pattern, which stands for its shape, and the one after its last."""
     pattern = segments[0, PATTERN]
-    return rows.pattern_sight[pattern], rows.pattern_sight[pattern + 1]
+    return rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1]
 
 
 @inlined
@@ -78,15 +81,15 @@ def point_of(rows, segments, k):
 
 
 @inlined
-def sight_place(rows, segments, k, sight):
-    """The same place of a sight, counted within its point, among all sights."""
+def observation_index(rows, segments, k, observation):
+    """Index among all observations of one counted within its point: index + l is that of lane l."""
     piece = segments[k, PIECE_OF]
-    return rows.piece[piece, 4] + sight * rows.piece[piece, 2] + segments[k, FIRST] - segments[k, BEGIN]
+    return rows.piece[piece, 4] + observation * rows.piece[piece, 2] + segments[k, FIRST] - segments[k, BEGIN]
 
 
 @inlined
-def load(rows, model, segments, count, w, depth, places):
-    """Load a tile: which points take part, where they are, and their sights' constants; spare lanes do nothing."""
+def load(rows, model, segments, count, w, depth, points):
+    """Load a tile: which points take part, their coordinates, and their observations' constants; spare lanes idle."""
     for l in range(LANES):
         w[ACTIVE + l] = 0.0
     for k in range(count):
@@ -95,11 +98,11 @@ def load(rows, model, segments, count, w, depth, places):
             w[ACTIVE + l] = 0.0 if rows.kind[point + l] == OUT else 1.0
             w[STATE + l] = GOOD
             for j in range(3):
-                w[PLACE + j * LANES + l] = places[point + l, j]
-    begin, end = sights_of(rows, segments)
+                w[POINT + j * LANES + l] = points[point + l, j]
+    begin, end = observations_of(rows, segments)
     at = 0
     for i in range(begin, end):
-        at = load_sight(rows, model, segments, count, begin, i, at, w, TILE + (i - begin) * depth)
+        at = load_observation(rows, model, segments, count, begin, i, at, w, TILE + (i - begin) * depth)
 
 
 @inlined
@@ -117,7 +120,7 @@ def copied(rows, segments, count, at, w, register, components):
 
 
 @inlined
-def powers(rows, segments, count, sight, terms, w, basis, rates):
+def powers(rows, segments, count, observation, terms, w, basis, rates):
     """Values 1, u, u^2, .. of a polynomial and, if `rates`, theirs per line, of the line u in the second register."""
     for t in range(2, terms):
         for l in range(LANES):
@@ -125,7 +128,7 @@ def powers(rows, segments, count, sight, terms, w, basis, rates):
     for l in range(LANES):
         w[basis + l] = 1.0
     for k in range(count if rates else 0):
-        rate = rows.sight_rate[rows.pattern_sight[segments[k, PATTERN]] + sight]
+        rate = rows.observation_rate[rows.pattern_observation[segments[k, PATTERN]] + observation]
         for l in range(segments[k, BEGIN], segments[k, END]):
             w[basis + terms * LANES + l] = 0.0
         for t in range(1, terms):
@@ -134,44 +137,44 @@ def powers(rows, segments, count, sight, terms, w, basis, rates):
 
 
 @inlined
-def load_sight(rows, model, segments, count, begin, i, at, w, s):
-    """Constants of sight i in the order of `Rows.data`: its own, then basis values, then directions."""
-    kind, rates = rows.sight_kind[i], False
+def load_observation(rows, model, segments, count, begin, i, at, w, s):
+    """Constants of observation i in the order of `Rows.data`: those of its kind, then basis values, then directions."""
+    kind, rates = rows.observation_kind[i], False
     if kind != SURFACE:
-        at = copied(rows, segments, count, at, w, s + CENTRE, 3)
+        at = copied(rows, segments, count, at, w, s + POSITION, 3)
     if kind == IMAGE:
         at = copied(rows, segments, count, at, w, s + NOMINAL, 4 if model.angles == CAMERA else 3)
         at = copied(rows, segments, count, at, w, s + DETECTOR, 2)
         rates = model.line == PREDICTED
         if rates:
             at = copied(rows, segments, count, at, w, s + VELOCITY, 3)
-            at = copied(rows, segments, count, at, w, s + TURNING, 3)
+            at = copied(rows, segments, count, at, w, s + ANGULAR_RATE, 3)
             at = copied(rows, segments, count, at, w, s + SLOPE, 2)
-            at = copied(rows, segments, count, at, w, s + OFFSET, 1)
+            at = copied(rows, segments, count, at, w, s + REFERENCE_OFFSET, 1)
         else:
             at = copied(rows, segments, count, at, w, s + SCALE, 4)
     elif kind == RANGE:
         at = copied(rows, segments, count, at, w, s + DISTANCE, 1)
     elif kind == GROUND:
         at = copied(rows, segments, count, at, w, s + ROOT, 6)
-    terms = rows.sight_terms[i]
-    if rows.sight_rate[i] != 0.0 and terms > 0:
+    terms = rows.observation_terms[i]
+    if rows.observation_rate[i] != 0.0 and terms > 0:
         at = copied(rows, segments, count, at, w, s + BASIS + LANES, 1)
         powers(rows, segments, count, i - begin, terms, w, s + BASIS, rates)
     else:
         at = copied(rows, segments, count, at, w, s + BASIS, 2 * terms if rates else terms)
-    for e in range(rows.sight_shared[i]):
-        at = copied(rows, segments, count, at, w, s + BASIS + 2 * terms * LANES + e * WIDTH, rows.sight_width[i])
+    for e in range(rows.observation_shared[i]):
+        at = copied(rows, segments, count, at, w, s + BASIS + 2 * terms * LANES + e * WIDTH, rows.observation_width[i])
     weight = registers(rows.weight)
     for l in range(LANES):
         w[s + WEIGHT + l] = 0.0
     for k in range(count):
-        place = sight_place(rows, segments, k, i - begin)
-        focal = rows.sight_focal[rows.pattern_sight[segments[k, PATTERN]] + i - begin]
+        index = observation_index(rows, segments, k, i - begin)
+        focal = rows.observation_focal[rows.pattern_observation[segments[k, PATTERN]] + i - begin]
         for l in range(segments[k, BEGIN], segments[k, END]):
             w[s + FOCAL + l] = focal
-            w[s + WEIGHT + l] = weight[place + l]
-            w[s + WEIGHT + LANES + l] = weight[rows.weight.shape[1] + place + l]
+            w[s + WEIGHT + l] = weight[index + l]
+            w[s + WEIGHT + LANES + l] = weight[rows.weight.shape[1] + index + l]
     return at
 
 
@@ -184,24 +187,24 @@ def copy_block(w, source, sink, size):
 
 @inlined
 def pose_components(width):
-    """Components of a state that a basis term moves: place and rotation, or the place alone; never focal length or
-    range bias, which are single columns.
+    """Components of a state that a basis term moves: position and rotation, or the position alone; never focal length
+    or range bias, which are single columns.
     """
     return 6 if width >= 6 else 3
 
 
 @inlined
 def correct(rows, segments, count, i, x, w, s, rates):
-    """DELTA and, if `rates`, RATE: what the unknowns x do to sight i, CARRY lines from the line of its constants."""
+    """DELTA and, if `rates`, RATE: what the unknowns x do to observation i, LINE_OFFSET lines from its reference."""
     for r in range(STATE_WIDTH * LANES):
         w[DELTA + r] = 0.0
     for r in range(6 * LANES if rates else 0):
         w[RATE + r] = 0.0
-    terms, width, begin = rows.sight_terms[i], rows.sight_width[i], sights_of(rows, segments)[0]
+    terms, width, begin = rows.observation_terms[i], rows.observation_width[i], observations_of(rows, segments)[0]
     components = pose_components(width)
     for k in range(count):
         first, last = segments[k, BEGIN], segments[k, END]
-        entry = rows.sight_entry[rows.pattern_sight[segments[k, PATTERN]] + i - begin]
+        entry = rows.observation_entry[rows.pattern_observation[segments[k, PATTERN]] + i - begin]
         for t in range(terms):
             value, slope = s + BASIS + t * LANES, s + BASIS + (terms + t) * LANES
             column = rows.entry_column[entry + t]
@@ -209,12 +212,12 @@ def correct(rows, segments, count, i, x, w, s, rates):
                 c = x[column + a]
                 if rates:
                     for l in range(first, last):
-                        w[DELTA + a * LANES + l] += (w[value + l] + w[ROWS + CARRY + l] * w[slope + l]) * c
+                        w[DELTA + a * LANES + l] += (w[value + l] + w[ROWS + LINE_OFFSET + l] * w[slope + l]) * c
                         w[RATE + a * LANES + l] += w[slope + l] * c
                 else:
                     for l in range(first, last):
                         w[DELTA + a * LANES + l] += w[value + l] * c
-        for e in range(rows.sight_shared[i]):
+        for e in range(rows.observation_shared[i]):
             c = x[rows.entry_column[entry + terms + e]]
             for a in range(width):
                 direction = s + BASIS + 2 * terms * LANES + e * WIDTH + a * LANES
@@ -229,3 +232,57 @@ def all_good(w):
     for l in range(LANES):
         lost = max(lost, w[ACTIVE + l] * abs(w[STATE + l] - GOOD))
     return lost == 0.0
+
+
+# ---- where sums over points go: the blocks of pairs of variables
+
+
+@inlined
+def observation_columns(rows, i):
+    """Columns of the unknowns that an observation depends on: components per basis term, and their total number."""
+    components = pose_components(rows.observation_width[i])
+    return components, components * rows.observation_terms[i] + rows.observation_shared[i]
+
+
+@inlined
+def paired(rows, fixed, i, j):
+    """Whether two observations meet in the normal matrix: both depend on unknowns, and a free point joins them."""
+    linked = observation_columns(rows, i)[1] > 0 and observation_columns(rows, j)[1] > 0
+    return linked and (i == j or not fixed)
+
+
+@inlined
+def block_index(rows, groups, target, group, i, j):
+    """Where the entries of two entries' variables meet (`Rows.entry_member`, ...): index of the first, steps from row
+    to row and from column to column, and whether it is one variable's block with itself, which holds both triangles.
+    """
+    first, second = rows.entry_member[i], rows.entry_member[j]
+    begin = groups.member_first[group]
+    size, low, high = groups.member_first[group + 1] - begin, min(first, second), max(first, second)
+    start, width = target.pair[groups.pair_first[group] + low * size + high], groups.member_width[begin + high]
+    down, across = (1, width) if first > second else (width, 1)
+    return start + rows.entry_inside[i] * down + rows.entry_inside[j] * across, down, across, first == second
+
+
+@inlined
+def add_sums(blocks, start, down, across, sums, at, components_i, components_j):
+    """Add sums (components_i, components_j) to a block."""
+    for a in range(components_i):
+        row, k = start + a * down, at + a * components_j
+        if across == 1 and components_j == 6:
+            put_four(blocks, row, multiply_add(1.0, four(sums, k), four(blocks, row)))
+            blocks[row + 4] += sums[k + 4]
+            blocks[row + 5] += sums[k + 5]
+        else:
+            for b in range(components_j):
+                blocks[row + b * across] += sums[k + b]
+
+
+@inlined
+def add_entry(rows, groups, target, group, i, a, j, value, blocks):
+    """Add an entry (component a of entry i, single column j), and its mirror image, to the blocks."""
+    start, down, across, same = block_index(rows, groups, target, group, i, j)
+    blocks[start + a * down] += value
+    if same and i != j:
+        mirrored, down, across, _ = block_index(rows, groups, target, group, j, i)
+        blocks[mirrored + a * across] += value

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.compiled import cached_kernel
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.matching.features import Window
@@ -17,7 +18,6 @@ from mgsgraph.matching.patches import Patch, Tile, ortho_patch
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, owned, together
-from mgsgraph.matching.window import compiled
 
 _Grey = NDArray[np.uint8]
 
@@ -95,7 +95,7 @@ def _matched(
     return chosen[same], shifts[same], there.best[chosen][same]
 
 
-@compiled
+@cached_kernel
 def _peaks(
     grey: _Grey, valid: _Grey, other: _Grey, other_valid: _Grey, rows: Index, columns: Index, half: int,
     reach_rows: int, reach_columns: int,
@@ -122,7 +122,7 @@ def _peaks(
     return shifts, best, second
 
 
-@compiled
+@cached_kernel
 def _moments(grey: _Grey, valid: _Grey, r: int, c: int, half: int) -> tuple[float, float]:
     """Mean and root of the sum of squares about it of a window; (0, -1) where it leaves the picture."""
     if r < half or c < half or r + half >= grey.shape[0] or c + half >= grey.shape[1]:
@@ -138,7 +138,7 @@ def _moments(grey: _Grey, valid: _Grey, r: int, c: int, half: int) -> tuple[floa
     return total / count, math.sqrt(max(square - total * total / count, 0.0))
 
 
-@compiled
+@cached_kernel
 def _alike(
     grey: _Grey, other: _Grey, valid: _Grey, r: int, c: int, i: int, j: int, half: int, mean: float, spread: float
 ) -> float:

@@ -4,14 +4,12 @@ Compiled into the kernel of `window`, which says what is estimated.
 """
 
 import math
-from collections.abc import Callable
-from typing import TypeVar, cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-_Function = TypeVar("_Function", bound=Callable[..., object])
+from mgsgraph.compiled import compiled
+
 Reals = NDArray[np.float64]
 
 PLAIN, RELIEF = 8, 11
@@ -27,12 +25,7 @@ NO_CONTRAST = 1e-5
 """Scatter of grey values relative to their size, which float32 coefficients don't resolve."""
 
 
-def part(function: _Function) -> _Function:
-    """Compile as a part of a kernel, which alone is cached: numba would not see what changes in other files."""
-    return cast(_Function, njit(nogil=True, error_model="numpy")(function))
-
-
-@part
+@compiled
 def spline_at(c: NDArray[np.float32], line: float, sample: float) -> tuple[float, float, float]:
     """Grey value and its derivatives per line and per sample at a place inside the picture."""
     y, x = line - 0.5, sample - 0.5
@@ -53,7 +46,7 @@ def spline_at(c: NDArray[np.float32], line: float, sample: float) -> tuple[float
     return value / 36.0, by_line / 12.0, by_sample / 12.0
 
 
-@part
+@compiled
 def read_template(
     c: NDArray[np.float32], anchor: Reals, half: tuple[int, int], weights: Reals, pixels: Reals
 ) -> bool:
@@ -72,7 +65,7 @@ def read_template(
     return math.sqrt(square / k) > NO_CONTRAST * abs(total / k)
 
 
-@part
+@compiled
 def seen(x: Reals, e: Reals, half: tuple[int, int], down: float, across: float) -> tuple[float, float]:
     """Line and sample in the search picture of a place in units of half the window."""
     lines, samples = half[0] * down, half[1] * across
@@ -83,7 +76,7 @@ def seen(x: Reals, e: Reals, half: tuple[int, int], down: float, across: float) 
     return line, sample
 
 
-@part
+@compiled
 def resample(c: NDArray[np.float32], x: Reals, e: Reals, half: tuple[int, int], pixels: Reals) -> None:
     """Fill the search picture's columns for the unknowns x."""
     for i in range(pixels.shape[0]):
@@ -91,7 +84,7 @@ def resample(c: NDArray[np.float32], x: Reals, e: Reals, half: tuple[int, int], 
         pixels[i, S], pixels[i, S_LINE], pixels[i, S_SAMPLE] = spline_at(c, line, sample)
 
 
-@part
+@compiled
 def inside(x: Reals, e: Reals, half: tuple[int, int], lines: int, samples: int) -> bool:
     """Whether the whole window lies between the centres of the picture's outermost pixels."""
     down, across = abs(x[2]) * half[0] + abs(x[3]) * half[1], abs(x[4]) * half[0] + abs(x[5]) * half[1]
@@ -103,7 +96,7 @@ def inside(x: Reals, e: Reals, half: tuple[int, int], lines: int, samples: int) 
     )
 
 
-@part
+@compiled
 def derivatives(pixels: Reals, i: int, x: Reals, e: Reals, z: Reals, j: Reals) -> None:
     """Instruments z and derivatives j of a pixel's model by all unknowns, in units of half the window for A."""
     determinant = x[2] * x[5] - x[3] * x[4]

@@ -24,8 +24,9 @@ from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.output.csv_json import picked, plain, write_json
 from mgsgraph.output.folders import MATCH, PROGRAM, fresh_folder
-from mgsgraph.output.table import ISIS, Column, Table
+from mgsgraph.output.table import Column, Table
 from mgsgraph.stages import Progress, no_progress
+from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.wording import many
 
 FORMAT = 1
@@ -137,7 +138,7 @@ def matches_table(matches: Matches) -> Table:
         Column("id", picked(ties.ids, ties.measure_point)),
         Column("image", ties.measure_image),
         Column("reference", matches.reference, meaning="the measure that the others are compared with"),
-        Column("isis_{}", ties.measures + ISIS, meaning="the first pixel's centre is (1, 1)", parts=ways),
+        Column("isis_{}", ties.measures + ISIS_OFFSET, meaning="the first pixel's centre is (1, 1)", parts=ways),
         Column("sigma_{}", ties.measure_sigmas, "px", parts=ways),
         Column("against_reference_{}", covariances[:, [0, 0, 1], [0, 1, 1]], "px2", "covariance of the difference",
                ("line_line", "line_sample", "sample_sample")),

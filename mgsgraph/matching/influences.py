@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from mgsgraph.compiled import compiled
 from mgsgraph.matching.equations import (
     BEND,
     MISFIT,
@@ -20,7 +21,6 @@ from mgsgraph.matching.equations import (
     S,
     T,
     derivatives,
-    part,
 )
 
 _BLOCK = 4
@@ -28,7 +28,7 @@ _BLOCK = 4
 than a window can tell."""
 
 
-@part
+@compiled
 def _solve(a: Reals, b: Reals) -> bool:
     """Solve a x = b for the columns of b, in place, by elimination with row pivots; False where a is singular."""
     n = a.shape[0]
@@ -51,7 +51,7 @@ def _solve(a: Reals, b: Reals) -> bool:
     return True
 
 
-@part
+@compiled
 def _influences(pixels: Reals, x: Reals, e: Reals, by: Reals) -> bool:
     """Fill by (unknowns, 4): a pixel's influence on the place is by[:, :2]' w z, on the bend
     by[:, :2]' n z - by[:, 2:]' w z
@@ -83,7 +83,7 @@ def _influences(pixels: Reals, x: Reals, e: Reals, by: Reals) -> bool:
     return bool(by[0, 0] > 0.0 and by[1, 1] > 0.0 and 4.0 * by[0, 0] * by[1, 1] > (by[0, 1] + by[1, 0]) ** 2)
 
 
-@part
+@compiled
 def _sums(pixels: Reals, x: Reals, e: Reals, by: Reals, row: Reals) -> tuple[Reals, Reals, float]:
     """Fill the pulls, the residual and the bend; sums of squared influences on the place and on the bend (2, 2 each),
     times the variance of a residual, and by how much sums of squares grow for the unknowns' sake.
@@ -117,7 +117,7 @@ def _sums(pixels: Reals, x: Reals, e: Reals, by: Reals, row: Reals) -> tuple[Rea
     return variance * of_place, variance * of_bend, growth
 
 
-@part
+@compiled
 def _misfit(pixels: Reals, x: Reals, e: Reals, row: Reals) -> None:
     """Fill the normal equations (3, 4) of the middle's squared residuals over a constant and squares of derivatives by
     line and sample, c + T00 l l + T01 2 l s + T11 s s; the constant is reduced.
@@ -144,7 +144,7 @@ def _misfit(pixels: Reals, x: Reals, e: Reals, row: Reals) -> None:
             row[MISFIT + 4 * k + m] = total[k, m] - sums[k] * mean[m]
 
 
-@part
+@compiled
 def _blocks(pixels: Reals, half: tuple[int, int]) -> Reals:
     """Sum of the products (2, 2) of neighbouring pixels' pulls, with Bartlett's weights: over all square blocks, those
     that stand out of the window included, the squared sums of pulls (Newey & West 1987, Conley 1999). Never negative.
@@ -165,7 +165,7 @@ def _blocks(pixels: Reals, half: tuple[int, int]) -> Reals:
     return total / _BLOCK**2
 
 
-@part
+@compiled
 def _raise_to(a: Reals, floor: Reals) -> None:
     """Make a (2, 2) no smaller than the floor in any direction."""
     p = math.sqrt(floor[0, 0])
@@ -186,7 +186,7 @@ def _raise_to(a: Reals, floor: Reals) -> None:
     a[0, 1] = a[1, 0]
 
 
-@part
+@compiled
 def fill_covariance(pixels: Reals, x: Reals, e: Reals, half: tuple[int, int], row: Reals) -> bool:
     """Fill residual, covariance of the noise, bend and its covariance; False where the texture does not determine the
     place.

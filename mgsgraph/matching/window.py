@@ -17,15 +17,11 @@ for relief.
 """
 
 import math
-from collections.abc import Callable
-from pathlib import Path
-from typing import TypeVar, cast
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from mgsgraph.compiled import digest_of
+from mgsgraph.compiled import cached_kernel, compiled
 from mgsgraph.matching.equations import (
     CORRELATION,
     NO_CONTRAST,
@@ -38,15 +34,12 @@ from mgsgraph.matching.equations import (
     T,
     derivatives,
     inside,
-    part,
     read_template,
     resample,
     seen,
 )
 from mgsgraph.matching.influences import fill_covariance
 from mgsgraph.matching.spline import EXTREME, MISSING
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
 
 CONVERGED, LEFT, UNFINISHED, WANDERED, FLAT, SATURATED = 0, 1, 2, 3, 4, 5
 """How a match may end."""
@@ -56,12 +49,7 @@ _FAR, _TURN = 1.0, 4.0
 """pixels that the window's places may move in one step; factor by which A may change in scale."""
 
 
-def compiled(function: _Function) -> _Function:
-    """Compile for use without the interpreter's lock, and keep; division by zero gives inf, as in NumPy."""
-    return cast(_Function, njit(cache=True, nogil=True, error_model="numpy")(function))
-
-
-@part
+@compiled
 def _step(pixels: Reals, x: Reals, e: Reals, step: Reals) -> bool:
     """Gauss-Newton step to where z is orthogonal to the residuals; False where the normal matrix is singular.
 
@@ -81,7 +69,7 @@ def _step(pixels: Reals, x: Reals, e: Reals, step: Reals) -> bool:
     return _cholesky_solve(normal, step)
 
 
-@part
+@compiled
 def _cholesky_solve(a: Reals, b: Reals) -> bool:
     """Solve a x = b in place from a's lower triangle; False where a is singular."""
     unknowns = b.size
@@ -107,7 +95,7 @@ def _cholesky_solve(a: Reals, b: Reals) -> bool:
     return True
 
 
-@part
+@compiled
 def _move(x: Reals, step: Reals, half: tuple[int, int]) -> tuple[float, float]:
     """Add a step to the unknowns, shortened where the window would move too far; pixels that its place has moved, and
     that its corners have moved about it.
@@ -129,7 +117,7 @@ def _move(x: Reals, step: Reals, half: tuple[int, int]) -> tuple[float, float]:
     return part * move, part * turn
 
 
-@part
+@compiled
 def _radiometry(pixels: Reals, x: Reals) -> bool:
     """Gain and offset that make the two windows' means and scatters equal; False where the search has no contrast."""
     n = pixels.shape[0]
@@ -147,7 +135,7 @@ def _radiometry(pixels: Reals, x: Reals) -> bool:
     return True
 
 
-@part
+@compiled
 def _out_of_shape(x: Reals, e: Reals, half: tuple[int, int], scale: float) -> bool:
     """Whether gain or A, anywhere in the window, have become what no view of the same ground is."""
     determinant, change = x[2] * x[5] - x[3] * x[4], 0.0
@@ -159,7 +147,7 @@ def _out_of_shape(x: Reals, e: Reals, half: tuple[int, int], scale: float) -> bo
     return not (x[6] > 0.0 and (determinant - change) / scale > 1.0 / _TURN and (determinant + change) / scale < _TURN)
 
 
-@part
+@compiled
 def _marked(marks: NDArray[np.uint8], x: Reals, e: Reals, half: tuple[int, int]) -> tuple[int, int]:
     """How many of a window's pixels are saturated, and how many missing."""
     saturated, missing = 0, 0
@@ -172,7 +160,7 @@ def _marked(marks: NDArray[np.uint8], x: Reals, e: Reals, half: tuple[int, int])
     return saturated, missing
 
 
-@part
+@compiled
 def _iterate(
     c: NDArray[np.float32], x: Reals, e: Reals, half: tuple[int, int], most: int, tolerance: float, reach: float,
     pixels: Reals,
@@ -199,79 +187,67 @@ def _iterate(
     return UNFINISHED
 
 
-@part
+@compiled
 def _correlation(pixels: Reals) -> float:
     """Of the template with the search picture."""
     t, s = pixels[:, T] - np.mean(pixels[:, T]), pixels[:, S] - np.mean(pixels[:, S])
     return float(np.sum(t * s) / math.sqrt(np.sum(t * t) * np.sum(s * s)))
 
 
-def _kernel(sources: str) -> Callable[..., None]:
-    """The kernel. numba's cache looks at one file alone; that the kernel holds the digest of all of them makes it
-    forget what was compiled from others.
+@cached_kernel
+def match_windows(
+    template: NDArray[np.float32],
+    template_marks: NDArray[np.uint8],
+    search: NDArray[np.float32],
+    search_marks: NDArray[np.uint8],
+    anchors: Reals,
+    starts: Reals,
+    half: tuple[int, int],
+    weights: Reals,
+    most: int,
+    tolerance: float,
+    reach: float,
+    most_saturated: float,
+    rows: Reals,
+    states: NDArray[np.int64],
+) -> None:
+    """Match windows about anchors (n, 2) from starts (n, 8), place, A, direction of relief, or (n, 6) without that;
+    fills rows (n, NUMBERS) and states (n,).
     """
-
-    @compiled
-    def match_windows(
-        template: NDArray[np.float32],
-        template_marks: NDArray[np.uint8],
-        search: NDArray[np.float32],
-        search_marks: NDArray[np.uint8],
-        anchors: Reals,
-        starts: Reals,
-        half: tuple[int, int],
-        weights: Reals,
-        most: int,
-        tolerance: float,
-        reach: float,
-        most_saturated: float,
-        rows: Reals,
-        states: NDArray[np.int64],
-    ) -> None:
-        """Match windows about anchors (n, 2) from starts (n, 8), place, A, direction of relief, or (n, 6) without that;
-        fills rows (n, NUMBERS) and states (n,).
-        """
-        if len(sources) == 0:
-            return
-        size = weights.shape[0]
-        relief = starts.shape[1] == PLAIN
-        pixels, x, own = np.empty((size, WIDTH)), np.zeros(RELIEF if relief else PLAIN), np.zeros(PLAIN)
-        e = np.zeros(2)
-        own[2] = own[5] = 1.0
-        for n in range(anchors.shape[0]):
-            own[0], own[1] = anchors[n, 0], anchors[n, 1]
-            x[:] = 0.0
-            x[:6] = starts[n, :6]
-            x[6] = 1.0
-            if relief:
-                e[:] = starts[n, 6:]
-            states[n] = LEFT
-            if not inside(own, e, half, template_marks.shape[0], template_marks.shape[1]):
-                continue
-            saturated, missing = _marked(template_marks, own, e, half)
-            if missing > 0 or saturated > most_saturated * size:
-                states[n] = SATURATED if missing == 0 else LEFT
-                continue
-            if not read_template(template, anchors[n], half, weights, pixels):
-                states[n] = FLAT
-                continue
-            begins_inside = inside(x, e, half, search_marks.shape[0], search_marks.shape[1])
-            if begins_inside and _marked(search_marks, x, e, half)[0] > most_saturated * size:
-                states[n] = SATURATED
-                continue
-            states[n] = _iterate(search, x, e, half, most, tolerance, reach, pixels)
-            if states[n] != CONVERGED:
-                continue
-            saturated, missing = _marked(search_marks, x, e, half)
-            if missing > 0 or saturated > most_saturated * size:
-                states[n] = SATURATED if missing == 0 else LEFT
-            elif fill_covariance(pixels, x, e, half, rows[n]):
-                rows[n, :PLAIN] = x[:PLAIN]
-                rows[n, CORRELATION] = _correlation(pixels)
-            else:
-                states[n] = FLAT
-
-    return match_windows
-
-
-match_windows = _kernel(digest_of(Path(__file__).parent))
+    size = weights.shape[0]
+    relief = starts.shape[1] == PLAIN
+    pixels, x, own = np.empty((size, WIDTH)), np.zeros(RELIEF if relief else PLAIN), np.zeros(PLAIN)
+    e = np.zeros(2)
+    own[2] = own[5] = 1.0
+    for n in range(anchors.shape[0]):
+        own[0], own[1] = anchors[n, 0], anchors[n, 1]
+        x[:] = 0.0
+        x[:6] = starts[n, :6]
+        x[6] = 1.0
+        if relief:
+            e[:] = starts[n, 6:]
+        states[n] = LEFT
+        if not inside(own, e, half, template_marks.shape[0], template_marks.shape[1]):
+            continue
+        saturated, missing = _marked(template_marks, own, e, half)
+        if missing > 0 or saturated > most_saturated * size:
+            states[n] = SATURATED if missing == 0 else LEFT
+            continue
+        if not read_template(template, anchors[n], half, weights, pixels):
+            states[n] = FLAT
+            continue
+        begins_inside = inside(x, e, half, search_marks.shape[0], search_marks.shape[1])
+        if begins_inside and _marked(search_marks, x, e, half)[0] > most_saturated * size:
+            states[n] = SATURATED
+            continue
+        states[n] = _iterate(search, x, e, half, most, tolerance, reach, pixels)
+        if states[n] != CONVERGED:
+            continue
+        saturated, missing = _marked(search_marks, x, e, half)
+        if missing > 0 or saturated > most_saturated * size:
+            states[n] = SATURATED if missing == 0 else LEFT
+        elif fill_covariance(pixels, x, e, half, rows[n]):
+            rows[n, :PLAIN] = x[:PLAIN]
+            rows[n, CORRELATION] = _correlation(pixels)
+        else:
+            states[n] = FLAT

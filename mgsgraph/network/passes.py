@@ -47,7 +47,7 @@ def nominal_poses(images: Sequence[PushbroomImage], times: Array) -> Pose:
         mine = np.flatnonzero(owner == j)
         trajectory = images[j].trajectory
         pose = trajectory.pose(np.clip(times[mine] - trajectory.epoch, *trajectory.coverage))
-        for whole, part in zip(parts, (pose.position, pose.velocity, pose.matrix, pose.turning), strict=True):
+        for whole, part in zip(parts, (pose.position, pose.velocity, pose.matrix, pose.angular_rate), strict=True):
             whole[mine] = part
     return Pose(*parts)
 

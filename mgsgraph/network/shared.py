@@ -1,4 +1,4 @@
-"""Unknowns that several images share (a clock's error, a boresight, a bias), and what each does to a sight.
+"""Unknowns that several images share (a clock's error, a boresight, a bias), and what each does to an observation.
 
 What one does to an image is a small change of its pose, proportional to the unknown: a *polynomial of the line* like
 the image's own orientation correction, so that the two add up to one correction (`Solution.correction`). An
@@ -144,7 +144,7 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
     else:
         period, spin = image.timing.at(lines)[1][:, None], _spin(image)
         if kind is SharedKind.ATTITUDE_TIME:
-            effect[0, :, 3:] = pose.turning / period + pose.matrix @ spin
+            effect[0, :, 3:] = pose.angular_rate / period + pose.matrix @ spin
         else:
             effect[0, :, :3] = pose.velocity / period + np.cross(spin, pose.position)
     if angles != "camera":

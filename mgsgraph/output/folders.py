@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.fresh_file import beside
+from mgsgraph.io.files import beside
 
 PROGRAM = "mgsgraph"
 """What `program` in solution.json says; by it a folder is known as ours."""

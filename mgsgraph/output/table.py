@@ -21,8 +21,6 @@ from mgsgraph.wording import cell, many, short
 
 NONE = "–"
 """What stands on the page for a number that is not known."""
-ISIS = 0.5
-"""pixels from our count of lines and samples to that of ISIS."""
 _UNITS = {"deg": DEG, "arcsec": ARCSEC, "mgon": MGON, "mrad": MRAD, "km": KM, "km2": KM**2, "percent": 0.01}
 """SI units in one of each; of any other unit it is one."""
 _SIGNS = {"percent": "%"}

@@ -14,7 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
-from mgsgraph.planning.coverage import Scene, Shows, View, even_places
+from mgsgraph.planning.coverage import CommonGround, ImageCoverage, OrientedImage, even_places
 from mgsgraph.planning.state import ReducedNetwork
 from mgsgraph.ties import PointKind
 
@@ -98,38 +98,40 @@ class PlannedShots:
     """px, of their places in the images that show them; None for no such measures."""
 
 
-def planned_image(scene: Scene, known: KnownImage, ties: PlannedTies) -> Candidate:
+def planned_image(coverage: ImageCoverage, known: KnownImage, ties: PlannedTies) -> Candidate:
     """A candidate image with its tie points; images of the network in their order, and then the candidate."""
     name = known.image.name
-    if name in scene.views:
+    if name in coverage.views:
         found = "a candidate that is an image of the network already"
         raise InputError(f"candidate {name}", found, "a new image", "take it out of the candidates")
-    view = scene.newcomer(known)
-    near = scene.overlapping(view)
+    view = coverage.new_image(known)
+    near = coverage.overlapping(view)
     if not near:
         return Candidate(name, "image", None, "no overlap with an image of the network", overlap=0.0)
     area = sum(common for _, common, _ in near)
-    parts = (_new_ties(scene, view, [one for one, _, _ in near], ties), _again(scene, view, ties))
+    parts = (_new_ties(coverage, view, [one for one, _, _ in near], ties), _again(coverage, view, ties))
     there = [one for one in parts if one is not None]
     if not there:
         reason = "no tie point can be had where it overlaps: too little ground, or rays all but parallel"
         return Candidate(name, "image", None, reason, overlap=area)
     addition = joined(there)
     seen = {image.name for image in addition.images} - {name}
-    return Candidate(name, "image", addition, "", tuple(one for one in scene.views if one in seen), area)
+    return Candidate(name, "image", addition, "", tuple(one for one in coverage.views if one in seen), area)
 
 
-def _new_ties(scene: Scene, view: View, near: Sequence[View], ties: PlannedTies) -> Network | None:
+def _new_ties(
+    coverage: ImageCoverage, view: OrientedImage, near: Sequence[OrientedImage], ties: PlannedTies
+) -> Network | None:
     """New tie points in the overlaps with the images near; None where there are none that their rays determine."""
-    grids = [_tie_places(scene, view, other, ties) for other in near]
+    grids = [_tie_places(coverage, view, other, ties) for other in near]
     points = np.concatenate(grids)
     if points.shape[0] == 0:
         return None
     if ties.everywhere:
-        point, images, places = scene.rays(points, [*near, view])
+        point, images, places = coverage.rays(points, [*near, view])
     else:
         first = np.cumsum([0, *(grid.shape[0] for grid in grids)]).tolist()
-        found = [scene.rays(grid, [other, view]) for grid, other in zip(grids, near, strict=True)]
+        found = [coverage.rays(grid, [other, view]) for grid, other in zip(grids, near, strict=True)]
         point = np.concatenate([one[0] + start for one, start in zip(found, first, strict=False)])
         images, places = [name for one in found for name in one[1]], np.concatenate([one[2] for one in found])
     n = points.shape[0]
@@ -137,18 +139,18 @@ def _new_ties(scene: Scene, view: View, near: Sequence[View], ties: PlannedTies)
         tuple(f"{view.image.name}:tie:{k + 1}:{i + 1}" for k, grid in enumerate(grids) for i in range(grid.shape[0])),
         np.full(n, int(PointClass.TIE)), np.full(n, int(PointKind.FREE)), points, np.zeros((n, 3, 3)),
     )  # fmt: skip
-    network = _network(scene, ground, (point, images, places, _sigmas(images, view, ties)), newcomer=view.known)
+    network = _network(coverage, ground, (point, images, places, _sigmas(images, view, ties)), new_image=view.known)
     if network is None:
         return None
-    standing = scene.standing
-    kept = ReducedNetwork(network, standing.settings, standing.values, points).determined
+    state = coverage.state
+    kept = ReducedNetwork(network, state.settings, state.values, points).determined
     return part(network, np.flatnonzero(kept)) if np.any(kept) else None
 
 
-def _tie_places(scene: Scene, view: View, other: View, ties: PlannedTies) -> Array:
+def _tie_places(coverage: ImageCoverage, view: OrientedImage, other: OrientedImage, ties: PlannedTies) -> Array:
     """(n, 3) m, new tie points on an even grid over the overlap of two images."""
     small, large = sorted((view, other), key=lambda one: one.footprint.area)
-    shows = Shows(scene, small, large, other.height)
+    shows = CommonGround(coverage, small, large, other.height)
     shape = (small.image.lines, small.image.samples)
     count = ties.count
     if ties.per_cell is not None:
@@ -156,62 +158,62 @@ def _tie_places(scene: Scene, view: View, other: View, ties: PlannedTies) -> Arr
     return shows.ground(even_places(shape, shows, count)) if count else np.zeros((0, 3))
 
 
-def _shared_pixels(shape: tuple[int, int], shows: Shows) -> float:
+def _shared_pixels(shape: tuple[int, int], shows: CommonGround) -> float:
     """Pixels of an image that show ground of another."""
     lines, samples = (np.arange(64) + 0.5) / 64.0 * shape[0], (np.arange(16) + 0.5) / 16.0 * shape[1]
     raster = np.stack(np.meshgrid(lines, samples, indexing="ij"), axis=-1).reshape(-1, 2)
     return float(shows(raster).mean() * shape[0] * shape[1])
 
 
-def _again(scene: Scene, view: View, ties: PlannedTies) -> Network | None:
+def _again(coverage: ImageCoverage, view: OrientedImage, ties: PlannedTies) -> Network | None:
     """Tie points of the network that the candidate shows, each with its measure in it; None unless they're wanted."""
     if not ties.existing:
         return None
-    network, standing = scene.network, scene.standing
+    network, state = coverage.network, coverage.state
     members = np.flatnonzero((network.points.classes == PointClass.TIE) & (network.ray_counts > 0))
-    some, places = view.shown(standing.places[members])
+    some, places = view.shown(state.places[members])
     if some.size == 0:
         return None
     old, n = members[some], some.size
     points = GroundPoints(
         tuple(network.points.ids[i] for i in old.tolist()), network.points.classes[old],
-        np.full(n, int(PointKind.FREE)), standing.places[old], np.zeros((n, 3, 3)),
+        np.full(n, int(PointKind.FREE)), state.places[old], np.zeros((n, 3, 3)),
     )  # fmt: skip
     names = [view.image.name] * n
-    return _network(scene, points, (np.arange(n), names, places, _sigmas(names, view, ties)), view.known, old=True)
+    return _network(coverage, points, (np.arange(n), names, places, _sigmas(names, view, ties)), view.known, old=True)
 
 
-def _sigmas(images: Sequence[str], view: View, ties: PlannedTies) -> Array:
+def _sigmas(images: Sequence[str], view: OrientedImage, ties: PlannedTies) -> Array:
     own = ties.sigma if ties.own_sigma is None else ties.own_sigma
     column = np.where(np.array(images) == view.image.name, own, ties.sigma)
     return np.column_stack([column, column])
 
 
-def planned_profile(scene: Scene, name: str, shots: PlannedShots) -> Candidate:
+def planned_profile(coverage: ImageCoverage, name: str, shots: PlannedShots) -> Candidate:
     """A candidate laser profile: footprints known by their covariances, ranges, and image places if they are wanted."""
     n = shots.times.size
-    if name in scene.network.shift_names:
+    if name in coverage.network.shift_names:
         raise InputError(f"candidate {name}", "a profile of the network", "a new profile", "give it another name")
     if n == 0:
         return Candidate(name, "profile", None, "no shot falls in an image of the network")
     ids = tuple(f"{name}:{i + 1}" for i in range(n))
-    _require_new(scene, ids, name)
+    _require_new(coverage, ids, name)
     points = GroundPoints(
         ids, np.full(n, int(PointClass.LASER)), np.full(n, int(PointKind.CONSTRAINED)), shots.footprints,
         shots.covariances,
     )  # fmt: skip
     rays: _Rays = (np.zeros(0, dtype=np.int64), [], np.zeros((0, 2)), np.zeros((0, 2)))
     if shots.image_sigma is not None:
-        point, images, places = scene.rays(shots.footprints, scene.near(shots.footprints))
+        point, images, places = coverage.rays(shots.footprints, coverage.near(shots.footprints))
         rays = point, images, places, np.full(places.shape, shots.image_sigma)
     ranges: _Ranges | None = None
     if shots.image is not None:
-        values = np.linalg.norm(scene.views[shots.image].positions(shots.times) - shots.footprints, axis=1)
+        values = np.linalg.norm(coverage.views[shots.image].positions(shots.times) - shots.footprints, axis=1)
         ranges = np.arange(n), shots.image, shots.times, values, shots.range_sigmas
     shifts = None
     if shots.shift_sigma is not None:
         shifts = ProfileShifts((name,), np.zeros(n, dtype=np.int64), np.array([shots.shift_sigma]))
-    addition = _network(scene, points, rays, ranges=ranges, shifts=shifts)
+    addition = _network(coverage, points, rays, ranges=ranges, shifts=shifts)
     if addition is None:
         reason = "no image was taken along with it, and no image coordinates are planned (image_sigma_px)"
         return Candidate(name, "profile", None, reason)
@@ -219,13 +221,14 @@ def planned_profile(scene: Scene, name: str, shots: PlannedShots) -> Candidate:
 
 
 def planned_control(
-    scene: Scene, name: str, place: Array, covariance: Array, sigma: float, images: Sequence[str] | None = None
-) -> Candidate:
+    coverage: ImageCoverage, name: str, place: Array, covariance: Array, sigma: float,
+    images: Sequence[str] | None = None,
+) -> Candidate:  # fmt: skip
     """A candidate control point.
 
     Parameters
     ----------
-    scene : Scene
+    coverage : ImageCoverage
     name : str
     place : (3,)
         m, body-fixed.
@@ -236,21 +239,21 @@ def planned_control(
     images : sequence of str, optional
         In which it would be measured; all that show it when absent.
     """
-    _require_new(scene, (name,), name)
-    views = scene.near(place[None]) if images is None else [scene.views[one] for one in images]
-    point, seen, places = scene.rays(place[None], views)
+    _require_new(coverage, (name,), name)
+    views = coverage.near(place[None]) if images is None else [coverage.views[one] for one in images]
+    point, seen, places = coverage.rays(place[None], views)
     if not seen:
         return Candidate(name, "control point", None, "no image of the network shows it")
     points = GroundPoints(
         (name,), np.array([int(PointClass.CONTROL)]), np.array([int(PointKind.CONSTRAINED)]), place[None],
         covariance[None],
     )  # fmt: skip
-    addition = _network(scene, points, (point, seen, places, np.full(places.shape, sigma)))
+    addition = _network(coverage, points, (point, seen, places, np.full(places.shape, sigma)))
     return Candidate(name, "control point", addition, "", tuple(seen))
 
 
-def _require_new(scene: Scene, ids: Sequence[str], name: str) -> None:
-    there = set(scene.network.points.ids)
+def _require_new(coverage: ImageCoverage, ids: Sequence[str], name: str) -> None:
+    there = set(coverage.network.points.ids)
     for one in ids:
         if one in there:
             found = f"the point {one!r}, which is in the network already"
@@ -264,7 +267,7 @@ _Ranges = tuple[Index, str, Array, Array, Array]
 
 
 def _network(
-    scene: Scene, points: GroundPoints, rays: _Rays, newcomer: KnownImage | None = None,
+    coverage: ImageCoverage, points: GroundPoints, rays: _Rays, new_image: KnownImage | None = None,
     ranges: _Ranges | None = None, shifts: ProfileShifts | None = None, old: bool = False,
 ) -> Network | None:  # fmt: skip
     """Points with their rows and the images that they name; None without any row. `old` points lie on the terrain
@@ -274,8 +277,8 @@ def _network(
     used = {*names, *([ranges[1]] if ranges else [])}
     if not used:
         return None
-    known = [view.known for name, view in scene.views.items() if name in used]
-    known += [newcomer] if newcomer is not None and newcomer.image.name in used else []
+    known = [view.known for name, view in coverage.views.items() if name in used]
+    known += [new_image] if new_image is not None and new_image.image.name in used else []
     number = {one.image.name: j for j, one in enumerate(known)}
     nothing = np.zeros(0, dtype=np.int64)
     shots = Ranges(nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
@@ -283,12 +286,12 @@ def _network(
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])
     image = np.array([number[name] for name in names], dtype=np.int64)
     network = Network(*image_columns(known), points, ImageRays(point, image, places, sigmas), shots, shifts)
-    return network if old else replace(network, surface=_surface(scene, points))
+    return network if old else replace(network, surface=_surface(coverage, points))
 
 
-def _surface(scene: Scene, points: GroundPoints) -> Surface | None:
+def _surface(coverage: ImageCoverage, points: GroundPoints) -> Surface | None:
     """New tie points on the network's terrain model, as its own are."""
-    surface = scene.network.surface
+    surface = coverage.network.surface
     if surface is None:
         return None
     over = np.isfinite(surface.grid.at(points.places)) & (points.classes == PointClass.TIE)

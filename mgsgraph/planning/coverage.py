@@ -12,7 +12,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.network.parts import KnownImage, known_images
-from mgsgraph.planning.state import Standing
+from mgsgraph.planning.state import NetworkState
 
 EDGE = 0.01
 """Share of an image's lines and samples along its edges in which nothing is planned."""
@@ -25,7 +25,7 @@ _TERRAIN_STEPS = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class OrientedImage:
     """An image where it stands."""
 
     known: KnownImage
@@ -64,24 +64,24 @@ class View:
         return self.image.pose(lines, self.correction).position
 
 
-class Scene:
+class ImageCoverage:
     """All images of a network and the ground under them.
 
     Parameters
     ----------
-    standing : Standing
+    state : NetworkState
     """
 
-    def __init__(self, standing: Standing) -> None:
-        network = standing.network
-        self.standing, self.network = standing, network
+    def __init__(self, state: NetworkState) -> None:
+        network = state.network
+        self.state, self.network = state, network
         self.grid = None if network.surface is None else network.surface.grid
-        heights = geodetic(standing.places, network.images[0].body)[:, 2]
+        heights = geodetic(state.places, network.images[0].body)[:, 2]
         self._height = float(np.median(heights))
-        footprints = network_footprints(network, standing.places, lambda j: standing.correction(network.images[j].name))
+        footprints = network_footprints(network, state.places, lambda j: state.correction(network.images[j].name))
         self.views = {
-            known.image.name: View(
-                known, standing.correction(known.image.name), self._height_of(heights, j), footprints[j]
+            known.image.name: OrientedImage(
+                known, state.correction(known.image.name), self._height_of(heights, j), footprints[j]
             )
             for j, known in enumerate(known_images(network))
         }
@@ -90,12 +90,12 @@ class Scene:
         mine = heights[self.network.rays.point[self.network.rays.image == image]]
         return float(np.median(mine)) if mine.size else self._height
 
-    def newcomer(self, known: KnownImage) -> View:
+    def new_image(self, known: KnownImage) -> OrientedImage:
         """An image that is not in the network, with its nominal orientation."""
-        nominal = OrientationCorrection(np.zeros((1, 6)), self.standing.settings.angles)
-        return View(known, nominal, self._height, footprint(known.image, self._height))
+        nominal = OrientationCorrection(np.zeros((1, 6)), self.state.settings.angles)
+        return OrientedImage(known, nominal, self._height, footprint(known.image, self._height))
 
-    def overlapping(self, one: View) -> list[tuple[View, float, float]]:
+    def overlapping(self, one: OrientedImage) -> list[tuple[OrientedImage, float, float]]:
         """Images of the network that overlap with another, with the area in m^2 and its share of the smaller one."""
         views = list(self.views.values())
         reach = [_radius(view.footprint) for view in views]
@@ -111,7 +111,7 @@ class Scene:
                 found.append((view, float(both.areas[0]), float(both.shares[0])))
         return found
 
-    def ground(self, view: View, lines: Array, samples: Array, height: float) -> Array:
+    def ground(self, view: OrientedImage, lines: Array, samples: Array, height: float) -> Array:
         """(n, 3) m, where rays of an image meet the terrain model, or where there is none a height (m) above the
         ellipsoid; NaN where they miss the body.
         """
@@ -135,7 +135,7 @@ class Scene:
             radius = np.where(np.isfinite(over), over, radius)
         return np.asarray(up * radius[:, None])
 
-    def rays(self, points: Array, views: Iterable[View]) -> tuple[Index, list[str], Array]:
+    def rays(self, points: Array, views: Iterable[OrientedImage]) -> tuple[Index, list[str], Array]:
         """Image places of points (n, 3) in all of these images that show them: point (k,), image, places (k, 2)."""
         index, names, places = [np.zeros(0, dtype=np.int64)], list[str](), [np.zeros((0, 2))]
         for view in views:
@@ -145,7 +145,7 @@ class Scene:
             places.append(where)
         return np.concatenate(index), names, np.concatenate(places)
 
-    def near(self, points: Array) -> list[View]:
+    def near(self, points: Array) -> list[OrientedImage]:
         """Images of the network whose ground lies about points (n, 3) in m."""
         middle = points.mean(axis=0)
         reach = float(np.linalg.norm(points - middle, axis=1).max(initial=0.0))
@@ -196,11 +196,11 @@ def _grid(size: Array, low: Array, high: Array, step: float) -> Array:
     return np.column_stack([lines.ravel(), samples.ravel()])
 
 
-class Shows:
+class CommonGround:
     """Which places of one image show ground that another shows, too."""
 
-    def __init__(self, scene: Scene, one: View, other: View, height: float) -> None:
-        self._scene, self._one, self._other, self._height = scene, one, other, height
+    def __init__(self, coverage: ImageCoverage, one: OrientedImage, other: OrientedImage, height: float) -> None:
+        self._scene, self._one, self._other, self._height = coverage, one, other, height
 
     def __call__(self, places: Array) -> Mask:
         """(n,) for places (n, 2)."""

@@ -10,9 +10,9 @@ from mgsgraph.errors import InputError, WeakNetwork
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
 from mgsgraph.planning.candidates import Candidate, Kind
-from mgsgraph.planning.state import Present, Standing
-from mgsgraph.planning.targets import Criterion, Sigmas, Targets, Watch, in_one, targets_of
-from mgsgraph.planning.update import Added, added, updated
+from mgsgraph.planning.state import CurrentState, NetworkState
+from mgsgraph.planning.targets import Criterion, Sigmas, Targets, TargetSigmas, summarised, targets_of
+from mgsgraph.planning.update import AddedInformation, added, updated
 
 Progress = Callable[[int, int], None]
 """Called with how many judgements are done, and how many there will be at most."""
@@ -21,7 +21,7 @@ _ALIKE = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class Evaluation:
     """What one candidate, or several together, would do."""
 
     name: str
@@ -69,11 +69,11 @@ class Plan:
     """How they make one figure."""
     now: Sigmas
     """Of the targets as the network stands, m."""
-    ranking: tuple[Judged, ...]
+    ranking: tuple[Evaluation, ...]
     """Every candidate by itself, best first; worthless ones last, with the reason."""
-    chosen: tuple[Judged, ...]
+    chosen: tuple[Evaluation, ...]
     """One after the other, each judged with those before it in place."""
-    plain: Judged | None
+    plain: Evaluation | None
     """The first of the ranking together, as many as were chosen; None where nothing was chosen."""
 
     @property
@@ -92,12 +92,12 @@ class Plan:
         return 1.0 - self.after.total / self.now.total if self.now.total > 0.0 else 0.0
 
 
-class Judge:
+class Evaluator:
     """Judges candidates over a network and those that were chosen before.
 
     Parameters
     ----------
-    standing : Standing
+    state : NetworkState
         The network, with what was chosen.
     targets : Targets
     criterion : "mean" or "worst"
@@ -108,17 +108,17 @@ class Judge:
     """
 
     def __init__(
-        self, standing: Standing, targets: Targets, criterion: Criterion, since: Sequence[Unknown] = (),
-        known: dict[str, Added] | None = None,
+        self, state: NetworkState, targets: Targets, criterion: Criterion, since: Sequence[Unknown] = (),
+        known: dict[str, AddedInformation] | None = None,
     ) -> None:  # fmt: skip
-        self._known: dict[str, Added] = {} if known is None else known
-        self.present, self._criterion, self._targets = Present(standing), criterion, targets
-        self._watch = Watch(self.present, targets)
+        self._known: dict[str, AddedInformation] = {} if known is None else known
+        self.present, self._criterion, self._targets = CurrentState(state), criterion, targets
+        self._watch = TargetSigmas(self.present, targets)
         brought = set(since)
         self._since = [name for name in self.present.adjusted if name in brought]
-        self.now = in_one(self._watch.before(), targets, criterion)
+        self.now = summarised(self._watch.before(), targets, criterion)
 
-    def of(self, *candidates: Candidate) -> Judged:
+    def of(self, *candidates: Candidate) -> Evaluation:
         """What one candidate would do, or several together."""
         name = " + ".join(one.name for one in candidates)
         kind = candidates[0].kind if len(candidates) == 1 else "several"
@@ -133,11 +133,11 @@ class Judge:
             except WeakNetwork as error:
                 reason = str(error)
             else:
-                after = in_one(self._watch.after(update), self._targets, self._criterion)
+                after = summarised(self._watch.after(update), self._targets, self._criterion)
                 bits = update.bits_on(self._since)
-        return Judged(name, kind, self.now, after, bits, *counts, images, overlap, reason)
+        return Evaluation(name, kind, self.now, after, bits, *counts, images, overlap, reason)
 
-    def _added(self, name: str, additions: Sequence[Network]) -> Added:
+    def _added(self, name: str, additions: Sequence[Network]) -> AddedInformation:
         if len(additions) > 1:
             return added(self.present, additions)
         if name not in self._known:
@@ -146,7 +146,7 @@ class Judge:
 
 
 def plan(
-    standing: Standing,
+    state: NetworkState,
     candidates: Sequence[Candidate],
     choose: int = 3,
     wanted: Sequence[str] = ("ties",),
@@ -158,7 +158,7 @@ def plan(
 
     Parameters
     ----------
-    standing : Standing
+    state : NetworkState
         The network as it was adjusted.
     candidates : sequence of Candidate
         Each name once; their order doesn't matter.
@@ -180,14 +180,14 @@ def plan(
         When the network itself is too weak.
     """
     _require_candidates(candidates, choose)
-    targets = targets_of(standing, wanted)
-    known = dict[str, Added]()
-    judge = Judge(standing, targets, criterion, known=known)
+    targets = targets_of(state, wanted)
+    known = dict[str, AddedInformation]()
+    judge = Evaluator(state, targets, criterion, known=known)
     useful = [one for one in sorted(candidates, key=lambda one: one.name) if one.addition is not None]
     steps = min(choose, len(useful))
     most, done = sum(len(useful) - k for k in range(max(steps, 1))) + (steps > 1), 0
 
-    def judged(by: Judge, one: Candidate) -> Judged:
+    def judged(by: Evaluator, one: Candidate) -> Evaluation:
         nonlocal done
         found = by.of(one)
         done += 1
@@ -196,11 +196,11 @@ def plan(
 
     ranking = sorted((judged(judge, one) for one in useful), key=_order)
     worthless = [judge.of(one) for one in candidates if one.addition is None]
-    chosen, left, now = list[Judged](), {one.name: one for one in useful}, ranking
-    at, since = standing, list[Unknown]()
+    chosen, left, now = list[Evaluation](), {one.name: one for one in useful}, ranking
+    at, since = state, list[Unknown]()
     for number in range(steps):
         if number:
-            later = Judge(at, targets, criterion, since, known)
+            later = Evaluator(at, targets, criterion, since, known)
             now = sorted((judged(later, one) for one in left.values()), key=_order)
         best = now[0]
         if best.reason or best.bits <= 0.0:
@@ -211,7 +211,7 @@ def plan(
             assert taken.addition is not None
             at = at.extended([taken.addition])
             _forget(known, left.values(), taken)
-            since = [unknown for unknown in _unknowns(at) if unknown not in _unknowns(standing)]
+            since = [unknown for unknown in _unknowns(at) if unknown not in _unknowns(state)]
     first, plain = {one.name: one for one in useful}, ranking[0] if chosen else None
     if len(chosen) > 1:
         plain = judge.of(*(first[one.name] for one in ranking[: len(chosen)]))
@@ -220,7 +220,7 @@ def plan(
     return Plan(name, targets, criterion, judge.now, (*ranking, *last), tuple(chosen), plain)
 
 
-def _forget(known: dict[str, Added], left: Iterable[Candidate], taken: Candidate) -> None:
+def _forget(known: dict[str, AddedInformation], left: Iterable[Candidate], taken: Candidate) -> None:
     """Forget what candidates add that measure a point which the taken one measures, too: it says more now."""
     assert taken.addition is not None
     measured = set(taken.addition.points.ids)
@@ -229,11 +229,11 @@ def _forget(known: dict[str, Added], left: Iterable[Candidate], taken: Candidate
             known.pop(one.name, None)
 
 
-def _unknowns(standing: Standing) -> tuple[Unknown, ...]:
-    return unknowns(standing.network)
+def _unknowns(state: NetworkState) -> tuple[Unknown, ...]:
+    return unknowns(state.network)
 
 
-def _order(one: Judged) -> tuple[bool, float, float, str]:
+def _order(one: Evaluation) -> tuple[bool, float, float, str]:
     """Best first: what can't be judged last; then the fall of the sigma, the information, the name."""
     return bool(one.reason), -_rounded(one.drop), -_rounded(one.bits), one.name
 

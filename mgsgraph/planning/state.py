@@ -25,7 +25,7 @@ from mgsgraph.network.parts import Unknown, joined, known_images, part, unknowns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standing:
+class NetworkState:
     """A network with the values of its unknowns."""
 
     network: Network
@@ -42,15 +42,15 @@ class Standing:
         value = self.values.get(Unknown("image", image), np.zeros(6))
         return OrientationCorrection(value.reshape(-1, 6), self.settings.angles)
 
-    def extended(self, additions: Sequence[Network]) -> "Standing":
+    def extended(self, additions: Sequence[Network]) -> "NetworkState":
         """The same with planned measures: new unknowns at zero, new points where they are planned."""
         network = joined([self.network, *additions])
         places = network.points.places.copy()
         places[: self.places.shape[0]] = self.places  # the points of the first part come first, in their order
-        return Standing(network, self.settings, self.values, places)
+        return NetworkState(network, self.settings, self.values, places)
 
 
-def standing_of(solution: Solution) -> Standing:
+def state_of_solution(solution: Solution) -> NetworkState:
     """Where a batch solution stands.
 
     Raises
@@ -61,15 +61,15 @@ def standing_of(solution: Solution) -> Standing:
     require_covariance(solution)
     there = solution.determined
     values = {unknown: one.value for unknown, one in shared_of(solution).items()}
-    return standing(
+    return network_state(
         solution.network, solution.settings, values, np.where(there[:, None], solution.places, np.nan),
         solution.rays_used, solution.ranges_used,
     )  # fmt: skip
 
 
-def standing(
+def network_state(
     network: Network, settings: SolverSettings, values: Mapping[Unknown, Array], places: Array, rays: Mask, ranges: Mask
-) -> Standing:
+) -> NetworkState:
     """Leave out of a network what takes no part.
 
     Parameters
@@ -98,7 +98,7 @@ def standing(
         ranges=replace(network.ranges.chosen(ranges), rejected=None),
     )
     left = with_images(part(used, kept), known_images(network))
-    return Standing(left, settings, values, places[kept])
+    return NetworkState(left, settings, values, places[kept])
 
 
 class ReducedNetwork:
@@ -172,18 +172,18 @@ class ReducedNetwork:
         return matrix
 
 
-class Present(ReducedNetwork):
+class CurrentState(ReducedNetwork):
     """A whole network linearised where it stands, with the joint covariance of its shared unknowns.
 
     Raises WeakNetwork where nothing determines some direction of the orientation.
     """
 
-    def __init__(self, standing: Standing) -> None:
-        super().__init__(standing.network, standing.settings, standing.values, standing.places)
-        self.standing = standing
+    def __init__(self, state: NetworkState) -> None:
+        super().__init__(state.network, state.settings, state.values, state.places)
+        self.state = state
         require_strength(self.layout, self.reduction)
         self.joint = orientation_covariance(BundleGraph(self.layout, self.rows), self.reduction)
-        self.place = {name: i for i, name in enumerate(standing.network.points.ids)}
+        self.place = {name: i for i, name in enumerate(state.network.points.ids)}
 
     def covariance_with(self, names: Sequence[Unknown]) -> Array:
         """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another."""

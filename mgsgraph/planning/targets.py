@@ -13,7 +13,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.shared import ground_motion
 from mgsgraph.network import PointClass
 from mgsgraph.network.parts import KnownImage, Unknown
-from mgsgraph.planning.state import Present, Standing
+from mgsgraph.planning.state import CurrentState, NetworkState
 from mgsgraph.planning.update import Update
 from mgsgraph.ties import PointKind
 
@@ -65,12 +65,12 @@ class Sigmas:
     """The target whose total is largest."""
 
 
-def targets_of(standing: Standing, wanted: Sequence[str]) -> Targets:
+def targets_of(state: NetworkState, wanted: Sequence[str]) -> Targets:
     """Targets by name.
 
     Parameters
     ----------
-    standing : Standing
+    state : NetworkState
     wanted : sequence of str
         "ties", "all" (points), or names of points and images; each once.
 
@@ -79,7 +79,7 @@ def targets_of(standing: Standing, wanted: Sequence[str]) -> Targets:
     InputError
         For a name that is neither, and for one that has no sigma: a fixed point, a held image.
     """
-    network = standing.network
+    network = state.network
     ids = network.points.ids
     moving = network.points.kinds != PointKind.FIXED
     wanted = tuple(dict.fromkeys(wanted))
@@ -103,18 +103,18 @@ def targets_of(standing: Standing, wanted: Sequence[str]) -> Targets:
     return Targets(tuple(n for n in wanted if n in place), tuple(n for n in wanted if n not in place), wanted)
 
 
-class Watch:
+class TargetSigmas:
     """Sigmas of targets in a network as it stands, and after an update.
 
     Parameters
     ----------
-    present : Present
+    present : CurrentState
     targets : Targets
     """
 
-    def __init__(self, present: Present, targets: Targets) -> None:
+    def __init__(self, present: CurrentState, targets: Targets) -> None:
         self.present, self.targets = present, targets
-        network, layout = present.standing.network, present.layout
+        network, layout = present.state.network, present.layout
         self._place = np.array([present.place[name] for name in targets.points], dtype=np.int64)
         out = np.ones(len(network.points), dtype=bool)
         out[self._place] = False
@@ -123,9 +123,9 @@ class Watch:
         number = {image.name: j for j, image in enumerate(network.images)}
         chosen = [number[name] for name in targets.images]
         known = [KnownImage(network.images[j], network.priors[j]) for j in chosen]
-        self._ground = [ground_motion(one, present.standing.settings.angles) for one in known]
+        self._ground = [ground_motion(one, present.state.settings.angles) for one in known]
         under = np.array([_under(one) for one in known]).reshape(-1, 3)
-        self._axes = east_north_up(np.concatenate([present.standing.places[self._place], under]))
+        self._axes = east_north_up(np.concatenate([present.state.places[self._place], under]))
 
     def before(self) -> Array:
         """(t, 4) m: total, east, north, up of every target as it stands."""
@@ -166,7 +166,7 @@ def _under(known: KnownImage) -> Array:
     return np.asarray(ground[0] if np.all(np.isfinite(ground)) else image.pose(line).position[0])
 
 
-def in_one(sigmas: Array, targets: Targets, criterion: Criterion) -> Sigmas:
+def summarised(sigmas: Array, targets: Targets, criterion: Criterion) -> Sigmas:
     """Sigmas (t, 4) of all targets in one figure each."""
     worst = int(np.argmax(sigmas[:, 0]))
     total, east, north, up = (sigmas[worst] if criterion == "worst" else sigmas.mean(axis=0)).tolist()

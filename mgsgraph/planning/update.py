@@ -18,11 +18,11 @@ from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, joined, part
-from mgsgraph.planning.state import Present, ReducedNetwork
+from mgsgraph.planning.state import CurrentState, ReducedNetwork
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Added:
+class AddedInformation:
     """Information that planned measures add to a network; the same for as long as its points that they touch are."""
 
     after: ReducedNetwork
@@ -33,9 +33,9 @@ class Added:
     """Unknowns that they bring."""
     root: Array
     """(d, d) L on the touched unknowns, per m and rad."""
-    own: Array
+    conditional: Array
     """(w, w) covariance of the new unknowns, were the touched ones known."""
-    lean: Array
+    regression: Array
     """(w, d) how the new unknowns follow the touched ones."""
 
 
@@ -43,11 +43,11 @@ class Added:
 class Update:
     """Planned measures over a network as it stands."""
 
-    present: Present
+    present: CurrentState
     """What is there."""
-    added: Added
+    added: AddedInformation
     """What the measures add."""
-    fall: Array
+    downdate: Array
     """(columns, d) U on all present unknowns."""
     bits: float
     """Information gained on all present unknowns."""
@@ -77,22 +77,22 @@ class Update:
         blocks, layout = self.present.layout.blocks, self.present.layout
         flat = blocks.filled(self.present.joint)
         for v, w, block in blocks.each(flat, layout.variables.width):
-            block -= self.fall[layout.columns_of(v)] @ self.fall[layout.columns_of(w)].T
+            block -= self.downdate[layout.columns_of(v)] @ self.downdate[layout.columns_of(w)].T
         return flat
 
     def covariance(self, unknown: Unknown) -> Array:
         """(d, d) m and rad, of one present unknown."""
         v = self.present.names.index(unknown)
-        fall = self.fall[self.present.layout.columns_of(v)]
-        return self.present.joint.block(v, v) - fall @ fall.T
+        downdate = self.downdate[self.present.layout.columns_of(v)]
+        return self.present.joint.block(v, v) - downdate @ downdate.T
 
     def point_covariances(self) -> tuple[Array, Mask]:
         """(n, 3, 3) m^2 of the points touched, network order, and (n,) which of them have a place."""
         added, after = self.added, self.added.after
         layout, columns = after.layout, self.present.columns(added.touched)
-        known = self.present.covariance_with(added.touched)[columns] - self.fall[columns] @ self.fall[columns].T
-        across = added.lean @ known
-        joint = np.block([[known, across.T], [across, added.own + across @ added.lean.T]])
+        known = self.present.covariance_with(added.touched)[columns] - self.downdate[columns] @ self.downdate[columns].T
+        across = added.regression @ known
+        joint = np.block([[known, across.T], [across, added.conditional + across @ added.regression.T]])
         order = np.argsort(after.columns([*added.touched, *added.new]))
         joint, flat = joint[np.ix_(order, order)], np.zeros(layout.blocks.target.size)
         for v, w, block in layout.blocks.each(flat, layout.variables.width):
@@ -101,12 +101,12 @@ class Update:
         return layout.network_order(found), after.determined
 
 
-def added(present: Present, additions: Sequence[Network]) -> Added:
+def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformation:
     """What planned measures add to what is known.
 
     Parameters
     ----------
-    present : Present
+    present : CurrentState
         The network as it stands.
     additions : sequence of Network
         Measures of new points, with their planned places, and of points known already, by their ids; on images known
@@ -119,35 +119,35 @@ def added(present: Present, additions: Sequence[Network]) -> Added:
     PointBehindCamera
         At the present values of the unknowns.
     """
-    standing, place = present.standing, present.place
+    state, place = present.state, present.place
     ids = dict.fromkeys(name for one in additions for name in one.points.ids)
     again = np.array([place[name] for name in ids if name in place], dtype=np.int64)
-    before = part(standing.network, again) if again.size else None
+    before = part(state.network, again) if again.size else None
     network = joined([*([before] if before else []), *additions])
     places = network.points.places.copy()
-    places[: again.size] = standing.places[again]
-    after = ReducedNetwork(network, standing.settings, standing.values, places)
+    places[: again.size] = state.places[again]
+    after = ReducedNetwork(network, state.settings, state.values, places)
     known = set(present.adjusted)
     touched = tuple(name for name in after.adjusted if name in known)
     new = tuple(name for name in after.adjusted if name not in known)
-    gained, own, lean = _on_touched(after, touched, new)
+    gained, own, regression = _on_touched(after, touched, new)
     if before is not None:
-        old = ReducedNetwork(before, standing.settings, standing.values, standing.places[again])
+        old = ReducedNetwork(before, state.settings, state.values, state.places[again])
         felt = [name for name in touched if name in set(old.adjusted)]
         place_of = _places(after, touched, felt)
         gained[np.ix_(place_of, place_of)] -= old.information(felt)
     root = _root(gained, present.layout.scales[present.columns(touched)])
-    return Added(after, touched, new, root, own, lean)
+    return AddedInformation(after, touched, new, root, own, regression)
 
 
-def updated(present: Present, adds: Added) -> Update:
+def updated(present: CurrentState, adds: AddedInformation) -> Update:
     """What added information does to the joint covariance of a network as it stands."""
     touched, root = adds.touched, adds.root
     spread = present.covariance_with(touched) @ root if touched else np.zeros((present.layout.columns, 0))
     inner = np.eye(root.shape[1]) + root.T @ spread[present.columns(touched)]
     factor = np.linalg.cholesky(0.5 * (inner + inner.T))
-    fall = np.linalg.solve(factor, spread.T).T
-    return Update(present, adds, fall, float(np.sum(np.log2(np.diagonal(factor)))))
+    downdate = np.linalg.solve(factor, spread.T).T
+    return Update(present, adds, downdate, float(np.sum(np.log2(np.diagonal(factor)))))
 
 
 def _places(after: ReducedNetwork, touched: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
@@ -173,9 +173,9 @@ def _on_touched(
         raise WeakNetwork([f"the orientation of {name}" for name in new[:2]], len(new)) from None
     half = np.linalg.solve(factor, np.diag(scales))
     covariance = half.T @ half
-    lean = -covariance @ whole[d:, :d]
+    regression = -covariance @ whole[d:, :d]
     across = half @ whole[d:, :d]
-    return whole[:d, :d] - across.T @ across, covariance, lean
+    return whole[:d, :d] - across.T @ across, covariance, regression
 
 
 def _root(information: Array, scales: Array) -> Array:

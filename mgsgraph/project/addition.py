@@ -63,26 +63,26 @@ class Addition:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class ImageArgument:
     """One argument: an image's file and the name it is given, if any."""
 
     path: Path
     name: str | None = None
 
 
-def parse_image(text: str) -> Wanted:
+def parse_image(text: str) -> ImageArgument:
     """[NAME=]PATH; a path that exists is one, whatever signs are in it."""
     name, sign, path = text.partition("=")
     if not sign or Path(text).exists():
-        return Wanted(Path(text))
+        return ImageArgument(Path(text))
     if not name.strip() or not name.isprintable():
         raise InputError(repr(text), "an empty or unprintable name before '='", "NAME=FILE")
-    return Wanted(Path(path), name)
+    return ImageArgument(Path(path), name)
 
 
 def read_addition(
     store: ProjectStore, settings: ProjectSettings, where: str,
-    images: Sequence[Wanted], ties: Sequence[Path], shots: Sequence[Path],
+    images: Sequence[ImageArgument], ties: Sequence[Path], shots: Sequence[Path],
 ) -> Addition:  # fmt: skip
     """Read everything that is to be added.
 
@@ -94,7 +94,7 @@ def read_addition(
         Its settings.
     where : str
         What to call it in messages.
-    images : sequence of Wanted
+    images : sequence of ImageArgument
         Support data (.json, .isd), MOC labels (.img, .lbl, .cub) or case files (.toml), which bring everything that
         they name.
     ties, shots : sequence of Path
@@ -197,7 +197,7 @@ def _of_case(path: Path) -> tuple[list[NewImage], Network | None]:
     return new, network
 
 
-def _single(wanted: Wanted, settings: ProjectSettings, where: str) -> NewImage:
+def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:
     """From image support data, or from a label and the project's kernels."""
     name, kind = wanted.name or wanted.path.stem, wanted.path.suffix.lower()
     if kind in _ISDS:
@@ -225,15 +225,15 @@ def _from_label(path: Path, name: str, settings: ProjectSettings, where: str) ->
     return read_labelled_image(path, kernels, name, interval=settings.spice.sampling_s)
 
 
-def _named(images: Sequence[Wanted], ties: Sequence[TiePoints], known: Sequence[str]) -> list[Wanted]:
+def _named(images: Sequence[ImageArgument], ties: Sequence[TiePoints], known: Sequence[str]) -> list[ImageArgument]:
     """Each image with a name: given, or the only one that ties use and nobody has, or that of its file."""
     taken = {*known, *(wanted.name for wanted in images if wanted.name)}
     used = {name for one in ties for name in one.measure_image} - taken
     nameless = [wanted for wanted in images if not wanted.name]
     if len(nameless) == 1 and len(used) == 1:
-        nameless = [Wanted(nameless[0].path, used.pop())]
+        nameless = [ImageArgument(nameless[0].path, used.pop())]
     else:
-        nameless = [Wanted(wanted.path, wanted.path.stem) for wanted in nameless]
+        nameless = [ImageArgument(wanted.path, wanted.path.stem) for wanted in nameless]
     return [wanted for wanted in images if wanted.name] + nameless
 
 

@@ -90,7 +90,7 @@ def _closing_facts(closing: Closing | None) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solved:
+class SolvedProject:
     """What `solve` has done."""
 
     solution: Solution
@@ -101,7 +101,7 @@ class Solved:
     """Of the products."""
 
 
-def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> Solved:
+def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> SolvedProject:
     """Adjust everything by batch, compare it with the incremental result, and keep its products."""
     name, settings, store = project.name, project.settings.solver_settings, project.store
     closing: Closing | None = None
@@ -117,7 +117,7 @@ def solve(project: Project, figures: bool = True, progress: Progress = lambda _:
         _incremental(project).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
-    return Solved(solution, closing, project.keep_solution(solution, figures))
+    return SolvedProject(solution, closing, project.keep_solution(solution, figures))
 
 
 def put_in(store: ProjectStore, addition: Addition) -> None:
@@ -163,7 +163,7 @@ def _note(project: Project, verb: str, what: str, summary: dict[str, Any], impac
 Stages = Callable[[str], AbstractContextManager[None]]
 
 
-class Begun(NamedTuple):
+class NewProject(NamedTuple):
     """A project that has been made."""
 
     words: str
@@ -172,13 +172,13 @@ class Begun(NamedTuple):
     """Whether its images wait for tie points."""
 
 
-def begin(folder: Path, name: str, case: Path | None, settings: Path | None, stages: Stages) -> Begun:
+def begin(folder: Path, name: str, case: Path | None, settings: Path | None, stages: Stages) -> NewProject:
     """Make a project; of a case without any measure in an image the images alone, which then wait for tie points."""
     if case is None:
         called, chosen = read_settings(settings) if settings is not None else ("", ProjectSettings())
         with Project.create(folder, name or called, chosen) as project:
             project.record("init", "empty", {})
-        return Begun("empty", False)
+        return NewProject("empty", False)
     with stages("reading the case"):
         network: Network | None = None
         if decode(case).measured:
@@ -188,7 +188,7 @@ def begin(folder: Path, name: str, case: Path | None, settings: Path | None, sta
         chosen = settings_of_case(case)
     with stages("writing the project"), Project.create(folder, name or called, chosen, case) as project:
         words = _put(project, "init", str(case), images, network)
-    return Begun(words, network is None)
+    return NewProject(words, network is None)
 
 
 def waiting_case(project: Project) -> Path:

@@ -14,8 +14,7 @@ from typing import Any
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.io.checksum import sha256_of
-from mgsgraph.io.fresh_file import beside
+from mgsgraph.io.files import beside, sha256_of
 from mgsgraph.project.connection import WRITER, connected, made, refusal
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore

@@ -15,7 +15,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.network import Network
 from mgsgraph.network.parts import Unknown, unknowns
-from mgsgraph.planning.state import Standing, standing, standing_of
+from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import Project, open_project
@@ -82,7 +82,7 @@ def _case_of_all(project: Project) -> Path | None:
 _Values = Mapping[Unknown, Array]
 
 
-def read_standing(path: Path) -> tuple[str, Standing, str]:
+def read_state(path: Path) -> tuple[str, NetworkState, str]:
     """Name and state of what was adjusted: a folder of results (or the archive in it), or a project's folder; and a
     warning where the adjustment has not converged, else an empty one.
 
@@ -95,9 +95,9 @@ def read_standing(path: Path) -> tuple[str, Standing, str]:
         with open_project(path) as opened:
             network, values, places = _state(opened, str(path))
             settings = opened.settings.solver_settings
-            return opened.name, standing(network, settings, values, places, *_taking_part(network, places)), ""
+            return opened.name, network_state(network, settings, values, places, *_taking_part(network, places)), ""
     solution = read_solution(path)
-    return solution.name, standing_of(solution), _warning(solution)
+    return solution.name, state_of_solution(solution), _warning(solution)
 
 
 def read_posterior(path: Path) -> tuple[str, Posterior, str]:

@@ -121,7 +121,7 @@ def renew_points(connection: sqlite3.Connection, run: Run, places: Array, covari
     connection.executemany(_RENEW_POINT, rows)
 
 
-class PointRows(NamedTuple):
+class StoredPoints(NamedTuple):
     """Points as they were written."""
 
     numbers: Index
@@ -138,7 +138,7 @@ class PointRows(NamedTuple):
     """(n, 3, 3) m^2, the same."""
 
 
-def points_of(connection: sqlite3.Connection, run: Run | None, adjusted: bool = True) -> PointRows:
+def points_of(connection: sqlite3.Connection, run: Run | None, adjusted: bool = True) -> StoredPoints:
     """Points of a run, or all points."""
     names = list[str]()
     parts = list[tuple[NDArray[Any], ...]]()
@@ -155,11 +155,11 @@ def points_of(connection: sqlite3.Connection, run: Run | None, adjusted: bool = 
     if not parts:
         nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         blank = GroundPoints((), nothing, nothing, none, np.zeros((0, 3, 3)))
-        return PointRows(nothing, blank, nothing, np.zeros(0), none, np.zeros((0, 3, 3)))
+        return StoredPoints(nothing, blank, nothing, np.zeros(0), none, np.zeros((0, 3, 3)))
     number_, class_, kind_, profile_, surface, *others = (np.concatenate(column) for column in zip(*parts, strict=True))
     half = len(others) // 2
     points = GroundPoints(tuple(names), class_, kind_, others[0], others[half])
-    return PointRows(number_, points, profile_, surface, others[half - 1], others[-1])
+    return StoredPoints(number_, points, profile_, surface, others[half - 1], others[-1])
 
 
 def rays_of(connection: sqlite3.Connection, run: Run | None, points: Index, images: Index) -> ImageRays:

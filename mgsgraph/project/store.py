@@ -17,8 +17,8 @@ from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared
 from mgsgraph.network import Network, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
 from mgsgraph.project.rows import (
-    PointRows,
     Run,
+    StoredPoints,
     points_of,
     put_points,
     put_ranges,
@@ -41,7 +41,7 @@ _SHARED = ("prior", "motion", "ground", "value", "covariance")
 
 
 class ProjectStore:
-    """Implements `mgsgraph.incremental.state.Store`.
+    """Implements `mgsgraph.incremental.state.StateStore`.
 
     Images and terrain grids are read once and kept: what comes back twice is the same object.
     """
@@ -243,7 +243,7 @@ class ProjectStore:
             self.areoid,
         )
 
-    def _surface(self, read: PointRows) -> Surface | None:
+    def _surface(self, read: StoredPoints) -> Surface | None:
         terrain = self.terrain
         if terrain is None:
             return None
@@ -309,7 +309,7 @@ class ProjectStore:
             numbers.append(self._one("SELECT id FROM profile WHERE name = ?", name)[0])
         return numbers
 
-    def _shifts(self, read: PointRows) -> ProfileShifts | None:
+    def _shifts(self, read: StoredPoints) -> ProfileShifts | None:
         used, profile = np.unique(read.profiles, return_inverse=True)
         if not np.any(used):
             return None

@@ -15,7 +15,7 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM, REGISTRATION, fresh_folder
-from mgsgraph.output.table import ISIS, Column, Table
+from mgsgraph.output.table import Column, Table
 from mgsgraph.registration.case import (
     CaseRegistration,
     ProfileRegistration,
@@ -24,7 +24,7 @@ from mgsgraph.registration.case import (
     root_mean_square,
 )
 from mgsgraph.registration.footprints import Misregistration
-from mgsgraph.units import DEG
+from mgsgraph.units import DEG, ISIS_OFFSET
 
 FORMAT = 1
 """Version of registration.json's layout."""
@@ -141,7 +141,7 @@ def registration_table(registration: CaseRegistration) -> Table:
         return [name for name, n in zip(names, sizes, strict=True) for _ in range(n)]
 
     places = [
-        Column(f"{state}_{method}isis_{{}}", of_state(profiles, name) + ISIS, parts=("line", "sample"))
+        Column(f"{state}_{method}isis_{{}}", of_state(profiles, name) + ISIS_OFFSET, parts=("line", "sample"))
         for state, profiles in states for method, name in (("", "places"), ("five_steps_", "linear"))
     ]  # fmt: skip
     return Table("registration", "Footprints in images", (
@@ -182,7 +182,7 @@ def discrepancy_table(registration: CaseRegistration) -> Table:
         Column("shot", [profile.found.shots.ids[k] for _, profile, one in found for k in one.shots.tolist()]),
         Column("image", words(lambda _, profile, one: one.image)),
         Column("against", words(lambda _, profile, one: one.against)),
-        Column("isis_line", numbers(lambda one: one.lines, 1) + ISIS),
+        Column("isis_line", numbers(lambda one: one.lines, 1) + ISIS_OFFSET),
         Column("{}", numbers(lambda one: one.pixels), "px", "of the flight, in the image minus transferred", ways),
         Column("sigma_{}", numbers(lambda one: one.pixel_sigmas), "px", "predicted", ways),
         Column("{}", numbers(lambda one: one.metres), "m", "the same on the ground", ways),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.components import Components, components_of, honest_sigmas
+from mgsgraph.analysis.components import Components, components_of, iterated_components
 from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import Reliability, reliability
@@ -216,7 +216,7 @@ def components_table(found: Components) -> Table:
 
 
 def _iterated(posterior: Posterior) -> Section:
-    found = honest_sigmas(posterior.network, posterior.linearised.settings)
+    found = iterated_components(posterior.network, posterior.linearised.settings)
     record = {
         "converged": found.converged, "passes": len(found.history), **_components_record(found.components),
         "sigma0": found.solution.sigma0,

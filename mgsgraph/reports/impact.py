@@ -6,7 +6,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.incremental.impact import Impact
-from mgsgraph.io.fresh_file import beside, fresh_file
+from mgsgraph.io.files import beside, fresh_file
 from mgsgraph.output.table import Column, Table
 
 _AXES = ("x", "y", "z")

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import write_file
 from mgsgraph.network import PointClass
 from mgsgraph.output.table import NONE
 from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
@@ -61,8 +61,7 @@ def write_report(
     page = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
     source = (files("mgsgraph.reports") / _TEMPLATE).read_text(encoding="utf-8")
     content = _content(solution, case, earlier, inputs or {})
-    with fresh_file(path, "a file that may be written", "choose another --out") as aside:
-        aside.write_text(page.from_string(source).render(content), encoding="utf-8", newline="\n")
+    write_file(path, page.from_string(source).render(content), "a file that may be written", "choose another --out")
     return path
 
 

@@ -11,7 +11,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PLAN, PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table
-from mgsgraph.planning.plan import Judged, Plan
+from mgsgraph.planning.plan import Evaluation, Plan
 from mgsgraph.planning.targets import Sigmas
 from mgsgraph.units import KM
 from mgsgraph.wording import many
@@ -32,12 +32,12 @@ def plan_table(plan: Plan) -> str:
     return "\n".join(lines)
 
 
-def judged_table(judged: Sequence[Judged], ranks: Sequence[int] = (), lists: Sequence[str] = ()) -> Table:
+def judged_table(judged: Sequence[Evaluation], ranks: Sequence[int] = (), lists: Sequence[str] = ()) -> Table:
     """One row per candidate: what it would do to the sigmas of the targets.
 
     Parameters
     ----------
-    judged : sequence of Judged
+    judged : sequence of Evaluation
         Candidates in their order.
     ranks, lists : sequence, optional
         Place of each, and the list that it is of; one after the other when absent.
@@ -92,7 +92,7 @@ def statements(plan: Plan) -> list[str]:
     return found
 
 
-def _against_plain(plan: Plan, plain_choice: Judged) -> str:
+def _against_plain(plan: Plan, plain_choice: Evaluation) -> str:
     count = len(plan.chosen)
     if {one.name for one in plan.chosen} == set(plain_choice.name.split(" + ")):
         return f"The first {count} of the ranking are the same ones."
@@ -150,7 +150,7 @@ def _sigmas_json(one: Sigmas) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _judged_json(one: Judged) -> dict[str, Any]:
+def _judged_json(one: Evaluation) -> dict[str, Any]:
     found = {
         "name": one.name, "kind": one.kind, "before": _sigmas_json(one.before), "after": _sigmas_json(one.after),
         "drop_percent": 100.0 * one.drop, "bits": one.bits, "image_measures": one.rays, "ranges": one.ranges,
@@ -162,7 +162,7 @@ def _judged_json(one: Judged) -> dict[str, Any]:
 
 def _csv(plan: Plan, path: Path) -> None:
     """One row per candidate and list (ranking, chosen), in order."""
-    lists: Sequence[tuple[str, Sequence[Judged]]] = (
+    lists: Sequence[tuple[str, Sequence[Evaluation]]] = (
         ("ranking", plan.ranking), ("chosen", plan.chosen), ("first of ranking", [plan.plain] if plan.plain else []),
     )  # fmt: skip
     rows = [(which, k + 1, one) for which, some in lists for k, one in enumerate(some)]

@@ -97,7 +97,7 @@ def node_statements(study: NodeStudy) -> list[str]:
                 f"Its amplitude is {peak.amplitude / known:.3g} times what the prior expects of departures there "
                 f"({_amount(known, spectrum.unit)}), which holds nodes back from following it: give it a wider sigma."
             )
-    quiet = [one.course.strip for one in study.strips if not any(spectrum.vibrations for spectrum in one.spectra)]
+    quiet = [one.corrections.strip for one in study.strips if not any(spectrum.vibrations for spectrum in one.spectra)]
     if quiet:
         found.append(
             f"No vibration stands out in {some(quiet, len(quiet))}: what is above noise there "
@@ -148,7 +148,7 @@ def _scatter(choice: Choice) -> str:
 def _vibrations(study: NodeStudy) -> Iterator[tuple[float, Spectrum, Peak]]:
     """Each with the prior's sigma of departures along its axis."""
     for one in study.strips:
-        for known, spectrum in zip(one.course.known.tolist(), one.spectra, strict=True):
+        for known, spectrum in zip(one.corrections.known.tolist(), one.spectra, strict=True):
             for peak in spectrum.vibrations:
                 yield known, spectrum, peak
 
@@ -253,7 +253,7 @@ def nodes_json(study: NodeStudy) -> dict[str, Any]:
 
 def _course_table(study: NodeStudy) -> Table:
     """Corrections of all strips at the nodes of the spacing chosen."""
-    found = study.courses
+    found = study.corrections
     columns = [
         Column("strip", [one.strip for one in found for _ in range(one.times.size)]),
         Column("node", np.concatenate([np.arange(1, one.times.size + 1) for one in found])),

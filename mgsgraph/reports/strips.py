@@ -67,8 +67,8 @@ def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[s
 
 def nodes_table(solution: Solution) -> Table:
     """One row per node within a strip: its time, and corrections with sigmas in m, mgon and arcsec."""
-    found = [(one.name, one.course) for one in strip_reports(solution)]
-    times = np.concatenate([course.times for _, course in found])
+    found = [(one.name, one.corrections) for one in strip_reports(solution)]
+    times = np.concatenate([series.times for _, series in found])
 
     def amounts(part: str, of: Array) -> list[Column]:
         what = "of the nominal trajectory, in terms of the flight" if part == "correction" else "for sigma0 = 1"
@@ -76,14 +76,14 @@ def nodes_table(solution: Solution) -> Table:
         return [Column(f"{part}_{{}}", of[:, :3], "m", what, POSITION), *turns]
 
     return Table("nodes", "Orientation images", (
-        Column("strip", [name for name, course in found for _ in range(course.times.size)], meaning="its name"),
-        Column("node", np.concatenate([np.arange(1, course.times.size + 1) for _, course in found]), meaning="from 1"),
+        Column("strip", [name for name, series in found for _ in range(series.times.size)], meaning="its name"),
+        Column("node", np.concatenate([np.arange(1, series.times.size + 1) for _, series in found]), meaning="from 1"),
         Column("time_tdb", [calendar(time) for time in times.tolist()], meaning="calendar date"),
         Column("time_et", times, "s", "TDB past J2000"),
-        Column("time_in_strip", np.concatenate([course.times - course.times[0] for _, course in found]), "s",
+        Column("time_in_strip", np.concatenate([series.times - series.times[0] for _, series in found]), "s",
                "since the first node"),
-        *amounts("correction", np.concatenate([course.values for _, course in found])),
-        *amounts("sigma", np.concatenate([course.sigmas for _, course in found])),
+        *amounts("correction", np.concatenate([series.values for _, series in found])),
+        *amounts("sigma", np.concatenate([series.sigmas for _, series in found])),
     ))  # fmt: skip
 
 

@@ -22,9 +22,9 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.output.csv_json import padded, picked
-from mgsgraph.output.table import ISIS, Column, Table
+from mgsgraph.output.table import Column, Table
 from mgsgraph.ties import PointKind
-from mgsgraph.units import DEG
+from mgsgraph.units import DEG, ISIS_OFFSET
 
 _REMARKS = ("bridge", "overlap without common points", "common points without overlap")
 
@@ -128,7 +128,7 @@ def orientation_table(solution: Solution) -> Table:
     before, after, xyz, angles = of("position_before"), of("position_after"), ("x", "y", "z"), ("omega", "phi", "kappa")
     return Table("orientation", "Exterior orientation along the images", (
         Column("image", [image.name for image in images for _ in range(PLACES)], meaning="31 lines of each"),
-        Column("isis_line", of("lines") + ISIS, meaning="the first line's middle is 1"),
+        Column("isis_line", of("lines") + ISIS_OFFSET, meaning="the first line's middle is 1"),
         Column("time_et", of("times"), "s", "TDB past J2000"),
         Column("{}_before", before, "m", "position, body-fixed", xyz),
         Column("{}_after", after, "m", "the same, adjusted", xyz),
@@ -173,9 +173,9 @@ def residuals_table(solution: Solution) -> Table:
         Column("image", picked([one.name for one in network.images], image), meaning="of a range: that carries it",
                page="s"),
         Column("used", used, meaning="false for blunders that were rejected"),
-        Column("isis_line", np.concatenate([rays.places[:, 0], shots]) + ISIS,
+        Column("isis_line", np.concatenate([rays.places[:, 0], shots]) + ISIS_OFFSET,
                meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
-        Column("isis_sample", padded(rays.places[:, 1], 0, r) + ISIS, meaning="measured, from 1", head="sample",
+        Column("isis_sample", padded(rays.places[:, 1], 0, r) + ISIS_OFFSET, meaning="measured, from 1", head="sample",
                page=".2f"),
         *of_ray(0, "line"), *of_ray(1, "sample"),
         Column("range", padded(ranges.values, k, 0), "m", "measured"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from mgsgraph.adjustment.two_steps import TwoSteps
 from mgsgraph.analysis.height_cells import HeightCells, height_cells
-from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, GroupMerit, StepMerit
+from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, GroupStatistics, TwoStepStatistics
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import picked, write_json
@@ -27,7 +27,7 @@ _HARDLY = 0.05
 """Share by which a figure changes without being worth a factor."""
 
 
-def write_two_steps(merit: StepMerit, folder: str | Path, figures: bool = True) -> None:
+def write_two_steps(merit: TwoStepStatistics, folder: str | Path, figures: bool = True) -> None:
     """Write the results of step 2, as those of any adjustment, and what both steps did, to a folder.
 
     Beside the files of `reports.results` there are two_steps.txt, .json and .csv (figures of merit at all stages),
@@ -35,8 +35,8 @@ def write_two_steps(merit: StepMerit, folder: str | Path, figures: bool = True) 
 
     Parameters
     ----------
-    merit : StepMerit
-        Of both steps (`step_merit`).
+    merit : TwoStepStatistics
+        Of both steps (`two_step_statistics`).
     folder : path
         Absent, empty, or an earlier result, which is replaced.
     figures : bool
@@ -52,7 +52,7 @@ def write_two_steps(merit: StepMerit, folder: str | Path, figures: bool = True) 
         write_merit_into(merit, aside, figures)
 
 
-def write_merit_into(merit: StepMerit, folder: Path, figures: bool = True) -> None:
+def write_merit_into(merit: TwoStepStatistics, folder: Path, figures: bool = True) -> None:
     """What both steps did, alone, into a folder that exists."""
     (folder / "two_steps.txt").write_text(two_steps_page(merit) + "\n", encoding="utf-8", newline="\n")
     write_json(folder / "two_steps.json", two_steps_json(merit))
@@ -70,7 +70,7 @@ def write_merit_into(merit: StepMerit, folder: Path, figures: bool = True) -> No
         write_height_map(merit, found, folder)
 
 
-def cells_of(merit: StepMerit, step: float | None = None) -> HeightCells:
+def cells_of(merit: TwoStepStatistics, step: float | None = None) -> HeightCells:
     """Heights of points whose row took part, by cell of the map; `step` in rad."""
     places = merit.steps.fitted.places[merit.points[merit.used]]
     return height_cells(places, merit.heights[:, merit.used], step)
@@ -79,12 +79,12 @@ def cells_of(merit: StepMerit, step: float | None = None) -> HeightCells:
 # --- the page
 
 
-def two_steps_page(merit: StepMerit) -> str:
+def two_steps_page(merit: TwoStepStatistics) -> str:
     """The table, and the sentences under it."""
     return "\n".join([two_steps_table(merit), "", *(f"- {sentence}" for sentence in two_steps_statements(merit))])
 
 
-def two_steps_table(merit: StepMerit) -> str:
+def two_steps_table(merit: TwoStepStatistics) -> str:
     """Both steps and their figures of merit as aligned text of at most 110 columns."""
     sections = [
         _step_table(merit),
@@ -97,7 +97,7 @@ def two_steps_table(merit: StepMerit) -> str:
     return "\n\n".join(sections)
 
 
-def _step_table(merit: StepMerit) -> str:
+def _step_table(merit: TwoStepStatistics) -> str:
     steps = merit.steps
     lines = [
         f"{short(steps.fitted.name, 60)}",
@@ -126,7 +126,9 @@ def _height_rows(steps: TwoSteps) -> np.ndarray:
     return np.isfinite(surface.sigmas) & steps.fitted.determined
 
 
-def _stage_table(merit: StepMerit, title: str, axes: tuple[str, ...], values: Callable[[GroupMerit], Array]) -> str:
+def _stage_table(
+    merit: TwoStepStatistics, title: str, axes: tuple[str, ...], values: Callable[[GroupStatistics], Array]
+) -> str:
     groups = _listed(merit)
     before, free, fitted = np.moveaxis(np.array([values(group) for group in groups]), 1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -139,7 +141,7 @@ def _stage_table(merit: StepMerit, title: str, axes: tuple[str, ...], values: Ca
     return "\n".join([title, *table.text(indent=2), *_unlisted(merit)])
 
 
-def _height_table(merit: StepMerit) -> str:
+def _height_table(merit: TwoStepStatistics) -> str:
     heads = ("before", "step 1", "step 2")
     lines = [
         f"Points above the terrain [m]{'':<6} {'rms':>20} {'factor of reduction':>24} {'mean':>23}",
@@ -156,11 +158,11 @@ def _height_table(merit: StepMerit) -> str:
     return "\n".join(lines + _unlisted(merit))
 
 
-def _listed(merit: StepMerit) -> list[GroupMerit]:
+def _listed(merit: TwoStepStatistics) -> list[GroupStatistics]:
     return [merit.whole, *(merit.groups[:_ROWS] if len(merit.groups) > 1 else ())]
 
 
-def _unlisted(merit: StepMerit) -> list[str]:
+def _unlisted(merit: TwoStepStatistics) -> list[str]:
     more = len(merit.groups) - _ROWS
     return [f"  and {many(more, 'more strip')}: see two_steps.csv"] if more > 0 else []
 
@@ -168,7 +170,7 @@ def _unlisted(merit: StepMerit) -> list[str]:
 # --- in words
 
 
-def two_steps_statements(merit: StepMerit) -> list[str]:
+def two_steps_statements(merit: TwoStepStatistics) -> list[str]:
     """Sentences with figures and units."""
     steps, whole = merit.steps, merit.whole
     found = [_of_blunders(merit)]
@@ -200,7 +202,7 @@ def two_steps_statements(merit: StepMerit) -> list[str]:
     return found
 
 
-def _of_blunders(merit: StepMerit) -> str:
+def _of_blunders(merit: TwoStepStatistics) -> str:
     steps = merit.steps
     limit = steps.free.settings.reject
     if limit == 0.0:
@@ -221,7 +223,7 @@ def _of_blunders(merit: StepMerit) -> str:
     return text + ("." if steps.at_rest else "; which ones these are did not come to rest.")
 
 
-def _of_heights(merit: StepMerit) -> list[str]:
+def _of_heights(merit: TwoStepStatistics) -> list[str]:
     heights, found = merit.whole.heights, list[str]()
     if heights.count:
         found.append(
@@ -259,7 +261,7 @@ def _change(factor: float) -> str:
 # --- files
 
 
-def two_steps_json(merit: StepMerit) -> dict[str, Any]:
+def two_steps_json(merit: TwoStepStatistics) -> dict[str, Any]:
     """Everything but the single points, SI units but for mgon."""
     steps = merit.steps
     return {
@@ -298,7 +300,7 @@ def two_steps_json(merit: StepMerit) -> dict[str, Any]:
     }
 
 
-def _group_json(group: GroupMerit) -> dict[str, Any]:
+def _group_json(group: GroupStatistics) -> dict[str, Any]:
     heights = group.heights
     return {
         "name": group.name,
@@ -323,7 +325,7 @@ def _by_stage(axes: tuple[str, ...], values: Array) -> dict[str, dict[str, float
     return {stage: dict(zip(axes, row, strict=True)) for stage, row in zip(STAGES, values, strict=True)}
 
 
-def _merit_table(merit: StepMerit) -> Table:
+def _merit_table(merit: TwoStepStatistics) -> Table:
     """One row per strip and quantity: before, after step 1, after step 2, and the factors of either."""
     rows = [(group.name, *row) for group in (merit.whole, *merit.groups) for row in _quantities(group)]
     names, quantities, units, values = zip(*rows, strict=True)
@@ -337,7 +339,7 @@ def _merit_table(merit: StepMerit) -> Table:
     ))  # fmt: skip
 
 
-def _quantities(group: GroupMerit) -> list[tuple[str, str, Array]]:
+def _quantities(group: GroupStatistics) -> list[tuple[str, str, Array]]:
     found = [(f"point_sigma_mean_{axis}", "m", group.mean[:, k]) for k, axis in enumerate(POINT_AXES)]
     found += [(f"point_sigma_median_{axis}", "m", group.median[:, k]) for k, axis in enumerate(POINT_AXES)]
     for k, axis in enumerate(POSE_AXES):
@@ -346,7 +348,7 @@ def _quantities(group: GroupMerit) -> list[tuple[str, str, Array]]:
     return [*found, ("terrain_rms_height", "m", group.heights.rms), ("terrain_mean_height", "m", group.heights.mean)]
 
 
-def _heights_table(merit: StepMerit) -> Table:
+def _heights_table(merit: TwoStepStatistics) -> Table:
     """One row per point with a height row."""
     network, points = merit.steps.network, merit.points
     longitude, latitude, _ = planetocentric(merit.steps.fitted.places[points]).T

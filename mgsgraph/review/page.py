@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import fresh_file
 from mgsgraph.matching.chips import REACH, SIDE
-from mgsgraph.output.table import ISIS
 from mgsgraph.review.selection import MatchReview
 from mgsgraph.review.verdicts import Verdict, Verdicts
 from mgsgraph.ties import PointKind
+from mgsgraph.units import ISIS_OFFSET
 
 _MARKED = 0.75
 """Chip pixels, shift from which on the best match is marked."""
@@ -118,7 +118,7 @@ def _measure(review: MatchReview, k: int, first: bool) -> dict[str, Any]:
     ties, alike, residual = review.ties, review.alike, review.residuals[k]
     line, sample = ties.measures[k].tolist()
     rows = [
-        ("ISIS", f"{line + ISIS:.2f}", f"{sample + ISIS:.2f}"),
+        ("ISIS", f"{line + ISIS_OFFSET:.2f}", f"{sample + ISIS_OFFSET:.2f}"),
         ("ours", f"{line:.2f}", f"{sample:.2f}"),
         ("sigma", *(f"{value:.2f}" if np.isfinite(value) else "none" for value in ties.measure_sigmas[k])),
     ]

@@ -27,8 +27,7 @@ from mgsgraph.io.control.pvl_writing import write_pvl_network
 from mgsgraph.io.control.record import ControlNetwork
 from mgsgraph.io.control.table import read_table, table_text
 from mgsgraph.io.control.ties import tie_points
-from mgsgraph.io.fresh_file import fresh_file
-from mgsgraph.io.text import read_text
+from mgsgraph.io.files import read_text, write_file
 from mgsgraph.ties import TiePoints
 from mgsgraph.wording import some
 
@@ -212,8 +211,7 @@ def _write(network: ControlNetwork, out: Path) -> None:
         case ".net":
             write_binary_network(network, out)
         case ".csv":
-            with fresh_file(out) as aside:
-                aside.write_text(table_text(network), encoding="utf-8", newline="\n")
+            write_file(out, table_text(network))
         case _:
             write_pvl_network(network, out)
 

@@ -16,7 +16,7 @@ from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.control import pvl_writing
 from mgsgraph.io.control.ties import control_network
 from mgsgraph.ties import PointKind, TiePoints
-from mgsgraph.units import DEG, KM, MM
+from mgsgraph.units import DEG, ISIS_OFFSET, KM, MM
 
 _WRITTEN = "2000-01-01T00:00:00"
 """Date in the network; fixed, so that the same pair gives the same bytes."""
@@ -40,7 +40,7 @@ def support_data(image: PushbroomImage) -> dict[str, Any]:
     if not isinstance(trajectory, Trajectory):
         raise InputError(f"image {image.name}", "an orientation in polynomials", "sampled tables, as support data have")
     edges, _ = timing.at(np.array([0.0]))
-    segments = np.column_stack([timing.first_lines + 0.5, timing.start_times, timing.periods])
+    segments = np.column_stack([timing.first_lines + ISIS_OFFSET, timing.start_times, timing.periods])
     to_pixel = interior.to_pixel.copy()
     to_pixel[:, 1:] *= MM
     return {
@@ -121,7 +121,7 @@ def _shots(laser: LaserProfile) -> list[dict[str, Any]]:
     """Points of an ISIS lidar file: degrees, km, pixels counted from 1, sigmas in m."""
     footprints = planetocentric(laser.footprints)
     measures: list[list[dict[str, Any]]] = [[] for _ in laser.ids]
-    for shot, name, pixel in zip(laser.measure_shot, laser.measure_image, laser.measures + 0.5, strict=True):
+    for shot, name, pixel in zip(laser.measure_shot, laser.measure_image, laser.measures + ISIS_OFFSET, strict=True):
         measures[shot].append({"line": float(pixel[0]), "sample": float(pixel[1]), "serialNumber": name})
     return [
         {

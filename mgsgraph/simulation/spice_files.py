@@ -156,8 +156,8 @@ def _write_attitudes(path: Path, segments: Sequence[KernelSegment]) -> None:
 def _angular_velocities(trajectory: Trajectory) -> Array:
     """(n, 3) rad/s, inertial, of the spacecraft at the records: the mean of the turns before and after."""
     times = trajectory.camera.times
-    matrices, turning = trajectory.camera.at(0.5 * (times[1:] + times[:-1]))
-    inertial = np.einsum("nji,nj->ni", matrices, turning)
+    matrices, angular_rate = trajectory.camera.at(0.5 * (times[1:] + times[:-1]))
+    inertial = np.einsum("nji,nj->ni", matrices, angular_rate)
     return np.asarray(0.5 * (np.vstack([inertial[:1], inertial]) + np.vstack([inertial, inertial[-1:]])))
 
 

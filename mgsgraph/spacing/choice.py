@@ -62,7 +62,7 @@ _MEDIAN = 1.1774100225154747
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class SpacingCandidate:
     """One spacing and its predictions."""
 
     spacing: float
@@ -107,7 +107,7 @@ class Choice:
 
     network: Network
     """With the nodes that it had."""
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[SpacingCandidate, ...]
     """Those refused, too."""
     stretch: Index
     """(h,) stretch of time of each ray held out that is judged."""
@@ -298,12 +298,12 @@ def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> _Judge
     return _Judged(by_trial, _stretches(trials, held)[kept], int(np.count_nonzero(blunder)), unjudged)
 
 
-def _candidate(trial: _Trial, squares: Array) -> Candidate:
+def _candidate(trial: _Trial, squares: Array) -> SpacingCandidate:
     strips = trial.network.strips
     nodes = sum(len(strip.nodes) for strip in strips)
     longest = max(float(np.diff(strip.nodes.times).max()) for strip in strips)
     sigma0 = float("nan") if trial.solution is None else trial.solution.sigma0
-    return Candidate(trial.spacing, nodes, longest, squares, sigma0, trial.refused)
+    return SpacingCandidate(trial.spacing, nodes, longest, squares, sigma0, trial.refused)
 
 
 def _stretches(trials: Sequence[_Trial], held: HeldOut) -> Index:
@@ -320,7 +320,7 @@ def _stretches(trials: Sequence[_Trial], held: HeldOut) -> Index:
 
 
 def _choice(
-    network: Network, candidates: tuple[Candidate, ...], judged: _Judged, closest: int, whole: Solution
+    network: Network, candidates: tuple[SpacingCandidate, ...], judged: _Judged, closest: int, whole: Solution
 ) -> Choice:
     good = [k for k, one in enumerate(candidates) if not one.refused]
     best = min(good, key=lambda k: candidates[k].rms)

@@ -24,13 +24,13 @@ from mgsgraph.network.strips import normalised
 from mgsgraph.spacing.rays import ray_scatter
 
 AXES = FLIGHT
-"""The six components of a course; the first three in m, the others in rad."""
+"""The six components of a correction series; the first three in m, the others in rad."""
 _MOST = 2000
 """Nodes of a strip whose joint covariance is taken as a whole: it takes 1.2 GB then."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class CorrectionSeries:
     """Corrections of a strip at its orientation images; k times, of each six axes (`AXES`), m and rad."""
 
     strip: str
@@ -57,10 +57,10 @@ class Course:
 
     def __post_init__(self) -> None:
         k = np.size(self.times)
-        assign(self, times=frozen(self.times, "course, times", (None,)))
-        assign(self, values=frozen(self.values, "course, values", (k, 6)))
+        assign(self, times=frozen(self.times, "correction series, times", (None,)))
+        assign(self, values=frozen(self.values, "correction series, values", (k, 6)))
         for name in ("covariance", "noise", "response"):
-            assign(self, **{name: frozen(getattr(self, name), f"course, {name}", (6 * k, 6 * k))})
+            assign(self, **{name: frozen(getattr(self, name), f"correction series, {name}", (6 * k, 6 * k))})
 
     @property
     def sigmas(self) -> Array:
@@ -72,7 +72,7 @@ class Course:
         return matrix[axis::6, axis::6]
 
 
-def course(solution: Solution, strip: int, factor: float | None = None) -> Course:
+def correction_series(solution: Solution, strip: int, factor: float | None = None) -> CorrectionSeries:
     """The corrections of a strip at its nodes.
 
     Parameters
@@ -101,7 +101,7 @@ def course(solution: Solution, strip: int, factor: float | None = None) -> Cours
     # of a spline the coefficients at the outer nodes have no values; the rest stands for the whole
     back = np.linalg.pinv(turn)
     wander = _wander(one)
-    return Course(
+    return CorrectionSeries(
         strip=one.name,
         epoch=one.nodes.epoch,
         times=times,

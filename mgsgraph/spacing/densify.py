@@ -43,7 +43,7 @@ _SLACK = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Misfit:
+class ResidualPattern:
     """What a strip's residuals show between its nodes."""
 
     squares: Array
@@ -206,7 +206,7 @@ def _graded(times: Array, halve: Mask) -> Array:
     return times
 
 
-def pattern(solution: Solution, strip: int, factor: float | None = None) -> Misfit:
+def pattern(solution: Solution, strip: int, factor: float | None = None) -> ResidualPattern:
     """What the residuals of a strip's rays show between its nodes.
 
     Parameters
@@ -246,7 +246,8 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Misf
         squares += np.divide(top**2, below, out=np.zeros_like(top), where=below > 0.0).reshape(-1, _PARTS).sum(axis=1)
         freedom += np.count_nonzero(below.reshape(-1, _PARTS) > 0.0, axis=1)
     rays = np.bincount(interval, minlength=squares.size)
-    return Misfit(squares, freedom, np.sqrt(np.maximum(squares - freedom, 0.0) / np.maximum(_PATTERNS * rays, 1)))
+    size = np.sqrt(np.maximum(squares - freedom, 0.0) / np.maximum(_PATTERNS * rays, 1))
+    return ResidualPattern(squares, freedom, size)
 
 
 def critical_chi_square(level: float, freedom: int) -> float:

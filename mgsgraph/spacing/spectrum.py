@@ -2,7 +2,7 @@
 
 At each frequency a sine and a cosine are fitted to the corrections of one axis by least squares, together with a bias
 and a drift (Lomb 1976; Zechmeister & Kuerster 2009 with the mean), weighted by the corrections' own covariance; nodes
-need not be even. The fit knows how much of a vibration the adjustment lets through (`course`), so that amplitudes are
+need not be even. The fit knows how much of a vibration the adjustment lets through (`series`), so that amplitudes are
 those of the spacecraft. Noise is carried through the same fit: its covariance gives the *floor*, the rms amplitude that
 noise alone shows there. A fit's two numbers, divided by their covariance, are chi-square with two degrees of freedom
 under noise alone, which exceeds q with probability exp(-q / 2). Of many frequencies the largest counts: some number M
@@ -22,7 +22,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.spacing.corrections import AXES, Course
+from mgsgraph.spacing.corrections import AXES, CorrectionSeries
 
 FALSE_ALARMS = 0.01
 """Share of axes without any vibration in which a peak is named all the same."""
@@ -102,26 +102,26 @@ class Spectrum:
         return sorted(mine, key=lambda one: -one.amplitude)
 
 
-def spectra(course: Course, false_alarms: float = FALSE_ALARMS) -> list[Spectrum]:
+def spectra(series: CorrectionSeries, false_alarms: float = FALSE_ALARMS) -> list[Spectrum]:
     """Spectrum of each of the six axes; of a vibration that shows in several, the peaks say to which it belongs.
 
     Rays hardly tell pitch from a motion along the track, nor roll from one across it: both explain them as well. The
     prior does: a vibration belongs to the axis where it is surest once the square of its amplitude in units of what
     the prior expects there is taken off.
     """
-    found = [spectrum(course, axis, false_alarms) for axis in range(len(AXES))]
-    resolution = 1.0 / float(np.ptp(course.times))
-    known = dict(zip(AXES, course.known.tolist(), strict=True))
+    found = [spectrum(series, axis, false_alarms) for axis in range(len(AXES))]
+    resolution = 1.0 / float(np.ptp(series.times))
+    known = dict(zip(AXES, series.known.tolist(), strict=True))
     every = [(peak, one.axis) for one in found for peak in one.peaks]
 
-    def standing(peak: Peak, axis: str) -> float:
+    def evidence(peak: Peak, axis: str) -> float:
         return float(peak.test - (peak.amplitude / known[axis]) ** 2)
 
     def owner(peak: Peak, axis: str) -> str:
-        same = [(standing(other, of), of) for other, of in every if abs(other.frequency - peak.frequency) < resolution]
+        same = [(evidence(other, of), of) for other, of in every if abs(other.frequency - peak.frequency) < resolution]
         if (best := max(same)[1]) != axis:
             return best
-        strong = [(standing(other, of), of) for other, of in every if other.beyond_prior and leaks(other, peak)]
+        strong = [(evidence(other, of), of) for other, of in every if other.beyond_prior and leaks(other, peak)]
         return max(strong)[1] if strong else ""
 
     def leaks(strong: Peak, peak: Peak) -> bool:
@@ -133,12 +133,12 @@ def spectra(course: Course, false_alarms: float = FALSE_ALARMS) -> list[Spectrum
     ]
 
 
-def spectrum(course: Course, axis: int, false_alarms: float = FALSE_ALARMS) -> Spectrum:
+def spectrum(series: CorrectionSeries, axis: int, false_alarms: float = FALSE_ALARMS) -> Spectrum:
     """Spectrum of one axis.
 
     Parameters
     ----------
-    course : Course
+    series : CorrectionSeries
         Corrections of a strip with their errors.
     axis : int
         Number in `AXES`.
@@ -147,14 +147,14 @@ def spectrum(course: Course, axis: int, false_alarms: float = FALSE_ALARMS) -> S
     """
     if not 0.0 < false_alarms < 0.5:
         raise InputError("spectrum, false alarms", f"{false_alarms}", "more than 0 and less than 0.5")
-    series = _Series.of(course, axis)
-    grid = series.grid()
-    fits = series.fits(grid, [])
-    independent = series.independent(fits)
+    white = _WhitenedAxis.of(series, axis)
+    grid = white.grid()
+    fits = white.fits(grid, [])
+    independent = white.independent(fits)
     limit = -2.0 * math.log(-math.expm1(math.log1p(-false_alarms) / independent))
     amplitudes = np.linalg.norm(fits.values, axis=1)
     return Spectrum(
-        strip=course.strip,
+        strip=series.strip,
         axis=AXES[axis],
         unit="m" if axis < 3 else "rad",
         frequencies=grid,
@@ -162,32 +162,32 @@ def spectrum(course: Course, axis: int, false_alarms: float = FALSE_ALARMS) -> S
         floor=np.sqrt(np.trace(fits.noise, axis1=1, axis2=2)),
         level=amplitudes * np.sqrt(limit / fits.tests),
         wander=np.full(grid.size, np.nan) if fits.wander is None else np.sqrt(np.trace(fits.wander, axis1=1, axis2=2)),
-        nyquist=series.nyquist,
+        nyquist=white.nyquist,
         independent=independent,
-        peaks=tuple(_peaks(series, grid, limit, independent)),
+        peaks=tuple(_peaks(white, grid, limit, independent)),
     )
 
 
-def _peaks(series: "_Series", grid: Array, limit: float, independent: float) -> list[Peak]:
+def _peaks(white: "_WhitenedAxis", grid: Array, limit: float, independent: float) -> list[Peak]:
     """Strongest first; each is searched for in what those before it leave."""
     found, tests = list[float](), list[float]()
-    apart = 1.0 / float(np.ptp(series.times))  # closer ones can't be told from one
-    while len(found) < min(_MOST_PEAKS, (series.times.size - 4) // 4):
+    apart = 1.0 / float(np.ptp(white.times))  # closer ones can't be told from one
+    while len(found) < min(_MOST_PEAKS, (white.times.size - 4) // 4):
         free = grid[np.all(np.abs(grid[:, None] - np.array(found)) >= apart, axis=1)]
         if not free.size:
             break
-        fits = series.fits(free, found)
+        fits = white.fits(free, found)
         best = int(np.argmax(fits.tests))
         if not fits.tests[best] > limit:
             break
         step = float(grid[1] - grid[0])
         near = free[best] + step * np.linspace(-1.0, 1.0, _ZOOM)
         near = near[(near >= grid[0]) & (near <= grid[-1])]
-        close = series.fits(near, found)
+        close = white.fits(near, found)
         place = int(np.argmax(close.tests))
         found.append(float(near[place]))
         tests.append(float(close.tests[place]))
-    return [series.peak(found, k, test, limit, independent) for k, test in enumerate(tests)]
+    return [white.peak(found, k, test, limit, independent) for k, test in enumerate(tests)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,8 +210,8 @@ class _Fits:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Series:
-    """One axis of a course, whitened by the covariance of its errors."""
+class _WhitenedAxis:
+    """One axis of a series, whitened by the covariance of its errors."""
 
     times: Array
     """(k,) s from its middle."""
@@ -227,22 +227,22 @@ class _Series:
     """(k, k) the same with what the prior expects."""
 
     @classmethod
-    def of(cls, course: Course, axis: int) -> "_Series":
-        if course.times.size < 8:
-            found = f"{course.times.size} orientation images"
-            raise InputError(f"strip {course.strip!r}, spectrum", found, "at least 8", "a smaller spacing")
-        covariance = course.axis(course.covariance, axis)
+    def of(cls, series: CorrectionSeries, axis: int) -> "_WhitenedAxis":
+        if series.times.size < 8:
+            found = f"{series.times.size} orientation images"
+            raise InputError(f"strip {series.strip!r}, spectrum", found, "at least 8", "a smaller spacing")
+        covariance = series.axis(series.covariance, axis)
         if not np.all(np.diagonal(covariance) > 0.0):
-            raise InputError(f"strip {course.strip!r}, spectrum", "nodes without sigma", "an adjusted strip")
+            raise InputError(f"strip {series.strip!r}, spectrum", "nodes without sigma", "an adjusted strip")
         root: Array = np.asarray(np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diagonal(covariance))))
-        noise = _white(course.axis(course.noise, axis), root)
+        noise = _white(series.axis(series.noise, axis), root)
         wander = None
-        if course.wander is not None:
-            shown = course.response @ course.wander @ course.response.T
-            wander = noise + _white(course.axis(shown, axis), root)
-        times = course.times - 0.5 * (course.times[0] + course.times[-1])
-        values: Array = np.asarray(np.linalg.solve(root, course.values[:, axis]))
-        response: Array = np.asarray(np.linalg.solve(root, course.axis(course.response, axis)))
+        if series.wander is not None:
+            shown = series.response @ series.wander @ series.response.T
+            wander = noise + _white(series.axis(shown, axis), root)
+        times = series.times - 0.5 * (series.times[0] + series.times[-1])
+        values: Array = np.asarray(np.linalg.solve(root, series.values[:, axis]))
+        response: Array = np.asarray(np.linalg.solve(root, series.axis(series.response, axis)))
         return cls(times, root, values, response, noise, wander)
 
     @property

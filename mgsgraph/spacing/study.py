@@ -9,7 +9,7 @@ from mgsgraph.adjustment.two_steps import selection_of
 from mgsgraph.network import Network
 from mgsgraph.network.support import LEAST
 from mgsgraph.spacing.choice import Choice, adjust_unmarked, choose_spacing, respaced
-from mgsgraph.spacing.corrections import Course, course
+from mgsgraph.spacing.corrections import CorrectionSeries, correction_series
 from mgsgraph.spacing.densify import Densified, densify
 from mgsgraph.spacing.spectrum import Spectrum, spectra
 
@@ -21,7 +21,7 @@ _FEWEST = 8
 class StripSpectra:
     """What vibrates in one strip."""
 
-    course: Course
+    corrections: CorrectionSeries
     """Its corrections, at the closest nodes that all rays support."""
     spectra: tuple[Spectrum, ...]
     """Of the six axes."""
@@ -37,7 +37,7 @@ class NodeStudy:
     """Of the spacing."""
     solution: Solution
     """With the spacing chosen, all rays taking part."""
-    courses: tuple[Course, ...]
+    corrections: tuple[CorrectionSeries, ...]
     """Of each strip in it."""
     strips: tuple[StripSpectra, ...]
     """Of each strip that has enough closest nodes."""
@@ -84,13 +84,13 @@ def study_nodes(
     own = choice.chosen == choice.closest
     solution = closest if own else adjust_unmarked(choice.chosen_network, settings, name)
     strips, factor = range(len(network.strips)), choice.scatter.factor
-    fine = [course(closest, k, factor) for k in strips]
+    fine = [correction_series(closest, k, factor) for k in strips]
     found = tuple(StripSpectra(one, tuple(spectra(one))) for one in fine if one.times.size >= _FEWEST)
-    courses = tuple(fine) if own else tuple(course(solution, k, factor) for k in strips)
+    corrections = tuple(fine) if own else tuple(correction_series(solution, k, factor) for k in strips)
     progress(steps - closer, steps)
     densified = _densified(respaced(network, good[-1]), closest, least) if closer else None
     progress(steps, steps)
-    return NodeStudy(name, choice, solution, courses, found, densified)
+    return NodeStudy(name, choice, solution, corrections, found, densified)
 
 
 def _densified(network: Network, closest: Solution, least: int) -> Densified:

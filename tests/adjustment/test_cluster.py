@@ -135,10 +135,10 @@ def test_a_memory_limit_that_is_exceeded_is_named_with_its_figures(two: Connecti
 def test_files_that_workers_see_and_do_not(two: Connection, tmp_path: Path) -> None:
     path = tmp_path / "record"
     path.write_text("here", encoding="utf-8")
-    two.require_sight(path)
+    two.require_visible_file(path)
     for answer in ("No such file or directory", "0" * 64):
         with pytest.raises(InputError, match=r"worker tcp://far: it does not see .*record"):
-            workers.require_sight(_Far(answer), path, "--cluster tcp://far", 0.0)
+            workers.require_visible_file(_Far(answer), path, "--cluster tcp://far", 0.0)
 
 
 class _Far:

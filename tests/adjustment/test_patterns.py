@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import network, pair
-from normals import HandSight, take_apart
+from normals import HandObservation, take_apart
 from odd_networks import random_network
 from strategies import along
 
 from mgsgraph.adjustment.graph import Layout, lay_out, patterns
 from mgsgraph.adjustment.graph.parallel import parallel
-from mgsgraph.adjustment.graph.patterns import Sight, group_blocks
+from mgsgraph.adjustment.graph.patterns import Observation, group_blocks
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
@@ -28,11 +28,11 @@ from mgsgraph.ties import PointKind
 
 SEEDS = st.integers(0, 2**32 - 1)
 Name = tuple[int, int, int]
-"""Kind of a sight, its image, its variable."""
+"""Kind of an observation, its image, its variable."""
 
 
-def expected_sights(net: Network) -> list[Counter[Name]]:
-    """Sights of each point, straight from the network's tables."""
+def expected_observations(net: Network) -> list[Counter[Name]]:
+    """Observations of each point, straight from the network's tables."""
     shifts = 0 if net.shifts is None else len(net.shifts.names)
     found = [Counter[Name]() for _ in range(len(net.points))]
     for kind, table in ((IMAGE, net.rays), (RANGE, net.ranges)):
@@ -47,9 +47,9 @@ def expected_sights(net: Network) -> list[Counter[Name]]:
     return found
 
 
-def told(sight: Sight) -> tuple[int, int, int]:
-    """Kind, image and the only variable of a sight; -1 for none."""
-    return sight.kind, sight.image, next(iter(sight.variables), -1)
+def told(observation: Observation) -> tuple[int, int, int]:
+    """Kind, image and the only variable of an observation; -1 for none."""
+    return observation.kind, observation.image, next(iter(observation.variables), -1)
 
 
 @pytest.fixture(params=[1, 3, 2048], name="piece")
@@ -63,7 +63,7 @@ def test_pieces_are_all_points_once(piece: int) -> None:
     for seed in range(12):
         net = random_network(seed)
         made = lay_out(net, SolverSettings())
-        n, found, expected = len(net.points), made.patterns, expected_sights(net)
+        n, found, expected = len(net.points), made.patterns, expected_observations(net)
         assert sorted(found.point_order.tolist()) == list(range(n))
         np.testing.assert_array_equal(found.point_order[found.point_place], np.arange(n))
         np.testing.assert_array_equal(made.network_order(found.point_order.astype(float)), np.arange(n))
@@ -74,13 +74,13 @@ def test_pieces_are_all_points_once(piece: int) -> None:
         assert rows.piece[:, 2].max() <= piece
         for pattern, first, count in rows.piece[:, :3].tolist():
             for i in found.point_order[first : first + count]:
-                assert Counter(told(sight) for sight in found.sights[pattern]) == expected[i]
+                assert Counter(told(observation) for observation in found.observations[pattern]) == expected[i]
                 assert found.fixed[pattern] == (net.points.kinds[i] == PointKind.FIXED)
                 felt = {variable for _, _, variable in expected[i] if variable >= 0}
                 assert found.group_variables[found.group[pattern]] == tuple(sorted(felt))
         fixed = (net.points.kinds == PointKind.FIXED).tolist()
         unlike = {(frozenset(mine.items()), known) for mine, known in zip(expected, fixed, strict=True)}
-        assert len(found.sights) == len(unlike)
+        assert len(found.observations) == len(unlike)
         assert rows.piece[:, 0].tolist() == sorted(rows.piece[:, 0].tolist())
         assert rows.pattern_shape.tolist() == sorted(rows.pattern_shape.tolist())
         for shape in set(rows.pattern_shape.tolist()):  # within a shape neighbours share unknowns
@@ -167,54 +167,56 @@ def powers(u: float, degree: int, slope: float) -> tuple[np.ndarray, np.ndarray]
     return np.array([p(u) for p in polynomials]), np.array([p.deriv()(u) * slope for p in polynomials])
 
 
-def check_ray(made: Layout, sight: HandSight, k: int) -> None:
-    """Constants of an image sight of the strict form about the camera axes."""
+def check_ray(made: Layout, observation: HandObservation, k: int) -> None:
+    """Constants of an image observation of the strict form about the camera axes."""
     net = made.network
     j, (line, sample) = int(net.rays.image[k]), net.rays.places[k]
     image = net.images[j]
     pose = image.pose(np.array([line]))
     detector, slope = image.interior.focal_plane(np.array([sample]))
-    assert sight.focal == image.interior.focal_length
-    position, attitude, place, velocity, turning, along_detector, offset = np.split(sight.own, [3, 7, 9, 12, 15, 17])
+    assert observation.focal == image.interior.focal_length
+    parts = np.split(observation.own, [3, 7, 9, 12, 15, 17])
+    position, attitude, place, velocity, angular_rate, along_detector, offset = parts
     np.testing.assert_allclose(position, pose.position[0], rtol=1e-15)
     np.testing.assert_allclose(rotation.to_matrix(attitude), pose.matrix[0], atol=1e-15)
     np.testing.assert_allclose(velocity, pose.velocity[0], rtol=1e-13)
-    np.testing.assert_allclose(turning, pose.turning[0], rtol=1e-13, atol=1e-20)
+    np.testing.assert_allclose(angular_rate, pose.angular_rate[0], rtol=1e-13, atol=1e-20)
     np.testing.assert_array_equal(place, detector[0])
     np.testing.assert_array_equal(along_detector, slope[0])
     assert offset == 0.0
     if net.held[j]:
-        assert sight.terms == []
+        assert observation.terms == []
         return
     basis, rates = powers(2.0 * line / image.lines - 1.0, net.priors[j].degree, 2.0 / image.lines)
-    assert sight.terms == [(j, 6 * t) for t in range(net.priors[j].degree + 1)]
-    np.testing.assert_allclose(sight.basis, basis, rtol=1e-13)
-    np.testing.assert_allclose(sight.rates, rates, rtol=1e-13)
+    assert observation.terms == [(j, 6 * t) for t in range(net.priors[j].degree + 1)]
+    np.testing.assert_allclose(observation.basis, basis, rtol=1e-13)
+    np.testing.assert_allclose(observation.rates, rates, rtol=1e-13)
 
 
-def check_range(made: Layout, sight: HandSight, k: int) -> None:
+def check_range(made: Layout, observation: HandObservation, k: int) -> None:
     net = made.network
     j = int(net.ranges.image[k])
     image, since = net.images[j], net.ranges.times[[k]] - net.images[j].trajectory.epoch
-    np.testing.assert_allclose(sight.own, [*image.trajectory.pose(since).position[0], net.ranges.values[k]], rtol=1e-15)
+    position = image.trajectory.pose(since).position[0]
+    np.testing.assert_allclose(observation.own, [*position, net.ranges.values[k]], rtol=1e-15)
     if not net.held[j]:
         u = float(2.0 * image.timing.lines(since)[0] / image.lines - 1.0)
-        np.testing.assert_allclose(sight.basis, powers(u, net.priors[j].degree, 0.0)[0], rtol=1e-13)
+        np.testing.assert_allclose(observation.basis, powers(u, net.priors[j].degree, 0.0)[0], rtol=1e-13)
 
 
-def check_ground(made: Layout, sight: HandSight, i: int) -> None:
+def check_ground(made: Layout, observation: HandObservation, i: int) -> None:
     net = made.network
     root = np.zeros((3, 3))
-    root[np.triu_indices(3)] = sight.own[3:]
-    np.testing.assert_array_equal(sight.own[:3], net.points.places[i])
+    root[np.triu_indices(3)] = observation.own[3:]
+    np.testing.assert_array_equal(observation.own[:3], net.points.places[i])
     np.testing.assert_allclose(root.T @ root @ net.points.covariances[i], np.eye(3), atol=1e-9)
-    check_axes(sight, net.points.places[i])
+    check_axes(observation, net.points.places[i])
 
 
-def check_axes(sight: HandSight, place: np.ndarray) -> None:
+def check_axes(observation: HandObservation, place: np.ndarray) -> None:
     """A shift goes east and north."""
-    assert [inside for _, inside in sight.singles] in ([], [0, 1])
-    for direction, axis in zip(sight.directions, east_north(place[None])[0], strict=False):
+    assert [inside for _, inside in observation.singles] in ([], [0, 1])
+    for direction, axis in zip(observation.directions, east_north(place[None])[0], strict=False):
         np.testing.assert_array_equal(direction, axis)
 
 
@@ -228,20 +230,20 @@ def test_constants_are_the_networks() -> None:
         seen = Counter[int]()
         for place, point in enumerate(take_apart(made)):
             i = int(made.point_order[place])
-            for sight in point.sights:
-                seen[sight.kind] += 1
-                if sight.kind == IMAGE:
-                    assert net.rays.point[ray[sight.among]] == i
-                    check_ray(made, sight, ray[sight.among])
-                elif sight.kind == RANGE:
-                    assert net.ranges.point[shot[sight.among]] == i
-                    check_range(made, sight, shot[sight.among])
-                elif sight.kind == GROUND:
-                    check_ground(made, sight, i)
+            for observation in point.observations:
+                seen[observation.kind] += 1
+                if observation.kind == IMAGE:
+                    assert net.rays.point[ray[observation.among]] == i
+                    check_ray(made, observation, ray[observation.among])
+                elif observation.kind == RANGE:
+                    assert net.ranges.point[shot[observation.among]] == i
+                    check_range(made, observation, shot[observation.among])
+                elif observation.kind == GROUND:
+                    check_ground(made, observation, i)
                 else:
                     assert net.surface is not None
-                    assert sight.weight[0] == 1.0 / net.surface.sigmas[i]
-                    check_axes(sight, made.rows.start[place])
+                    assert observation.weight[0] == 1.0 / net.surface.sigmas[i]
+                    check_axes(observation, made.rows.start[place])
         assert (seen[IMAGE], seen[RANGE]) == (net.rays.point.size, net.ranges.point.size)
         assert seen[GROUND] == np.count_nonzero(net.points.kinds == PointKind.CONSTRAINED)
 
@@ -252,8 +254,8 @@ def test_frozen_scale_is_the_nominal_image_motion() -> None:
     net = network(pair())
     made = lay_out(net, SolverSettings(line="measured"))
     for place, point in enumerate(take_apart(made)):
-        for sight in (s for s in point.sights if s.kind == IMAGE):
-            k = int(np.flatnonzero(made.places.rays == sight.among)[0])
+        for observation in (s for s in point.observations if s.kind == IMAGE):
+            k = int(np.flatnonzero(made.places.rays == observation.among)[0])
             image, (line, sample) = net.images[net.rays.image[k]], net.rays.places[k]
 
             def in_focal_plane(lines: float, image=image, line=line, place=place) -> np.ndarray:
@@ -262,7 +264,7 @@ def test_frozen_scale_is_the_nominal_image_motion() -> None:
                 return image.interior.focal_length * ray[:2] / ray[2]
 
             _, slope = image.interior.focal_plane(np.array([sample]))
-            motion, scale = along(in_focal_plane, 5.0), sight.own[-4:].reshape(2, 2)
+            motion, scale = along(in_focal_plane, 5.0), observation.own[-4:].reshape(2, 2)
             np.testing.assert_allclose(scale @ np.stack([motion, slope[0]], axis=1), np.diag([1.0, -1.0]), atol=1e-6)
 
 

@@ -158,7 +158,7 @@ def test_both_time_biases_are_a_later_line_but_for_the_bodys_turning() -> None:
     (period,), spin = image.timing.at(np.array([0.5 * image.lines]))[1], image.trajectory.spin
     assert spin is not None
     np.testing.assert_allclose(both[0, :3] - np.cross(spin, pose.position[0]), pose.velocity[0] / period, atol=1e-3)
-    np.testing.assert_allclose(both[0, 3:] - pose.matrix[0] @ spin, pose.turning[0] / period, atol=1e-10)
+    np.testing.assert_allclose(both[0, 3:] - pose.matrix[0] @ spin, pose.angular_rate[0] / period, atol=1e-10)
 
 
 def test_the_body_turns_as_its_prime_meridian_says() -> None:
@@ -181,9 +181,9 @@ def test_effects_are_polynomials_of_the_line() -> None:
     moved = basis @ image_effect(image, SharedKind.POSITION_TIME, "camera")[0]
     np.testing.assert_allclose(moved[:, :3], np.einsum("nij,nj->ni", to_body, velocity), atol=4e-3)
     assert not moved[:, 3:].any()
-    _, turning = image.trajectory.camera.at(times)  # type: ignore[attr-defined]
+    _, angular_rate = image.trajectory.camera.at(times)  # type: ignore[attr-defined]
     turned = basis @ image_effect(image, SharedKind.ATTITUDE_TIME, "camera")[0]
-    np.testing.assert_allclose(turned[:, 3:], turning, atol=1e-9)
+    np.testing.assert_allclose(turned[:, 3:], angular_rate, atol=1e-9)
 
 
 # --- what is known of them

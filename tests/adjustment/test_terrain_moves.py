@@ -16,7 +16,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.datum.frames import Frames
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shift_key
-from mgsgraph.adjustment.graph.sights import sight_factor
+from mgsgraph.adjustment.graph.observations import observation_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import group_rows, scaled
@@ -24,7 +24,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.kernel.rows import SURFACE, one_sight
+from mgsgraph.kernel.rows import SURFACE, one_observation
 from mgsgraph.network import GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
 from mgsgraph.reports.archive import read_solution, write_archive
@@ -148,15 +148,15 @@ def test_rows_have_the_derivatives_of_all_five() -> None:
     surface, rng = made.network.surface, np.random.default_rng(2)
     assert surface is not None
     assert made.variables.angular[-5:].tolist() == [False, False, False, True, True]
-    sights = [
+    observations = [
         (i, j) for pattern, first, count in made.rows.piece[:, :3].tolist() for i in range(first, first + count)
-        for j, sight in enumerate(made.patterns.sights[pattern]) if sight.kind == SURFACE
+        for j, observation in enumerate(made.patterns.observations[pattern]) if observation.kind == SURFACE
     ]  # fmt: skip
     agreed = 0
-    for i, j in sights:
+    for i, j in observations:
         point, moves = made.rows.start[i], rng.standard_normal(5) * [50.0, 50.0, 30.0, 1e-4, 1e-4]
-        own, noise = one_sight(made.rows, made.groups, i, j), gtsam.noiseModel.Unit.Create(1)
-        factor = sight_factor([shift_key(0)], [5], point_key(0), own, made.model, noise, "a height")
+        own, noise = one_observation(made.rows, made.groups, i, j), gtsam.noiseModel.Unit.Create(1)
+        factor = observation_factor([shift_key(0)], [5], point_key(0), own, made.model, noise, "a height")
         values = gtsam.Values()
         values.insert(shift_key(0), moves)
         values.insert(point_key(0), point)

@@ -20,7 +20,7 @@ from mgsgraph.analysis.components import (
     _components,
     _judgements,
     components_of,
-    honest_sigmas,
+    iterated_components,
 )
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.analysis.helmert import Redundancy, group_redundancy
@@ -75,7 +75,7 @@ def at_rest(solution: Solution) -> Linearised:
 
 def whole_system(at: Linearised, grouping: Grouping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All whitened rows on all unknowns, points among them, their residuals and groups; nothing eliminated."""
-    rows, of_sight, columns = at.rows, grouping.of_sights(at.layout), at.layout.columns
+    rows, of_observation, columns = at.rows, grouping.of_observations(at.layout), at.layout.columns
     wide = columns + 3 * at.points.shape[0]
     matrix, residuals, groups = list[np.ndarray](), list[float](), list[int]()
     for piece, (pattern, first, count, _, among) in enumerate(rows.piece.tolist()):
@@ -83,7 +83,7 @@ def whole_system(at: Linearised, grouping: Grouping) -> tuple[np.ndarray, np.nda
         own = [np.arange(columns)[at.layout.columns_of(v)] for v in part.variables]
         mine = np.concatenate([np.zeros(0, dtype=int), *own])
         for i in range(count):
-            for k in range(part.sight.size):
+            for k in range(part.observation.size):
                 if rows.kind[first + i] == OUT or not (np.any(part.by_point[i, k]) or np.any(part.by_shared[i, k])):
                     continue
                 row = np.zeros(wide)
@@ -92,7 +92,7 @@ def whole_system(at: Linearised, grouping: Grouping) -> tuple[np.ndarray, np.nda
                     row[columns + 3 * (first + i) : columns + 3 * (first + i) + 3] = part.by_point[i, k]
                 matrix.append(row)
                 residuals.append(part.residuals[i, k])
-                groups.append(int(of_sight[among + part.sight[k] * count + i]))
+                groups.append(int(of_observation[among + part.observation[k] * count + i]))
     priors = np.eye(columns, wide) / at.layout.sigmas[:, None]
     values = -at.orientation / at.layout.sigmas
     return np.vstack([*matrix, priors]), np.append(residuals, values), np.append(groups, grouping.of_columns(at.layout))
@@ -177,7 +177,7 @@ def test_scaling_a_group_scales_its_sigmas_and_no_others() -> None:
     with pytest.raises(InputError, match="factors of sigmas"):
         scaled(net, grouping, np.zeros(len(grouping.names)))
     with pytest.raises(InputError, match="variance components: 0 passes"):
-        honest_sigmas(net, SETTINGS, most=0)
+        iterated_components(net, SETTINGS, most=0)
 
 
 @cache
@@ -203,7 +203,7 @@ def drawn(truth: dict[str, float], seed: int) -> tuple[Network, np.ndarray]:
 )
 def test_planted_factors_are_found_within_their_uncertainty(truth: dict[str, float]) -> None:
     net, factors = drawn(truth, 5)
-    found = honest_sigmas(net, SETTINGS)
+    found = iterated_components(net, SETTINGS)
     assert found.converged
     for one, factor in zip(found.components.groups[:4], factors, strict=False):
         assert one.judgement is Judgement.JUDGED
@@ -219,9 +219,9 @@ def test_planted_factors_are_found_within_their_uncertainty(truth: dict[str, flo
 
 def test_what_can_t_be_judged_keeps_its_sigmas_and_is_named() -> None:
     net = network(pair(60, 30))
-    found = honest_sigmas(net, SETTINGS)
+    found = iterated_components(net, SETTINGS)
     one = found.components["ranges"]
-    assert one.judgement in (Judgement.FEW, Judgement.ENTANGLED)
+    assert one.judgement in (Judgement.FEW, Judgement.INSEPARABLE)
     assert np.isnan(one.factor)
     assert one.honest is None
     assert np.array_equal(found.network.ranges.sigmas, net.ranges.sigmas)
@@ -234,7 +234,7 @@ def test_ranges_that_only_move_their_own_footprint_are_not_told_apart_from_it() 
     found = components_of(solved_default())
     one = found["ranges"]
     assert one.redundancy > 1.0
-    assert one.judgement is Judgement.ENTANGLED
+    assert one.judgement is Judgement.INSEPARABLE
     assert one.beside == "ground priors"
     assert one.correlation < -0.5
 
@@ -247,7 +247,7 @@ def solved_default() -> Solution:
 def test_residuals_that_are_none_are_held_not_chased_to_zero() -> None:
     truth = {"tie image points": 1e-6}
     net, _ = drawn(truth, 3)
-    found = honest_sigmas(net, SETTINGS)
+    found = iterated_components(net, SETTINGS)
     assert found.components["tie image points"].judgement is Judgement.ZERO
     assert found.components["tie image points"].factor == pytest.approx(0.02)
     assert "residuals too small for any sigma" in found.words()
@@ -354,11 +354,11 @@ def test_a_first_look_says_so() -> None:
 def test_a_group_whose_estimate_runs_away_keeps_its_sigmas() -> None:
     """A pair's pointing, drawn far better than stated: any smaller sigma fits, so that none can be named."""
     net, _ = drawn({"pointing priors": 0.01, "position priors": 0.01}, 4)
-    found = honest_sigmas(net, SETTINGS)
+    found = iterated_components(net, SETTINGS)
     assert found.converged
     for name in ("pointing priors", "position priors"):
         one = found.components[name]
-        assert one.judgement in (Judgement.LOST, Judgement.ENTANGLED, Judgement.FEW)
+        assert one.judgement in (Judgement.LOST, Judgement.INSEPARABLE, Judgement.FEW)
     assert "can't be judged, the estimate runs away" in found.words()
     assert np.array_equal(found.network.priors[0].sigmas, net.priors[0].sigmas)
     assert found.components["laser image points"].honest
@@ -391,8 +391,8 @@ def test_a_factor_that_hangs_on_the_sigmas_of_a_group_that_is_not_judged_says_so
     r = helmert.sum(axis=1)
     names = ("ties", "pointing", "position")
     found = Redundancy(names, np.array([200, 40, 40]), r, r, helmert, True)
-    judgements = [Judgement.JUDGED, Judgement.JUDGED, Judgement.ENTANGLED]
-    assert _judgements(found, {}).count(Judgement.ENTANGLED) == 1
+    judgements = [Judgement.JUDGED, Judgement.JUDGED, Judgement.INSEPARABLE]
+    assert _judgements(found, {}).count(Judgement.INSEPARABLE) == 1
     groups = _components(found, judgements, np.ones(3)).groups
     assert [one.given for one in groups] == ["", "position", ""]
     assert groups[1].beside == "ties"

@@ -122,7 +122,7 @@ def test_a_measure_with_an_unknown_of_its_own_lowers_the_cost_by_its_test(name: 
 
 
 @pytest.mark.parametrize("kind", [MeasureKind.RAY, MeasureKind.GROUND])
-def test_a_sight_with_unknowns_of_its_own_lowers_the_cost_by_its_joint_test(kind: MeasureKind) -> None:
+def test_a_observation_with_unknowns_of_its_own_lowers_the_cost_by_its_joint_test(kind: MeasureKind) -> None:
     found = known("shift and surface")
     mine = of_kind(found, kind, 0.05)
     worst = mine[np.argsort(-found.measures.joint[mine])]

@@ -9,10 +9,10 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.components import components_of, honest_sigmas
+from mgsgraph.analysis.components import components_of, iterated_components
 from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.measures import Levels, MeasureKind
-from mgsgraph.analysis.rejection import Removal, nothing_taken, readmissible, selection
+from mgsgraph.analysis.rejection import Removal, nothing_rejected, readmissible, selection
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.snooping import Snooping, snoop
 from mgsgraph.errors import InputError
@@ -51,7 +51,7 @@ def snooped() -> Snooping:
 
 def test_planted_blunders_go_and_nothing_else_does() -> None:
     found = snooped()
-    gone = {sight for one in found.removals for sight in one.sights}
+    gone = {observation for one in found.removals for observation in one.observations}
     ties = np.flatnonzero(planted().rays.point == TIE).tolist()
     shot = int(np.flatnonzero(planted().rays.point == SHOT)[0])
     assert gone == {
@@ -66,7 +66,7 @@ def test_planted_blunders_go_and_nothing_else_does() -> None:
 
 def test_a_tie_with_two_rays_goes_as_a_point() -> None:
     one = next(one for one in snooped().removals if one.point == TIE)
-    assert len(one.sights) == len(one.names) == 2
+    assert len(one.observations) == len(one.names) == 2
     assert not snooped().solution.determined[TIE]
     assert one.names[0].startswith("ray of point TIE00004 in image SIM/")
 
@@ -80,7 +80,7 @@ def test_several_go_at_a_time_where_they_do_not_disturb_each_other() -> None:
 def test_what_only_seemed_wrong_is_taken_back() -> None:
     """The point with a wrong place has a precise range: that seems wrong first."""
     found = snooped()
-    assert [one.sights for one in found.readmitted] == [((MeasureKind.RANGE, PLACE - 40),)]
+    assert [one.observations for one in found.readmitted] == [((MeasureKind.RANGE, PLACE - 40),)]
     assert not found.taken.ranges[PLACE - 40]
 
 
@@ -99,15 +99,15 @@ def test_known_blunders_stay_out_of_honest_sigmas() -> None:
     marked = solution.network
     assert np.array_equal(marked.rays.rejected, taken.rays)
     one = components_of(at_values(marked, solution.settings, solution.values, solution.places))
-    first = honest_sigmas(marked, solution.settings, most=1)
+    first = iterated_components(marked, solution.settings, most=1)
     assert not np.any(first.solution.rays_used & taken.rays)
     assert not np.any(first.solution.ranges_used & taken.ranges)
     for group, again in zip(one.groups, first.components.groups, strict=True):
         assert (again.name, again.rows) == (group.name, group.rows)
         assert again.squares == pytest.approx(group.squares, rel=1e-4)
-    rest = honest_sigmas(marked, solution.settings)
+    rest = iterated_components(marked, solution.settings)
     assert rest.components["tie image points"].factor == pytest.approx(one["tie image points"].factor, rel=0.05)
-    judged_anew = honest_sigmas(marked, replace(solution.settings, reject=1e4), most=1).solution
+    judged_anew = iterated_components(marked, replace(solution.settings, reject=1e4), most=1).solution
     assert np.any(judged_anew.rays_used & taken.rays)
 
 
@@ -153,7 +153,7 @@ def test_what_is_out_is_judged_as_it_would_be_if_it_were_in(point: int, which: l
     table = reliability(adjust_network(net, settings)).measures
     rays = np.flatnonzero(net.rays.point == point)[which].tolist()
     joint = table.joint[(table.kind == MeasureKind.RAY) & (table.row == rays[0])][0]
-    taken = nothing_taken(net).changed([(MeasureKind.RAY, k) for k in rays], True)
+    taken = nothing_rejected(net).changed([(MeasureKind.RAY, k) for k in rays], True)
     solution = adjust_network(net, settings, left_in=selection(net, taken))
     names = tuple((MeasureKind.RAY, k) for k in rays)
     removal = Removal(names, ("ray",) * len(rays), point, 0.0, 2, 0.0, 1)

@@ -12,7 +12,7 @@ import pytest
 
 import mgsgraph
 from mgsgraph.adjustment.cluster import Lost
-from mgsgraph.campaign import AS_WRITTEN, Campaign, Entry, Wishes, run_campaign
+from mgsgraph.campaign import AS_WRITTEN, Campaign, CampaignEntry, Overrides, run_campaign
 from mgsgraph.campaign import run as campaign_run
 from mgsgraph.campaign.record import RECORD
 from mgsgraph.campaign.run import line, summary
@@ -20,7 +20,7 @@ from mgsgraph.errors import InputError, SolverError
 from mgsgraph.reports.results import write_results
 
 TABLES = ("points.csv", "orientation.csv", "residuals.csv")
-QUICK = Wishes(figures=False)
+QUICK = Overrides(figures=False)
 
 
 @pytest.fixture
@@ -40,11 +40,11 @@ Run = Callable[..., tuple[Campaign, set[str]]]
 def run(sites: Path, tmp_path: Path) -> Run:
     """Run the campaign and tell the folders of the cases that were done now."""
 
-    def run(wishes: Wishes = QUICK, **options: Any) -> tuple[Campaign, set[str]]:
-        now: list[Entry] = []
+    def run(overrides: Overrides = QUICK, **options: Any) -> tuple[Campaign, set[str]]:
+        now: list[CampaignEntry] = []
         out = tmp_path / "out"
         done = run_campaign(
-            [sites], out, wishes, progress=lambda over, due, one: now.extend([one] if one else []), **options
+            [sites], out, overrides, progress=lambda over, due, one: now.extend([one] if one else []), **options
         )
         lines = (out / RECORD).read_text(encoding="utf-8").splitlines()[1:]
         assert [json.loads(text)["folder"] for text in lines[len(lines) - len(now) :]] == [one.folder for one in now]
@@ -103,9 +103,9 @@ def test_what_has_changed_is_done_again(run: Run, sites: Path, tmp_path: Path) -
     assert run()[1] == {"north"}
     shutil.rmtree(tmp_path / "out" / "south")
     assert run()[1] == {"south"}
-    assert run(Wishes(figures=False, laser=False))[1] == {"north", "south", "west"}
+    assert run(Overrides(figures=False, laser=False))[1] == {"north", "south", "west"}
     shutil.copy(network, sites / "west" / "network.pvl")
-    done, now = run(Wishes(figures=False, laser=False))
+    done, now = run(Overrides(figures=False, laser=False))
     assert now == {"west"}
     assert done.well
     assert mgsgraph.read_solution(tmp_path / "out" / "west").network.ranges.point.size == 0
@@ -114,7 +114,7 @@ def test_what_has_changed_is_done_again(run: Run, sites: Path, tmp_path: Path) -
 def test_failures_are_tried_again_on_request(run: Run) -> None:
     run()
     assert run(retry=True)[1] == {"west"}
-    done, now = run(Wishes(figures=False, reject=1.0))
+    done, now = run(Overrides(figures=False, reject=1.0))
     assert now == {"north", "south", "west"}
     assert done.count("failed") == 3
     assert "at least 2 standard deviations" in done.entries[0].message
@@ -152,7 +152,7 @@ def test_leftovers_of_a_killed_worker_are_swept(run: Run, tmp_path: Path) -> Non
     run()
     for name in (leftover, foreign):
         (tmp_path / "out" / name).mkdir()
-    run(Wishes(figures=False, laser=False))
+    run(Overrides(figures=False, laser=False))
     assert not (tmp_path / "out" / leftover).exists()
     assert (tmp_path / "out" / foreign).exists()
 
@@ -163,7 +163,7 @@ def test_a_campaign_that_moved_as_a_whole_is_known(run: Run, sites: Path, tmp_pa
     moved.mkdir()
     shutil.move(sites, moved / "sites")
     shutil.move(tmp_path / "out", moved / "out")
-    now: list[Entry | None] = []
+    now: list[CampaignEntry | None] = []
     run_campaign([moved / "sites"], moved / "out", QUICK, progress=lambda over, due, one: now.append(one))
     assert not now
 
@@ -171,7 +171,7 @@ def test_a_campaign_that_moved_as_a_whole_is_known(run: Run, sites: Path, tmp_pa
 def test_as_written_changes_nothing() -> None:
     chosen = mgsgraph.SolverSettings(form="explicit", reject=4.0)
     assert AS_WRITTEN.over(chosen) == chosen
-    assert Wishes(reject=0.0, loss="huber").over(chosen) == mgsgraph.SolverSettings(form="explicit", loss="huber")
+    assert Overrides(reject=0.0, loss="huber").over(chosen) == mgsgraph.SolverSettings(form="explicit", loss="huber")
 
 
 # --- on a cluster

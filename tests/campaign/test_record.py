@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from mgsgraph.campaign import Entry, Wishes
+from mgsgraph.campaign import CampaignEntry, Overrides
 from mgsgraph.campaign.record import RECORD, open_record
 from mgsgraph.errors import InputError
 
 
-def entry(case: str = "a.toml", **changed: Any) -> Entry:
+def entry(case: str = "a.toml", **changed: Any) -> CampaignEntry:
     whole: dict[str, Any] = {
         "case": case,
         "folder": case.removesuffix(".toml"),
@@ -24,12 +24,12 @@ def entry(case: str = "a.toml", **changed: Any) -> Entry:
         "cost": 12.5,
         "iterations": 4,
         "checksums": {case: "0f", "gone": None},
-        "wishes": Wishes("explicit", "huber", 5.0, False, True),
+        "overrides": Overrides("explicit", "huber", 5.0, False, True),
         "version": "0.1.0",
         "machine": "here",
         "finished": "2026-11-21T19:00:00+00:00",
     }
-    return Entry(**whole | changed)
+    return CampaignEntry(**whole | changed)
 
 
 def test_what_is_recorded_is_read(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_the_solution_outlives_its_merit(
         raise problem
 
     add_terrain(case_file)
-    monkeypatch.setattr(two_step_statistics, "step_merit", fails)
+    monkeypatch.setattr(two_step_statistics, "two_step_statistics", fails)
     out = tmp_path / "out"
     told = CliRunner().invoke(group, ["adjust", str(case_file), "--two-steps", "--out", str(out)])
     assert told.exit_code == status

@@ -208,9 +208,9 @@ def test_rates_are_those_of_the_path(solution: Solution, tmp_path: Path) -> None
             np.testing.assert_allclose(state[3:], (np.array(after) - before) / (2.0 * step), atol=1e-6)
             ticks = [spiceypy.sce2c(-900_000, time + shift) for shift in (-step, 0.0, step)]
             first, _, last = (spiceypy.ckgp(1000 * code, tick, 0, "J2000")[0] for tick in ticks)
-            _, turning, _ = spiceypy.ckgpav(1000 * code, ticks[1], 0, "J2000")
+            _, angular_rate, _ = spiceypy.ckgpav(1000 * code, ticks[1], 0, "J2000")
             axis, angle = spiceypy.raxisa(first.T @ last)  # frames turn back what components turn
-            np.testing.assert_allclose(turning, -first.T @ (first @ axis) * angle / (2.0 * step), atol=1e-7)
+            np.testing.assert_allclose(angular_rate, -first.T @ (first @ axis) * angle / (2.0 * step), atol=1e-7)
 
 
 def covers(code: int, time: float) -> bool:

@@ -23,7 +23,7 @@ STATE_UNITS = {
     GROUND: np.full(3, 30.0),
     SURFACE: np.full(3, 30.0),
 }
-"""What the components of a sight's state are of the order of, the widest state of each kind."""
+"""What the components of an observation's state are of the order of, the widest state of each kind."""
 
 
 def state(system: System, seed: int = 3, size: float = 1.0) -> np.ndarray:
@@ -34,17 +34,17 @@ def test_the_cases_are_what_they_are_called() -> None:
     assert np.count_nonzero(made("weights of zero").rows.weight[0] == 0.0) == 6
     assert np.count_nonzero(made("points left out").rows.kind == OUT) == 3
     assert np.count_nonzero(made("fixed points").rows.kind == FIXED) == 6
-    assert np.diff(made("twelve rays").rows.pattern_sight).max() >= 12
+    assert np.diff(made("twelve rays").rows.pattern_observation).max() >= 12
     assert made("more than a tile").rows.piece[:, 2].min() > LANES
     sizes = made("groups of one point").rows.piece[:, 2]
     assert np.count_nonzero(sizes == 1) > 3
-    assert np.diff(made("measured twice").rows.pattern_sight).max() == 5
+    assert np.diff(made("measured twice").rows.pattern_observation).max() == 5
 
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_bundle_is_explicit(name: str) -> None:
     """Newton's method on the predicted line steps for all lanes of a tile together, up to 1e-4 lines more than a single
-    sight needs, which leaves some 1e-9 of difference; the measured line needs none.
+    observation needs, which leaves some 1e-9 of difference; the measured line needs none.
     """
     for line, share in (("measured", 1e-11), ("predicted", 1e-8)):
         now = made(name, line)
@@ -67,20 +67,23 @@ def test_bundle_is_explicit_on_any_network(seed: int) -> None:
 
 
 def with_any_columns(points: list[HandPoint], units: list[np.ndarray], seed: int) -> None:
-    """Give half the sights up to three single columns of any direction: of a new variable, or of one that is there."""
+    """Give half the observations up to three single columns of any direction: of a new variable, or of one that is
+    there.
+    """
     rng = np.random.default_rng(seed)
     units += [np.array([1.0, 1.0, 1.0]), np.array([1.0])]
-    for sight in (s for point in points for s in point.sights):
+    for observation in (s for point in points for s in point.observations):
         if rng.random() < 0.5:
             continue
-        widest = STATE_UNITS[sight.kind]
-        sight.directions = [np.append(d, np.zeros(widest.size - sight.width)) for d in sight.directions]
-        sight.width = widest.size
+        widest = STATE_UNITS[observation.kind]
+        missing = np.zeros(widest.size - observation.width)
+        observation.directions = [np.append(d, missing) for d in observation.directions]
+        observation.width = widest.size
         for variable in rng.choice(len(units), size=rng.integers(1, 4)):
             if units[variable].size:
                 inside = int(rng.integers(units[variable].size))
-                sight.singles.append((int(variable), inside))
-                sight.directions.append(rng.standard_normal(widest.size) * widest / units[variable][inside])
+                observation.singles.append((int(variable), inside))
+                observation.directions.append(rng.standard_normal(widest.size) * widest / units[variable][inside])
 
 
 @pytest.mark.parametrize(
@@ -89,7 +92,9 @@ def with_any_columns(points: list[HandPoint], units: list[np.ndarray], seed: int
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("line", ["measured", "predicted"])
 def test_bundle_is_explicit_with_any_columns(name: str, seed: int, line: Line) -> None:
-    """Whatever feels whatever: a variable through a polynomial and a single column, one column twice in a sight, ..."""
+    """Whatever feels whatever: a variable through a polynomial and a single column, one column twice in an observation,
+    ...
+    """
     now = made(name, line)
     variables = now.layout.variables
     points = take_apart(now.layout, now.rows)

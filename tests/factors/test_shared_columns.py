@@ -1,22 +1,24 @@
-"""Single columns that sights share, and nodes, through the one kernel: rows put together by hand.
+"""Single columns that observations share, and nodes, through the one kernel: rows put together by hand.
 
-Time biases, boresight, focal length and range bias are single columns that several sights share, each with a direction
-in the sight's state; nodes are basis terms with a variable of their own each. Held against finite differences (each
-row), against NumPy's Schur complement (the sums), and against a camera that truly is so (the meaning).
+Time biases, boresight, focal length and range bias are single columns that several observations share, each with a
+direction in the observation's state; nodes are basis terms with a variable of their own each. Held against finite
+differences (each row), against NumPy's Schur complement (the sums), and against a camera that truly is so (the
+meaning).
 """
 
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from jacobians import assert_jacobians
 from networks import network, pair, with_shift_and_surface
 from normals import (
+    HandObservation,
     HandPoint,
-    HandSight,
     System,
     assert_bundle_is_explicit,
     assert_gradient_is_that_of_the_cost,
@@ -53,17 +55,17 @@ class Draft:
         self.units.append(np.array(units))
         return len(self.units) - 1
 
-    def sights(self, kind: int) -> list[tuple[HandSight, PushbroomImage, float]]:
-        """All sights of a kind, each with its image and its line (or, of a range, its time past the epoch)."""
+    def observations(self, kind: int) -> list[tuple[HandObservation, PushbroomImage, float]]:
+        """All observations of a kind, each with its image and its line (or, of a range, its time past the epoch)."""
         network, places = self.layout.network, self.layout.places
         table, among = (network.rays, places.rays) if kind == IMAGE else (network.ranges, places.ranges)
         row = {int(at): k for k, at in enumerate(among)}
         found = []
-        for sight in (s for point in self.points for s in point.sights if s.kind == kind):
-            k = row[sight.among]
+        for observation in (s for point in self.points for s in point.observations if s.kind == kind):
+            k = row[observation.among]
             image = network.images[table.image[k]]
             at = network.rays.places[k, 0] if kind == IMAGE else network.ranges.times[k] - image.trajectory.epoch
-            found.append((sight, image, float(at)))
+            found.append((observation, image, float(at)))
         return found
 
     def pack(self, most: int = PIECE) -> System:
@@ -84,57 +86,58 @@ def period(image: PushbroomImage) -> float:
     return float(image.timing.periods[0])
 
 
-def add(sight: HandSight, variable: int, inside: int, direction: np.ndarray) -> None:
-    sight.singles.append((variable, inside))
-    sight.directions.append(np.asarray(direction, dtype=np.float64))
+def add(observation: HandObservation, variable: int, inside: int, direction: np.ndarray) -> None:
+    observation.singles.append((variable, inside))
+    observation.directions.append(np.asarray(direction, dtype=np.float64))
 
 
-def widen(sight: HandSight, width: int) -> None:
+def widen(observation: HandObservation, width: int) -> None:
     """Let the state have more components; what is there already doesn't touch them."""
-    sight.directions = [np.append(d, np.zeros(width - sight.width)) for d in sight.directions]
-    sight.width = width
+    observation.directions = [np.append(d, np.zeros(width - observation.width)) for d in observation.directions]
+    observation.width = width
 
 
 def attitude_time(made: Draft) -> None:
-    """One column for the camera, in s, shared by its images: it turns along its nominal turning."""
+    """One column for the camera, in s, shared by its images: it turns along its nominal angular_rate."""
     variable = made.variable(0.05)
-    for sight, image, _ in made.sights(IMAGE):
-        turning = sight.own[-6:-3] / period(image)
-        add(sight, variable, 0, np.concatenate([np.zeros(3), turning, np.zeros(sight.width - 6)]))
+    for observation, image, _ in made.observations(IMAGE):
+        angular_rate = observation.own[-6:-3] / period(image)
+        add(observation, variable, 0, np.concatenate([np.zeros(3), angular_rate, np.zeros(observation.width - 6)]))
 
 
 def position_time(made: Draft) -> None:
     """One column, in s, shared by images and ranges: the instrument is further along its path."""
     variable = made.variable(0.01)
-    for sight, image, _ in made.sights(IMAGE):
-        add(sight, variable, 0, np.append(sight.own[-9:-6] / period(image), np.zeros(sight.width - 3)))
-    for sight, image, time in made.sights(RANGE):
+    for observation, image, _ in made.observations(IMAGE):
+        motion = observation.own[-9:-6] / period(image)
+        add(observation, variable, 0, np.append(motion, np.zeros(observation.width - 3)))
+    for observation, image, time in made.observations(RANGE):
         velocity = image.trajectory.pose(np.array([time])).velocity[0]
-        add(sight, variable, 0, np.append(velocity, np.zeros(sight.width - 3)))
+        add(observation, variable, 0, np.append(velocity, np.zeros(observation.width - 3)))
 
 
 def boresight(made: Draft) -> None:
     """Three columns, in rad, about the camera axes."""
     variable = made.variable(1e-4, 1e-4, 1e-4)
-    for sight, _, _ in made.sights(IMAGE):
+    for observation, _, _ in made.observations(IMAGE):
         for axis in range(3):
-            add(sight, variable, axis, np.eye(sight.width)[3 + axis])
+            add(observation, variable, axis, np.eye(observation.width)[3 + axis])
 
 
 def focal_length(made: Draft) -> None:
     """One column, in m, on a seventh component of the state."""
     variable = made.variable(0.01)
-    for sight, _, _ in made.sights(IMAGE):
-        widen(sight, 7)
-        add(sight, variable, 0, np.eye(7)[6])
+    for observation, _, _ in made.observations(IMAGE):
+        widen(observation, 7)
+        add(observation, variable, 0, np.eye(7)[6])
 
 
 def range_bias(made: Draft) -> None:
     """One column, in m, on a fourth component of a range's state."""
     variable = made.variable(5.0)
-    for sight, _, _ in made.sights(RANGE):
-        widen(sight, 4)
-        add(sight, variable, 0, np.eye(4)[3])
+    for observation, _, _ in made.observations(RANGE):
+        widen(observation, 4)
+        add(observation, variable, 0, np.eye(4)[3])
 
 
 def node_lines() -> np.ndarray:
@@ -157,11 +160,11 @@ def nodes(made: Draft) -> None:
     """Corrections at nodes in place of polynomials; the points fall apart into groups by the nodes that they touch."""
     own = [[made.variable(*[30.0] * 3, *[1e-4] * 3) for _ in range(NODES)] for _ in made.layout.network.images]
     for kind in (IMAGE, RANGE):
-        for sight, image, at in made.sights(kind):
+        for observation, image, at in made.observations(kind):
             line = at if kind == IMAGE else float(image.timing.lines(np.array([at]))[0])
-            first, sight.basis, slope = lagrange(float(image.normalised(line)))
-            sight.terms = [(variable, 0) for variable in own[_index(made, image)][first : first + 4]]
-            sight.rates = slope * image.normalised_rate if kind == IMAGE else np.zeros(0)
+            first, observation.basis, slope = lagrange(float(image.normalised(line)))
+            observation.terms = [(variable, 0) for variable in own[_index(made, image)][first : first + 4]]
+            observation.rates = slope * image.normalised_rate if kind == IMAGE else np.zeros(0)
     made.units[:2] = [np.zeros(0), np.zeros(0)]
 
 
@@ -205,7 +208,7 @@ def test_the_layout_taken_apart_and_packed_again_is_itself() -> None:
 
 @pytest.mark.parametrize("name", COLUMNS)
 def test_rows(name: str) -> None:
-    """The oracle on every sight of four points: the first and last of the layout's, and two between.
+    """The oracle on every observation of four points: the first and last of the layout's, and two between.
 
     The tolerance is a share of a block's largest entry, which of a focal length is next to nothing in mid-image.
     """
@@ -227,7 +230,7 @@ def test_rows(name: str) -> None:
 @pytest.mark.parametrize("name", COLUMNS)
 def test_bundle_is_explicit(name: str) -> None:
     """Newton's method on the line takes its steps for all lanes of a tile together, up to 1e-4 lines more than a single
-    sight needs: with many points in a tile that is 1e-4 of some thousand lines, or of the 1700 between two nodes.
+    observation needs: with many points in a tile that is 1e-4 of some thousand lines, or of the 1700 between two nodes.
     """
     alone, together = system(name, 1), system(name)
     assert_bundle_is_explicit(alone, state(alone), 1e-11)
@@ -245,14 +248,14 @@ def test_several_images_share_a_column() -> None:
     for name in ("attitude_time", "boresight", "focal_length"):
         made = system(name)
         own = made.variables.adjusted()[-1]
-        for pattern, (begin, end) in enumerate(zip(made.rows.pattern_sight, made.rows.pattern_sight[1:], strict=False)):
+        for pattern, (begin, end) in enumerate(pairwise(made.rows.pattern_observation)):
             first = made.groups.member_first[made.rows.pattern_group[pattern]]
-            rays = [s for s in range(begin, end) if made.rows.sight_kind[s] == IMAGE]
+            rays = [s for s in range(begin, end) if made.rows.observation_kind[s] == IMAGE]
             felt = [
                 own in made.groups.member_variable[first + made.rows.entry_member[e : e + terms + shared]]
                 for s in rays
                 for e, terms, shared in [
-                    (made.rows.sight_entry[s], made.rows.sight_terms[s], made.rows.sight_shared[s])
+                    (made.rows.observation_entry[s], made.rows.observation_terms[s], made.rows.observation_shared[s])
                 ]
             ]
             assert len(felt) == 2
@@ -264,11 +267,11 @@ def test_nodes_make_groups_of_the_nodes_touched() -> None:
     sizes = np.diff(made.groups.member_first)
     assert sizes.size > 2
     assert sizes.max() < 2 * NODES
-    assert np.all(made.rows.sight_terms[made.rows.sight_kind == IMAGE] == 4)
+    assert np.all(made.rows.observation_terms[made.rows.observation_kind == IMAGE] == 4)
 
 
 def residuals(made: System, x: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Of all sights that take part, one after the other, in pixels and m."""
+    """Of all observations that take part, one after the other, in pixels and m."""
     found = []
     for mine in explicit_factors(made):
         values = values_at(made, x, points)
@@ -276,28 +279,28 @@ def residuals(made: System, x: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.concatenate(found)
 
 
-def shift_attitude(sight: HandSight, image: PushbroomImage, line: float, amount: float) -> None:
+def shift_attitude(observation: HandObservation, image: PushbroomImage, line: float, amount: float) -> None:
     pose = image.pose(np.array([line + amount / period(image)]))
-    sight.own[3:7] = rotation.from_matrix(pose.matrix)[0]
+    observation.own[3:7] = rotation.from_matrix(pose.matrix)[0]
 
 
-def shift_position(sight: HandSight, image: PushbroomImage, at: float, amount: float) -> None:
-    time = image.timing.at(np.array([at]))[0] if sight.kind == IMAGE else np.array([at])
-    sight.own[:3] = image.trajectory.pose(time + amount).position[0]
+def shift_position(observation: HandObservation, image: PushbroomImage, at: float, amount: float) -> None:
+    time = image.timing.at(np.array([at]))[0] if observation.kind == IMAGE else np.array([at])
+    observation.own[:3] = image.trajectory.pose(time + amount).position[0]
 
 
-def turn_camera(sight: HandSight, image: PushbroomImage, line: float, amount: float) -> None:
+def turn_camera(observation: HandObservation, image: PushbroomImage, line: float, amount: float) -> None:
     turned = rotation.exponential(np.array([0.0, amount, 0.0])).T @ image.pose(np.array([line])).matrix
-    sight.own[3:7] = rotation.from_matrix(turned)[0]
-    sight.own[-6:-3] = rotation.exponential(np.array([0.0, amount, 0.0])).T @ sight.own[-6:-3]
+    observation.own[3:7] = rotation.from_matrix(turned)[0]
+    observation.own[-6:-3] = rotation.exponential(np.array([0.0, amount, 0.0])).T @ observation.own[-6:-3]
 
 
-def lengthen(sight: HandSight, image: PushbroomImage, line: float, amount: float) -> None:
-    sight.focal += amount
+def lengthen(observation: HandObservation, image: PushbroomImage, line: float, amount: float) -> None:
+    observation.focal += amount
 
 
-def delay(sight: HandSight, image: PushbroomImage, time: float, amount: float) -> None:
-    sight.own[3] -= amount
+def delay(observation: HandObservation, image: PushbroomImage, time: float, amount: float) -> None:
+    observation.own[3] -= amount
 
 
 @pytest.mark.parametrize(
@@ -316,7 +319,7 @@ def test_a_column_does_what_its_name_says(
     build: Build,
     inside: int,
     amount: float,
-    truly: Callable[[HandSight, PushbroomImage, float, float], None],
+    truly: Callable[[HandObservation, PushbroomImage, float, float], None],
     kinds: tuple[int, ...],
 ) -> None:
     """A column's value has the same residuals as an instrument that truly is so, to 1e-3 pixels and m."""
@@ -324,8 +327,8 @@ def test_a_column_does_what_its_name_says(
     build(made)
     other = replace(made, points=deepcopy(made.points))
     for kind in kinds:
-        for sight, image, at in other.sights(kind):
-            truly(sight, image, at, amount)
+        for observation, image, at in other.observations(kind):
+            truly(observation, image, at, amount)
     columned, true = made.pack(), other.pack()
     x = np.zeros(columned.columns)
     points = columned.reduce(x).points

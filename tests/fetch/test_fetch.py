@@ -22,7 +22,7 @@ from mgsgraph.fetch.case_file import camera_focal_length
 from mgsgraph.fetch.download import Patience
 from mgsgraph.fetch.fetch import Fetched, fetch_images, survey
 from mgsgraph.fetch.lock import Lock, verify
-from mgsgraph.io.claim import claimed
+from mgsgraph.io.files import claimed
 from mgsgraph.io.kernels import times_of_utc
 from mgsgraph.io.moc import read_moc
 

@@ -37,7 +37,7 @@ def test_basis_and_its_derivative(u: float, degree: int) -> None:
 def test_no_correction_is_the_nominal_pose(angles: Angles, degree: int) -> None:
     pose = OrientationCorrection(np.zeros((degree + 1, 6)), angles).apply(NOMINAL, MOMENTS)
 
-    for name, tolerance in (("position", 0.0), ("velocity", 0.0), ("matrix", 1e-14), ("turning", 1e-15)):
+    for name, tolerance in (("position", 0.0), ("velocity", 0.0), ("matrix", 1e-14), ("angular_rate", 1e-15)):
         np.testing.assert_allclose(getattr(pose, name), getattr(NOMINAL, name), rtol=0, atol=tolerance)
 
 
@@ -79,7 +79,7 @@ def test_rates_of_the_corrected_pose_against_differences(angles: Angles, c: np.n
     now = pose(0.0)
     np.testing.assert_allclose(now.velocity[0], along(lambda s: pose(s).position[0], 2.0), atol=1e-8)
     want = along(lambda s: pose(s).matrix[0], 2.0)
-    np.testing.assert_allclose(-rotation.skew(now.turning[0]) @ now.matrix[0], want, atol=1e-13)
+    np.testing.assert_allclose(-rotation.skew(now.angular_rate[0]) @ now.matrix[0], want, atol=1e-13)
 
 
 @KINDS
@@ -116,11 +116,11 @@ def test_small_turns_agree_between_the_conventions(axis: np.ndarray) -> None:
 @given(spin=rotation_vectors(3.0), c=coefficients)
 def test_camera_corrections_do_not_depend_on_the_world_axes(spin: np.ndarray, c: np.ndarray) -> None:
     world = rotation.exponential(spin)
-    turned = Pose(NOMINAL.position, NOMINAL.velocity, NOMINAL.matrix @ world.T, NOMINAL.turning)
+    turned = Pose(NOMINAL.position, NOMINAL.velocity, NOMINAL.matrix @ world.T, NOMINAL.angular_rate)
     before, after = (OrientationCorrection(c).apply(pose, MOMENTS) for pose in (NOMINAL, turned))
 
     np.testing.assert_allclose(after.matrix @ world, before.matrix, atol=1e-14)
-    np.testing.assert_allclose(after.turning, before.turning, atol=1e-16)
+    np.testing.assert_allclose(after.angular_rate, before.angular_rate, atol=1e-16)
 
 
 def test_an_unknown_convention_is_refused() -> None:

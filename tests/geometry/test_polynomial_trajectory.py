@@ -45,7 +45,7 @@ def test_rates_are_those_of_differences(seed: int, order: int, time: float) -> N
     np.testing.assert_allclose(pose.velocity[0], velocity, rtol=0, atol=1e-4)
     # dM = -[turning]x M
     slope = along(lambda dt: got.pose(np.array([time + dt])).matrix[0], 0.01)
-    np.testing.assert_allclose(slope, -rotation.skew(pose.turning[0]) @ pose.matrix[0], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(slope, -rotation.skew(pose.angular_rate[0]) @ pose.matrix[0], rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("kappa", [0.5, np.pi - 1e-4])

@@ -61,15 +61,15 @@ def test_uniform_turning_is_exact(
     start: np.ndarray, axis: np.ndarray, rate: float, time: float, mount: np.ndarray
 ) -> None:
     """C(t) = Exp(-w t) C(0): a frame that turns with +w about its own axes."""
-    turning, constant = axis * rate, rotation.exponential(mount)
-    nodes = rotation.exponential(-NODES[:, None] * turning) @ rotation.exponential(start)
+    angular_rate, constant = axis * rate, rotation.exponential(mount)
+    nodes = rotation.exponential(-NODES[:, None] * angular_rate) @ rotation.exponential(start)
     table = AttitudeTable(NODES, rotation.from_matrix(nodes), constant)
     matrix, found = table.at(np.array([time]))
 
     np.testing.assert_allclose(
-        matrix[0], constant @ rotation.exponential(-time * turning) @ rotation.exponential(start), atol=1e-14
+        matrix[0], constant @ rotation.exponential(-time * angular_rate) @ rotation.exponential(start), atol=1e-14
     )
-    np.testing.assert_allclose(found[0], constant @ turning, atol=1e-14)
+    np.testing.assert_allclose(found[0], constant @ angular_rate, atol=1e-14)
 
 
 @given(st.lists(rotation_vectors(), min_size=6, max_size=6), st.lists(st.booleans(), min_size=6, max_size=6))
@@ -92,7 +92,7 @@ def assert_rates(trajectory: Trajectory, time: float) -> None:
     now = pose(0.0)
     np.testing.assert_allclose(now.velocity[0], along(lambda t: pose(t).position[0], 0.01), atol=1e-5)
     turned = along(lambda t: pose(t).matrix[0], 0.01)
-    np.testing.assert_allclose(-rotation.skew(now.turning[0]) @ now.matrix[0], turned, atol=1e-11)
+    np.testing.assert_allclose(-rotation.skew(now.angular_rate[0]) @ now.matrix[0], turned, atol=1e-11)
 
 
 @given(st.floats(-0.4, -0.1), rotation_vectors(3.0), rotation_vectors(3.0), rotation_vectors(0.01))
@@ -123,7 +123,7 @@ def test_rates_are_scaled_to_lines() -> None:
     scaled = pose.scaled(np.array([0.001, 0.002]))
 
     np.testing.assert_allclose(scaled.velocity, pose.velocity * [[0.001], [0.002]])
-    np.testing.assert_allclose(scaled.turning, pose.turning * [[0.001], [0.002]])
+    np.testing.assert_allclose(scaled.angular_rate, pose.angular_rate * [[0.001], [0.002]])
     np.testing.assert_array_equal(scaled.position, pose.position)
     np.testing.assert_array_equal(scaled.matrix, pose.matrix)
 
@@ -202,10 +202,10 @@ def test_interpolated_mgs_positions_and_body_rotation_are_those_of_spice(mgs: fl
     assert np.abs(position - want[:, :3]).max() < 0.01 * MM
     assert np.abs(velocity - want[:, 3:]).max() < 0.1 * MM
     table = AttitudeTable(times, rotation.from_matrix(mars_rotation(mgs + times)), np.eye(3))
-    matrix, turning = table.at(asked)
+    matrix, angular_rate = table.at(asked)
     assert turned(matrix, mars_rotation(mgs + asked)).max() < 1e-5 * ARCSEC
     spin = np.array([-spiceypy.xf2rav(spiceypy.sxform("IAU_MARS", "J2000", mgs + t))[1] for t in asked])
-    np.testing.assert_allclose(turning, spin, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(angular_rate, spin, rtol=0, atol=1e-11)
 
 
 def ck_nodes(path: str, start: float, stop: float) -> tuple[np.ndarray, np.ndarray]:
@@ -232,10 +232,10 @@ def test_attitude_between_the_records_of_a_real_ck_is_that_of_spice(mgs: float, 
 
     for share in (0.0, 0.1, 0.5, 0.77):
         asked = times[:-1] + share * np.diff(times)
-        matrix, turning = table.at(asked - mgs)
+        matrix, angular_rate = table.at(asked - mgs)
         assert turned(matrix, mgs_attitude(asked)).max() < 0.001 * ARCSEC
     _, spin, _ = spiceypy.ckgpav(_BUS, spiceypy.sce2c(_MGS, asked[3]), 0.0, "J2000")
-    assert np.linalg.norm(matrix[3].T @ turning[3] - spin) < 0.01 * np.linalg.norm(spin)
+    assert np.linalg.norm(matrix[3].T @ angular_rate[3] - spin) < 0.01 * np.linalg.norm(spin)
 
 
 def test_attitude_sampled_more_finely_than_the_ck(mgs: float) -> None:

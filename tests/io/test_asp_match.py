@@ -12,9 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.asp.match import Matches, match_files, read_match, read_match_text
+from mgsgraph.io.asp.match import Matches, joined, match_files, read_match, read_match_text
 from mgsgraph.io.asp.match_names import images_of
-from mgsgraph.io.asp.tracks import joined
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 
 PAIR = ("one", "two")

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG
 

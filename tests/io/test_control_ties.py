@@ -10,11 +10,10 @@ from isis_networks import labelled, wire
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.control.binary import write_binary_network
-from mgsgraph.io.control.network_file import read_network
+from mgsgraph.io.control.network_file import read_control_network, read_network
 from mgsgraph.io.control.pvl_writing import write_pvl_network
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.io.control.ties import control_network, tie_points
-from mgsgraph.io.control_net import read_control_network
 from mgsgraph.ties import PointKind, TiePoints
 
 FIELDS = ("kinds", "places", "covariances", "measure_point", "measures", "measure_sigmas")

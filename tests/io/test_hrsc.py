@@ -204,8 +204,8 @@ def test_lines_look_ahead_and_back_on_the_ground(strip: dict[str, PushbroomImage
 
     def angle(image: PushbroomImage) -> float:
         ground, _ = image.image_to_ground(middle, np.array([0.5 * SAMPLES]))
-        sight = ground[0] - origin
-        return float(np.arctan2(sight @ ahead, sight @ down)) / DEG
+        observation = ground[0] - origin
+        return float(np.arctan2(observation @ ahead, observation @ down)) / DEG
 
     got = {name: angle(image) - angle(nadir) for name, image in strip.items()}
     for name, (*_, published) in PUBLISHED.items():

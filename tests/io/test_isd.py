@@ -11,7 +11,7 @@ import spiceypy
 from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isd import Aberration, read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.units import KM

@@ -186,7 +186,7 @@ def test_the_first_line_is_when_the_clock_says(cube: Path, shared_data: Path) ->
 
 
 def test_camera_constants_are_those_of_the_kernels(cube: Path, shared_data: Path) -> None:
-    """Line of sight of a detector pixel: image of the cube, summed 2, against one by kernels, summed 8."""
+    """Line of observation of a detector pixel: image of the cube, summed 2, against one by kernels, summed 8."""
     by_tables = read_isis_cube(cube).interior
     by_kernels = read_moc(shared_data / "mgs_moc_m0402852" / "m0402852_isis.lbl", kernels(shared_data)).interior
     pixels = np.linspace(0.0, 2048.0, 9)

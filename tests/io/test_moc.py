@@ -13,7 +13,7 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.io.kernels import clock_time, loaded
 from mgsgraph.io.moc import read_moc
 from mgsgraph.io.moc_label import read_moc_label
-from mgsgraph.io.moc_pixels import read_moc_pixels
+from mgsgraph.io.pictures import read_moc_pixels
 
 PITCH, FOCAL = 0.0131240578522949e-3, 3.5
 """m, of the ISIS addendum."""

@@ -98,9 +98,9 @@ def test_what_is_no_picture_is_told(tmp_path: Path) -> None:
         (tmp_path / "none.tif", "no such file"),
         (tmp_path / "none.img", "no such file"),
         (tmp_path, "no such file"),
-        (text, "can't be read as an image"),
-        (cut, "can't be read as an image"),
-        (label, "can't be read as an image"),
+        (text, "can't be read"),
+        (cut, "can't be read"),
+        (label, "can't be read"),
         (rgb, "3 bands; expected one band"),
         (waves, "pixels of type complex64; expected grey values"),
     ):

@@ -14,8 +14,8 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.figures.matches import matches_sheet
 from mgsgraph.figures.sheet import plain_style
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.control.table import read_tie_points
-from mgsgraph.io.control_net import read_control_network
 from mgsgraph.matching import files as module
 from mgsgraph.matching.files import KeptTiles, match_into, match_statements, write_matches
 from mgsgraph.matching.match import digest

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from increments import NOISE
 from networks import network, pair, with_shift_and_surface
-from plans import addition, candidate, made, measured, really, scene, solved, standing, totals, truth, well_known
+from plans import addition, candidate, coverage, made, measured, really, solved, state, totals, truth, well_known
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Loss, SolverSettings
@@ -22,10 +22,10 @@ from mgsgraph.planning.candidates import (
     planned_image,
     planned_profile,
 )
-from mgsgraph.planning.coverage import Scene, even_places
-from mgsgraph.planning.plan import Judge, plan
-from mgsgraph.planning.state import Present, standing_of
-from mgsgraph.planning.targets import Watch, targets_of
+from mgsgraph.planning.coverage import ImageCoverage, even_places
+from mgsgraph.planning.plan import Evaluator, plan
+from mgsgraph.planning.state import CurrentState, state_of_solution
+from mgsgraph.planning.targets import TargetSigmas, targets_of
 from mgsgraph.planning.update import added, updated
 from mgsgraph.ties import PointKind
 
@@ -38,8 +38,8 @@ AS_PROMISED = 0.01
 
 def promised(planned: Network, wanted: str = "all") -> tuple[tuple[str, ...], np.ndarray]:
     """Targets, and their sigmas (n,) in m as planned."""
-    targets, present = targets_of(standing(), [wanted]), Present(standing())
-    return targets.points, Watch(present, targets).after(updated(present, added(present, [planned])))[:, 0]
+    targets, present = targets_of(state(), [wanted]), CurrentState(state())
+    return targets.points, TargetSigmas(present, targets).after(updated(present, added(present, [planned])))[:, 0]
 
 
 def assert_kept(names: tuple[str, ...], predicted: np.ndarray, after: np.ndarray) -> None:
@@ -69,30 +69,30 @@ def test_incremental_adjustment_gets_it_too() -> None:
 
 
 def test_a_profile_brings_what_was_promised() -> None:
-    view = scene().views[made().images[2].name]
+    view = coverage().views[made().images[2].name]
     edges = view.image.timing.at(np.array([0.0, float(view.image.lines)]))[0] + view.image.trajectory.epoch
     times = np.linspace(edges[0] + 0.1, edges[1] - 0.1, 8)
-    ground, n = scene().below(view.positions(times), view.height), times.size
+    ground, n = coverage().below(view.positions(times), view.height), times.size
     spread = np.broadcast_to(np.eye(3), (n, 3, 3))
     shots = PlannedShots(times, ground, view.image.name, np.full(n, 1.0), spread, 2.0, 1.0)
-    chosen = planned_profile(scene(), "new profile", shots)
+    chosen = planned_profile(coverage(), "new profile", shots)
     assert chosen.ranges == n
     names, predicted = promised(addition(chosen))
     assert_kept(names, predicted, totals(really(solved(), addition(chosen), truth(made())), names))
 
 
 def test_a_control_point_brings_what_was_promised() -> None:
-    chosen = planned_control(scene(), "surveyed", standing().places[3], 0.04 * np.eye(3), 0.3)
+    chosen = planned_control(coverage(), "surveyed", state().places[3], 0.04 * np.eye(3), 0.3)
     names, predicted = promised(addition(chosen))
     assert_kept(names, predicted, totals(really(solved(), addition(chosen), truth(made())), names))
 
 
 def test_the_ground_under_an_image_is_that_of_the_solution() -> None:
     name = made().images[7].name
-    targets = targets_of(standing(), [name])
+    targets = targets_of(state(), [name])
     chosen = candidate(8)
-    present = Present(standing())
-    watch = Watch(present, targets)
+    present = CurrentState(state())
+    watch = TargetSigmas(present, targets)
     after = really(solved(), addition(chosen), truth(made()))
     planned = watch.after(updated(present, added(present, [addition(chosen)])))
     for sigmas, solution in ((watch.before(), solved()), (planned, after)):
@@ -105,18 +105,18 @@ def test_the_ground_under_an_image_is_that_of_the_solution() -> None:
 def test_terrain_shifts_and_a_robust_loss_hold_too(loss: Loss) -> None:
     settings = SolverSettings(loss=loss)
     whole = with_shift_and_surface(network(pair(ties=24, shots=9)))
-    place = Scene(standing_of(adjust_network(whole, settings)))
-    chosen = planned_control(place, "surveyed", place.standing.places[0], np.eye(3), 0.5)
-    present = Present(place.standing)
-    targets = targets_of(place.standing, ["all"])
-    predicted = Watch(present, targets).after(updated(present, added(present, [addition(chosen)])))
-    both = adjust_network(place.standing.extended([addition(chosen)]).network, settings)
+    place = ImageCoverage(state_of_solution(adjust_network(whole, settings)))
+    chosen = planned_control(place, "surveyed", place.state.places[0], np.eye(3), 0.5)
+    present = CurrentState(place.state)
+    targets = targets_of(place.state, ["all"])
+    predicted = TargetSigmas(present, targets).after(updated(present, added(present, [addition(chosen)])))
+    both = adjust_network(place.state.extended([addition(chosen)]).network, settings)
     assert predicted[:, 0] == pytest.approx(totals(both, targets.points), rel=AS_PROMISED)
 
 
 def test_the_figures_now_are_those_of_the_solution() -> None:
-    found = plan(standing(), [candidate(8)], 1).now
-    ties = targets_of(standing(), ["ties"]).points
+    found = plan(state(), [candidate(8)], 1).now
+    ties = targets_of(state(), ["ties"]).points
     assert found.total == pytest.approx(totals(solved(), ties).mean(), rel=1e-8)
     assert found.total**2 == pytest.approx(found.east**2 + found.north**2 + found.up**2, rel=0.2)
 
@@ -124,34 +124,34 @@ def test_the_figures_now_are_those_of_the_solution() -> None:
 # --- the update is exact linear algebra
 
 
-def joint(present: Present) -> np.ndarray:
+def joint(present: CurrentState) -> np.ndarray:
     return present.covariance_with(present.adjusted)
 
 
 @pytest.mark.parametrize("existing", [False, True])
 def test_the_update_equals_the_network_put_together_anew(existing: bool) -> None:
-    chosen, present = candidate(8, existing=existing), Present(standing())
+    chosen, present = candidate(8, existing=existing), CurrentState(state())
     update = updated(present, added(present, [addition(chosen)]))
-    anew = Present(standing().extended([addition(chosen)]))
+    anew = CurrentState(state().extended([addition(chosen)]))
     old = anew.columns(present.adjusted)
     expected = joint(anew)[np.ix_(old, old)]
     scale = np.sqrt(np.diagonal(expected))
-    found = joint(present) - update.fall @ update.fall.T
+    found = joint(present) - update.downdate @ update.downdate.T
     assert np.max(np.abs(found - expected) / np.outer(scale, scale)) < 1e-6
     logs = [np.linalg.slogdet(one / np.outer(scale, scale))[1] for one in (joint(present), expected)]
     assert update.bits == pytest.approx(0.5 * (logs[0] - logs[1]) / np.log(2.0), rel=1e-6)
-    targets = targets_of(standing(), ["all"])
-    assert Watch(present, targets).after(update) == pytest.approx(Watch(anew, targets).before(), rel=1e-6)
+    targets = targets_of(state(), ["all"])
+    assert TargetSigmas(present, targets).after(update) == pytest.approx(TargetSigmas(anew, targets).before(), rel=1e-6)
 
 
 @pytest.mark.parametrize("existing", [False, True])
 def test_gains_of_a_chain_add_up(existing: bool) -> None:
     """Candidates 8 and 9 measure the same points of the network again: what one says changes what the other adds."""
     chain = [candidate(8, existing=existing), candidate(9, existing=existing)]
-    chain.append(planned_control(scene(), "surveyed", standing().places[3], np.eye(3), 0.3))
-    found = plan(standing(), chain, 3)
+    chain.append(planned_control(coverage(), "surveyed", state().places[3], np.eye(3), 0.3))
+    found = plan(state(), chain, 3)
     assert len(found.chosen) == 3
-    together = Judge(standing(), found.targets, "mean").of(*chain)
+    together = Evaluator(state(), found.targets, "mean").of(*chain)
     assert found.bits == pytest.approx(together.bits, rel=1e-9)
     assert found.after.total == pytest.approx(together.after.total, rel=1e-7)
     assert min(step.bits for step in found.chosen) > 0.0
@@ -161,10 +161,10 @@ def test_gains_of_a_chain_add_up(existing: bool) -> None:
 
 
 def test_greedy_is_as_good_as_every_pair() -> None:
-    controls = [planned_control(scene(), f"c{i}", standing().places[i], np.eye(3), 0.5) for i in (0, 120, 240)]
+    controls = [planned_control(coverage(), f"c{i}", state().places[i], np.eye(3), 0.5) for i in (0, 120, 240)]
     every = [candidate(8), candidate(9), *controls]
-    found = plan(standing(), every, 2)
-    judge = Judge(standing(), found.targets, "mean")
+    found = plan(state(), every, 2)
+    judge = Evaluator(state(), found.targets, "mean")
     best = min(judge.of(*two).after.total for two in combinations(every, 2))
     assert found.after.total <= best * (1.0 + 1e-9)
     assert found.plain is not None
@@ -173,17 +173,17 @@ def test_greedy_is_as_good_as_every_pair() -> None:
 
 def test_a_redundant_candidate_falls() -> None:
     """Two control points on the same ground head the ranking; the second is worth little beside the first."""
-    here = standing().places[100]
-    twins = [planned_control(scene(), name, here, 0.01 * np.eye(3), 0.3) for name in ("one", "other")]
-    far = planned_control(scene(), "far", standing().places[300], 0.01 * np.eye(3), 0.5)
-    found = plan(standing(), [*twins, far], 2)
+    here = state().places[100]
+    twins = [planned_control(coverage(), name, here, 0.01 * np.eye(3), 0.3) for name in ("one", "other")]
+    far = planned_control(coverage(), "far", state().places[300], 0.01 * np.eye(3), 0.5)
+    found = plan(state(), [*twins, far], 2)
     assert {one.name for one in found.ranking[:2]} in ({"one", "other"}, {"one", "far"})
     assert {one.name for one in found.chosen} == {"one", "far"}
 
 
 def test_order_of_the_file_does_not_matter() -> None:
     some = [candidate(8), candidate(9), *(replace(candidate(10), name=name) for name in ("b", "a"))]
-    one, other = plan(standing(), some, 3), plan(standing(), some[::-1], 3)
+    one, other = plan(state(), some, 3), plan(state(), some[::-1], 3)
     assert [step.name for step in one.ranking] == [step.name for step in other.ranking]
     assert [step.name for step in one.chosen] == [step.name for step in other.chosen]
     assert one.after == other.after
@@ -202,7 +202,7 @@ def test_ties_are_as_many_as_asked_for_and_even() -> None:
 
 def test_planned_measures_have_no_residual() -> None:
     chosen = candidate(8, existing=True)
-    present = Present(standing())
+    present = CurrentState(state())
     after = updated(present, added(present, [addition(chosen)])).added.after
     planned = addition(chosen).points
     place = {name: i for i, name in enumerate(after.network.points.ids)}
@@ -212,18 +212,18 @@ def test_planned_measures_have_no_residual() -> None:
 
 def test_sigmas_are_those_asked_for() -> None:
     known = KnownImage(made().images[8], NOISE.prior)
-    planned = addition(planned_image(scene(), known, PlannedTies(5, sigma=0.7, own_sigma=0.3)))
+    planned = addition(planned_image(coverage(), known, PlannedTies(5, sigma=0.7, own_sigma=0.3)))
     own = np.array([one.name for one in planned.images])[planned.rays.image] == known.image.name
     assert set(planned.rays.sigmas[own].ravel()) == {0.3}
     assert set(planned.rays.sigmas[~own].ravel()) == {0.7}
-    pairs = planned_image(scene(), known, PlannedTies(5, everywhere=False))
+    pairs = planned_image(coverage(), known, PlannedTies(5, everywhere=False))
     assert set(np.bincount(addition(pairs).rays.point)) == {2}
 
 
 def test_a_candidate_without_overlap_is_worthless_not_an_error() -> None:
-    far = planned_image(scene(2), KnownImage(made().images[10], NOISE.prior), PlannedTies())
+    far = planned_image(coverage(2), KnownImage(made().images[10], NOISE.prior), PlannedTies())
     assert far.addition is None
-    found = plan(standing(2), [far], 2)
+    found = plan(state(2), [far], 2)
     assert found.chosen == ()
     assert "no overlap" in found.ranking[0].reason
     assert found.ranking[0].drop == 0.0
@@ -234,21 +234,21 @@ def test_a_candidate_without_overlap_is_worthless_not_an_error() -> None:
 
 def test_bad_targets_and_candidates_are_named() -> None:
     with pytest.raises(InputError, match="'nobody', which is no determined point"):
-        plan(standing(), [candidate(8)], 1, ["nobody"])
+        plan(state(), [candidate(8)], 1, ["nobody"])
     with pytest.raises(InputError, match="'ties' beside names"):
-        plan(standing(), [candidate(8)], 1, ["ties", made().images[0].name])
+        plan(state(), [candidate(8)], 1, ["ties", made().images[0].name])
     with pytest.raises(InputError, match="no candidate"):
-        plan(standing(), [], 1)
+        plan(state(), [], 1)
     with pytest.raises(InputError, match="two candidates named"):
-        plan(standing(), [candidate(8), candidate(8)], 1)
+        plan(state(), [candidate(8), candidate(8)], 1)
     with pytest.raises(InputError, match="an image of the network already"):
-        planned_image(scene(), KnownImage(made().images[0], NOISE.prior), PlannedTies())
+        planned_image(coverage(), KnownImage(made().images[0], NOISE.prior), PlannedTies())
 
 
 def test_a_solution_without_covariance_is_refused() -> None:
     blank = replace(solved(), covariances=np.full_like(solved().covariances, np.nan))
     with pytest.raises(InputError, match="without covariance"):
-        standing_of(blank)
+        state_of_solution(blank)
 
 
 def test_fixed_points_are_no_targets() -> None:
@@ -256,7 +256,7 @@ def test_fixed_points_are_no_targets() -> None:
     kinds = net.points.kinds.copy()
     kinds[-1] = PointKind.FIXED
     fixed = replace(net, points=replace(net.points, kinds=kinds))
-    where = standing_of(adjust_network(fixed, SolverSettings()))
+    where = state_of_solution(adjust_network(fixed, SolverSettings()))
     assert fixed.points.ids[-1] not in targets_of(where, ["all"]).points
     with pytest.raises(InputError, match="held and has no sigma"):
         targets_of(where, [fixed.points.ids[-1]])

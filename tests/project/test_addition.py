@@ -11,7 +11,7 @@ from projects import StopHere, four_images, images
 from mgsgraph.errors import InputError
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.parts import bundles, joined, part, without_images
-from mgsgraph.project.addition import Addition, NewImage, Wanted, _on_terrain, _unknown_alone, parse_image
+from mgsgraph.project.addition import Addition, ImageArgument, NewImage, _on_terrain, _unknown_alone, parse_image
 from mgsgraph.project.changes import put_in
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
@@ -97,7 +97,7 @@ def test_new_ties_lie_on_the_terrain_model_of_the_project(store: ProjectStore) -
 def test_names_before_paths(tmp_path: Path) -> None:
     odd = tmp_path / "a=b.isd"
     odd.touch()
-    assert parse_image(str(odd)) == Wanted(odd)
-    assert parse_image("MOC/1=x.isd") == Wanted(Path("x.isd"), "MOC/1")
+    assert parse_image(str(odd)) == ImageArgument(odd)
+    assert parse_image("MOC/1=x.isd") == ImageArgument(Path("x.isd"), "MOC/1")
     with pytest.raises(InputError, match="empty or unprintable name"):
         parse_image("=x.isd")

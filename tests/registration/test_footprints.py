@@ -69,9 +69,9 @@ class LinearTrajectory:
     def pose(self, times: np.ndarray) -> Pose:
         elements = self.start + times[:, None] * self.rate
         rates = np.broadcast_to(self.rate, elements.shape)
-        turning = np.einsum("nij,nj->ni", rotation.angle_axes(elements[:, 3:], True), rates[:, 3:])
+        angular_rate = np.einsum("nij,nj->ni", rotation.angle_axes(elements[:, 3:], True), rates[:, 3:])
         matrix = rotation.from_omega_phi_kappa(elements[:, 3:])
-        return Pose(elements[:, :3], rates[:, :3].copy(), matrix, turning)
+        return Pose(elements[:, :3], rates[:, :3].copy(), matrix, angular_rate)
 
 
 def linear_image(image: PushbroomImage) -> PushbroomImage:

@@ -91,9 +91,9 @@ def test_files(tmp_path: Path) -> None:
     assert top["above_level"] == "true"
     with (tmp_path / "out" / "course.csv").open(encoding="utf-8") as file:
         nodes = list(csv.DictReader(file))
-    assert len(nodes) == study().courses[0].times.size
+    assert len(nodes) == study().corrections[0].times.size
     values = np.array([float(row["roll_mgon"]) for row in nodes])
-    np.testing.assert_allclose(values * MGON, study().courses[0].values[:, 3])
+    np.testing.assert_allclose(values * MGON, study().corrections[0].values[:, 3])
 
 
 def test_figures_show_the_numbers() -> None:
@@ -101,7 +101,7 @@ def test_figures_show_the_numbers() -> None:
     with plain_style():
         spacings = spacing_sheet(made.choice, made.name)
         spectrum = spectrum_sheet(made.strips[0], "spectrum")
-        over_time = course_sheet(made.courses[0], made.choice.spacing, "course")
+        over_time = course_sheet(made.corrections[0], made.choice.spacing, "course")
     rms = spacings.figure.axes[0].containers[0].lines[0].get_ydata()
     np.testing.assert_allclose(rms, [one.rms for one in made.choice.candidates])
     pitch = spectrum.figure.axes[3]

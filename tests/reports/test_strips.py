@@ -15,7 +15,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.datum.frames import flight_frame
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.flight import node_times, strip_course, strip_reports
+from mgsgraph.analysis.flight import node_times, strip_corrections, strip_reports
 from mgsgraph.case.reading import read_case
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
@@ -76,7 +76,7 @@ def test_the_course_is_what_each_image_has(basis: Basis, angles: Angles) -> None
     solved = adjust_network(with_basis(basis), SolverSettings(angles=angles), "block")
     for image in (0, 2, 9):
         profile = orientation_profile(solved, image, 7)
-        course = strip_course(solved, image // 5, profile.times)
+        course = strip_corrections(solved, image // 5, profile.times)
         for part, correction, sigma in (
             (slice(0, 3), profile.position_after - profile.position_before, profile.position_sigma),
             (slice(3, 6), profile.rotation, profile.rotation_sigma),
@@ -90,7 +90,7 @@ def test_axes_are_those_of_the_analysis(solution: Solution) -> None:
     for strip, image in ((0, 2), (1, 7)):
         picture = solution.network.images[image]
         middle = picture.moments(np.array([0.5 * picture.lines]))
-        course = strip_course(solution, strip, middle.times + middle.epoch)
+        course = strip_corrections(solution, strip, middle.times + middle.epoch)
         correction, _ = solution.correction(image).at(middle)
         np.testing.assert_allclose(course.values, correction @ flight_frame(picture).turn.T, rtol=1e-6, atol=1e-9)
 
@@ -103,7 +103,7 @@ def test_course_and_truth_agree_within_sigmas(solution: Solution) -> None:
         truth = replace(solution, nodes=tuple(block().corrections[5 * k].nodes.dense(
             times - block().corrections[5 * k].nodes.epoch, block().corrections[5 * k].nodes.epoch
         )[0] @ block().true_nodes(k) for k in range(2)))  # fmt: skip
-        found, true = (strip_course(one, k, times) for one in (solution, truth))
+        found, true = (strip_corrections(one, k, times) for one in (solution, truth))
         errors.append((found.values - true.values) / found.sigmas)
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2.0
 
@@ -115,7 +115,7 @@ def test_nodes_of_a_spline_within_the_strip(spline: Solution) -> None:
     c = spline.nodes[0]
     want = (c[:-2] + 4.0 * c[1:-1] + c[2:]) / 6.0
     np.testing.assert_allclose(
-        np.linalg.norm(strip_course(spline, 0, times).values[:, :3], axis=1),
+        np.linalg.norm(strip_corrections(spline, 0, times).values[:, :3], axis=1),
         np.linalg.norm(want[:, :3], axis=1), rtol=1e-9,
     )  # fmt: skip
 

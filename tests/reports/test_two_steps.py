@@ -15,7 +15,7 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.height_cells import height_cells
-from mgsgraph.analysis.two_step_statistics import STAGES, StepMerit, owners, step_merit
+from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, owners, two_step_statistics
 from mgsgraph.figures.height_maps import height_map_sheet
 from mgsgraph.figures.sheet import plain_style
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
@@ -26,15 +26,15 @@ from mgsgraph.reports.archive import read_solution
 from mgsgraph.reports.results import write_results
 from mgsgraph.reports.two_steps import cells_of, two_steps_json, two_steps_statements, two_steps_table, write_two_steps
 from mgsgraph.simulation.hrsc_block import BlockSettings, TerrainErrors, simulate_hrsc_block
-from mgsgraph.spacing.corrections import course
+from mgsgraph.spacing.corrections import correction_series
 from mgsgraph.units import DEG, MGON
 
 TERRAIN = TerrainErrors(missing=0.02)
 
 
 @cache
-def merit(which: str) -> StepMerit:
-    return step_merit(adjust_in_two_steps(networks(which), SolverSettings(reject=4.0), which))
+def merit(which: str) -> TwoStepStatistics:
+    return two_step_statistics(adjust_in_two_steps(networks(which), SolverSettings(reject=4.0), which))
 
 
 @cache
@@ -117,13 +117,13 @@ def test_sigmas_of_points_are_those_of_the_solutions(which: str) -> None:
 
 
 def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
-    """As `spacing.course` has them at the nodes, between which they hardly change."""
+    """As `spacing.corrections` has them at the nodes, between which they hardly change."""
     found, net = merit("block"), networks("block")
     means = np.empty((2, len(net.strips), 6))
     for step, solution in enumerate((found.steps.free, found.steps.fitted)):
         for k, strip in enumerate(net.strips):
             image = net.images[int(strip.images[2])]
-            nodes, at = course(solution, k), image.moments(np.linspace(0.0, float(image.lines), 101))
+            nodes, at = correction_series(solution, k), image.moments(np.linspace(0.0, float(image.lines), 101))
             times = at.times + (at.epoch - nodes.epoch)
             means[step, k] = [np.interp(times, nodes.times, nodes.sigmas[:, axis]).mean() for axis in range(6)]
             np.testing.assert_allclose(found.groups[k].poses[step + 1], means[step, k], rtol=0.01)
@@ -133,7 +133,7 @@ def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
 def test_what_is_held_is_known_beforehand() -> None:
     """Without unknowns the orientation is not uncertain, and step 1 has nothing to add to the rays."""
     net = replace(networks("block"), strips=(), held=np.ones(10, dtype=bool))
-    found = step_merit(adjust_in_two_steps(net, SolverSettings()))
+    found = two_step_statistics(adjust_in_two_steps(net, SolverSettings()))
     assert np.all(found.whole.poses == 0.0)
     np.testing.assert_allclose(found.whole.mean[0], found.whole.mean[1], rtol=1e-9)
     assert np.all(found.whole.mean[2] < found.whole.mean[1])

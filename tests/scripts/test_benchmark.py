@@ -16,9 +16,9 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import benchmark  # noqa: E402
-import benchmark_blocks as blocks  # noqa: E402
 import benchmark_gate as gate  # noqa: E402
-import benchmark_peer  # noqa: E402
+import benchmark_speed as speed  # noqa: E402
+import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
 
 from mgsgraph.errors import InputError  # noqa: E402
@@ -45,7 +45,7 @@ def fake_peer(tmp_path: Path) -> Path:
 
 
 def called(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
-    """Exit status of the command line, in this process."""
+    """Exit status of a command of the benchmark, in this process."""
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")  # so that it is put back
     monkeypatch.setattr(sys, "argv", ["benchmark.py", *map(str, arguments)])
     try:
@@ -137,7 +137,7 @@ def test_the_committed_baseline_holds_what_the_issue_demands() -> None:
     for size in blocks.SIZES:
         assert limits[f"{size}: cost, relative difference"].required == 1e-8
     variants = {name: [{"seconds_solve": 1.0, "cost_final": 1.0, "seconds_covariance": 1.0}]
-                for name in benchmark_peer.VARIANTS}  # fmt: skip
+                for name in gate.VARIANTS}  # fmt: skip
     known = {name for size in blocks.SIZES for name in gate.metrics(size, {gate.OURS: [figures()], **variants})}
     assert set(limits) <= known
 
@@ -177,10 +177,10 @@ def test_a_file_that_is_no_baseline_is_one_clear_line(tmp_path: Path, text: str)
 
 
 def test_the_peers_figures_in_our_words(fake_peer: Path) -> None:
-    one = benchmark_peer.run_peer(fake_peer, Path("S.bin"), "custom", 2)
+    one = speed.run_peer(fake_peer, Path("S.bin"), "custom", 2)
     assert (one["seconds_solve"], one["seconds_covariance"], one["cost_final"]) == (1.0, 3.0, 100.0)
     assert one["converged"]
-    assert "seconds_covariance" not in benchmark_peer.run_peer(fake_peer, Path("S.bin"), "analytic", 2)
+    assert "seconds_covariance" not in speed.run_peer(fake_peer, Path("S.bin"), "analytic", 2)
 
 
 @pytest.mark.parametrize("says", ["", "no json", "{}", '{"t_solve": "fast"}'])
@@ -189,15 +189,15 @@ def test_a_peer_that_says_something_else_is_one_clear_line(tmp_path: Path, says:
     path.write_text(f"#!/bin/sh\necho '{says}'\necho 'bad file' >&2\nexit 3\n", encoding="utf-8")
     path.chmod(0o755)
     with pytest.raises(InputError, match=r"exit status 3, saying 'bad file'.*build\.sh"):
-        benchmark_peer.run_peer(path, Path("S.bin"), "plain", 1)
+        speed.run_peer(path, Path("S.bin"), "plain", 1)
 
 
 def test_a_peer_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        benchmark_peer.require_peer(tmp_path / "peer_ceres")
+        speed.require_peer(tmp_path / "peer_ceres")
     (tmp_path / "text").write_text("not a program", encoding="utf-8")
     with pytest.raises(InputError, match="not executable"):
-        benchmark_peer.require_peer(tmp_path / "text")
+        speed.require_peer(tmp_path / "text")
 
 
 # --- the command line
@@ -207,7 +207,7 @@ def test_one_file_of_the_peers_format(tmp_path: Path) -> None:
     """In a process of its own, as it is meant."""
     problem, truth = blocks.chain(4, 80, seed=2, shots=10)
     peer.write_problem(problem, tmp_path / "chain.bin")
-    command = [sys.executable, str(SCRIPTS / "benchmark.py"), "--problem", str(tmp_path / "chain.bin")]
+    command = [sys.executable, str(SCRIPTS / "benchmark.py"), "speed", "--problem", str(tmp_path / "chain.bin")]
     done = subprocess.run([*command, "--json", str(tmp_path / "out.json")], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     found = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
@@ -225,19 +225,21 @@ def test_one_file_of_the_peers_format(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--problem", "none.bin"], "none.bin: can't be read"),
-        (["--problem", "none.bin", "--json", "/proc/none/out.json"], "out.json: can't be written"),
-        (["XXL"], "no size 'XXL'"),
-        (["S", "S"], "named twice"),
-        (["S", "--problem", "none.bin"], "exclude"),
-        (["--scaling", "--gate"], "the gate judges sizes"),
-        (["S", "--gate"], "no peer to compare with"),
-        (["S", "--peer", "none"], "none: no such file"),
-        (["S", "--repeat", "0"], "at least 1"),
-        (["S", "--repeat", "many"], "at least 1"),
-        (["--scaling", "--most-points", "10"], "at least 1000"),
-        (["S", "--shared", "none"], "gen.py: no such file"),
-        (["--unheard-of"], "unrecognized"),
+        (["speed", "--problem", "none.bin"], "none.bin: can't be read"),
+        (["speed", "--problem", "none.bin", "--json", "/proc/none/out.json"], "out.json: can't be written"),
+        (["speed", "XXL"], "no size 'XXL'"),
+        (["speed", "S", "S"], "named twice"),
+        (["speed", "S", "--problem", "none.bin"], "exclude"),
+        (["speed", "--problem", "none.bin", "--gate"], "the gate judges sizes"),
+        (["speed", "S", "--gate"], "no peer to compare with"),
+        (["speed", "S", "--peer", "none"], "none: no such file"),
+        (["speed", "S", "--repeat", "0"], "at least 1"),
+        (["speed", "S", "--repeat", "many"], "at least 1"),
+        (["scaling", "--most-points", "10"], "at least 1000"),
+        (["speed", "S", "--shared", "none"], "gen.py: no such file"),
+        (["speed", "--unheard-of"], "unrecognized"),
+        (["unheard-of"], "invalid choice: 'unheard-of'"),
+        ([], "invalid choice: ''"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
@@ -248,7 +250,7 @@ def test_bad_input_is_one_line_and_status_2(
     assert called(monkeypatch, *arguments) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith("benchmark: error: ")
+    assert err.startswith(f"benchmark {arguments[0]}: error: " if arguments[1:] else "benchmark: error: ")
     assert err.count("\n") == 1
     assert message in err
     assert not list(tmp_path.iterdir())
@@ -256,7 +258,7 @@ def test_bad_input_is_one_line_and_status_2(
 
 @pytest.fixture
 def small_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(benchmark, "made", lambda size, shared: blocks.chain(2, 5, shots=1))
+    monkeypatch.setattr(speed, "made", lambda size, shared: blocks.chain(2, 5, shots=1))
 
 
 @pytest.mark.usefixtures("small_sizes")
@@ -270,15 +272,15 @@ def test_sizes_with_the_peer_in_one_run(
         order.append("ours")
         return figures()
 
-    monkeypatch.setattr(benchmark, "ours", ours)
-    true_peer = benchmark.run_peer
-    monkeypatch.setattr(benchmark, "run_peer", lambda *given: order.append(given[2]) or true_peer(*given))
+    monkeypatch.setattr(speed, "ours", ours)
+    true_peer = speed.run_peer
+    monkeypatch.setattr(speed, "run_peer", lambda *given: order.append(given[2]) or true_peer(*given))
     out, page, demands = tmp_path / "out.json", tmp_path / "page.md", tmp_path / "demands.json"
-    limits = json.loads((Path(benchmark.__file__).parent / "baseline.json").read_text(encoding="utf-8"))
+    limits = json.loads((gate.BASELINE).read_text(encoding="utf-8"))
     for limit in limits["metrics"].values():
         limit.pop("value", None)  # the issue's demands alone
     demands.write_text(json.dumps(limits), encoding="utf-8")
-    given = ("S", "L", "--peer", fake_peer, "--repeat", "3", "--json", out, "--markdown", page)
+    given = ("speed", "S", "L", "--peer", fake_peer, "--repeat", "3", "--json", out, "--markdown", page)
     given += ("--gate", "--baseline", demands)
     assert called(monkeypatch, *given) == 1
     # interleaved, and each repeat begins with another
@@ -294,17 +296,18 @@ def test_sizes_with_the_peer_in_one_run(
     assert len(record["runs"]["L"]["custom"]) == 3
     lax = tmp_path / "lax.json"
     lax.write_text('{"metrics": {"S: solve, plain / mgsgraph": {"direction": "higher", "required": 8.0}}}')
-    assert called(monkeypatch, "S", "--peer", fake_peer, "--gate", "--baseline", lax) == 0
+    assert called(monkeypatch, "speed", "S", "--peer", fake_peer, "--gate", "--baseline", lax) == 0
     assert "The gate is passed." in capsys.readouterr().out
-    monkeypatch.setattr(benchmark, "ours", lambda *given: figures(converged=False, message="no rest"))
-    assert called(monkeypatch, "S") == 1
+    monkeypatch.setattr(speed, "ours", lambda *given: figures(converged=False, message="no rest"))
+    assert called(monkeypatch, "speed", "S") == 1
     assert "FAILED S: ours did not converge (no rest)" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("small_sizes")
 def test_what_takes_minutes_runs_once(monkeypatch: pytest.MonkeyPatch, fake_peer: Path, tmp_path: Path) -> None:
-    monkeypatch.setattr(benchmark, "ours", lambda *given: figures())
-    assert called(monkeypatch, "Kaguya", "--peer", fake_peer, "--repeat", "3", "--json", tmp_path / "out.json") == 0
+    monkeypatch.setattr(speed, "ours", lambda *given: figures())
+    given = ("speed", "Kaguya", "--peer", fake_peer, "--repeat", "3", "--json", tmp_path / "out.json")
+    assert called(monkeypatch, *given) == 0
     runs = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["runs"]["Kaguya"]
     assert {name: len(one) for name, one in runs.items()} == {"mgsgraph": 3, "plain": 3, "analytic": 3, "custom": 1}
 
@@ -317,9 +320,9 @@ def test_a_folder_of_problems_is_used_and_left(monkeypatch: pytest.MonkeyPatch, 
         seen.append(problem)
         return figures()
 
-    monkeypatch.setattr(benchmark, "ours", ours)
+    monkeypatch.setattr(speed, "ours", ours)
     for _ in range(2):
-        assert called(monkeypatch, "M", "--repeat", "1", "--work", tmp_path / "work") == 0
+        assert called(monkeypatch, "speed", "M", "--repeat", "1", "--work", tmp_path / "work") == 0
         written = (tmp_path / "work" / "M.bin").stat().st_mtime_ns
         assert seen[-1] == tmp_path / "work" / "M.bin"
     assert (tmp_path / "work" / "M.bin").stat().st_mtime_ns == written
@@ -328,4 +331,4 @@ def test_a_folder_of_problems_is_used_and_left(monkeypatch: pytest.MonkeyPatch, 
 def test_a_failed_run_of_ours_says_why(tmp_path: Path) -> None:
     (tmp_path / "bad.bin").write_bytes(b"something else")
     with pytest.raises(InputError, match=r"exit status 2: .*b'somethin' at its head"):
-        benchmark.ours(tmp_path / "bad.bin", "measured", 1)
+        speed.ours(tmp_path / "bad.bin", "measured", 1)

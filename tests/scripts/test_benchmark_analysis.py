@@ -11,8 +11,9 @@ if not SCRIPTS.is_dir():
     pytest.skip("the scripts are not beside the tests", allow_module_level=True)
 sys.path.append(str(SCRIPTS))
 
+import benchmark  # noqa: E402
 import benchmark_analysis as analysis  # noqa: E402
-import benchmark_blocks as blocks  # noqa: E402
+import peer_blocks as blocks  # noqa: E402
 
 
 def test_ratios_are_of_the_same_turn() -> None:
@@ -22,7 +23,7 @@ def test_ratios_are_of_the_same_turn() -> None:
 def test_the_page_has_medians_of_all() -> None:
     seconds = {analysis.ITERATION: [0.1, 0.3, 0.2], "reliability table": [0.2, 0.3, 0.4]}
     seconds |= {name: [1e-3 * (k + 1)] * 3 for k, name in enumerate(analysis.QUERIES)}
-    text = analysis.page("A title.", seconds, 7, "Made with nothing.")
+    text = analysis.page("A title.", seconds, 7)
     for line in (
         "| iteration | 0.200 | 1.00 (1.00 .. 1.00) |",
         "| reliability table | 0.300 | 2.00 (1.00 .. 2.00) |",
@@ -38,8 +39,8 @@ def test_a_whole_run_at_the_smallest_size(
 ) -> None:
     require(blocks.SHARED / "gen.py", "the peer's generator")
     given = ("S", "--repeat", "2", "--queries", "2", "--out", str(tmp_path))
-    monkeypatch.setattr(sys, "argv", ["benchmark_analysis.py", *given])
-    assert analysis.main() == 0
+    monkeypatch.setattr(sys, "argv", ["benchmark.py", "analysis", *given])
+    assert benchmark.main() == 0
     text = (tmp_path / "analysis_cost.md").read_text(encoding="utf-8")
     assert text in capsys.readouterr().out
     assert "Size S: 2 images, 400 points, 2,636 scalar measures" in text
@@ -59,9 +60,9 @@ def test_bad_input_is_one_line(
         (["S", "--out", str(tmp_path / "file")], "can't be written"),
     ):
         given += [] if "--out" in given else ["--out", str(tmp_path)]
-        monkeypatch.setattr(sys, "argv", ["benchmark_analysis.py", *given])
+        monkeypatch.setattr(sys, "argv", ["benchmark.py", "analysis", *given])
         try:
-            status = analysis.main()
+            status = benchmark.main()
         except SystemExit as left:
             status = int(left.code or 0)
         err = capsys.readouterr().err

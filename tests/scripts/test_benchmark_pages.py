@@ -18,32 +18,31 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import benchmark  # noqa: E402
-import benchmark_blocks as blocks  # noqa: E402
 import benchmark_gate as gate  # noqa: E402
-import benchmark_run  # noqa: E402
 import benchmark_scaling as scaling  # noqa: E402
-import benchmark_table  # noqa: E402
+import benchmark_speed as speed  # noqa: E402
 import nees_peer  # noqa: E402
+import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
 
 
 def test_a_page_without_the_peer_says_so() -> None:
-    text = benchmark_table.page({"S": {gate.OURS: [figures()]}}, 5, 2)
+    text = speed.page({"S": {gate.OURS: [figures()]}}, 5, 2)
     assert "The peer took no part" in text
     assert "| S | 2 | 400 | 800 | 0.100 | 0.100 | 0.200 | 0.500 | 0.750 | 3 | 0.100 | 50 | 250 |" in text
 
 
 def test_memory_is_what_the_adjustment_adds() -> None:
-    benchmark_run.forget_peak()
-    before = benchmark_run.resident()
+    speed.forget_peak()
+    before = speed.resident()
     with mmap.mmap(-1, 100 * 2**20) as block:  # an array might come out of what was freed before
         block.write(b"1" * len(block))
-        after = benchmark_run.resident()
+        after = speed.resident()
     assert after - before == pytest.approx(100 * 2**20, rel=0.1)
-    assert benchmark_run.highest() >= 0.9 * after
-    benchmark_run.forget_peak()
+    assert speed.highest() >= 0.9 * after
+    speed.forget_peak()
     if Path("/proc/self/clear_refs").exists():
-        assert benchmark_run.highest() < 0.5 * (before + after)
+        assert speed.highest() < 0.5 * (before + after)
 
 
 def rows(law: Callable[[float], float]) -> list[scaling.Row]:
@@ -74,9 +73,9 @@ def test_the_fixed_cost_of_small_chains_does_not_flatter() -> None:
 
 
 def test_scaling_is_drawn_and_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(benchmark, "ours", lambda problem, line, threads: figures(
+    monkeypatch.setattr(speed, "ours", lambda problem, line, threads: figures(
         images=len(peer.read_problem(problem).orientation), points=len(peer.read_problem(problem).places)))  # fmt: skip
-    given = ("--scaling", "--most-points", "3000", "--most-images", "5", "--repeat", "2", "--out", tmp_path)
+    given = ("scaling", "--most-points", "3000", "--most-images", "5", "--repeat", "2", "--out", tmp_path)
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")  # so that it is put back
     given = (*given, "--json", tmp_path / "scaling.json")
     monkeypatch.setattr(sys, "argv", ["benchmark.py", *map(str, given)])

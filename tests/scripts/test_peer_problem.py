@@ -19,7 +19,7 @@ if not SCRIPTS.is_dir():
     pytest.skip("the scripts are not beside the tests", allow_module_level=True)
 sys.path.append(str(SCRIPTS))
 
-import benchmark_blocks as blocks  # noqa: E402
+import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
 
 from mgsgraph.errors import EphemerisGap, InputError  # noqa: E402
@@ -204,7 +204,7 @@ def test_rates_of_the_trajectory_are_its_derivatives(chain: tuple[peer.PeerProbl
     here, ahead, behind = (trajectory.pose(times + one) for one in (0.0, step, -step))
     np.testing.assert_allclose((ahead.position - behind.position) / (2.0 * step), here.velocity, rtol=1e-7, atol=1e-3)
     turned = (ahead.matrix - behind.matrix) / (2.0 * step)  # dM = -[turning]x M
-    expected = np.cross(here.matrix, here.turning[:, :, None], axis=1)
+    expected = np.cross(here.matrix, here.angular_rate[:, :, None], axis=1)
     np.testing.assert_allclose(turned, expected, atol=1e-9)
 
 

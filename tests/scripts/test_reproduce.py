@@ -12,10 +12,10 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import nees  # noqa: E402
-import papers_eos  # noqa: E402
 import papers_tables as tables  # noqa: E402
 import published  # noqa: E402
 import reproduce_papers  # noqa: E402
+import study  # noqa: E402
 
 from mgsgraph.case.reading import read_case  # noqa: E402
 from mgsgraph.errors import InputError  # noqa: E402
@@ -114,7 +114,7 @@ def test_table_5_implies_the_shift_of_the_plan() -> None:
 def test_footprints_published_for_eos_have_no_heights() -> None:
     from mgsgraph.geometry.body import geodetic
 
-    heights = geodetic(1e3 * np.array(published.EOS_FOOTPRINTS), papers_eos.OLD_ELLIPSOID)[:, 2]
+    heights = geodetic(1e3 * np.array(published.EOS_FOOTPRINTS), tables.OLD_ELLIPSOID)[:, 2]
     assert np.abs(heights + 1.1).max() < 0.5
 
 
@@ -161,8 +161,8 @@ def test_normalised_errors_without_terrain_lie_in_their_band(isidis: tables.Resu
 
 
 def test_bands_are_those_of_tables() -> None:
-    low, high = nees.chi_square_band(100)
-    assert abs(100.0 * low - 67.328) < 0.05  # chi-square, 100 degrees: 0.005 and 0.995 quantiles
-    assert abs(100.0 * high - 140.169) < 0.05
-    assert abs(nees.student99(9) - 3.250) < 0.03
-    assert abs(nees.student99(99) - 2.626) < 0.001
+    low, high = study.chi_square_band(100)
+    assert abs(100.0 * low - 67.328) < 0.001  # chi-square, 100 degrees: 0.005 and 0.995 quantiles
+    assert abs(100.0 * high - 140.169) < 0.001
+    assert abs(study.student(0.01, 9) - 3.250) < 0.001
+    assert abs(study.student(0.01, 99) - 2.626) < 0.001

@@ -15,9 +15,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.moc import read_moc
-from mgsgraph.io.pds3 import Pds3Label
 from mgsgraph.io.pedr import FRAME, HEADER_RECORDS, read_pedr
-from mgsgraph.io.pvl import Document, whole_label
+from mgsgraph.io.pvl import Document, flat_label, whole_label
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.terrain import GRID_VERTICAL
 from mgsgraph.units import DEG
@@ -109,12 +108,12 @@ def test_labels_say_what_kernels_and_profiles_cover(site: SimulatedSite, archive
         kernel: (archive / kernel).with_suffix(".lbl").read_text(encoding="ascii") for kernel in KERNELS[1:]
     }
     for kernel in KERNELS[-2:]:
-        label = Pds3Label(texts[kernel], kernel)
+        label = flat_label(texts[kernel], kernel)
         for image in site.images:
             assert label.text("START_TIME") < image.settings.start < label.text("STOP_TIME")
     for image, path in zip(site.images, ("ap18xxx/ap18933l.b", "ap19xxx/ap19043l.b"), strict=True):
         head = (archive / "pedr" / path).read_bytes()[: HEADER_RECORDS * FRAME.itemsize].decode("ascii")
-        label = Pds3Label(head, path)
+        label = flat_label(head, path)
         start, stop = (datetime.fromisoformat(label.text(f"{name}_TIME")) for name in ("START", "STOP"))
         taken = datetime.fromisoformat(image.settings.start)
         assert start < taken < stop

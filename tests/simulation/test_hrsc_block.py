@@ -72,11 +72,11 @@ def test_lines_look_ahead_and_back_over_the_ground(block: SimulatedBlock, line: 
         pose = image.pose(middle)
         up = pose.position[0] / np.linalg.norm(pose.position)
         forward = pose.velocity[0] - (pose.velocity[0] @ up) * up
-        sight = ground[0] - pose.position[0]
-        found = np.arctan2(sight @ forward / np.linalg.norm(forward), -sight @ up) / DEG
+        observation = ground[0] - pose.position[0]
+        found = np.arctan2(observation @ forward / np.linalg.norm(forward), -observation @ up) / DEG
         assert found == pytest.approx(angle, abs=0.02)
         across = np.cross(up, forward / np.linalg.norm(forward))
-        assert abs(np.arcsin(sight @ across / np.linalg.norm(sight))) < 0.05 * DEG
+        assert abs(np.arcsin(observation @ across / np.linalg.norm(observation))) < 0.05 * DEG
 
 
 def test_lines_of_a_strip_share_one_trajectory_and_the_swath(block: SimulatedBlock) -> None:

@@ -11,7 +11,7 @@ import spiceypy
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import polynomial
-from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.simulation.files import write_pair
@@ -58,10 +58,10 @@ def test_body_rotation_is_the_one_of_spice(pair: SimulatedPair) -> None:
         spiceypy.pdpool("BODY499_PM", [176.630, 350.89198226, 0.0])
         for image in pair.images:
             times = np.array([-3.3, 0.0, 2.71])
-            matrices, turning = image.trajectory.body.at(times)
+            matrices, angular_rate = image.trajectory.body.at(times)
             want = np.array([spiceypy.tipbod("J2000", 499, image.trajectory.epoch + t) for t in times])
             assert np.abs(matrices - want).max() < 1e-12
-            assert np.abs(turning - [0.0, 0.0, 7.088218e-5]).max() < 1e-10
+            assert np.abs(angular_rate - [0.0, 0.0, 7.088218e-5]).max() < 1e-10
     finally:
         spiceypy.kclear()
 
@@ -219,7 +219,7 @@ def test_support_data_read_back_as_the_same_image(pair: SimulatedPair, folder: P
     assert np.abs(got.position - want.position).max() < 1e-6
     assert np.abs(got.velocity - want.velocity).max() < 1e-9
     assert np.abs(got.matrix - want.matrix).max() < 1e-12
-    assert np.abs(got.turning - want.turning).max() < 1e-12
+    assert np.abs(got.angular_rate - want.angular_rate).max() < 1e-12
     assert (back.lines, back.samples, back.body) == (image.lines, image.samples, image.body)
     place, _ = back.image_to_ground(lines, samples, 100.0)
     assert np.abs(place - image.image_to_ground(lines, samples, 100.0)[0]).max() < 1e-5

@@ -11,12 +11,12 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import areoid_grid
-from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.moc import read_moc
 from mgsgraph.io.moc_label import read_moc_label
-from mgsgraph.io.moc_pixels import read_moc_pixels
 from mgsgraph.io.pedr import read_pedr
+from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOptions, simulate_site

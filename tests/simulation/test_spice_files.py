@@ -77,8 +77,8 @@ def test_angular_velocities_are_those_of_the_motion(gusev: tuple[list[KernelSegm
     with loaded([folder / "mgs.tm"]):
         for segment, expected in ((nadir, 8.92e-4), (held, 0.0)):
             clock = spiceypy.sce2c(-94, segment.trajectory.epoch)
-            _, turning, _ = spiceypy.ckgpav(-94000, clock, 0.0, "J2000")
-            assert np.linalg.norm(turning) == pytest.approx(expected, abs=5e-5)  # the noise of the records
+            _, angular_rate, _ = spiceypy.ckgpav(-94000, clock, 0.0, "J2000")
+            assert np.linalg.norm(angular_rate) == pytest.approx(expected, abs=5e-5)  # the noise of the records
 
 
 def test_body_rotation_and_mount_are_spices(gusev: tuple[list[KernelSegment], Path]) -> None:
@@ -155,8 +155,8 @@ def test_published_geometry_comes_out(name: str) -> None:
         ground, _ = image.image_to_ground(middle, axis)
         assert np.linalg.norm(ground[0] - centre(site)) < 1e-3
         normal = ground[0] / np.array([MARS.equatorial, MARS.equatorial, MARS.polar]) ** 2
-        sight = image.pose(middle).position[0] - ground[0]
-        emission = np.arccos(sight @ normal / np.linalg.norm(sight) / np.linalg.norm(normal))
+        observation = image.pose(middle).position[0] - ground[0]
+        emission = np.arccos(observation @ normal / np.linalg.norm(observation) / np.linalg.norm(normal))
         assert emission == pytest.approx(settings.emission, abs=1e-6)
         steps, _ = image.image_to_ground(middle + [[-0.5], [0.5]] @ np.ones((1, 1)).ravel(), np.repeat(axis, 2))
         speed = np.linalg.norm(steps[1] - steps[0]) / settings.period

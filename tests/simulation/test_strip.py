@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.io.control_net import read_control_network
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import PointClass

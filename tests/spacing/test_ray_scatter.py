@@ -12,7 +12,7 @@ from mgsgraph.network import Network
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.spacing.choice import respaced
-from mgsgraph.spacing.corrections import course
+from mgsgraph.spacing.corrections import correction_series
 from mgsgraph.spacing.densify import densify, pattern
 from mgsgraph.spacing.rays import ray_scatter
 from mgsgraph.spacing.spectrum import spectra
@@ -67,7 +67,7 @@ def test_sigmas_half_as_large_as_they_are_ask_for_nothing(seed: int) -> None:
     found, plain = pattern(solution, 0), pattern(solution, 0, 1.0)
     assert not found.asking(0.01, 0.1, found.squares.size).any()
     assert plain.asking(0.01, 0.1, plain.squares.size).any()
-    scattered, stated = course(solution, 0), course(solution, 0, 1.0)
+    scattered, stated = correction_series(solution, 0), correction_series(solution, 0, 1.0)
     assert scattered.factor == ray_scatter(solution).factor > 1.9
     np.testing.assert_allclose(scattered.noise, scattered.factor**2 * stated.noise)
     assert not any(one.vibrations for one in spectra(scattered))

@@ -19,14 +19,14 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip_truth import Axis, Jitter, correction_at
-from mgsgraph.spacing.corrections import AXES, Course, course
+from mgsgraph.spacing.corrections import AXES, CorrectionSeries, correction_series
 from mgsgraph.spacing.spectrum import Spectrum, spectra, spectrum
 from mgsgraph.units import MGON
 
 ROLL, PITCH = AXES.index("roll"), AXES.index("pitch")
 
 
-def made(times: Array, values: Array, spread: Array | None = None, response: Array | None = None) -> Course:
+def made(times: Array, values: Array, spread: Array | None = None, response: Array | None = None) -> CorrectionSeries:
     """A course with corrections in roll alone, whose errors have a covariance (k, k), and which it all shows."""
     k = times.size
     spread = np.eye(k) if spread is None else spread
@@ -34,7 +34,7 @@ def made(times: Array, values: Array, spread: Array | None = None, response: Arr
     six[:, ROLL] = values
     whole = np.kron(spread, np.eye(6))
     shown = np.kron(np.eye(k) if response is None else response, np.eye(6))
-    return Course("strip", 0.0, times, six, whole, whole, shown, None, np.full(6, np.inf))
+    return CorrectionSeries("strip", 0.0, times, six, whole, whole, shown, None, np.full(6, np.inf))
 
 
 def uneven(k: int, rng: np.random.Generator) -> Array:
@@ -144,7 +144,7 @@ def by_axis(found: list[Spectrum]) -> dict[str, Spectrum]:
 @pytest.mark.parametrize("basis", ["lagrange", "spline"])
 @pytest.mark.parametrize("axis", ["pitch", "roll"])
 def test_planted_jitter_appears(basis: Basis, axis: Axis) -> None:
-    one = course(adjusted(basis, axis), 0)
+    one = correction_series(adjusted(basis, axis), 0)
     found = by_axis(spectra(one))
     (peak,) = found[axis].vibrations
     assert peak.frequency == pytest.approx(0.06, abs=0.25 / np.ptp(one.times))
@@ -159,7 +159,7 @@ def test_planted_jitter_appears(basis: Basis, axis: Axis) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_none_without_jitter(seed: int) -> None:
     """The departures that the prior expects are there, and none of them is called a vibration."""
-    found = spectra(course(adjusted(seed=seed), 0))
+    found = spectra(correction_series(adjusted(seed=seed), 0))
     assert [one.axis for one in found] == list(AXES)
     assert not any(one.vibrations for one in found)
 
@@ -168,7 +168,7 @@ def test_none_without_jitter(seed: int) -> None:
 def test_course_is_the_correction(basis: Basis) -> None:
     """At its times it has the size of the correction, and the sigmas of the joint covariance."""
     solution = adjusted(basis)
-    one = course(solution, 0)
+    one = correction_series(solution, 0)
     correction = solution.correction(2)
     at = correction_at(correction, one.times, one.epoch)
     for part in (slice(0, 3), slice(3, 6)):
@@ -220,7 +220,7 @@ def test_noise_is_the_covariance_where_nothing_is_known_beforehand() -> None:
         )
         settings = BlockSettings(strips=1, length=150e3, points=800, terrain=None, spacing=10.0, errors=errors)
         net = simulate_hrsc_block(settings, 1).network
-        one = course(adjust_network(net, SolverSettings()), 0)
+        one = correction_series(adjust_network(net, SolverSettings()), 0)
         own, noise = one.axis(one.covariance, PITCH), one.axis(one.noise, PITCH)
         assert np.linalg.eigvalsh(own - noise).min() > -1e-6 * np.trace(own)
         assert np.linalg.eigvalsh(noise).min() > -1e-6 * np.trace(own)

@@ -25,7 +25,7 @@ from mgsgraph.adjustment.cluster.workers import (
     known_workers,
     require_alike,
     require_memory,
-    require_sight,
+    require_visible_file,
 )
 from mgsgraph.errors import InputError, SolverError
 
@@ -75,9 +75,9 @@ class Connection:
         """Raise InputError where a worker's memory limit lies below `needed` bytes for `what`."""
         require_memory(self.workers, needed, what, self.where, remedy)
 
-    def require_sight(self, path: Path) -> None:
+    def require_visible_file(self, path: Path) -> None:
         """Raise InputError where a worker does not see a file as it is here."""
-        require_sight(self.client, path, self.where, self._patience)
+        require_visible_file(self.client, path, self.where, self._patience)
 
     def each(
         self, function: Callable[[_Item], _Result], items: Sequence[_Item]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Groups, Model, Rows, Target
-from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RESIDUALS, SYSTEM, own
+from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RESIDUALS, SYSTEM, writable
 
 HOLD, PLACES = -1, -2
 """Orders beside the kernel's sweeps: take a partition in; tell where the points of an earlier sweep ended."""
@@ -125,7 +125,7 @@ def _find(order: Order) -> _Held | None:
     if held is not None:
         held.used = now
         if order.changes:
-            new = {name: own(values) for name, values in order.changes.items()}
+            new = {name: writable(values) for name, values in order.changes.items()}
             held.source = held.source._replace(rows=held.source.rows._replace(**new))
     return held
 
@@ -154,4 +154,4 @@ def weight_of(record: tuple[Any, ...]) -> int:
 
 def _own_all(record: Any) -> Any:
     """A record with arrays of its own."""
-    return type(record)(*(own(value) if isinstance(value, np.ndarray) else value for value in record))
+    return type(record)(*(writable(value) if isinstance(value, np.ndarray) else value for value in record))

@@ -65,7 +65,7 @@ class _Part:
     token: str
     pieces: slice
     points: slice
-    sights: slice
+    observations: slice
     blocks: Index
     """Where its blocks are among the whole's."""
     target: Target
@@ -204,7 +204,7 @@ class Partitions:
         return joined(self._sweep(rows, order), 0)
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
-        """Residuals (t, 2) of all sights: image rays in pixels, ranges and heights in m."""
+        """Residuals (t, 2) of all observations: image rays in pixels, ranges and heights in m."""
         self._take(layout)
 
         def order(part: _Part) -> Order:
@@ -263,7 +263,8 @@ class Partitions:
             return replace(order, source=Source(mine, groups, part.target, model))
         if all(new is old for new, old in zip(now, part.sent, strict=True)):
             return order
-        own: dict[str, Any] = {"kind": part.points, "weight": (slice(None), part.sights), "terrain_cell": part.points}
+        weights = slice(None), part.observations
+        own: dict[str, Any] = {"kind": part.points, "weight": weights, "terrain_cell": part.points}
         news = zip(CHANGING, now, part.sent, strict=True)
         return replace(order, changes={name: new[own[name]] for name, new, old in news if new is not old})
 
@@ -312,14 +313,14 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
     rows = layout.rows
     mine = partition(rows, first, last)
     point = int(rows.piece[first, 1])
-    sight = int(rows.piece[first, 4])
+    observation = int(rows.piece[first, 4])
     own = (mine.kind, mine.start, mine.data, mine.weight, mine.terrain_cell)
     blocks, target = _own_blocks(layout.groups, layout.blocks.target, np.unique(rows.pattern_group[mine.piece[:, 0]]))
     return _Part(
         uuid.uuid4().hex,
         slice(first, last),
         slice(point, point + mine.kind.size),
-        slice(sight, sight + mine.weight.shape[1]),
+        slice(observation, observation + mine.weight.shape[1]),
         blocks,
         target,
         weight_of(own) + common,

@@ -133,7 +133,7 @@ def require_memory(workers: tuple[Worker, ...], needed: float, what: str, where:
             raise InputError(f"{where}, {worker}", found, f"at least {needed / GIGA:.2f} GB for {what}", remedy)
 
 
-def require_sight(client: Any, path: Path, where: str, patience: float) -> None:
+def require_visible_file(client: Any, path: Path, where: str, patience: float) -> None:
     """Raise InputError, naming the worker, where a file is not seen with the content that it has here.
 
     Network file systems show a new file late: for `patience` s the workers are asked again.

@@ -102,7 +102,7 @@ class InProcess:
         return point_covariances(rows, layout.groups, layout.blocks.target, layout.model, orientation, joint, points)
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
-        """Residuals (t, 2) of all sights: image rays in pixels, ranges and heights in m."""
+        """Residuals (t, 2) of all observations: image rays in pixels, ranges and heights in m."""
         return all_residuals(rows, layout.groups, layout.blocks.target, layout.model, orientation, points)
 
 

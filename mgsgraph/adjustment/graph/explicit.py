@@ -1,4 +1,4 @@
-"""The explicit form: one factor per sight, points as variables. The reference, for small problems and teaching."""
+"""The explicit form: one factor per observation, points as variables; a reference for small problems and teaching."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.bundle import point_key, prior_factors, shared_values, variable_key
 from mgsgraph.adjustment.graph.layout import Layout
-from mgsgraph.adjustment.graph.sights import sight_factor
+from mgsgraph.adjustment.graph.observations import observation_factor
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import (
     CAUCHY,
@@ -21,7 +21,7 @@ from mgsgraph.kernel.rows import (
     TUKEY,
     Model,
     Rows,
-    one_sight,
+    one_observation,
 )
 
 _ESTIMATORS: dict[int, Any] = {
@@ -31,8 +31,8 @@ _ESTIMATORS: dict[int, Any] = {
 }
 
 
-def sight_noise(kind: int, weights: Array, model: Model) -> gtsam.noiseModel.Base:
-    """Noise of a sight from its weights (2,); the robust loss is for image rays and ranges."""
+def observation_noise(kind: int, weights: Array, model: Model) -> gtsam.noiseModel.Base:
+    """Noise of an observation from its weights (2,); the robust loss is for image rays and ranges."""
     if kind == GROUND:
         return gtsam.noiseModel.Unit.Create(3)
     diagonal = gtsam.noiseModel.Diagonal.Sigmas(1.0 / weights[: 2 if kind == IMAGE else 1])
@@ -70,7 +70,7 @@ def explicit_graph(
                 continue
             if rows.kind[i] != FIXED:
                 values.insert(point_key(i), points[i])
-            for j in range(len(layout.patterns.sights[pattern])):
+            for j in range(len(layout.patterns.observations[pattern])):
                 weights = rows.weight[:, place + j * count + i - first]
                 if weights[0] > 0.0:
                     graph.add(_factor(layout, rows, i, pattern, j, weights))
@@ -78,19 +78,19 @@ def explicit_graph(
 
 
 def _factor(layout: Layout, rows: Rows, i: int, pattern: int, j: int, weights: Array) -> gtsam.CustomFactor:
-    """Factor of the j-th sight of a point (place in the layout)."""
-    sight, network = layout.patterns.sights[pattern][j], layout.network
-    felt = sight.variables
+    """Factor of the j-th observation of a point (place in the layout)."""
+    observation, network = layout.patterns.observations[pattern][j], layout.network
+    felt = observation.variables
     label = f"point {network.points.ids[layout.point_order[i]]}"
-    if sight.image >= 0:
-        label += f", image {network.images[sight.image].name}"
-    return sight_factor(
+    if observation.image >= 0:
+        label += f", image {network.images[observation.image].name}"
+    return observation_factor(
         [variable_key(layout, v) for v in felt],
         [int(layout.variables.width[v]) for v in felt],
         rows.start[i] if rows.kind[i] == FIXED else point_key(i),
-        one_sight(rows, layout.groups, i, j),
+        one_observation(rows, layout.groups, i, j),
         layout.model,
-        sight_noise(sight.kind, weights, layout.model),
+        observation_noise(observation.kind, weights, layout.model),
         label,
     )
 

@@ -1,13 +1,8 @@
 """Constants of image rays put where the kernel reads them, and where points' nominal rays cross; compiled."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-from mgsgraph.compiled import digest_of, make_equations_compilable
-from mgsgraph.factors import algebra
+from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
 from mgsgraph.factors.rotation import matrix_quaternion, opk_angles
@@ -16,20 +11,19 @@ from mgsgraph.kernel.rows import CAMERA, OPK_PAPER
 
 make_equations_compilable()
 
-_compiled: Any = njit(nogil=True, error_model="numpy")
-_kept: Any = njit(cache=True, nogil=True, error_model="numpy")
 
-
-@_compiled
+@compiled
 def destination(point, slot, point_place, piece_of, piece, before):
-    """Where a sight's constants begin in the data, the step to the next one, and its place among all sights."""
+    """Where an observation's constants begin in the data, the step to the next one, and its place among all
+    observations.
+    """
     place = point_place[point]
     p = piece_of[place]
     inside, stride = place - piece[p, 1], piece[p, 2]
     return piece[p, 3] + stride * before[piece[p, 0], slot] + inside, stride, piece[p, 4] + slot * stride + inside
 
 
-@_compiled
+@compiled
 def put(data, at, stride, values):
     """Store the components of a tuple; where the next one goes."""
     for value in values:
@@ -38,7 +32,7 @@ def put(data, at, stride, values):
     return at
 
 
-@_compiled
+@compiled
 def rows_of(matrix):
     """A matrix (3, 3) as rows."""
     return (
@@ -48,7 +42,7 @@ def rows_of(matrix):
     )
 
 
-@_compiled
+@compiled
 def origin_of(point, slot, store):
     """Origin (m) of a nominal ray that `put_rays` has put there."""
     point_place, piece_of, piece, before, data = store
@@ -56,123 +50,112 @@ def origin_of(point, slot, store):
     return data[at], data[at + s], data[at + 2 * s]
 
 
-def _compile(sources: str) -> Any:
-    """What is called from Python; it holds the digest of all that it is compiled from."""
+@cached_kernel
+def put_rays(
+    mine,
+    point,
+    slot,
+    sigmas,
+    store,
+    angles,
+    predicted,
+    pose,
+    detector,
+    focal,
+    slope,
+    scales,
+    offset,
+    u,
+    basis,
+    effects,
+    among,
+    weight,
+    units,
+):
+    """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_observation` takes them.
 
-    @_kept
-    def put_rays(
-        mine,
-        point,
-        slot,
-        sigmas,
-        store,
-        angles,
-        predicted,
-        pose,
-        detector,
-        focal,
-        slope,
-        scales,
-        offset,
-        u,
-        basis,
-        effects,
-        among,
-        weight,
-        units,
-    ):
-        """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_sight` takes them.
-
-        `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, turnings or
-        rates of the angles), `scales` (m, 4 or 0) where S of the measured-line form is known already, `offset` (m,)
-        lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of
-        nodes. What is filled beside the constants: the ray's place among all sights, weights, and unit directions.
-        """
-        if len(sources) == 0:
-            return
-        point_place, piece_of, piece, before, data = store
-        position, matrix, velocity, turning = pose
-        for r in range(mine.size):
-            k = mine[r]
-            at, stride, place = destination(point[k], slot[k], point_place, piece_of, piece, before)
-            among[k] = place
-            weight[0, place], weight[1, place] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
-            at = put(data, at, stride, vector(position, r))
-            attitude = rows_of(matrix[r])
-            if angles == CAMERA:
-                at = put(data, at, stride, matrix_quaternion(attitude))
-            else:
-                at = put(data, at, stride, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
-            at = put(data, at, stride, (detector[r, 0], detector[r, 1]))
-            look = transform(transpose(attitude), (detector[r, 0], detector[r, 1], focal))
-            units[k, 0], units[k, 1], units[k, 2] = scale(1.0 / np.sqrt(dot(look, look)), look)
-            if predicted:
-                at = put(data, at, stride, vector(velocity, r))
-                at = put(data, at, stride, vector(turning, r))
-                at = put(data, at, stride, (slope[r, 0], slope[r, 1], offset[r]))
-            else:
-                for c in range(scales.shape[1]):
-                    data[at + c * stride] = scales[r, c]
-                at += 4 * stride
-            for values in (u, basis, effects):
-                for c in range(values.shape[1]):
-                    data[at] = values[r, c]
-                    at += stride
-
-    @_kept
-    def put_scale(mine, point, slot, store, first, values):
-        """The scale (m, 4) of the measured-line form, component `first` of each ray."""
-        if len(sources) == 0:
-            return
-        point_place, piece_of, piece, before, data = store
-        for r in range(mine.size):
-            at, stride, _ = destination(point[mine[r]], slot[mine[r]], point_place, piece_of, piece, before)
-            for c in range(4):
-                data[at + (first + c) * stride] = values[r, c]
-
-    @_kept
-    def crossings(point_order, begin, order, slot, store, units, wanted, places, apart):
-        """Where the nominal rays of points cross, and how far apart they point.
-
-        Parameters
-        ----------
-        point_order : (n,)
-            Network point at each place of the layout.
-        begin, order : (n + 1,), (k,)
-            Rays of each point (`sorting.by_point`).
-        slot : (k,)
-        store
-            As of `put_rays`.
-        units : (k, 3)
-            Directions of the rays, body-fixed.
-        wanted : (n,)
-            Points whose place is asked for.
-        places : (n, 3)
-            m: filled for these, unless the rays are closer to parallel than 2e-7 rad or meet behind a camera.
-        apart : (n,)
-            rad between the outermost rays, about: filled for all; zero for fewer than two.
-        """
-        if len(sources) == 0:
-            return
-        for i in point_order:  # as the constants lie
-            count, origin = begin[i + 1] - begin[i], (0.0, 0.0, 0.0)
-            normal, right = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-            for r in range(begin[i], begin[i + 1]):
-                centre = origin_of(i, slot[order[r]], store)
-                origin = centre if r == begin[i] else origin
-                normal, right = add_ray(normal, right, subtract(centre, origin), vector(units, order[r]))
-            weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
-            apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
-            if wanted[i]:
-                found = solve_symmetric(normal, right)
-                usable = weakest > 1e-14
-                for r in range(begin[i], begin[i + 1] if usable else 0):  # rays that part meet behind their cameras
-                    ahead = subtract(add(found, origin), origin_of(i, slot[order[r]], store))
-                    usable &= dot(ahead, vector(units, order[r])) > 0.0
-                for j in range(3):
-                    places[i, j] = found[j] + origin[j] if usable else places[i, j]
-
-    return put_rays, put_scale, crossings
+    `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, angular rates or
+    rates of the angles), `scales` (m, 4 or 0) where S of the measured-line form is known already, `offset` (m,)
+    lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of
+    nodes. What is filled beside the constants: the ray's place among all observations, weights, and unit
+    directions.
+    """
+    point_place, piece_of, piece, before, data = store
+    position, matrix, velocity, angular_rate = pose
+    for r in range(mine.size):
+        k = mine[r]
+        at, stride, place = destination(point[k], slot[k], point_place, piece_of, piece, before)
+        among[k] = place
+        weight[0, place], weight[1, place] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
+        at = put(data, at, stride, vector(position, r))
+        attitude = rows_of(matrix[r])
+        if angles == CAMERA:
+            at = put(data, at, stride, matrix_quaternion(attitude))
+        else:
+            at = put(data, at, stride, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
+        at = put(data, at, stride, (detector[r, 0], detector[r, 1]))
+        look = transform(transpose(attitude), (detector[r, 0], detector[r, 1], focal))
+        units[k, 0], units[k, 1], units[k, 2] = scale(1.0 / np.sqrt(dot(look, look)), look)
+        if predicted:
+            at = put(data, at, stride, vector(velocity, r))
+            at = put(data, at, stride, vector(angular_rate, r))
+            at = put(data, at, stride, (slope[r, 0], slope[r, 1], offset[r]))
+        else:
+            for c in range(scales.shape[1]):
+                data[at + c * stride] = scales[r, c]
+            at += 4 * stride
+        for values in (u, basis, effects):
+            for c in range(values.shape[1]):
+                data[at] = values[r, c]
+                at += stride
 
 
-put_rays, put_scale, crossings = _compile(digest_of(Path(__file__).parent, Path(algebra.__file__).parent))
+@cached_kernel
+def put_scale(mine, point, slot, store, first, values):
+    """The scale (m, 4) of the measured-line form, component `first` of each ray."""
+    point_place, piece_of, piece, before, data = store
+    for r in range(mine.size):
+        at, stride, _ = destination(point[mine[r]], slot[mine[r]], point_place, piece_of, piece, before)
+        for c in range(4):
+            data[at + (first + c) * stride] = values[r, c]
+
+
+@cached_kernel
+def crossings(point_order, begin, order, slot, store, units, wanted, places, apart):
+    """Where the nominal rays of points cross, and how far apart they point.
+
+    Parameters
+    ----------
+    point_order : (n,)
+        Network point at each place of the layout.
+    begin, order : (n + 1,), (k,)
+        Rays of each point (`sorting.by_point`).
+    slot : (k,)
+    store
+        As of `put_rays`.
+    units : (k, 3)
+        Directions of the rays, body-fixed.
+    wanted : (n,)
+        Points whose place is asked for.
+    places : (n, 3)
+        m: filled for these, unless the rays are closer to parallel than 2e-7 rad or meet behind a camera.
+    apart : (n,)
+        rad between the outermost rays, about: filled for all; zero for fewer than two.
+    """
+    for i in point_order:  # as the constants lie
+        count, origin = begin[i + 1] - begin[i], (0.0, 0.0, 0.0)
+        normal, right = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for r in range(begin[i], begin[i + 1]):
+            centre = origin_of(i, slot[order[r]], store)
+            origin = centre if r == begin[i] else origin
+            normal, right = add_ray(normal, right, subtract(centre, origin), vector(units, order[r]))
+        weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
+        apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
+        if wanted[i]:
+            found = solve_symmetric(normal, right)
+            usable = weakest > 1e-14
+            for r in range(begin[i], begin[i + 1] if usable else 0):  # rays that part meet behind their cameras
+                ahead = subtract(add(found, origin), origin_of(i, slot[order[r]], store))
+                usable &= dot(ahead, vector(units, order[r])) > 0.0
+            for j in range(3):
+                places[i, j] = found[j] + origin[j] if usable else places[i, j]

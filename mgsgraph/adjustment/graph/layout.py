@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
-from mgsgraph.adjustment.graph.rows import SightPlaces, lay_out_rows
+from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows
 from mgsgraph.adjustment.graph.terms import Terms
 from mgsgraph.adjustment.graph.variables import Variables, make_variables
 from mgsgraph.adjustment.settings import SolverSettings
@@ -58,8 +58,8 @@ class Layout:
     """Its normal matrix on strips' unknowns, flat in `blocks`; empty without strips."""
     patterns: Patterns
     """Points by pattern."""
-    places: SightPlaces
-    """Network rows among all sights."""
+    places: ObservationRows
+    """Network rows among all observations."""
     lines: Array
     """(k,) line about which each network ray is laid out."""
 
@@ -175,9 +175,9 @@ def _lay_out(
     variables = make_variables(network)
     terms = Terms(network, variables, lines)
     patterns, rays_of = sort_points(network, terms)
-    sights, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like)
+    observations, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like)
     groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
     blocks = pair_blocks(variables, groups, prior.pairs)
     information = prior.information(blocks)
-    return Layout(network, model, rows, groups, blocks, variables, prior, information, patterns, sights, lines)
+    return Layout(network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines)

@@ -1,4 +1,4 @@
-"""Points sorted by pattern: which sights they have, in pieces that the kernel takes one after the other."""
+"""Points sorted by pattern: which observations they have, in pieces that the kernel takes one after the other."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ from mgsgraph.network import Network, SharedKind
 from mgsgraph.ties import PointKind
 
 
-class Sight(NamedTuple):
-    """One sight of a pattern."""
+class Observation(NamedTuple):
+    """One observation of a pattern."""
 
     kind: int
     """IMAGE, RANGE, GROUND or SURFACE."""
@@ -47,11 +47,11 @@ _Rows = tuple[Index, NDArray[np.int32], NDArray[np.int32]]
 class Patterns:
     """Points sorted by pattern, patterns by shape and then by the unknowns that they feel.
 
-    n points, q patterns, m pieces, g groups, s sights of patterns, e entries of sights.
+    n points, q patterns, m pieces, g groups, s observations of patterns, e entries of observations.
     """
 
     first: Index
-    """(q + 1,) first sight of each pattern: rays by image, ranges by image, a-priori place, terrain."""
+    """(q + 1,) first observation of each pattern: rays by image, ranges by image, a-priori place, terrain."""
     fixed: Mask
     """(q,) whether the points are known."""
     shape: Index
@@ -75,7 +75,7 @@ class Patterns:
     shared: Index
     """(s,) number of single columns: a shift's, then those of shared unknowns."""
     entry: Index
-    """(s + 1,) first entry of each sight."""
+    """(s + 1,) first entry of each observation."""
     entry_variable: Index
     """(e,) variable of each basis term and of each single column."""
     entry_inside: Index
@@ -91,7 +91,7 @@ class Patterns:
     piece_first: Index
     """(m + 1,) first point of each piece."""
     ray_slot: NDArray[np.int32]
-    """(k,) place of each network ray among its point's sights."""
+    """(k,) place of each network ray among its point's observations."""
     range_slot: NDArray[np.int32]
     """(r,) the same of each network range."""
 
@@ -105,10 +105,10 @@ class Patterns:
         return tuple(tuple(part.tolist()) for part in np.split(self.group_member, self.group_first[1:-1]))
 
     @cached_property
-    def sights(self) -> tuple[tuple[Sight, ...], ...]:
-        """Sights of each pattern one by one; for small networks."""
+    def observations(self) -> tuple[tuple[Observation, ...], ...]:
+        """Observations of each pattern one by one; for small networks."""
         one = [
-            Sight(kind, image, width, terms, tuple(zip(*entries, strict=True)))
+            Observation(kind, image, width, terms, tuple(zip(*entries, strict=True)))
             for kind, image, width, terms, *entries in zip(
                 self.kind.tolist(), self.image.tolist(), self.width.tolist(), self.terms.tolist(),
                 [part.tolist() for part in np.split(self.entry_variable, self.entry[1:-1])],
@@ -136,26 +136,26 @@ def sort_points(network: Network, terms: Terms) -> tuple[Patterns, tuple[Index, 
     for values in (network.points.kinds, moved, on_surface, *beams):
         mix_values(signature, values)
     example, number = distinct(signature)
-    sights = _Sights(network, terms, example, of_rays, of_ranges, moved, on_surface, beams)
-    place, group_first, group_member, group = _groups(sights.pattern_of_entry, sights.variable, example.size)
+    of_example = _PatternObservations(network, terms, example, of_rays, of_ranges, moved, on_surface, beams)
+    member, group_first, group_member, group = _groups(of_example.pattern_of_entry, of_example.variable, example.size)
     fixed = network.points.kinds[example] == PointKind.FIXED
-    polynomial = (sights.image >= 0) & (sights.node < 0)
-    alike = sights.kind, sights.width, sights.terms, sights.shared, polynomial.astype(np.int64)
-    shape = shapes(sights.first, fixed.astype(np.int64), *alike)
+    polynomial = (of_example.image >= 0) & (of_example.node < 0)
+    alike = of_example.kind, of_example.width, of_example.terms, of_example.shared, polynomial.astype(np.int64)
+    shape = shapes(of_example.first, fixed.astype(np.int64), *alike)
     order = np.lexsort([np.arange(example.size), group, shape])
     rank = np.empty_like(order)
     rank[order] = np.arange(order.size)
     point_order, point_place, count = counted(rank[number], order.size)
     pieces = -(-count // PIECE)
     inside = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    of_order, first = _runs(sights.first, order)
-    entries, entry = _runs(sights.entry, of_order)
+    of_order, first = _runs(of_example.first, order)
+    entries, entry = _runs(of_example.entry, of_order)
     range_slot = (of_ranges[2] + network.ray_counts[ranges.point]).astype(np.int32)
     patterns = Patterns(
-        first, fixed[order], shape[order], group[order], group_first, group_member, sights.kind[of_order],
-        sights.image[of_order], sights.node[of_order], sights.width[of_order], sights.terms[of_order],
-        sights.shared[of_order], entry, sights.variable[entries], sights.inside[entries], place[entries], point_order,
-        point_place, np.repeat(np.arange(order.size), pieces),
+        first, fixed[order], shape[order], group[order], group_first, group_member, of_example.kind[of_order],
+        of_example.image[of_order], of_example.node[of_order], of_example.width[of_order], of_example.terms[of_order],
+        of_example.shared[of_order], entry, of_example.variable[entries], of_example.inside[entries], member[entries],
+        point_order, point_place, np.repeat(np.arange(order.size), pieces),
         np.append(np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE, number.size), of_rays[2], range_slot,
     )  # fmt: skip
     return patterns, of_rays[:2]
@@ -187,8 +187,8 @@ def _beams(network: Network) -> list[Index]:
     return found
 
 
-class _Sights:
-    """Sights of the patterns' example points, and the unknowns that they feel."""
+class _PatternObservations:
+    """Observations of the patterns' example points, and the unknowns that they feel."""
 
     def __init__(
         self, network: Network, terms: Terms, example: Index, of_rays: _Rows, of_ranges: _Rows, moved: Index,
@@ -221,36 +221,37 @@ class _Sights:
         self.terms = np.where(carried, terms.counts[self.image], 0)
         self.width = np.where(self.kind == IMAGE, 6, 3)
         size = self.kind.size
-        sight, variable, inside = [], [], []
+        observation, variable, inside = [], [], []
         mine = np.repeat(np.flatnonzero(carried), self.terms[carried])
         step, node = _within(self.terms[carried]), self.node[mine]
         strip = terms.first_node(self.image[mine])
-        sight.append(mine)
+        observation.append(mine)
         variable.append(np.where(node >= 0, strip + node + step, self.image[mine]))
         inside.append(np.where(node >= 0, 0, 6 * step))
         if network.terrain_moves and network.surface is not None:
             moved_terrain = np.full(surface.size, network.first_shared - 1)
-            _add_singles(sight, variable, inside, surface, moved_terrain, len(network.surface.terms))
-        _add_singles(sight, variable, inside, ground[moved[0] >= 0], moved[0][moved[0] >= 0], 2)
+            _add_singles(observation, variable, inside, surface, moved_terrain, len(network.surface.terms))
+        _add_singles(observation, variable, inside, ground[moved[0] >= 0], moved[0][moved[0] >= 0], 2)
         for beam in moved[1:]:
-            _add_singles(sight, variable, inside, ground[beam >= 0], beam[beam >= 0], 3)
+            _add_singles(observation, variable, inside, ground[beam >= 0], beam[beam >= 0], 3)
         for k, shared in enumerate(network.shared):
             of_image = np.zeros(len(network.images) + 1, dtype=bool)  # the last one is that of no image
             of_image[shared.images] = True
             felt = {IMAGE: shared.kind.felt_by_rays, RANGE: shared.kind.felt_by_ranges}
             own = np.flatnonzero(of_image[self.image] & np.isin(self.kind, [kind for kind in felt if felt[kind]]))
-            _add_singles(sight, variable, inside, own, np.full(own.size, network.first_shared + k), shared.kind.width)
+            number = np.full(own.size, network.first_shared + k)
+            _add_singles(observation, variable, inside, own, number, shared.kind.width)
             if not shared.kind.moves_pose:
                 self.width[own] = np.where(self.kind[own] == IMAGE, 7, 4)
-        sights = np.concatenate(sight)
-        order = np.argsort(sights, kind="stable")
-        counts = np.bincount(sights, minlength=size)
+        observations = np.concatenate(observation)
+        order = np.argsort(observations, kind="stable")
+        counts = np.bincount(observations, minlength=size)
         self.entry = np.concatenate([[0], np.cumsum(counts)])
         self.shared = counts - self.terms
         self.variable = np.concatenate(variable)[order].astype(np.int64)
         self.inside = np.concatenate(inside)[order].astype(np.int64)
         pattern = np.repeat(np.arange(self.first.size - 1), np.diff(self.first))
-        self.pattern_of_entry = pattern[sights[order]]
+        self.pattern_of_entry = pattern[observations[order]]
 
 
 def _within(counts: Index) -> Index:
@@ -259,10 +260,10 @@ def _within(counts: Index) -> Index:
 
 
 def _add_singles(
-    sight: list[Index], variable: list[Index], inside: list[Index], own: Index, felt: Index, columns: int
+    observation: list[Index], variable: list[Index], inside: list[Index], own: Index, felt: Index, columns: int
 ) -> None:
-    """Entries of sights that feel all columns of a variable."""
-    sight.append(np.repeat(own, columns))
+    """Entries of observations that feel all columns of a variable."""
+    observation.append(np.repeat(own, columns))
     variable.append(np.repeat(felt, columns))
     inside.append(np.tile(np.arange(columns), own.size))
 

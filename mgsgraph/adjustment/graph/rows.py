@@ -53,12 +53,12 @@ _Component = TypeVar("_Component", int, Index)
 
 @dataclass(frozen=True, eq=False)
 class _Store:
-    """Where the constants of each point's sights go; n points in network order."""
+    """Where the constants of each point's observations go; n points in network order."""
 
     patterns: Patterns
     """Points by pattern."""
     before: Index
-    """(q, j) numbers per point that a pattern's sights before the j-th store."""
+    """(q, j) numbers per point that a pattern's observations before the j-th store."""
     piece: Index
     """(m, 5) as in Rows."""
     data: Array
@@ -71,13 +71,13 @@ class _Store:
         return self.patterns.point_place, piece_of, self.piece, self.before, self.data
 
     def place(self, points: Index, slots: NDArray[np.integer[Any]]) -> tuple[Index, Index, Index]:
-        """For the `slots`-th sights of network `points`: first place in `data`, step to the next component, and place
-        among all sights.
+        """For the `slots`-th observations of network `points`: first place in `data`, step to the next component, and
+        place among all observations.
         """
         at = self.patterns.point_place[points]
-        pattern, first, stride, start, sights = self.piece[self.patterns.piece_of(at)].T
+        pattern, first, stride, start, observations = self.piece[self.patterns.piece_of(at)].T
         inside = at - first
-        return start + stride * self.before[pattern, slots] + inside, stride, sights + slots * stride + inside
+        return start + stride * self.before[pattern, slots] + inside, stride, observations + slots * stride + inside
 
     def put(self, place: Index, stride: Index, component: _Component, values: Array) -> _Component:
         """Store components from `component` on, (k,) or (k, c) or (k, c, d) values; which component comes next."""
@@ -88,8 +88,8 @@ class _Store:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SightPlaces:
-    """Where a network's rows are among all t sights."""
+class ObservationRows:
+    """Where a network's rows are among all t observations."""
 
     rays: NDArray[np.int32]
     """(k,) of each network ray; a small number, for there are many."""
@@ -110,13 +110,13 @@ def lay_out_rows(
     terms: Terms,
     known: Array | None,
     like: tuple[Array, NDArray[np.int8]] | None,
-) -> tuple[SightPlaces, Rows]:
+) -> tuple[ObservationRows, Rows]:
     """Rows of a network in the kernel's order, and where each is.
 
     `rays_of` are the rays of each point (`sorting.by_point`: begin, order), `known` (n, 3) places at which to
     begin; `like` starting places (n, 3) and kinds (n,) to keep as they are, network order.
     """
-    tables = _sight_tables(network, model, variables, patterns)
+    tables = _observation_tables(network, model, variables, patterns)
     store = _make_store(patterns, tables)
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
     effects = SharedEffects(network, model)
@@ -126,7 +126,7 @@ def lay_out_rows(
     starts, kinds = like or _starting_points(network, store, rays_of, units, known)
     if model.line == MEASURED and model.angles != OPK_PEER:
         _fill_scales(network, model, store, parts, starts)
-    places = SightPlaces(rays, ranges, *_fill_surface(network, store, starts, weight))
+    places = ObservationRows(rays, ranges, *_fill_surface(network, store, starts, weight))
     order, surface = patterns.point_order, network.surface
     grid = None if surface is None else surface.grid
     rows = Rows(
@@ -151,35 +151,36 @@ def _make_store(patterns: Patterns, tables: Mapping[str, Index]) -> _Store:
     before = np.zeros((count.size, int(count.max(initial=0))), dtype=np.int64)
     pattern = np.repeat(np.arange(count.size), count)
     slot = np.arange(pattern.size) - np.repeat(patterns.first[:-1], count)
-    stored = tables["sight_numbers"]
+    stored = tables["observation_numbers"]
     ends = np.cumsum(stored)
     begin = np.concatenate([[0], ends])[patterns.first]
     before[pattern, slot] = ends - stored - begin[:-1][pattern]
     of_piece, size = patterns.piece_pattern, np.diff(patterns.piece_first)
-    numbers, sights = size * np.diff(begin)[of_piece], size * count[of_piece]
+    numbers, observations = size * np.diff(begin)[of_piece], size * count[of_piece]
     first = patterns.piece_first[:-1]
-    piece = np.stack([of_piece, first, size, np.cumsum(numbers) - numbers, np.cumsum(sights) - sights], axis=1)
+    begins = [np.cumsum(counts) - counts for counts in (numbers, observations)]
+    piece = np.stack([of_piece, first, size, *begins], axis=1)
     return _Store(patterns, before, np.ascontiguousarray(piece, dtype=np.int64), np.empty(int(numbers.sum())))
 
 
-def _sight_tables(network: Network, model: Model, variables: Variables, patterns: Patterns) -> dict[str, Any]:
-    """What the patterns' sights are, and what they feel of the unknowns."""
+def _observation_tables(network: Network, model: Model, variables: Variables, patterns: Patterns) -> dict[str, Any]:
+    """What the patterns' observations are, and what they feel of the unknowns."""
     focal = np.array([image.interior.focal_length for image in network.images] + [0.0])
     rate = np.array([image.normalised_rate for image in network.images] + [0.0])
     rays, polynomial = patterns.kind == IMAGE, (patterns.image >= 0) & (patterns.node < 0)
     return {
-        "pattern_sight": patterns.first,
+        "pattern_observation": patterns.first,
         "pattern_group": patterns.group,
         "pattern_fixed": patterns.fixed.astype(np.int64),
         "pattern_shape": patterns.shape,
-        "sight_kind": patterns.kind,
-        "sight_width": patterns.width,
-        "sight_terms": patterns.terms,
-        "sight_shared": patterns.shared,
-        "sight_entry": patterns.entry[:-1].copy(),
-        "sight_focal": np.where(rays, focal[patterns.image], 0.0),
-        "sight_rate": np.where(polynomial, rate[patterns.image], 0.0),
-        "sight_numbers": numbers_stored(
+        "observation_kind": patterns.kind,
+        "observation_width": patterns.width,
+        "observation_terms": patterns.terms,
+        "observation_shared": patterns.shared,
+        "observation_entry": patterns.entry[:-1].copy(),
+        "observation_focal": np.where(rays, focal[patterns.image], 0.0),
+        "observation_rate": np.where(polynomial, rate[patterns.image], 0.0),
+        "observation_numbers": numbers_stored(
             model, patterns.kind, patterns.width, patterns.terms, patterns.shared, polynomial
         ),
         "entry_column": variables.first[patterns.entry_variable] + patterns.entry_inside,
@@ -205,7 +206,7 @@ def _fill_rays(
     network: Network, model: Model, store: _Store, terms: Terms, effects: SharedEffects, weight: Array
 ) -> tuple[NDArray[np.int32], list[Index], Array]:
     """Constants of the image rays, but for the scale of the measured-line form; the place of each among
-    all sights, the rays of each image, and unit directions (k, 3).
+    all observations, the rays of each image, and unit directions (k, 3).
     """
     rays, predicted = network.rays, model.line == PREDICTED
     among, units = np.empty(rays.point.size, dtype=np.int32), np.empty((rays.point.size, 3))
@@ -216,13 +217,13 @@ def _fill_rays(
         lines, samples = terms.lines[mine], rays.places[mine, 1]
         pose = image.pose(lines)
         detector, slope = image.interior.focal_plane(samples)
-        turning = _angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.turning
+        angular_rate = _angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
         u, basis = terms.basis(j, lines, terms.of_rays[mine], predicted)
         shared = effects.of(IMAGE, j, image.normalised(lines))
         scale = _peer_scale(slope) if model.angles == OPK_PEER and not predicted else np.empty((mine.size, 0))
         put_rays(
             mine, rays.point, store.patterns.ray_slot, rays.sigmas, store.tables, model.angles, predicted,
-            (pose.position, pose.matrix, pose.velocity, turning), detector, image.interior.focal_length,
+            (pose.position, pose.matrix, pose.velocity, angular_rate), detector, image.interior.focal_length,
             slope, scale, lines - rays.places[mine, 0], u, basis,
             shared.reshape(mine.size, math.prod(shared.shape[1:])), among, weight, units,
         )  # fmt: skip
@@ -264,7 +265,7 @@ def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedE
     return place_among
 
 
-def _sights_before(network: Network) -> Index:
+def _observations_before(network: Network) -> Index:
     """(n,) rays and ranges of each point."""
     return network.ray_counts + np.bincount(network.ranges.point, minlength=len(network.points))
 
@@ -276,7 +277,7 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
         return
     information = np.linalg.solve(network.points.covariances[known], np.eye(3))
     root = np.swapaxes(np.linalg.cholesky(0.5 * (information + np.swapaxes(information, 1, 2))), 1, 2)
-    place, stride, among = store.place(known, _sights_before(network)[known])
+    place, stride, among = store.place(known, _observations_before(network)[known])
     store.put(place, stride, 0, network.points.places[known])
     store.put(place, stride, 3, root[:, *np.triu_indices(3)])
     weight[0, among] = 1.0
@@ -295,12 +296,12 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
 def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array) -> tuple[Index, Index]:
     """Heights above the terrain model: their weights, and how its unknowns move it.
 
-    Returned are their places among all sights, and the points that they belong to.
+    Returned are their places among all observations, and the points that they belong to.
     """
     if network.surface is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     mine = np.flatnonzero(np.isfinite(network.surface.sigmas))
-    slots = _sights_before(network) + (network.points.kinds == PointKind.CONSTRAINED)
+    slots = _observations_before(network) + (network.points.kinds == PointKind.CONSTRAINED)
     place, stride, among = store.place(mine, slots[mine])
     weight[0, among] = 1.0 / network.surface.sigmas[mine]
     if network.terrain_moves:
@@ -358,7 +359,7 @@ def _angle_rates(pose: Pose, angles: int) -> Array:
     paper = angles == OPK_PAPER
     found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
     chain = rotation.angle_axes(found, camera_to_body=paper)
-    return np.asarray(np.linalg.solve(chain, pose.turning[:, :, None])[:, :, 0])
+    return np.asarray(np.linalg.solve(chain, pose.angular_rate[:, :, None])[:, :, 0])
 
 
 def _peer_scale(slope: Array) -> Array:
@@ -372,7 +373,8 @@ def _frozen_scale(image: PushbroomImage, lines: Array, points: Array, slope: Arr
     slope.
     """
     pose = image.pose(lines)
-    attitude, turning = tuple(np.moveaxis(pose.matrix, 0, -1)), tuple(pose.turning.T)
+    attitude, angular_rate = tuple(np.moveaxis(pose.matrix, 0, -1)), tuple(pose.angular_rate.T)
     ray = transform(attitude, tuple((points - pose.position).T))
-    motion = image_motion(ray, ray_motion(attitude, ray, tuple(pose.velocity.T), turning), image.interior.focal_length)
+    of_ray = ray_motion(attitude, ray, tuple(pose.velocity.T), angular_rate)
+    motion = image_motion(ray, of_ray, image.interior.focal_length)
     return np.stack([np.stack(row, axis=1) for row in to_lines_and_samples(motion, tuple(slope.T))], axis=1)

@@ -1,4 +1,4 @@
-"""Directions of the network's shared unknowns in the states of the sights that feel them."""
+"""Directions of the network's shared unknowns in the states of the observations that feel them."""
 
 import numpy as np
 
@@ -28,12 +28,12 @@ class SharedEffects:
             if kind.moves_pose
         }
 
-    def of(self, sight: int, image: int, u: Array) -> Array:
+    def of(self, observation: int, image: int, u: Array) -> Array:
         """(n, columns, width) directions in the states of an image's rays (IMAGE) or ranges (RANGE) at normalised
         lines u (n,), in m and rad (or of the last component) per unit.
         """
-        kinds = self._kinds[sight][image]
-        pose = 6 if sight == IMAGE else 3
+        kinds = self._kinds[observation][image]
+        pose = 6 if observation == IMAGE else 3
         own = [kind for kind in kinds if not kind.moves_pose]
         width = pose + bool(own)
         found = np.zeros((u.size, sum(kind.width for kind in kinds), width))

@@ -1,14 +1,11 @@
 """Points sorted by what they see, by compiled code: no Python per point, per pattern or per image set."""
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-_compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
+from mgsgraph.compiled import cached_kernel, compiled
 
 
-@_compiled
+@cached_kernel
 def by_point(point, image, node, points):
     """Rows of each point, in the order of image and first node (then as given).
 
@@ -51,7 +48,7 @@ def by_point(point, image, node, points):
     return begin, order, slot
 
 
-@_compiled
+@compiled
 def mixed(signature, value):
     """A signature with one more number in it (splitmix64)."""
     z = (signature ^ np.uint64(value)) + np.uint64(0x9E3779B97F4A7C15)
@@ -60,7 +57,7 @@ def mixed(signature, value):
     return z ^ (z >> np.uint64(31))
 
 
-@_compiled
+@cached_kernel
 def mix_rows(signature, begin, order, image, node, mark):
     """Let the signatures (n,) of points know their rows."""
     for i in range(signature.size):
@@ -71,14 +68,14 @@ def mix_rows(signature, begin, order, image, node, mark):
         signature[i] = one
 
 
-@_compiled
+@cached_kernel
 def mix_values(signature, values):
     """Let signatures (n,) know a number (n,) of each point, not below -1."""
     for i in range(signature.size):
         signature[i] = mixed(signature[i], np.uint64(values[i] + 2))
 
 
-@_compiled
+@cached_kernel
 def distinct(signature):
     """Number each distinct signature in the order of appearance: example of each, and the number of all (n,)."""
     size = 1024
@@ -103,7 +100,7 @@ def distinct(signature):
     return example[:count].copy(), number
 
 
-@_compiled
+@cached_kernel
 def counted(number, count):
     """Points in the order of their numbers (n,), each below `count`: that order, the way back, and how many of each."""
     sizes = np.zeros(count, dtype=np.int64)

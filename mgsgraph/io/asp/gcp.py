@@ -21,15 +21,12 @@ from mgsgraph.geometry.body import Ellipsoid, from_geodetic, geodetic
 from mgsgraph.io.asp.measures import RENAME, UNSTATED_SIGMA, Measures, measures_of
 from mgsgraph.io.control.record import ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.io.control.ties import control_network
-from mgsgraph.io.pvl import finite_number
-from mgsgraph.io.text import read_text
+from mgsgraph.io.files import number_of, read_text
 from mgsgraph.ties import PointKind, TiePoints
-from mgsgraph.units import DEG
+from mgsgraph.units import ASP_OFFSET, DEG
 
 _FIXED_SIGMA = 1e-10
 """m; all three sigmas at this value mean a point that is held fixed (StereoPipeline, asp::FIXED_GCP_SIGMA)."""
-_FIRST_CENTRE = 0.5
-"""The first pixel's centre, (0, 0) in the file, is (0.5, 0.5) inside."""
 _KNOWN = frozenset({PointType.CONSTRAINED, PointType.FIXED})
 _DIAGONAL = (0, 3, 5)
 """Of xx, xy, xz, yy, yz, zz."""
@@ -94,7 +91,7 @@ def read_ground_control(path: Path, ellipsoid: Ellipsoid) -> TiePoints:
         covariances=variances[:, :, None] * np.eye(3),
         measure_point=np.array(rows.measure_point, dtype=np.int64),
         measure_image=tuple(rows.measure_image),
-        measures=np.array(rows.measures, dtype=np.float64).reshape(-1, 2) + _FIRST_CENTRE,
+        measures=np.array(rows.measures, dtype=np.float64).reshape(-1, 2) - ASP_OFFSET,
         measure_sigmas=np.array(rows.measure_sigmas, dtype=np.float64).reshape(-1, 2),
     )
 
@@ -107,7 +104,7 @@ def _add_point(rows: _Rows, fields: list[str], line: int, where: str) -> None:
         raise InputError(where, f"the id twice, first in line {rows.lines[name]}", "each id once")
     names = ("latitude", "longitude", "height")
     latitude, longitude, height = (
-        _number(text, f"{where}, {what}") for what, text in zip(names, fields[1:4], strict=True)
+        number_of(text, f"{where}, {what}") for what, text in zip(names, fields[1:4], strict=True)
     )
     if abs(latitude) > 90.0:
         raise InputError(f"{where}, latitude", f"{latitude:g} degrees", "-90 .. 90", "latitude comes before longitude")
@@ -125,7 +122,7 @@ def _add_measure(rows: _Rows, fields: list[str], images: set[str], where: str) -
     where = f"{where}, image {image}"
     if image in images:
         raise InputError(where, "a second measure in this image", "one per point", "remove the worse one")
-    column, row = _number(fields[1], f"{where}, column"), _number(fields[2], f"{where}, row")
+    column, row = number_of(fields[1], f"{where}, column"), number_of(fields[2], f"{where}, row")
     column_sigma = _positive(fields[3], f"{where}, column sigma")
     row_sigma = _positive(fields[4], f"{where}, row sigma")
     rows.measure_point.append(len(rows.lines) - 1)
@@ -135,15 +132,8 @@ def _add_measure(rows: _Rows, fields: list[str], images: set[str], where: str) -
     return image
 
 
-def _number(text: str, where: str) -> float:
-    try:
-        return finite_number(text)
-    except ValueError:
-        raise InputError(where, f"{text[:60]!r}", "a finite number") from None
-
-
 def _positive(text: str, where: str) -> float:
-    value = _number(text, where)
+    value = number_of(text, where)
     if not 0.0 < value < _LARGEST:
         raise InputError(where, f"{value:g}", "a positive number below 1e100")
     return value

@@ -8,8 +8,9 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
+from mgsgraph.units import ASP_OFFSET, ISIS_OFFSET
 
-FIRST_CENTRE = 1.0
+_FROM_ASP = ISIS_OFFSET - ASP_OFFSET
 """The first pixel's centre, (0, 0) in the pipeline, is (1, 1) in ISIS."""
 UNSTATED_SIGMA = 1.0
 """pixels, written where the network has no sigma, as bundle_adjust does."""
@@ -60,7 +61,7 @@ def measures_of(network: ControlNetwork, types: Collection[PointType], least: in
         points.append(point)
     return Measures(
         tuple(points), tuple(images), np.array(index, dtype=np.int64), np.array(image, dtype=np.int64),
-        np.array(places, dtype=np.float64).reshape(-1, 2) - FIRST_CENTRE,
+        np.array(places, dtype=np.float64).reshape(-1, 2) - _FROM_ASP,
         np.array(sigmas, dtype=np.float64).reshape(-1, 2),
     )  # fmt: skip
 
@@ -86,8 +87,8 @@ def candidate(image: str, row: float, column: float, row_sigma: float, column_si
     return ControlMeasure(
         serial_number=image,
         type=MeasureType.CANDIDATE,
-        sample=column + FIRST_CENTRE,
-        line=row + FIRST_CENTRE,
+        sample=column + _FROM_ASP,
+        line=row + _FROM_ASP,
         sample_sigma=column_sigma if column_sigma > 0.0 else None,
         line_sigma=row_sigma if row_sigma > 0.0 else None,
     )

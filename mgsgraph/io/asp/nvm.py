@@ -19,8 +19,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.io.asp.measures import RENAME, Measures, candidate, measures_of
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, PointType
-from mgsgraph.io.pvl import finite_number
-from mgsgraph.io.text import read_text
+from mgsgraph.io.files import number_of, read_text
 
 Centres = Mapping[str, tuple[float, float]]
 """Optical centre of each image by its name: row, column, first pixel's centre at (0, 0)."""
@@ -52,7 +51,7 @@ def read_offsets(path: Path) -> dict[str, tuple[float, float]]:
             raise InputError(where, f"{len(fields)} fields", "image, column, row")
         if fields[0] in centres:
             raise InputError(where, f"image {fields[0]} twice", "each image once")
-        centres[fields[0]] = _number(fields[2], where), _number(fields[1], where)
+        centres[fields[0]] = number_of(fields[2], where), number_of(fields[1], where)
     return centres
 
 
@@ -156,7 +155,7 @@ def _point(lines: _Lines, k: int, cameras: list[str], centres: Centres) -> Contr
     if len(fields) != _POINT_FIELDS + _MEASURE_FIELDS * count:
         expected = "X Y Z, three colours, the number of measures, and four for each of them"
         raise InputError(where, f"{len(fields)} fields", expected)
-    x, y, z = (_number(text, where) for text in fields[:3])
+    x, y, z = (number_of(text, where) for text in fields[:3])
     measures = tuple(
         _measure(fields[start : start + _MEASURE_FIELDS], cameras, centres, where)
         for start in range(_POINT_FIELDS, len(fields), _MEASURE_FIELDS)
@@ -174,14 +173,7 @@ def _measure(fields: list[str], cameras: list[str], centres: Centres, where: str
     name = cameras[camera]
     row, column = centres[name]
     nothing = float("nan")
-    return candidate(name, _number(fields[3], where) + row, _number(fields[2], where) + column, nothing, nothing)
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        return finite_number(text)
-    except ValueError:
-        raise InputError(where, f"{text[:40]!r}", "a finite number") from None
+    return candidate(name, number_of(fields[3], where) + row, number_of(fields[2], where) + column, nothing, nothing)
 
 
 def nvm_files(network: ControlNetwork, path: Path, centres: Centres) -> dict[Path, bytes]:

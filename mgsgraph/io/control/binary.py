@@ -15,12 +15,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from mgsgraph.errors import InputError
-from mgsgraph.io.control.layout import Value, keyword_lines, text_value
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.io.control.messages import messages
 from mgsgraph.io.control.point_messages import Texts, encoded, finite, point_message, read_point
+from mgsgraph.io.control.pvl_writing import Value, keyword_lines, text_value
 from mgsgraph.io.control.record import ControlNetwork
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import write_file
 from mgsgraph.io.pvl import Block, Document, whole_label
 
 _LABEL_BYTES = 65536
@@ -69,11 +69,9 @@ def parse_binary_network(data: bytes, source: str) -> ControlNetwork:
     kind = kinds.header if version == 5 else kinds.old_header
     head = _parsed(kind(), data[start:end], f"{source}, header")
     texts = Texts()
-    try:
+    with errors_from(f"{source}, header"):
         values = {attribute: texts[getattr(head, name)] for attribute, name in _HEAD}
         radii = _radii(head.targetRadii) if version == 5 else ()
-    except InputError as error:
-        raise error.within(f"{source}, header") from None
     if version == 5:
         parts = _points_behind_sizes(data, end, points_size, source)
     else:
@@ -175,9 +173,7 @@ def write_binary_network(network: ControlNetwork, path: Path) -> None:
     InputError
         A network without points, a number that is not finite, or a file that can't be written.
     """
-    content = binary_network(network)
-    with fresh_file(path) as aside:
-        aside.write_bytes(content)
+    write_file(path, binary_network(network))
 
 
 def binary_network(network: ControlNetwork) -> bytes:

@@ -1,4 +1,4 @@
-"""ISIS control networks read from either of their forms, told apart by what is in the file."""
+"""ISIS control networks read from either of their forms, told apart by what is in the file: whole, or as TiePoints."""
 
 from pathlib import Path
 
@@ -6,8 +6,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.io.control.binary import is_binary, parse_binary_network
 from mgsgraph.io.control.pvl import parse_pvl_network, place_in
 from mgsgraph.io.control.record import ControlNetwork, Place
+from mgsgraph.io.control.ties import tie_points
+from mgsgraph.io.files import read_bytes
 from mgsgraph.io.pvl import Document
-from mgsgraph.io.text import read_bytes
+from mgsgraph.ties import TiePoints
 
 
 def read_network(path: Path) -> ControlNetwork:
@@ -29,10 +31,32 @@ def read_network(path: Path) -> ControlNetwork:
         With the file, and line and point (text) or number and id of the point (binary): see `parse_pvl_network` and
         `parse_binary_network`.
     """
-    return read_network_with_places(path)[0]
+    return _read_with_places(path)[0]
 
 
-def read_network_with_places(path: Path) -> tuple[ControlNetwork, Place]:
+def read_control_network(path: Path) -> TiePoints:
+    """Read what an adjustment takes from an ISIS control network; see `tie_points` for what that is.
+
+    Parameters
+    ----------
+    path : Path
+        PVL text of version 3, 4 or 5, or ISIS's binary form of version 2 or 5, told apart by what is in the file.
+
+    Returns
+    -------
+    TiePoints
+        In the file's order; images are called by their serial numbers; measure sigmas are NaN where the file has none.
+
+    Raises
+    ------
+    InputError
+        With the file, and line and point (text) or number and id of the point (binary): what `read_network` and
+        `tie_points` refuse.
+    """
+    return tie_points(*_read_with_places(path))
+
+
+def _read_with_places(path: Path) -> tuple[ControlNetwork, Place]:
     """The network, and words for where its points and measures stand in the file."""
     data = read_bytes(path)
     if is_binary(data):

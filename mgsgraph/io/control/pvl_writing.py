@@ -3,12 +3,17 @@
 Written beside what ISIS writes: JigsawRejected of a point, which ISIS reads; zeros (diameter, residuals, covariances);
 RadiusConstrained by itself, for which ISIS asks the longitude. Left out: comments, and texts that say Null. Source:
 `control.pvl`.
+
+Equals signs of a block stand in one column, texts in quotes where they need them, lists are wrapped at 80 columns:
+DOI-USGS/ISIS3, isis/src/base/objs/PvlFormat/PvlFormat.cpp (FormatValue, AddQuotes), and ControlNetVersioner.truth. Long
+texts are not wrapped: a wrapped one comes back with its blanks changed. All texts that a reader might take apart are in
+quotes.
 """
 
+import re
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.control.layout import Value, keyword_lines, text_value
 from mgsgraph.io.control.pvl import (
     CONSTRAINTS,
     HEAD_TEXTS,
@@ -22,8 +27,14 @@ from mgsgraph.io.control.pvl import (
     SOURCES,
 )
 from mgsgraph.io.control.record import AprioriSource, ControlMeasure, ControlNetwork, ControlPoint
-from mgsgraph.io.fresh_file import fresh_file
+from mgsgraph.io.files import write_file
 
+_COLUMNS = 80
+_PLAIN = re.compile(r"[\w.:/$+-]*[\w.:/$+]")
+_LINE_BREAK = re.compile(r"[\r\n]")
+
+Value = str | tuple[str, ...]
+"""As it stands behind the equals sign; items of a list."""
 _LARGEST = 1e300
 _Keywords = list[tuple[str, Value]]
 
@@ -44,9 +55,7 @@ def write_pvl_network(network: ControlNetwork, path: Path) -> None:
         A network without points; a number that is not finite; a text that PVL can't hold; a figure of merit that has no
         name, or twice the same; or a file that can't be written.
     """
-    text = network_text(network)
-    with fresh_file(path) as aside:
-        aside.write_text(text, encoding="utf-8", newline="\n")
+    write_file(path, network_text(network))
 
 
 def network_text(network: ControlNetwork) -> str:
@@ -166,3 +175,50 @@ def _number(value: float, key: str) -> str:
     if not -_LARGEST < value < _LARGEST:
         raise InputError(key, f"{value}", "a finite number")
     return repr(float(value))
+
+
+# --- layout
+
+
+def text_value(text: str, where: str) -> str:
+    """A text, in quotes if it needs them; ISIS's Null for an empty one.
+
+    Raises
+    ------
+    InputError
+        If it has a line break or both kinds of quotes, which PVL can't hold, or characters that UTF-8 can't.
+    """
+    if _PLAIN.fullmatch(text):
+        return text
+    if not text:
+        return "Null"
+    quote = "'" if '"' in text else '"'
+    found = "a line break" if _LINE_BREAK.search(text) else "both kinds of quotes" if quote in text else ""
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        found = "half a character"
+    if found:
+        raise InputError(where, f"{found} in {text[:60]!r}", "what PVL can hold", "change it, or write another format")
+    return f"{quote}{text}{quote}"
+
+
+def keyword_lines(keywords: list[tuple[str, Value]], indent: int) -> list[str]:
+    """Lines of a block's keywords."""
+    width = max(len(key) for key, _ in keywords)
+    blanks = " " * indent
+    return [
+        f"{blanks}{key:{width}} = {value}" if isinstance(value, str) else _list(f"{blanks}{key:{width}} = ", value)
+        for key, value in keywords
+    ]
+
+
+def _list(head: str, items: tuple[str, ...]) -> str:
+    """A list, its items below one another's first column where a line would be longer than 80."""
+    lines, line = list[str](), head + "("
+    for index, item in enumerate(items):
+        piece = item + (")" if index == len(items) - 1 else ",")
+        gap = " " if index else ""
+        if index and len(line) + len(gap + piece) > _COLUMNS:
+            lines.append(line)
+            line, gap = " " * (len(head) + 1), ""
+        line += gap + piece
+    return "\n".join([*lines, line])

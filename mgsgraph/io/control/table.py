@@ -17,6 +17,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.control.pvl import MEASURE_TYPES
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.io.control.table_columns import (
@@ -35,13 +36,10 @@ from mgsgraph.io.control.table_columns import (
     whole,
 )
 from mgsgraph.io.control.ties import tie_points
-from mgsgraph.io.control_net import read_control_network
-from mgsgraph.io.pvl import finite_number
-from mgsgraph.io.text import read_text
+from mgsgraph.io.files import finite_number, read_text
 from mgsgraph.ties import TiePoints
-from mgsgraph.units import DEG
+from mgsgraph.units import DEG, ISIS_OFFSET
 
-_OURS_TO_ISIS = 0.5
 _TYPES = {kind.name.lower(): kind for kind in PointType}
 _MEASURE_TYPES = {kind.name.lower().replace("_", ""): kind for kind in MeasureType} | {
     "regpixel": MeasureType.REGISTERED_PIXEL, "regsubpixel": MeasureType.REGISTERED_SUBPIXEL,
@@ -198,7 +196,7 @@ def _add_measure(point: _Point, row: _Row, place: tuple[str, str]) -> None:
         found = f"a second measure in image {image}, the first in line {point.lines[image]}"
         raise InputError(row.where, found, "one per point", "remove the worse one")
     point.lines[image] = row.line
-    shift = 0.0 if place == ISIS else _OURS_TO_ISIS
+    shift = 0.0 if place == ISIS else ISIS_OFFSET
     if row.flag("reference"):
         if point.reference is not None:
             raise InputError(f"{row.where}, reference", "a second reference measure", "one of a point")

@@ -11,9 +11,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, Place, PointType
 from mgsgraph.ties import PointKind, TiePoints
+from mgsgraph.units import ISIS_OFFSET
 
-_FIRST_CENTRE = 0.5
-"""ISIS counts the first pixel's centre (1, 1), which is (0.5, 0.5) inside."""
 _KINDS = {
     PointType.FREE: PointKind.FREE, PointType.CONSTRAINED: PointKind.CONSTRAINED, PointType.FIXED: PointKind.FIXED,
 }  # fmt: skip
@@ -70,7 +69,7 @@ def tie_points(network: ControlNetwork, place: Place | None = None) -> TiePoints
         covariances=np.array([_covariance(point) for point in points]),
         measure_point=np.repeat(np.arange(len(points), dtype=np.int64), counts),
         measure_image=tuple(measure.serial_number for measure in measures),
-        measures=np.array([(m.line, m.sample) for m in measures], dtype=np.float64).reshape(-1, 2) - _FIRST_CENTRE,
+        measures=np.array([(m.line, m.sample) for m in measures], dtype=np.float64).reshape(-1, 2) - ISIS_OFFSET,
         measure_sigmas=np.array(
             [(m.line_sigma or nan, m.sample_sigma or nan) for m in measures], dtype=np.float64
         ).reshape(-1, 2),
@@ -102,7 +101,7 @@ def control_network(
     """
     order = np.argsort(ties.measure_point, kind="stable")
     bounds = np.searchsorted(ties.measure_point[order], np.arange(len(ties.ids) + 1)).tolist()
-    places = (ties.measures[order] + _FIRST_CENTRE).tolist()
+    places = (ties.measures[order] + ISIS_OFFSET).tolist()
     measures = [
         ControlMeasure(
             serial_number=ties.measure_image[k],

@@ -1,4 +1,4 @@
-"""Every kind of sight against the oracle on physical geometry, and against what the geometry itself says."""
+"""Every kind of observation against the oracle on physical geometry, and against what the geometry itself says."""
 
 from dataclasses import replace
 from functools import cache
@@ -13,14 +13,14 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
-from mgsgraph.adjustment.graph.sights import measurement, sight_factor
+from mgsgraph.adjustment.graph.observations import measurement, observation_factor
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors import collinearity
 from mgsgraph.factors.priors import zero_prior
 from mgsgraph.geometry.body import east_north, from_planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_sight
+from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_observation
 
 MODELS = [(line, angles) for line in ("predicted", "measured") for angles in ("camera", "opk-paper", "opk-peer")]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -40,26 +40,26 @@ def layout(line: str = "predicted", angles: str = "camera", surface: bool = Fals
     return lay_out(net, SolverSettings(line=line, angles=angles))
 
 
-def sights_of(made: Layout, kind: int) -> list[tuple[int, int]]:
-    """All sights of a kind: points (places in the layout), and which of the point's sights."""
+def observations_of(made: Layout, kind: int) -> list[tuple[int, int]]:
+    """All observations of a kind: points (places in the layout), and which of the point's observations."""
     return [
         (i, j)
         for pattern, first, count in made.rows.piece[:, :3].tolist()
         for i in range(first, first + count)
-        for j, sight in enumerate(made.patterns.sights[pattern])
-        if sight.kind == kind
+        for j, observation in enumerate(made.patterns.observations[pattern])
+        if observation.kind == kind
     ]
 
 
-def row_of(made: Layout, point: int, sight: int) -> tuple[int, int]:
-    """Network ray of an image sight, and its image."""
+def row_of(made: Layout, point: int, observation: int) -> tuple[int, int]:
+    """Network ray of an image observation, and its image."""
     pattern, first, count, _, among = made.rows.piece[np.searchsorted(made.rows.piece[:, 1], point, side="right") - 1]
-    ray = int(np.flatnonzero(made.places.rays == among + sight * count + point - first)[0])
-    return ray, made.patterns.sights[pattern][sight].image
+    ray = int(np.flatnonzero(made.places.rays == among + observation * count + point - first)[0])
+    return ray, made.patterns.observations[pattern][observation].image
 
 
-def single(made: Layout, point: int, sight: int) -> Rows:
-    return one_sight(made.rows, made.groups, point, sight)
+def single(made: Layout, point: int, observation: int) -> Rows:
+    return one_observation(made.rows, made.groups, point, observation)
 
 
 def state(seed: int, rotation: float) -> tuple[np.ndarray, np.ndarray]:
@@ -83,9 +83,9 @@ def values_of(key: int, unknowns: np.ndarray, place: np.ndarray) -> gtsam.Values
     return values
 
 
-def image_factor(made: Layout, point: int, sight: int, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
-    rows = single(made, point, sight)
-    return sight_factor([orientation_key(0)], [18], point_key(0), rows, made.model, noise, "point P, image I")
+def image_factor(made: Layout, point: int, observation: int, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
+    rows = single(made, point, observation)
+    return observation_factor([orientation_key(0)], [18], point_key(0), rows, made.model, noise, "point P, image I")
 
 
 @pytest.mark.parametrize(("line", "angles"), MODELS)
@@ -94,10 +94,10 @@ def image_factor(made: Layout, point: int, sight: int, noise: gtsam.noiseModel.B
 def test_image(line: str, angles: str, seed: int, rotation: float, ray: int) -> None:
     made = layout(line, angles)
     coefficients, move = state(seed, rotation)
-    point, sight = sights_of(made, IMAGE)[ray]
+    point, observation = observations_of(made, IMAGE)[ray]
     values = values_of(orientation_key(0), coefficients, made.rows.start[point] + move)
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.7, 1.3]))
-    assert_jacobians(image_factor(made, point, sight, noise), values, steps(), tolerance=2e-6)
+    assert_jacobians(image_factor(made, point, observation, noise), values, steps(), tolerance=2e-6)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -106,12 +106,12 @@ def test_range(seed: int, shot: int) -> None:
     """Oracle, and the distance between the instrument's corrected place and the point."""
     made = layout()
     coefficients, move = state(seed, 1e-3)
-    point, sight = sights_of(made, RANGE)[shot]
+    point, observation = observations_of(made, RANGE)[shot]
     place = made.rows.start[point] + move
     values = values_of(orientation_key(0), coefficients, place)
     noise = gtsam.noiseModel.Isotropic.Sigma(1, 2.0)
-    rows = single(made, point, sight)
-    factor = sight_factor([orientation_key(0)], [18], point_key(0), rows, made.model, noise, "a range")
+    rows = single(made, point, observation)
+    factor = observation_factor([orientation_key(0)], [18], point_key(0), rows, made.model, noise, "a range")
     assert_jacobians(factor, values, steps(), tolerance=1e-7)
     ranges = made.network.ranges
     k = int(np.flatnonzero(ranges.point == made.point_order[point])[0])
@@ -130,13 +130,13 @@ def test_ground_prior(moving: bool, seed: int, shot: int) -> None:
     """Oracle, and squares by the stated covariance around the stated place, moved east and north by the shift."""
     made = layout(surface=True, moving=moving)
     rng = np.random.default_rng(seed)
-    point, sight = sights_of(made, GROUND)[shot]
+    point, observation = observations_of(made, GROUND)[shot]
     network_point = made.point_order[point]
     place = made.rows.start[point] + rng.normal(0.0, 20.0, 3)
     shift = rng.standard_normal(2) * 50.0
     keys = [shift_key(0)] if moving else []
-    factor = sight_factor(
-        keys, [2] * len(keys), point_key(0), single(made, point, sight), made.model, UNIT(3), "a prior"
+    factor = observation_factor(
+        keys, [2] * len(keys), point_key(0), single(made, point, observation), made.model, UNIT(3), "a prior"
     )
     values = values_of(shift_key(0), shift, place)
     if not moving:
@@ -155,7 +155,7 @@ def test_surface(moving: bool, seed: int) -> None:
     """Oracle inside a patch, and the same height and normal as the terrain model itself says."""
     made = layout(surface=True, moving=moving)
     grid, rng = made.network.surface.grid, np.random.default_rng(seed)
-    point, sight = sights_of(made, SURFACE)[0]
+    point, observation = observations_of(made, SURFACE)[0]
     place = np.array(
         [
             grid.first_longitude + (40 + rng.uniform(0.1, 0.9)) * grid.longitude_step,
@@ -165,10 +165,10 @@ def test_surface(moving: bool, seed: int) -> None:
     )
     shift, under = rng.normal(0.0, 100.0, 2), from_planetocentric(place)
     moved = under + shift @ east_north(made.rows.start[[point]])[0] if moving else under
-    rows = single(made, point, sight)._replace(terrain_cell=grid.cells(under[None]))
+    rows = single(made, point, observation)._replace(terrain_cell=grid.cells(under[None]))
     keys = [shift_key(0)] if moving else []
     noise = gtsam.noiseModel.Isotropic.Sigma(1, 20.0)
-    factor = sight_factor(keys, [2] * len(keys), point_key(0), rows, made.model, noise, "a height")
+    factor = observation_factor(keys, [2] * len(keys), point_key(0), rows, made.model, noise, "a height")
     values = values_of(shift_key(0), shift, moved)
     if not moving:
         values.erase(shift_key(0))
@@ -181,12 +181,12 @@ def test_surface(moving: bool, seed: int) -> None:
 
 def test_off_the_terrain_model_there_is_no_row() -> None:
     made = layout(surface=True, moving=False)
-    point, sight = sights_of(made, SURFACE)[0]
+    point, observation = observations_of(made, SURFACE)[0]
     place = np.array([0.0, -3.4e6, 1e3])
     cell = made.network.surface.grid.cells(place[None])
-    rows = single(made, point, sight)._replace(terrain_cell=cell)
+    rows = single(made, point, observation)._replace(terrain_cell=cell)
     noise = gtsam.noiseModel.Isotropic.Sigma(1, 20.0)
-    factor = sight_factor([], [], point_key(0), rows, made.model, noise, "a height")
+    factor = observation_factor([], [], point_key(0), rows, made.model, noise, "a height")
     values = gtsam.Values()
     values.insert(point_key(0), place)
     assert factor.error(values) == 0.0
@@ -246,10 +246,10 @@ def test_residual_is_measured_minus_predicted_place(angles: str) -> None:
     made, rng = layout(angles=angles), np.random.default_rng(5)
     coefficients = rng.standard_normal((3, 6)) * np.outer([1.0, 0.1, 0.01], np.repeat([3.0, 1e-5], 3))
     correction = OrientationCorrection(coefficients, angles)
-    for point, sight in sights_of(made, IMAGE)[::3]:
-        ray, image = row_of(made, point, sight)
+    for point, observation in observations_of(made, IMAGE)[::3]:
+        ray, image = row_of(made, point, observation)
         place = made.rows.start[point] + rng.standard_normal(3) * 50.0
-        error = image_factor(made, point, sight, UNIT(2)).unwhitenedError(
+        error = image_factor(made, point, observation, UNIT(2)).unwhitenedError(
             values_of(orientation_key(0), coefficients.ravel(), place)
         )
         predicted, _ = made.network.images[image].ground_to_image(place[None], correction)
@@ -274,10 +274,10 @@ def test_model_forms_agree_at_the_measured_line(line: str, angles: str) -> None:
     one camera, whatever its pose is called, and no line to look for.
     """
     made = layout(line, angles)
-    for point, sight in sights_of(made, IMAGE)[::5]:
-        ray, image = row_of(made, point, sight)
+    for point, observation in observations_of(made, IMAGE)[::5]:
+        ray, image = row_of(made, point, observation)
         at_line, sample = made.network.rays.places[[ray]].T
         place, _ = made.network.images[image].image_to_ground(at_line, sample + 3.0, 50.0)
-        rows, _ = measurement(single(made, point, sight), made.model)
-        found = rows(lambda carry: ((0.0,) * 6, (0.0,) * 6), tuple(place[0].tolist()))
+        rows, _ = measurement(single(made, point, observation), made.model)
+        found = rows(lambda line_offset: ((0.0,) * 6, (0.0,) * 6), tuple(place[0].tolist()))
         np.testing.assert_allclose(found.residual, [0.0, -3.0], rtol=0.0, atol=2e-7)

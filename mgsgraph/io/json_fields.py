@@ -1,55 +1,8 @@
-"""Reading text and JSON with errors that name the file and the place."""
+"""Look-ups in JSON objects out of a file, with errors that name the key's full path."""
 
-import json
-from pathlib import Path
 from typing import Any
 
 from mgsgraph.errors import InputError
-
-
-def read_text(path: Path) -> str:
-    """The whole of a UTF-8 text file; InputError when it is missing, unreadable or not text."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", remedy="check the path; a case file's are relative to it") from None
-    except IsADirectoryError:
-        raise InputError(str(path), "a folder", "a file") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start} is not UTF-8 text", "a text file") from None
-    except OSError as error:
-        raise InputError(str(path), f"can't be read ({error.strerror})") from None
-
-
-def read_bytes(path: Path) -> bytes:
-    """The whole of a file; InputError when it is missing or can't be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(str(path), "no such file", remedy="check the path; a case file's are relative to it") from None
-    except IsADirectoryError:
-        raise InputError(str(path), "a folder", "a file") from None
-    except OSError as error:
-        raise InputError(str(path), f"can't be read ({error.strerror})") from None
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object; InputError with line and column when it is malformed, truncated, or holds NaN."""
-
-    def refuse(constant: str) -> float:
-        raise InputError(str(path), f"the value {constant}", "finite numbers")
-
-    try:
-        value = json.loads(read_text(path), parse_constant=refuse)
-    except json.JSONDecodeError as error:
-        place = f"{path}, line {error.lineno}, column {error.colno}"
-        raise InputError(place, f"malformed or truncated JSON ({error.msg})", remedy="write the file anew") from None
-    except RecursionError:
-        raise InputError(str(path), "JSON nested too deeply", "image support data") from None
-    if not isinstance(value, dict):
-        raise InputError(str(path), f"a JSON {type(value).__name__}", "a JSON object")
-    return value
-
 
 _LARGEST = 1e300
 

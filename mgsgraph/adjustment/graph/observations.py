@@ -1,4 +1,4 @@
-"""Single sights of a layout as the records of which `factors` makes GTSAM factors: the explicit form."""
+"""Single observations of a layout as the records of which `factors` makes GTSAM factors: the explicit form."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,16 +19,16 @@ _ATTITUDES = {CAMERA: about_axes, OPK_PAPER: opk_paper, OPK_PEER: opk_peer}
 
 
 def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
-    """The measurement of a single sight (`kernel.rows.one_sight`), and what it feels of its columns."""
-    kind, width, terms = int(rows.sight_kind[0]), int(rows.sight_width[0]), int(rows.sight_terms[0])
+    """The measurement of a single observation (`kernel.rows.one_observation`), and what it feels of its columns."""
+    kind, width, terms = int(rows.observation_kind[0]), int(rows.observation_width[0]), int(rows.observation_terms[0])
     rates = terms if kind == IMAGE and model.line == PREDICTED else 0
-    singles = int(rows.sight_shared[0])
+    singles = int(rows.observation_shared[0])
     numbers, last = rows.data.tolist(), rows.data.size - singles * width
-    own = last - (min(terms, 1) if rows.sight_rate[0] else terms + rates)
+    own = last - (min(terms, 1) if rows.observation_rate[0] else terms + rates)
     basis, slopes = numbers[own : own + terms], numbers[own + terms : last] if rates else [0.0] * terms
-    if rows.sight_rate[0] and terms:
+    if rows.observation_rate[0] and terms:
         basis = [numbers[own] ** t for t in range(terms)]
-        slopes = [t * numbers[own] ** max(t - 1, 0) * float(rows.sight_rate[0]) for t in range(terms)]
+        slopes = [t * numbers[own] ** max(t - 1, 0) * float(rows.observation_rate[0]) for t in range(terms)]
     columns = rows.entry_column[: terms + singles].tolist()
     correction = Correction(
         width,
@@ -44,7 +44,7 @@ def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
 
 def _measurement(rows: Rows, model: Model, kind: int, own: list[float]) -> Any:
     if kind == IMAGE:
-        return _image_ray(model, own, float(rows.sight_focal[0]))
+        return _image_ray(model, own, float(rows.observation_focal[0]))
     if kind == RANGE:
         return Range(own[3], tuple(own[:3]))
     if kind == GROUND:
@@ -57,21 +57,21 @@ def _measurement(rows: Rows, model: Model, kind: int, own: list[float]) -> Any:
 
 
 def _image_ray(model: Model, own: list[float], focal: float) -> ImageRay:
-    """Constants in the order of `kernel.tile.load_sight`."""
+    """Constants in the order of `kernel.tile.load_observation`."""
     angles = 4 if model.angles == CAMERA else 3
     centre, nominal, detector, rest = np.split(np.array(own), np.cumsum([3, angles, 2]))
     nothing = (0.0, 0.0, 0.0)
     if model.line == PREDICTED:
-        (velocity, turning, slope, offset), scale = map(tuple, np.split(rest, [3, 6, 8])), None
+        (velocity, angular_rate, slope, offset), scale = map(tuple, np.split(rest, [3, 6, 8])), None
     else:
-        velocity, turning, slope, offset = nothing, nothing, nothing[:2], (0.0,)
+        velocity, angular_rate, slope, offset = nothing, nothing, nothing[:2], (0.0,)
         scale = tuple(rest[:2]), tuple(rest[2:])
     return ImageRay(
         _ATTITUDES[model.angles],
         tuple(centre),
         tuple(nominal),
         velocity,
-        turning,
+        angular_rate,
         tuple(detector),
         slope,
         scale,
@@ -80,7 +80,7 @@ def _image_ray(model: Model, own: list[float], focal: float) -> ImageRay:
     )
 
 
-def sight_factor(
+def observation_factor(
     keys: Sequence[int],
     widths: Sequence[int],
     point_key: int | Array,
@@ -89,5 +89,5 @@ def sight_factor(
     noise: gtsam.noiseModel.Base,
     label: str,
 ) -> gtsam.CustomFactor:
-    """Factor of a single sight (`kernel.rows.one_sight`); the other parameters as of `measurement_factor`."""
+    """Factor of a single observation (`kernel.rows.one_observation`); other parameters as of `measurement_factor`."""
     return measurement_factor(keys, widths, point_key, *measurement(rows, model), noise, label)

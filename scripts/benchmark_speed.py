@@ -1,0 +1,377 @@
+"""Seconds, memory and cost of this program on problems of the peer's model, beside the C++ peer in the same run.
+
+Every run is a process of its own, and every repeat runs all programs in turn, so that what else the machine does hits
+all alike; figures are medians over the repeats, ratios the peer's seconds over ours. Not in the figures: compiling the
+kernel, or loading it from its cache. A tiny problem of the same kind is adjusted first, so that the file's own
+adjustment finds everything compiled, as a second adjustment in one session would.
+"""
+
+import argparse
+import ctypes
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import benchmark_gate as gate
+from benchmark_gate import OURS, VARIANTS, Runs, cost_difference, middle, ratio
+from peer_blocks import SHARED, SIZES, chain, made
+from peer_problem import network, read_problem, write_problem
+from study import (
+    OneLine,
+    at_least,
+    machine,
+    number,
+    require_writable,
+    show,
+    status,
+    table,
+    write_json,
+    write_text,
+)
+
+from mgsgraph.adjustment.settings import Line
+from mgsgraph.errors import InputError
+
+PROGRAM = Path(__file__).with_name("benchmark.py")
+ONCE = {("Kaguya", "custom")}
+"""Runs that aren't repeated: the hand-written C++ fills the dense reduced system of 6750 unknowns, two minutes long."""
+
+
+TOLERANCE = ("--ftol", "1e-10")
+"""Relative change of the cost at which it stops; ours is the same."""
+_KEYS = {
+    "t_solve": "seconds_solve", "iterations": "iterations", "final_cost": "cost_final", "maxrss_mb": "peak_memory_mb",
+    "initial_cost": "cost_initial", "t_load": "seconds_read", "t_build": "seconds_network",
+}  # fmt: skip
+_REMEDY = "build it with the peer's build.sh"
+
+
+MEGABYTE = 2.0**20
+"""bytes; as the peer counts its own."""
+
+
+STAGES = ("read", "network", "set_up", "solve", "covariance")
+"""Of ours: reading the file, making the network, laying it out, solving, all covariances."""
+HEAD = """# Speed, beside the C++ peer
+
+Made by `scripts/benchmark.py speed`; {repeat} repeats of all programs in turn, each run a process of its own, {threads}
+threads each; medians. {machine}. Compare ratios, not seconds: the machine was shared.
+
+* *solve*: from the laid-out problem to the optimum; the kernel is compiled and loaded before (a tiny problem is
+  adjusted first). *covariance*: of all orientation coefficients, and the 3x3 of every point.
+* *plain*: Ceres with automatic derivatives and its defaults. *analytic*: Ceres at its best here, analytic derivatives,
+  fused blocks, Gauss-Newton. *custom*: Gauss-Newton written by hand in C++, with all point covariances.
+* Ratios: the peer's seconds over ours; of the medians, and in brackets from the least to the most of the repeats.
+* *memory*: highest during the adjustment beside what program and input hold, in bytes per image observation.
+"""
+
+
+
+# --- one run, of ours and of the peer's
+
+
+def run_once(path: Path, line: Line = "measured") -> dict[str, Any]:
+    """Figures of one file. Memory: the highest of the whole process in MB, what it held just before the adjustment
+    (program, compiled kernel, input), and the difference in bytes per image observation.
+    """
+    from mgsgraph.adjustment.adjust import adjust_network, versions  # the kernel: not before --threads counts
+
+    start = time.perf_counter()
+    problem = read_problem(path)
+    read = time.perf_counter() - start
+    adjust_network(*network(chain(2, 40, shots=5)[0], line))
+    start = time.perf_counter()
+    taken, settings = network(problem, line)
+    made = time.perf_counter() - start
+    rays, points, images = problem.u.size, problem.places.shape[0], problem.orientation.shape[0]
+    del problem
+    forget_peak()
+    before = resident()
+    solution = adjust_network(taken, settings, str(path))
+    peak = highest()
+    stages = {f"seconds_{name.replace(' ', '_')}": value for name, value in solution.seconds.items()}
+    return {
+        "problem": str(path),
+        "line": line,
+        "images": images,
+        "points": points,
+        "observations": rays,
+        "threads": threads(),
+        "converged": solution.converged,
+        "message": solution.message,
+        "iterations": solution.iterations,
+        "cost_initial": solution.cost_initial,
+        "cost_final": solution.cost_final,
+        "seconds_read": read,
+        "seconds_network": made,
+        **stages,
+        "seconds_per_iteration": stages["seconds_solve"] / max(solution.iterations, 1),
+        "peak_memory_mb": peak / MEGABYTE,
+        "memory_before_mb": before / MEGABYTE,
+        "bytes_per_observation": (peak - before) / rays,
+        "versions": versions(),
+    }
+
+
+def threads() -> int:
+    """Threads of the kernel."""
+    import numba
+
+    return int(numba.get_num_threads())
+
+
+def resident() -> float:
+    """Bytes of memory that the process holds now; where the system doesn't say, the most it has held."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return highest()
+    return float(pages * resource.getpagesize())
+
+
+def highest() -> float:
+    """Bytes, the most memory that the process has held since `forget_peak`."""
+    unit = 1.0 if sys.platform == "darwin" else 1024.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+def forget_peak() -> None:
+    """Let the highest memory begin anew, so that reading the input doesn't hide the adjustment; Linux only.
+
+    What the input's making has freed goes back to the system first: used again, it would not count.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+    try:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    except OSError:
+        return  # the figure is then an upper bound
+
+
+def require_peer(program: Path) -> None:
+    """Raise InputError unless the peer's program can be run."""
+    if not program.is_file():
+        raise InputError(str(program), "no such file", "the peer's program peer_ceres", _REMEDY)
+    if not os.access(program, os.X_OK):
+        raise InputError(str(program), "not executable", "the peer's program peer_ceres", _REMEDY)
+
+
+def run_peer(program: Path, problem: Path, variant: str, threads: int) -> dict[str, Any]:
+    """Figures of one run; InputError when the program fails or says something else than the peer's line of JSON."""
+    command = [str(program), str(problem), *VARIANTS[variant], *TOLERANCE, "--threads", str(threads)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, errors="replace")
+    except OSError as error:
+        raise InputError(str(program), f"can't be run ({error.strerror or error})", remedy=_REMEDY) from None
+    try:
+        said = json.loads(done.stdout)
+        figures: dict[str, Any] = {ours: float(said[theirs]) for theirs, ours in _KEYS.items()}
+    except (ValueError, KeyError, TypeError):
+        last = (done.stderr.strip() or done.stdout.strip() or "nothing").splitlines()[-1][:200]
+        found = f"exit status {done.returncode}, saying {last!r}"
+        raise InputError(f"{program}, {variant}", found, "one line of JSON with its figures", _REMEDY) from None
+    figures["converged"] = said.get("termination") == "CONVERGENCE"
+    if "cov_schur_t" in said:
+        figures["seconds_covariance"] = float(said["cov_schur_t"])
+    return figures
+
+
+# --- all runs
+
+
+def programs(peer: Path | None) -> list[str]:
+    """What runs in every repeat."""
+    return [OURS, *(VARIANTS if peer else ())]
+
+
+def ours(problem: Path, line: str, threads: int) -> dict[str, Any]:
+    """Figures of one run of ours, in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder, "figures.json")
+        command = [sys.executable, str(PROGRAM), "speed", "--problem", str(problem), "--json", str(out), "--line", line]
+        command += ["--threads", str(threads)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if not out.is_file():
+            last = (done.stderr.strip() or "nothing").splitlines()[-1].removeprefix("benchmark speed: error: ")
+            raise InputError(f"run of {problem}, exit status {done.returncode}", last)
+        figures: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+    return figures
+
+
+def repeated(
+    size: str, problem: Path, peer: Path | None, wanted: argparse.Namespace
+) -> dict[str, list[dict[str, Any]]]:
+    """Figures of all programs on one file, repeats interleaved; each repeat begins with another program."""
+    runs: dict[str, list[dict[str, Any]]] = {name: [] for name in programs(peer)}
+    for turn in range(wanted.repeat):
+        order = programs(peer)
+        for name in order[turn % len(order) :] + order[: turn % len(order)]:
+            if turn and (size, name) in ONCE:
+                continue
+            show(f"{size}: {name}, {turn + 1} of {wanted.repeat}")
+            if name == OURS or peer is None:
+                runs[name].append(ours(problem, wanted.line, wanted.threads))
+            else:
+                runs[name].append(run_peer(peer, problem, name, wanted.threads))
+    show("")
+    return runs
+
+
+def problem_file(size: str, wanted: argparse.Namespace, scratch: Path) -> Path:
+    """The file of a size: the one in --work, or a new one."""
+    path = (wanted.work or scratch) / f"{size}.bin"
+    if path.is_file():
+        read_problem(path)
+    else:
+        show(f"{size}: making it")
+        write_problem(made(size, wanted.shared)[0], path)
+    return path
+
+
+def measure(wanted: argparse.Namespace) -> int:
+    """All sizes, the page, and the gate."""
+    sizes = wanted.sizes or list(SIZES)
+    if wanted.peer:
+        require_peer(wanted.peer)
+    if (wanted.gate or wanted.update_baseline) and not wanted.peer:
+        raise InputError("gate", "no peer to compare with", "its program", "build it and name it with --peer")
+    limits = gate.read_baseline(wanted.baseline) if wanted.gate or wanted.update_baseline else {}
+    results = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for size in sizes:
+            results[size] = repeated(size, problem_file(size, wanted, Path(folder)), wanted.peer, wanted)
+    found = {name: value for size, runs in results.items() for name, value in gate.metrics(size, runs).items()}
+    text = page(results, wanted.repeat, wanted.threads)
+    print(text)
+    if wanted.markdown:
+        write_text(text, wanted.markdown)
+    if wanted.json:
+        write_json({"runs": results, "metrics": found}, wanted.json)
+    if wanted.update_baseline:
+        gate.update_baseline(wanted.baseline, found)
+    failed = gate.judged(limits, found, sizes) if wanted.gate else []
+    failed += [
+        f"FAILED {size}: ours did not converge ({runs[OURS][0]['message']})"
+        for size, runs in results.items()
+        if not all(one["converged"] for one in runs[OURS])
+    ]
+    print("\n".join(failed or (["The gate is passed."] if wanted.gate else [])))
+    return 1 if failed else 0
+
+
+def one_problem(wanted: argparse.Namespace) -> int:
+    """One file, once, its figures as JSON."""
+    figures = run_once(wanted.problem, wanted.line)
+    if wanted.json:
+        write_json(figures, wanted.json)
+    else:
+        print(json.dumps(figures, indent=1))
+    if not figures["converged"]:
+        print(f"benchmark speed: {wanted.problem}: {figures['message']}", file=sys.stderr)
+    return 0 if figures["converged"] else 1
+
+
+# --- the page
+
+
+def page(results: Mapping[str, Runs], repeat: int, threads: int) -> str:
+    """All tables."""
+    parts = [HEAD.format(repeat=repeat, threads=threads, machine=machine())]
+    parts += ["## Ours, seconds by stage", "", *stage_table(results), ""]
+    if any(runs.get(variant) for runs in results.values() for variant in VARIANTS):
+        parts += ["## The peer's seconds over ours", "", *ratio_table(results), ""]
+        parts += ["## Seconds, and the final cost", "", *cost_table(results), ""]
+    else:
+        parts += ["The peer took no part: its program was not named (`--peer`).", ""]
+    return "\n".join(parts)
+
+
+def stage_table(results: Mapping[str, Runs]) -> list[str]:
+    """Seconds of each stage, iterations, memory."""
+    head = ("size", "images", "points", "observations", *(stage.replace("_", " ") for stage in STAGES), "iterations")
+    rows = []
+    for size, runs in results.items():
+        mine = runs[OURS]
+        counts = (f"{mine[0][key]:,}" for key in ("images", "points", "observations"))
+        seconds = (number(middle(mine, f"seconds_{stage}")) for stage in STAGES)
+        last = (f"{middle(mine, 'iterations'):g}", number(middle(mine, "seconds_per_iteration")))
+        memory = (f"{middle(mine, 'peak_memory_mb'):.0f}", f"{middle(mine, 'bytes_per_observation'):.0f}")
+        rows.append((size, *counts, *seconds, *last, *memory))
+    return table((*head, "s / iteration", "highest MB", "memory, B / obs."), rows)
+
+
+def ratio_table(results: Mapping[str, Runs]) -> list[str]:
+    """Ratios of solve and covariance."""
+    rows = []
+    for size, runs in results.items():
+        solves = [ratio(runs, variant, "seconds_solve") for variant in VARIANTS]
+        cells = [str(one) if one else "-" for one in (*solves, ratio(runs, "custom", "seconds_covariance"))]
+        rows.append((size, *cells))
+    return table(("size", *(f"{variant}, solve" for variant in VARIANTS), "custom, covariance"), rows)
+
+
+def cost_table(results: Mapping[str, Runs]) -> list[str]:
+    """Solve seconds and iterations of every program; covariance; final cost and its difference."""
+    rows = []
+    for size, runs in results.items():
+        cells = [size]
+        for name in (OURS, *VARIANTS):
+            mine = runs.get(name, ())
+            cells.append(f"{number(middle(mine, 'seconds_solve'))} ({middle(mine, 'iterations'):g})" if mine else "-")
+        cells += [number(middle(runs.get(name, ()), "seconds_covariance")) for name in (OURS, "custom")]
+        difference = cost_difference(runs)
+        cells += [f"{middle(runs[OURS], 'cost_final'):.12g}", "-" if math.isnan(difference) else f"{difference:.1e}"]
+        rows.append(tuple(cells))
+    names = (f"{name}, solve (iterations)" for name in (OURS, *VARIANTS))
+    return table(("size", *names, f"{OURS}, covariance", "custom, covariance", "cost", "relative difference"), rows)
+
+
+# --- the command line
+
+
+def common_options(parser: OneLine) -> None:
+    """Options of `speed` and of `scaling`."""
+    parser.add_argument("--repeat", type=at_least(1), default=5)
+    parser.add_argument("--threads", type=at_least(1), default=os.cpu_count() or 1, help="of all programs alike")
+    parser.add_argument("--line", choices=("measured", "predicted"), default="measured", help="measured is the peer's")
+    parser.add_argument("--json", type=Path, help="file for the figures")
+
+
+def main(parser: OneLine, given: list[str]) -> int:
+    """The peer's problems: `benchmark.py speed`."""
+    parser.add_argument("sizes", nargs="*", metavar="SIZE", help=f"of {', '.join(SIZES)}; all of them when absent")
+    parser.add_argument("--peer", type=Path, help="the peer's program peer_ceres, built")
+    parser.add_argument("--shared", type=Path, default=SHARED, help="folder with the peer's gen.py")
+    parser.add_argument("--work", type=Path, help="folder of problem files, SIZE.bin, used and left there")
+    common_options(parser)
+    parser.add_argument("--markdown", type=Path, help="file for the tables")
+    parser.add_argument("--gate", action="store_true", help="hold the figures against the baseline")
+    parser.add_argument("--update-baseline", action="store_true", help="put them into it; do so deliberately")
+    parser.add_argument("--baseline", type=Path, default=gate.BASELINE)
+    parser.add_argument("--problem", type=Path, help="one file of the peer's format, in place of sizes")
+    wanted = parser.parse_args(given)
+    for size in wanted.sizes:
+        if size not in SIZES:
+            parser.error(f"no size {size!r}; there are {', '.join(SIZES)}")
+    if len(set(wanted.sizes)) < len(wanted.sizes):
+        parser.error("a size named twice")
+    if wanted.sizes and wanted.problem:
+        parser.error("sizes and --problem exclude one another")
+    if (wanted.gate or wanted.update_baseline) and (wanted.problem or wanted.line != "measured"):
+        parser.error("the gate judges sizes, in the peer's form")
+    os.environ["NUMBA_NUM_THREADS"] = str(wanted.threads)  # before anything imports numba
+
+    def job() -> int:
+        require_writable(wanted.json, wanted.markdown)
+        return one_problem(wanted) if wanted.problem else measure(wanted)
+
+    return status(parser.prog, job)
