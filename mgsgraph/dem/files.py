@@ -178,19 +178,7 @@ def shots_table(dem: Dem) -> Table:
 
 
 def write_model(model: HeightGrid, heights: Array, reference: str, tags: Mapping[str, str], path: Path) -> None:
-    """Write dem.tif.
-
-    Parameters
-    ----------
-    model : HeightGrid
-    heights : (rows, columns)
-        m, above `reference`.
-    reference : str
-        What the heights are above.
-    tags : mapping
-        More about it.
-    path : Path
-    """
+    """Write dem.tif: `heights` (rows, columns) in m above `reference`, the model's sigmas and counts, and more tags."""
     counts = np.where(np.isfinite(heights), model.counts, np.nan)
     bands = (heights, model.sigmas, model.matching, model.orientation, counts)
     with _on(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:

@@ -13,7 +13,7 @@ from mgsgraph.dem.checking import CheckProfile, HeightChecks, checked, root_mean
 from mgsgraph.dem.gridding import HeightGrid, gridded
 from mgsgraph.dem.map import MapGrid
 from mgsgraph.dem.points import intersected
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_heights
 from mgsgraph.matching.scene import Scene
@@ -47,10 +47,10 @@ class DemSettings:
     def __post_init__(self) -> None:
         for name in ("post", "spacing", "ortho_pixel"):
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"terrain model, {name.replace('_', ' ')}", f"{value} m", "a positive number")
-        if self.heights not in get_args(Heights):
-            raise InputError("terrain model, heights", repr(self.heights), " or ".join(get_args(Heights)))
+            good = value is None or 0.0 < value < np.inf
+            require(good, f"terrain model, {name.replace('_', ' ')}", f"{value} m", "a positive number")
+        known = get_args(Heights)
+        require(self.heights in known, "terrain model, heights", repr(self.heights), " or ".join(known))
 
 
 class MatchedPair(NamedTuple):

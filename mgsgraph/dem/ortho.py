@@ -38,25 +38,11 @@ def ortho_tiles(
     picture: Picture, model: HeightGrid, ground: Ground, grid: MapGrid,
     progress: Progress = no_progress,
 ) -> Iterator[tuple[int, int, NDArray[np.uint8]]]:
-    """A picture on the posts of a map, tile after tile.
+    """A picture, with its adjusted orientation, on the pixels of a map, tile after tile.
 
-    Parameters
-    ----------
-    picture : Picture
-        With its adjusted orientation.
-    model : HeightGrid
-        The terrain.
-    ground : Ground
-        As it was known beforehand; of the same body.
-    grid : MapGrid
-        The pixels wanted, of the same projection as the model's map.
-
-    Yields
-    ------
-    row, column : int
-        First ones of the tile.
-    grey : (rows, columns)
-        1 .. 255 between the picture's levels; 0 where the model has no height or the picture no pixel.
+    `ground` is that known beforehand, of the same body, and `grid` of the same projection as the model's map. Yields
+    the first row and column of a tile and its grey values (rows, columns): 1 .. 255 between the picture's levels, 0
+    where the model has no height or the picture no pixel.
     """
     over = _ModelGround(
         grid.chart, ground.body, ground.height, ground.height_sigma, map=model.map, filled=_filled(model.heights)

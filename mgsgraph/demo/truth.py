@@ -6,7 +6,9 @@ is its ray in the camera; moving the camera by dC, like moving P by -dC. So ever
 the image place by the ground point, at the basis values of the line where the point is seen.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,36 +33,52 @@ def nees(errors: Array, covariances: Array) -> Array:
     return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]))
 
 
+class PointErrors(NamedTuple):
+    """Errors of a class of points against the truth."""
+
+    rms_before: float
+    """m, of the a-priori places."""
+    rms_after: float
+    """m, of the adjusted ones."""
+    nees: float
+    """Mean normalised estimation error squared per degree of freedom; 1 where the stated sigmas are honest."""
+
+
+def point_errors(solution: Solution, truth: Mapping[str, Array], point_class: PointClass) -> PointErrors | None:
+    """Errors of the points of a class, by their true positions (3,) in m; None where there are none."""
+    members = solution.members(point_class)
+    if members.size == 0:
+        return None
+    true = np.array([truth[solution.network.points.ids[i]] for i in members])
+    before, after = solution.places_before[members] - true, solution.places[members] - true
+    mean = float(nees(after, solution.covariances[members]).mean() / 3.0)
+    return PointErrors(rms_length(before), rms_length(after), mean)
+
+
+def point_statements(solution: Solution, truth: Mapping[str, Array]) -> list[str]:
+    """A sentence with the errors of tie points, and one with those of laser points."""
+    classes = (PointClass.TIE, PointClass.LASER)
+    found = [(one.name.lower(), errors) for one in classes if (errors := point_errors(solution, truth, one))]
+    return [
+        f"Truth, {name} points: error {errors.rms_before:.1f} m rms before, {errors.rms_after:.1f} m after; mean NEES "
+        f"per degree of freedom {errors.nees:.2f} (1 if the stated sigmas are honest; all points share one "
+        "orientation, so one draw scatters)."
+        for name, errors in found
+    ]
+
+
 def pair_statements(solution: Solution, pair: SimulatedPair) -> list[str]:
     """Sentences with the true errors of points and orientation before and after the adjustment."""
     truth = dict(zip(pair.ties.ids, pair.true_ties, strict=True)) | dict(
         zip(pair.laser.ids, pair.true_footprints, strict=True)
     )
-    true_places = np.array([truth[name] for name in solution.network.points.ids])
-    sentences = []
-    for point_class in (PointClass.TIE, PointClass.LASER):
-        members = solution.members(point_class)
-        if members.size == 0:
-            continue
-        after, before = (places[members] - true_places[members] for places in (solution.places, solution.places_before))
-        mean = nees(after, solution.covariances[members]).mean() / 3.0
-        sentences.append(
-            f"Truth, {point_class.name.lower()} points: error {rms_length(before):.1f} m rms before, "
-            f"{rms_length(after):.1f} m after; "
-            f"mean NEES per degree of freedom {mean:.2f} (1 if the stated sigmas are honest; "
-            "all points share one orientation, so one draw scatters)."
-        )
-    errors = np.concatenate(
-        [
-            (estimate - true.coefficients).ravel()
-            for estimate, true in zip(solution.coefficients, pair.true_corrections, strict=True)
-        ]
-    )
+    estimates = zip(solution.coefficients, pair.true_corrections, strict=True)
+    errors = np.concatenate([(estimate - true.coefficients).ravel() for estimate, true in estimates])
     whitened = nees(errors[None], solution.joint_covariance.of(range(len(solution.coefficients)))[None])[0]
-    sentences.append(
-        f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size})."
-    )
-    return sentences
+    return [
+        *point_statements(solution, truth),
+        f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size}).",
+    ]
 
 
 def rms_length(errors: Array) -> float:
@@ -139,7 +157,7 @@ def true_places_of(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
         name: (point, places)
         for image in simulated.images
         for name, point, places in zip(
-            shot_names(image), image.profile.true_footprints, image.profile.true_places, strict=True
+            shot_names(image), image.profile.true_footprints, image.profile.true_pixels, strict=True
         )
     }
 

@@ -15,7 +15,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.matching.measuring import SharpPictures
 from mgsgraph.matching.pairs import Pair, boxes, pairs_of
 from mgsgraph.matching.patches import MOST, Tile
-from mgsgraph.matching.posts import Least, PostMatches, View, matches_on, no_matches
+from mgsgraph.matching.posts import DenseSettings, PostMatches, View, matches_on, no_matches
 from mgsgraph.matching.scene import GroundChart, Scene
 from mgsgraph.matching.tiles import tiling
 from mgsgraph.stages import Progress, no_progress
@@ -34,31 +34,6 @@ _LEAST_PARALLAX = 0.02
 """m per m of height: rays that are closer to parallel tell no height."""
 _FINER = 2.0
 """How much smaller a pixel's area has to be to count as finer."""
-
-
-@dataclass(frozen=True, slots=True)
-class DenseSettings:
-    """How posts are matched."""
-
-    spacing: float | None = None
-    """m between posts; five pixels of the ground grid when None."""
-    half_window: int = 8
-    """pixels of the ground grid from the middle of a window of least-squares matching to its edge."""
-    least_correlation: float = 0.5
-    """Of the two windows."""
-    largest_sigma: float = 0.5
-    """pixels, in any direction."""
-
-    def __post_init__(self) -> None:
-        checks = {
-            "spacing": (self.spacing is None or 0.0 < self.spacing < np.inf, "a positive number of metres"),
-            "half_window": (self.half_window >= 4, "at least 4"),
-            "least_correlation": (0.0 < self.least_correlation < 1.0, "a number between 0 and 1"),
-            "largest_sigma": (0.0 < self.largest_sigma < np.inf, "a positive number"),
-        }
-        for name, (good, expected) in checks.items():
-            if not good:
-                raise InputError(f"dense matching, {name}", str(getattr(self, name)), expected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +85,6 @@ def dense_matches(
     settings = settings or DenseSettings()
     step = scene.step
     spacing = settings.spacing or _SPACING * step
-    least = Least(settings.half_window * step, settings.least_correlation, settings.largest_sigma)
     sharp = SharpPictures(scene.pictures)
     scene.require_contrast()
     shown = boxes(scene)
@@ -126,9 +100,10 @@ def dense_matches(
         posts, parts = 0, [no_matches()]
         first, second = (sharp[j].spline for j in view.numbers)
         for tile in tiles:
-            tried = matches_on(view, (first, second), tile, _reach(view, tile.step), spacing, least, workers)
-            posts, done = posts + tried.posts, done + 1
-            parts.append(tried.matches)
+            reach = _reach(view, tile.step)
+            count, found = matches_on(view, (first, second), tile, reach, spacing, settings, step, workers)
+            posts, done = posts + count, done + 1
+            parts.append(found)
             progress("dense matching", done, most)
         matches = PostMatches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         results.append(DenseMatches(*view.numbers, spacing, posts, *matches))

@@ -70,25 +70,11 @@ def detect(patch: Patch, tile: Tile, most: int) -> Features:
 
 
 def pair_up(one: Features, other: Features, window: Window, step: float, ratio: float) -> tuple[Index, Index, Array]:
-    """Features that choose each other, each against its second choice.
+    """Numbers (k,) of features of both pictures that choose each other, each against its second choice, and the cosines
+    (k,) of their descriptors.
 
-    Parameters
-    ----------
-    one, other : Features
-        Of two pictures on one tile.
-    window : Window
-        Where the other's may lie, seen from the first.
-    step : float
-        m between pixels of the ground grid.
-    ratio : float
-        Most that the distance of the best may be of the second best's.
-
-    Returns
-    -------
-    first, second : (k,)
-        Numbers of features.
-    similarity : (k,)
-        Cosine of their descriptors.
+    The window says where the other's may lie, seen from the first; `step` is the ground grid's pixel in m, and `ratio`
+    the most that the distance of the best may be of the second best's.
     """
     forth, likeness = _best(one, other, window, step, ratio)
     back, _ = _best(other, one, window, step, ratio)

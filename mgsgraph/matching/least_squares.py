@@ -12,7 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index, Mask, frozen
 from mgsgraph.matching import equations, window
 from mgsgraph.matching.spline import SplinePicture
@@ -71,8 +71,7 @@ class LeastSquaresSettings:
             "emphasis": (0.25 <= self.emphasis <= 1.0, "0.25 .. 1"),
         }
         for name, (good, expected) in checks.items():
-            if not good:
-                raise InputError(f"least-squares matching, {name}", str(getattr(self, name)), expected)
+            require(good, f"least-squares matching, {name}", str(getattr(self, name)), expected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,8 +234,7 @@ def _require_centres(anchors: Array, where: str) -> None:
 
 def _require_windows(affine: Array, half: tuple[int, int], where: str) -> None:
     """Raise InputError for an A without an inverse, or a window that is too small."""
-    if min(half) < _SMALLEST:
-        raise InputError(f"{where}, half window", f"{half}", f"at least {_SMALLEST} lines and samples")
+    require(min(half) >= _SMALLEST, f"{where}, half window", f"{half}", f"at least {_SMALLEST} lines and samples")
     scale = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
     for k in np.flatnonzero(np.abs(scale) < 1e-6)[:1]:
         raise InputError(f"{where}, affine {k}", f"{affine[k].tolist()}", "a matrix with an inverse")
@@ -245,11 +243,8 @@ def _require_windows(affine: Array, half: tuple[int, int], where: str) -> None:
 def _require_pixels(weights: Array, unknowns: int, where: str) -> None:
     """Raise InputError where so few pixels have weight that nothing is left to tell their noise."""
     pixels = weights.sum() ** 2 / (weights @ weights)
-    if not pixels > unknowns:
-        raise InputError(
-            f"{where}, window", f"the weight of {pixels:.1f} pixels for {unknowns} unknowns", "more of them",
-            "a larger window or emphasis",
-        )  # fmt: skip
+    found = f"the weight of {pixels:.1f} pixels for {unknowns} unknowns"
+    require(pixels > unknowns, f"{where}, window", found, "more of them", "a larger window or emphasis")
 
 
 def _weights(half: tuple[int, int], emphasis: float) -> tuple[Array, float]:

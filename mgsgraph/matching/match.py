@@ -13,7 +13,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.matching.checks import cell_numbers, spread, verdict
+from mgsgraph.matching.checks import cell_numbers, checked_measures, spread
 from mgsgraph.matching.coarse import Agreement, Together, brought_together, window
 from mgsgraph.matching.features import Window
 from mgsgraph.matching.least_squares import MatchStatus
@@ -267,7 +267,7 @@ def _checked(
     """What stands all checks, best of each cell, and the coplanarity residuals."""
     alike = _alike(found, settings)
     sound = found.some(alike & found.returns)
-    checked = verdict(scene, sound, step, settings.seed)
+    checked = checked_measures(scene, sound, step, settings.seed)
     good = checked.coplanar & checked.steady
     good[good] = _one_per_window(scene, sound.some(good), likeness, settings, step)
     remaining = sound.some(good)
@@ -311,11 +311,8 @@ def _one_per_window(
     """
     rays = np.unique(found.track, return_inverse=True, return_counts=True)[1:]
     cells = cell_numbers(_anchor_plane(scene, found), settings.half_window * step)
-    return spread(cells, _numbered(_pairs(found)), _unsure(found.track, likeness) - rays[1][rays[0]], 1)
-
-
-def _pairs(found: Measured) -> list[tuple[int, ...]]:
-    return list(zip(found.first.tolist(), found.other.tolist(), strict=True))
+    pairs = _numbered(zip(found.first.tolist(), found.other.tolist(), strict=True))
+    return spread(cells, pairs, _unsure(found.track, likeness) - rays[1][rays[0]], 1)
 
 
 def _unsure(tracks: Index, likeness: Array) -> Array:

@@ -86,18 +86,10 @@ def _ids(names: tuple[str, ...], places: Array, count: int) -> tuple[str, ...]:
 def matches_of(
     found: Measured, misfit: Array, names: tuple[str, ...], order: Index
 ) -> tuple[TiePoints, Array, Array, Array]:
-    """Tie points, covariances, correlations and misfits of finished measures.
+    """Tie points, covariances, correlations and misfits of finished measures, which are sorted by track.
 
-    Parameters
-    ----------
-    found : Measured
-        Sorted by track.
-    misfit : (k,)
-        m.
-    names : tuple of str
-        Of the pictures.
-    order : (n,)
-        Tracks (positions among the distinct ones) in the order in which points are numbered.
+    `misfit` (k,) is in m, `names` are those of the pictures; `order` (n,) has the tracks, by their positions among the
+    distinct ones, in the order in which points are numbered.
     """
     tracks, begin, inverse = np.unique(found.track, return_index=True, return_inverse=True)
     rank = np.empty(tracks.size, dtype=np.int64)

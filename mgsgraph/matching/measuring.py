@@ -97,21 +97,8 @@ def joined_measures(parts: Sequence[Measured]) -> Measured:
 def measured(
     scene: Scene, found: Links, tracks: Sequence[list[int]], sharp: SharpPictures, settings: MatchSettings, step: float
 ) -> Measured:
-    """Measure tracks from a pixel near their first feature.
-
-    Parameters
-    ----------
-    scene : Scene
-        Whose orientations agree.
-    found : Links
-        Features.
-    tracks : sequence of list of int
-        Features of each.
-    sharp : SharpPictures
-        The pictures.
-    settings : MatchSettings
-    step : float
-        m, pixel of the ground grid.
+    """Measure tracks of features, `found`, from the sharpest pixel near their first feature into their other pictures,
+    whose orientations agree; `step` in m is the pixel of the ground grid.
     """
     track, first, other = star(tracks)
     parts = [_empty()]

@@ -85,22 +85,11 @@ def next_pair(
 
 
 def joined(links: Index, likeness: Array, picture_of: Index) -> list[list[int]]:
-    """Features joined by links, the surest first; a link that would bring two features of one picture together, or
-    contradicts a surer one, is left out: so a contradictory track falls apart at its weakest link.
+    """Features joined by links (k, 2), the surest first; a link that would bring two features of one picture together,
+    or contradicts a surer one, is left out: so a contradictory track falls apart at its weakest link.
 
-    Parameters
-    ----------
-    links : (k, 2)
-        Numbers of features.
-    likeness : (k,)
-        How sure each link is.
-    picture_of : (n,)
-        Picture of each feature.
-
-    Returns
-    -------
-    list of list of int
-        Features of each track, by picture, at least two.
+    `likeness` (k,) says how sure each link is, `picture_of` (n,) the picture of each feature. Returns the features of
+    each track, at least two, by picture.
     """
     track_of = dict[int, int]()
     tracks = dict[int, list[int]]()

@@ -69,18 +69,9 @@ def robust_sigma(values: Array) -> float:
 def displacements(
     first: Picture, second: Picture, pixels: tuple[Array, Array], ground: Ground, sigmas: Array
 ) -> Displacements:
-    """Displacements at matches.
+    """Displacements at n matches.
 
-    Parameters
-    ----------
-    first, second : Picture
-        Whose orientations are compared.
-    pixels : (n, 2) twice
-        line and sample in each.
-    ground : Ground
-        On which rays are compared.
-    sigmas : (d, 6)
-        Units of the coefficients, m and rad.
+    `pixels` are lines and samples (n, 2) in each picture, `sigmas` (d, 6) the units of the coefficients, m and rad.
     """
     base = second.on_chart(ground, pixels[1])
     frame, size = _frame(first, second, pixels, ground)
@@ -121,25 +112,11 @@ def increased(correction: OrientationCorrection | None, step: Array) -> Orientat
 def consensus(
     found: Displacements, tolerance: float, height_sigma: float, rng: np.random.Generator
 ) -> tuple[Array, Mask]:
-    """The correction that most matches agree on (Fischler & Bolles 1981), and these matches.
+    """The correction that most of n matches agree on (Fischler & Bolles 1981), in units of its sigmas (6 d,), and
+    whether each match fits it (n,).
 
-    Parameters
-    ----------
-    found : Displacements
-        At n matches.
-    tolerance : float
-        m, sigma of a match's displacement but for height; within three of them a match fits.
-    height_sigma : float
-        m, of the ground.
-    rng : numpy.random.Generator
-        Of the trials.
-
-    Returns
-    -------
-    coefficients : (6 d,)
-        in units of their sigmas.
-    fits : (n,)
-        Whether each match fits.
+    `tolerance` (m) is the sigma of a match's displacement but for height, `height_sigma` (m) that of the ground; within
+    three sigmas a match fits. `rng` draws the trials.
     """
     n = len(found.apart)
     sigmas = np.column_stack([np.full(n, tolerance), np.hypot(tolerance, height_sigma * found.parallax)])

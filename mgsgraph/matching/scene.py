@@ -92,10 +92,9 @@ class Ground:
         return np.asarray(directions * self._radii(directions)[:, None])
 
     def _radii(self, directions: Array) -> Array:
-        a, b = self.body.equatorial + self.height, self.body.polar + self.height
-        level = a * b / np.hypot(b * np.hypot(directions[:, 0], directions[:, 1]), a * directions[:, 2])
+        level = Ellipsoid(self.body.equatorial + self.height, self.body.polar + self.height).radius(directions)
         if self.terrain is None:
-            return np.asarray(level)
+            return level
         radii = self.terrain.at(directions * level[:, None])
         return np.where(np.isfinite(radii), radii, level)
 

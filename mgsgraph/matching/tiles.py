@@ -42,16 +42,8 @@ def together(parts: Sequence[Links]) -> Links:
 
 
 def tiling(boxes: Sequence[Array], step: float, margin: float) -> list[Tile]:
-    """Tiles that cover boxes and lie in two of them at least.
-
-    Parameters
-    ----------
-    boxes : sequence of (2, 2)
-        m, least and largest x and y of each picture on the chart.
-    step : float
-        m between pixels.
-    margin : float
-        m that neighbouring tiles share on every side of their common edge.
+    """Tiles that cover boxes (2, 2) in m, least and largest x and y of each picture on the chart, and meet two of them
+    at least; pixels lie `step` m apart, and neighbouring tiles share `margin` m on every side of their common edge.
     """
     corners = np.array(boxes)
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)

@@ -104,11 +104,6 @@ class SiteTerrain:
     brightness: PeriodicSurface
     """The soil's albedo in units of its mean; turned like the detail."""
 
-    @property
-    def extent(self) -> tuple[float, float]:
-        """m, east-west and north-south size of the ground before its relief repeats itself."""
-        return self.relief.period
-
     def height(self, lon: Array, lat: Array) -> Array:
         """Height (n,) in m above the ellipsoid, along the radius, at longitudes and latitudes (n,)."""
         height = np.empty(lon.size)

@@ -14,17 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.io.megdr import REFERENCE_RADIUS
-from mgsgraph.simulation.mola_files import MegdrLayout, PedrFrames, write_megdr
+from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import KernelSegment
 from mgsgraph.simulation.terrain import areoid_under
 from mgsgraph.units import MILLISECOND
 
-_MOLA_ORBIT = 10_000
-"""What MOLA adds to MGS's mapping orbit."""
 _LABEL_BYTES = 2048
 """bytes of the label of the archive's compressed images (RECORD_BYTES of M0100115.imq)."""
 _WRITTEN = "2001-12-01T00:00:00"
@@ -156,8 +153,7 @@ def _quoted(text: str) -> str:
 
 def shot_names(image: SimulatedImage) -> tuple[str, ...]:
     """Names of an image's shots as the PEDR's reader gives them: orbit, frame and shot."""
-    orbit = image.settings.orbit + _MOLA_ORBIT
-    numbers = range(image.profile.times.size)
+    orbit, numbers = image.profile.orbit, range(image.profile.times.size)
     return tuple(f"{orbit}:{k // SHOTS_PER_FRAME + 1}:{k % SHOTS_PER_FRAME + 1}" for k in numbers)
 
 
@@ -201,26 +197,6 @@ def image_label(image: SimulatedImage, title: str) -> MocImageLabel:
 def label_time(time: datetime) -> str:
     """ISO to hundredths of a second, as labels have it."""
     return time.strftime("%Y-%m-%dT%H:%M:%S") + f".{time.microsecond // 10_000:02d}"
-
-
-def pedr_frames(image: SimulatedImage) -> PedrFrames:
-    """The profile along with an image, as its PEDR file has it."""
-    profile = image.profile
-    footprints, craft = planetocentric(profile.footprints), planetocentric(profile.spacecraft)
-    return PedrFrames(
-        orbit=image.settings.orbit + _MOLA_ORBIT,
-        times=profile.times,
-        longitudes=footprints[:, 0],
-        latitudes=footprints[:, 1],
-        radii=footprints[:, 2],
-        ranges=profile.ranges,
-        areoid_radii=profile.areoid_radii,
-        spacecraft_longitudes=craft[:, 0],
-        spacecraft_latitudes=craft[:, 1],
-        spacecraft_radii=craft[:, 2],
-        off_nadir=profile.off_nadir,
-        ground=profile.ground,
-    )
 
 
 def write_grids(simulated: SimulatedSite, folder: Path) -> None:

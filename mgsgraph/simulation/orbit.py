@@ -65,16 +65,6 @@ class Orbit:
             along[1][:, None] * self.outward + across[1][:, None] * self.flight,
         )
 
-    def angle(self, times: Array) -> Array:
-        """Angle (n, 1) in rad that a circle sweeps in times (n,) in s past the epoch."""
-        return np.asarray((np.sqrt(GRAVITY / self.radius**3) * times)[:, None])
-
-    def circle_state(self, times: Array) -> tuple[Array, Array]:
-        """As `state`, of a circle: sine and cosine alone, without Kepler's equation."""
-        angle, speed = self.angle(times), self.radius * np.sqrt(GRAVITY / self.radius**3)
-        positions = self.radius * (np.cos(angle) * self.outward + np.sin(angle) * self.flight)
-        return positions, speed * (np.cos(angle) * self.flight - np.sin(angle) * self.outward)
-
 
 def sampled_trajectory(
     epoch: float,
@@ -165,9 +155,10 @@ def circular_trajectory(flown: CircularPass, half: float, step: float = TABLE_ST
     axis = axis / np.linalg.norm(axis)
     camera = np.stack([orbit.flight, np.cross(axis, orbit.flight), axis])
     tracks_nadir = flown.off_nadir == 0.0  # then the camera turns about the orbit's normal, otherwise it is held
-    turned = orbit.angle(times) * np.cross(orbit.outward, orbit.flight) if tracks_nadir else np.zeros((times.size, 3))
+    swept = np.sqrt(GRAVITY / orbit.radius**3) * times if tracks_nadir else np.zeros(times.size)
+    turned = swept[:, None] * np.cross(orbit.outward, orbit.flight)
     return sampled_trajectory(
-        flown.epoch, times, orbit.circle_state(times), camera @ rotation.exponential(-turned),
+        flown.epoch, times, orbit.state(times), camera @ rotation.exponential(-turned),
         fixed_pole_matrix(flown.epoch + times), _CIRCLE_MOUNT, _CIRCLE_TILT,
     )  # fmt: skip
 
@@ -177,7 +168,7 @@ def ground_track(flown: CircularPass, times: Array) -> tuple[Array, Array]:
     rad of the flight over them: what a later pass along the same track is given.
     """
     orbit = circular_orbit(flown)
-    positions, velocities = orbit.circle_state(times)
+    positions, velocities = orbit.state(times)
     to_body = fixed_pole_matrix(flown.epoch + times)
     up = np.einsum("nij,nj->ni", to_body, positions) / orbit.radius
     along = np.einsum("nij,nj->ni", to_body, velocities)
@@ -269,7 +260,7 @@ def site_pass(
     normal = to_inertial @ (site / np.array([MARS.equatorial, MARS.equatorial, MARS.polar]) ** 2)
     normal /= np.linalg.norm(normal)
     pole, target = to_inertial[:, 2], to_inertial @ site
-    radius = _ellipsoid_radius(site) + altitude
+    radius = float(MARS.radius(site[None] / np.linalg.norm(site))[0]) + altitude
     angle = settings.emission if emission is None else emission
     outward, flight = normal, _northbound(normal, pole)
     for _ in range(4):  # the flight's direction at the spacecraft decides which way is across
@@ -333,12 +324,6 @@ def _northbound(outward: Array, pole: Array) -> Array:
     east = east / cosine
     west_of_north = np.cos(_INCLINATION) / cosine
     return np.asarray(np.sqrt(1.0 - west_of_north**2) * np.cross(outward, east) + west_of_north * east)
-
-
-def _ellipsoid_radius(point: Array) -> float:
-    """m, from the centre to the ellipsoid, towards a body-fixed point (3,)."""
-    unit = point / np.linalg.norm(point)
-    return float(1.0 / np.sqrt((unit[0] ** 2 + unit[1] ** 2) / MARS.equatorial**2 + unit[2] ** 2 / MARS.polar**2))
 
 
 def _ground_speed(flown: SitePass, radius: float) -> float:

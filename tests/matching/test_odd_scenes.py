@@ -10,7 +10,7 @@ import pytest
 
 from mgsgraph.case.scene import read_scene
 from mgsgraph.errors import InputError
-from mgsgraph.matching.checks import verdict
+from mgsgraph.matching.checks import checked_measures
 from mgsgraph.matching.coarse import search_radius
 from mgsgraph.matching.files import KeptTiles, match_statements
 from mgsgraph.matching.match import _cells, _finest_first, _one_per_window, match_scene
@@ -148,8 +148,8 @@ def test_a_handful_of_measures_is_not_believed() -> None:
     all_of_them = Measured(
         np.arange(n), whole, whole + 1, whole, anchors, places, square, square, np.ones(n), whole, whole == 0
     )
-    assert verdict(scene, all_of_them, STEP, 0).coplanar.mean() > 0.9
-    assert not verdict(scene, all_of_them.some(np.arange(8)), STEP, 0).coplanar.any()
+    assert checked_measures(scene, all_of_them, STEP, 0).coplanar.mean() > 0.9
+    assert not checked_measures(scene, all_of_them.some(np.arange(8)), STEP, 0).coplanar.any()
 
 
 def test_a_correction_beyond_what_was_stated_is_said() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.matching.checks import verdict
+from mgsgraph.matching.checks import checked_measures
 from mgsgraph.matching.match import _cells, _checked
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.pairs import Pair, first_picture, next_pair, pairs_of
@@ -125,7 +125,7 @@ def test_measures_that_do_not_meet_or_stand_out_are_told() -> None:
     second = second + 0.05 * np.random.default_rng(1).standard_normal(second.shape)
     second[:10, 0] += 3.0
     second[10:20, 1] += 10.0
-    found = verdict(matched.scene(), measures((first, second)), 4.0, 0)
+    found = checked_measures(matched.scene(), measures((first, second)), 4.0, 0)
     assert np.flatnonzero(~found.coplanar).tolist() == list(range(10))
     assert np.flatnonzero(found.coplanar & ~found.steady).tolist() == list(range(10, 20))
     assert np.all(np.abs(found.misfit[:10]) > 8.0)
