@@ -12,11 +12,6 @@ NAMED = 4
 """How many of a kind are named before the rest is only counted."""
 
 
-def cells(values: Array, width: int) -> str:
-    """Right-aligned numbers with as many of three decimals as the width holds; a dash for none."""
-    return " ".join(cell(float(value), width).rjust(width) for value in values)
-
-
 def cell(value: float, width: int) -> str:
     """A number with as many of three decimals as the width holds; a dash for none."""
     if not math.isfinite(value):
@@ -50,6 +45,11 @@ def some(names: Sequence[str], total: int, most: int = NAMED) -> str:
     """Names that stand for `total` of them, `most` at the most."""
     named = names[:most]
     return ", ".join(named) + (f" and {total - len(named)} more" if total > len(named) else "")
+
+
+def some_of(names: Sequence[str], index: NDArray[np.int64], most: int = NAMED) -> str:
+    """Names with indices (n,), `most` at the most."""
+    return some([names[i] for i in index[:most].tolist()], index.size, most)
 
 
 def short(name: str, width: int) -> str:

@@ -14,13 +14,10 @@ from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_NAME,
     Sheet,
-    legend,
     new_sheet,
     number,
-    panels,
     plain_style,
     save,
-    words,
 )
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
@@ -39,10 +36,7 @@ def draw(case: Case, solution: Solution, differences: Sequence[Array], truths: S
 
     `differences` and `truths` are (31, 6) per image, m and rad: refined minus SPICE, and truth minus SPICE.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with plain_style():
-        sheets = [orientation_sheet(solution, differences, truths), arrow_sheet(solution)]
-        names = [name for sheet in sheets for name in save(sheet, folder)]
+    names = save([orientation_sheet(solution, differences, truths), arrow_sheet(solution)], folder)
     names += write_registration_figures(register_case(case, solution), folder)
     for name in names:
         if name.endswith(".svg"):
@@ -60,6 +54,7 @@ def shrink(path: Path) -> None:
     whole.quantize(_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
+@plain_style()
 def orientation_sheet(solution: Solution, differences: Sequence[Array], truths: Sequence[Array]) -> Sheet:
     """Figure 1 of PE&RS: refined minus SPICE orientation over the 30 intervals of each image."""
     images = solution.network.images
@@ -71,7 +66,7 @@ def orientation_sheet(solution: Solution, differences: Sequence[Array], truths: 
         "is the kernels' own, which the polynomials smooth out."
     )
     sheet = new_sheet("orientation", 7.6, 7.6, f"Orientation differences, {solution.name}", caption)
-    grid = panels(sheet, 6, 2, across=0.75)
+    grid = sheet.panels(6, 2, sharex="col")
     for j, (found, true) in enumerate(zip(differences, truths, strict=True)):
         for k, label in enumerate(_ROWS):
             unit = 1.0 if k < 3 else ARCMIN
@@ -80,9 +75,8 @@ def orientation_sheet(solution: Solution, differences: Sequence[Array], truths: 
             panel.plot(found[:, k] / unit, color="#0072B2", marker=".", ms=3)
             panel.set_xlim(0, found.shape[0] - 1)
             panel.locator_params(axis="y", nbins=4)
-            panel.tick_params(labelbottom=k == 5)
-            words(panel, "interval" if k == 5 else "", label, images[j].name if k == 0 else "")
-    legend(sheet.figure, [_line("#0072B2", "refined minus SPICE"), _line("#999999", "truth minus SPICE")])
+            panel.set(xlabel="interval" if k == 5 else "", ylabel=label, title=images[j].name if k == 0 else "")
+    sheet.legend([_line("#0072B2", "refined minus SPICE"), _line("#999999", "truth minus SPICE")])
     return sheet
 
 
@@ -92,6 +86,7 @@ def _line(colour: str, label: str) -> Any:
     return Line2D([], [], color=colour, label=label)
 
 
+@plain_style()
 def arrow_sheet(solution: Solution) -> Sheet:
     """Figure 2 of PE&RS: corrections of the image coordinates of footprints and tie points in both images."""
     network, rays = solution.network, solution.network.rays
@@ -110,7 +105,7 @@ def arrow_sheet(solution: Solution) -> Sheet:
         f"MOLA's are {told} on the average; those of the ties are too short to be seen."
     )
     sheet = new_sheet("arrows", 9.6, 4.4, f"Image coordinate corrections, {solution.name}", caption)
-    for panel, j in zip(panels(sheet, 2, 1, down=0.8)[:, 0], range(len(network.images)), strict=True):
+    for panel, j in zip(sheet.panels(2, 1)[:, 0], range(len(network.images)), strict=True):
         image = network.images[j]
         for kind in (PointClass.TIE, PointClass.LASER):
             mine = (rays.image == j) & (network.points.classes[rays.point] == kind)
@@ -123,6 +118,6 @@ def arrow_sheet(solution: Solution) -> Sheet:
         middle = 0.5 * image.lines
         panel.set(xlim=(middle - 0.5 * _PORTION, middle + 0.5 * _PORTION), ylim=(0, image.samples))
         panel.grid(False)
-        words(panel, "line (px)", "sample (px)", image.name)
-    legend(sheet.figure, [_line(CLASS_COLOUR[kind], CLASS_NAME[kind]) for kind in (PointClass.TIE, PointClass.LASER)])
+        panel.set(xlabel="line (px)", ylabel="sample (px)", title=image.name)
+    sheet.legend([_line(CLASS_COLOUR[kind], CLASS_NAME[kind]) for kind in (PointClass.TIE, PointClass.LASER)])
     return sheet

@@ -62,7 +62,7 @@ ONLY_IN = {
     "pyogrio": ("mgsgraph.export",),
     "spiceypy": ("mgsgraph.io", "mgsgraph.simulation", "mgsgraph.export"),
     "msgspec": (
-        "mgsgraph.campaign", "mgsgraph.case", "mgsgraph.export", "mgsgraph.io.control", "mgsgraph.output",
+        "mgsgraph.campaign", "mgsgraph.case", "mgsgraph.export", "mgsgraph.fetch", "mgsgraph.io", "mgsgraph.output",
         "mgsgraph.project", "mgsgraph.review",
     ),
     "requests": ("mgsgraph.fetch",),

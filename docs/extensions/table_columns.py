@@ -3,7 +3,10 @@
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
@@ -15,14 +18,21 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import adjust, read_case
+from mgsgraph.dem.checking import HeightChecks
+from mgsgraph.dem.files import shots_table
+from mgsgraph.matching.files import matches_table
 from mgsgraph.output.table import Column, Table
+from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.registration.tables import discrepancy_table, registration_table
 from mgsgraph.reports.analysis import components_table
+from mgsgraph.reports.plan import judged_table
 from mgsgraph.reports.reliability import reliability_table
 from mgsgraph.reports.shared import shared_table
 from mgsgraph.reports.strips import nodes_table
 from mgsgraph.reports.tables import connectivity_table, orientation_table, points_table, residuals_table
-from mgsgraph.simulation.files import write_pair
+from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.simulation.site import SimulationOptions, simulate_site
 
 _MORE = """
 [[shared]]
@@ -65,6 +75,31 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "strips.csv", nodes_table(solution)
     yield "reliability.csv", reliability_table(reliability(linearised))
     yield "components.csv", components_table(components_of(linearised))
+    registration = _registration()
+    yield "registration.csv", registration_table(registration)
+    yield "discrepancy.csv", discrepancy_table(registration)
+    yield from _without_rows()
+
+
+def _registration() -> CaseRegistration:
+    with tempfile.TemporaryDirectory() as folder:
+        site = simulate_site("gusev", 1, SimulationOptions(pictures=False))
+        return register_case(read_case(write_site(site, Path(folder))))
+
+
+def _without_rows() -> Iterator[tuple[str, Table]]:
+    """Tables whose columns are the same without a plan, a match or a laser shot."""
+    none, pairs, index = np.zeros(0), np.zeros((0, 2)), np.zeros(0, dtype=np.int64)
+    ties = SimpleNamespace(ids=(), measure_point=index, measure_image=(), measures=pairs, measure_sigmas=pairs)
+    covariances, reference = np.zeros((0, 2, 2)), np.zeros(0, dtype=np.bool_)
+    matches: Any = SimpleNamespace(
+        ties=ties, covariances=covariances, reference=reference, correlation=none, misfit=none
+    )
+    checks = HeightChecks((), index, (), np.zeros((0, 3)), pairs, none, none, none, none)
+    dem: Any = SimpleNamespace(checks=checks, model=SimpleNamespace(map=SimpleNamespace(radius=0.0)))
+    yield "plan.csv", judged_table(())
+    yield "matches.csv", matches_table(matches)
+    yield "shots.csv", shots_table(dem)
 
 
 def _section(file: str, table: Table) -> list[str]:

@@ -46,7 +46,7 @@ sheet = matches_sheet(matches, scene, "Gusev, 640 lines")
 # %%
 # Some of them as chips: the same ground in the one image and in the other, both turned and stretched to the ground's
 # directions.
-from mgsgraph.figures.sheet import new_sheet, panels
+from mgsgraph.figures.sheet import new_sheet
 from mgsgraph.matching.chips import chip_frames, chips, stretched
 
 ties = matches.ties
@@ -54,7 +54,7 @@ frames = chip_frames([picture.image for picture in pictures], ties)
 chosen = np.linspace(0, len(ties.ids) - 1, 8).astype(int)[1:-1]
 caption = "Upper row: the image that looks down; lower row: the one that looks aside."
 pairs = new_sheet("chips", 9.0, 3.4, "Six matches", caption, band=0.0)
-grid = panels(pairs, 2, 6, left=0.2, across=0.1, down=0.1)
+grid = pairs.panels(2, 6)
 for row, picture in enumerate(pictures):
     of_image = np.array(ties.measure_image) == picture.image.name
     for column, point in enumerate(chosen):

@@ -252,8 +252,8 @@ def _posterior(
     nodes, trends = strip_values(network, layout.variables, orientation)
     message = solved.outcome.message
     if solved.circling:
-        what = what_changes(settings, network).capitalize()
-        message += f" {what} don't come to rest; the best of the passes is kept."
+        message += f" This holds for the best of {solved.passes} passes; "
+        message += f"from one pass to the next {what_changes(settings, network)} still changed."
     elif solved.passes > 1:
         message += f" {solved.passes} passes, until {what_changes(settings, network)} stayed as they were."
     return Solution(

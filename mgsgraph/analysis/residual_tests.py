@@ -68,11 +68,18 @@ class ChiSquareTest:
     def words(self) -> str:
         """One sentence."""
         low, high = self.bounds
-        found = "passed" if self.passed else "FAILED, " + ("too large" if self.squares > high else "too small")
+        found, advice = "passed", ""
+        if not self.passed:
+            large = self.squares > high
+            found = f"FAILED, too {'large' if large else 'small'}"
+            advice = (
+                ". Residuals are larger than their stated sigmas: look for blunders, then enlarge the sigmas" if large
+                else ". Residuals are smaller than their stated sigmas: no blunder, but reduce the sigmas"
+            ) + " of groups whose factor is far from 1"
         return (
             f"Global test {found}: squares {self.squares:.6g} for {self.degrees} degrees of freedom, "
             f"{low:.6g} to {high:.6g} in {100 * (1 - self.alpha):g}% of cases (p = {self.two_sided:.3g}; one-sided "
-            f"{self.larger:.3g}, up to {self.upper_bound:.6g})"
+            f"{self.larger:.3g}, up to {self.upper_bound:.6g}){advice}"
         )
 
 

@@ -11,7 +11,6 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.case.images import read_image
 from mgsgraph.case.reading import read_shots
 from mgsgraph.case.schema import ImageInput, OrientationInput, Positive, Sigma, SpiceInput
@@ -20,6 +19,7 @@ from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocen
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.decoding import read_table, validated
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.planning.candidates import (

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method
-from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.decoding import read_table, validated
 from mgsgraph.io.isd import Observer
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD

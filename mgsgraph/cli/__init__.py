@@ -11,28 +11,29 @@ import click
 from mgsgraph.errors import MgsgraphError
 
 _VERBS = {
-    "add": "Add images to a project, and adjust what they touch.",
-    "adjust": "Adjust a case: orientation, ground points and their sigmas.",
-    "analyze": "Ask the covariance of an adjustment: sigmas, honesty, reliability, what is weak.",
-    "check": "Read and validate a case, say what is in it, solve nothing.",
-    "convert": "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables.",
-    "campaign": "Adjust many cases, here or on a cluster, with a record of what is done.",
-    "dem": "Make a terrain model with sigmas and an ortho image from adjusted images.",
-    "demo": "Simulate a study site, adjust it, and say what was wrong and what is right now.",
-    "export": "Write a solution for other programs: SPICE, CSM, ISIS, Ames Stereo Pipeline, GIS.",
-    "fetch": "Fetch images, kernels, laser profiles and terrain from the archives.",
-    "init": "Make a project, to which images are added as they come.",
-    "match": "Find tie points in the images themselves.",
-    "nodes": "Choose how close orientation images stand from the data, and look for vibrations.",
-    "plan": "Rank what might be observed next by what it would do to the sigmas.",
-    "register": "Project laser footprints into the images, and say by how much the images contradict.",
-    "remove": "Take images out of a project, and adjust what they touched.",
-    "report": "Write a page about an adjustment, one HTML file.",
-    "review": "Show tie points to a person, and take rejected ones out of a network.",
-    "simulate": "Write the files of a simulated study site, in the formats of the mission's archive.",
-    "solve": "Adjust everything in a project by batch, and compare.",
-    "status": "Say what is in a project and what its last solution was.",
+    "add": ("projects", "Add images to a project, and adjust what they touch."),
+    "adjust": ("cases", "Adjust a case: orientation, ground points and their sigmas."),
+    "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, honesty, reliability, what is weak."),
+    "check": ("cases", "Read and validate a case, say what is in it, solve nothing."),
+    "convert": ("networks", "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables."),
+    "campaign": ("cases", "Adjust many cases, here or on a cluster, with a record of what is done."),
+    "dem": ("sources", "Make a terrain model with sigmas and an ortho image from adjusted images."),
+    "demo": ("sources", "Simulate a study site, adjust it, and say what was wrong and what is right now."),
+    "export": ("networks", "Write a solution for other programs: SPICE, CSM, ISIS, Ames Stereo Pipeline, GIS."),
+    "fetch": ("sources", "Fetch images, kernels, laser profiles and terrain from the archives."),
+    "init": ("projects", "Make a project, to which images are added as they come."),
+    "match": ("sources", "Find tie points in the images themselves."),
+    "nodes": ("cases", "Choose how close orientation images stand from the data, and look for vibrations."),
+    "plan": ("questions", "Rank what might be observed next by what it would do to the sigmas."),
+    "register": ("cases", "Project laser footprints into the images, and say by how much the images contradict."),
+    "remove": ("projects", "Take images out of a project, and adjust what they touched."),
+    "report": ("questions", "Write a page about an adjustment, one HTML file."),
+    "review": ("networks", "Show tie points to a person, and take rejected ones out of a network."),
+    "simulate": ("sources", "Write the files of a simulated study site, in the formats of the mission's archive."),
+    "solve": ("projects", "Adjust everything in a project by batch, and compare."),
+    "status": ("projects", "Say what is in a project and what its last solution was."),
 }
+"""Module of each verb, and its line of help: known before that module is imported."""
 
 
 class _Verbs(click.Group):
@@ -44,12 +45,13 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _VERBS:
             return None
-        command = getattr(import_module(f"mgsgraph.cli.{cmd_name}"), cmd_name)
+        module, _ = _VERBS[cmd_name]
+        command = getattr(import_module(f"mgsgraph.cli.{module}"), cmd_name)
         return command if isinstance(command, click.Command) else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl(list(_VERBS.items()))
+            formatter.write_dl([(verb, help) for verb, (_, help) in _VERBS.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -9,18 +9,21 @@ import click
 from tqdm import tqdm
 
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.stages import Stages
 
-_PATIENCE = 4.0
-"""s after which the silence is explained."""
+_EXPLAIN_AFTER = 4.0
+"""s after which it is said why nothing has moved yet."""
 _SHORTLY = 2.0
 """s before a bar appears: what is done sooner needs none."""
+_BEAT = 0.5
+"""s between two looks at the clock."""
 
 
 @contextmanager
 def iteration_bar(verbose: bool, most: int) -> Iterator["IterationBar"]:
     """Progress over iterations on standard error (where that is a terminal); one line each when verbose."""
     bar = IterationBar(verbose, most)
-    timer = threading.Timer(_PATIENCE, bar.explain)
+    timer = threading.Timer(_EXPLAIN_AFTER, bar.explain)
     timer.daemon = True
     timer.start()
     try:
@@ -123,3 +126,28 @@ class IterationBar:
     def close(self) -> None:
         """Take the bar away."""
         self._bar.close()
+
+
+@contextmanager
+def stage_bar(count: int) -> Iterator[Stages]:
+    """Stages that show themselves: which of `count` is running, and for how long all of them have."""
+    bar = tqdm(total=count, unit="stage", leave=False, disable=None, bar_format="{n_fmt}/{total_fmt} {desc} {elapsed}")
+    over, begun = threading.Event(), list[str]()
+
+    def tick() -> None:
+        while not over.wait(_BEAT):
+            bar.refresh()
+
+    def announce(stage: str) -> None:
+        bar.update(1 if begun else 0)
+        begun.append(stage)
+        bar.set_description_str(stage)
+
+    ticking = threading.Thread(target=tick, daemon=True)
+    ticking.start()
+    try:
+        yield Stages(announce)
+    finally:
+        over.set()
+        ticking.join()
+        bar.close()

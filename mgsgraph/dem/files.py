@@ -45,10 +45,11 @@ def write_dem(
     shots_table(dem).write_csv(folder / "shots.csv")
     write_json(folder / DEM, _record(dem, settings, grid.post))
     if figures:
-        from mgsgraph.figures.dem import write_dem_figure  # matplotlib takes its time to load
+        from mgsgraph.figures.dem import dem_sheet, read_ortho  # matplotlib takes its time to load
+        from mgsgraph.figures.sheet import save
 
         progress("figure", 0, 1)
-        write_dem_figure(dem, folder)
+        save([dem_sheet(dem, read_ortho(folder / "ortho.tif"))], folder)
 
 
 def dem_statements(dem: Dem) -> list[str]:

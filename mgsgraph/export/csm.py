@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
@@ -19,24 +20,30 @@ from mgsgraph.export.csm_state import model_state
 from mgsgraph.export.csm_tables import RefinedTables, Turning, body_table, refined_tables
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.files import read_json, write_files
-from mgsgraph.io.isd import Aberration, read_isd
-from mgsgraph.units import ISIS_OFFSET, KM, MM
+from mgsgraph.io.isd import (
+    J2000,
+    MODEL,
+    Aberration,
+    RotationTable,
+    StateTable,
+    SunTable,
+    read_isd,
+    rotation_table,
+    state_table,
+    support_fields,
+)
+from mgsgraph.units import ISIS_OFFSET, MM
 
-MODEL = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
-"""What usgscsm calls a line scanner."""
 _AROUND = 100.0
 """m, by which the ground may be higher or lower than the points on it."""
 SUPPORT_DATA, STATE = ".isd", ".adjusted_state.json"
 """How the files of an image end; the state's is the one that ASP's bundle_adjust and jitter_solve give."""
 _TIMING_TOLERANCE = 1e-2
 """Lines by which usgscsm may misread a line_scan_rate of several segments."""
-_INERTIAL = 1
-"""NAIF's code of J2000."""
 
 
 def write_csm(
@@ -85,22 +92,6 @@ def write_csm(
         state = model_state(solution, j, tables, data, body.at) | {"m_mgsgraph": _provenance(solution)}
         texts[stem + STATE] = f"{MODEL}\n{_text(state)}"
     return write_files(folder, texts)
-
-
-def distortion_fields(distortion: Distortion, where: str) -> tuple[str, list[float]]:
-    """Name of a distortion model in support data, and its coefficients for mm; raises InputError for a foreign one.
-
-    Without distortion it is a radial one of zeros: ALE refuses support data that name none (src/Isd.cpp,
-    getDistortionModel).
-    """
-    if isinstance(distortion, NoDistortion):
-        return "radial", [0.0, 0.0, 0.0]
-    if isinstance(distortion, RadialDistortion):
-        return "radial", [distortion.k0, distortion.k1 * MM**2, distortion.k2 * MM**4]
-    if isinstance(distortion, LrocNacDistortion):
-        return "lrolrocnac", [distortion.k * MM**2]
-    found = f"the model {type(distortion).__name__}"
-    raise InputError(f"{where}, optical_distortion", found, "none, radial, or that of LROC NAC")
 
 
 def file_stems(solution: Solution) -> list[str]:
@@ -202,46 +193,23 @@ def _require_timing(image: PushbroomImage) -> None:
         )  # fmt: skip
 
 
-def _line_scan_rate(timing: LineTiming, shift: float) -> Array:
-    """Rows of line (ISIS: top edge of the first one 0.5), s past center_ephemeris_time, and s per line."""
-    return np.column_stack([timing.first_lines + ISIS_OFFSET, timing.start_times - shift, timing.periods])
-
-
 def _support_data(
     image: PushbroomImage, tables: RefinedTables, body: AttitudeTable, original: dict[str, Any]
 ) -> dict[str, Any]:
-    """Support data in the layout that ALE writes (ale/formatters/formatter.py, to_isd) and `io.isd` reads."""
-    interior, summing = image.interior, int(image.interior.sample_summing)
+    """Support data in the layout that ALE writes and `io.isd` reads."""
+    summing = int(image.interior.sample_summing)
     if summing != image.interior.sample_summing:
         where = f"image {image.name}, detector_sample_summing"
         raise InputError(where, f"{image.interior.sample_summing:g}", "a whole number")
-    to_pixel = interior.to_pixel.copy()
-    to_pixel[:, 1:] *= MM
-    model, coefficients = distortion_fields(interior.distortion, f"image {image.name}")
     kept = {k: v for k, v in original.items() if k not in ("sun_position", "body_rotation", "instrument_pointing")}
-    return kept | {
-        "image_lines": image.lines,
-        "image_samples": image.samples,
-        "image_identifier": image.name,
-        "name_model": MODEL,
-        "interpolation_method": "lagrange",
-        "line_scan_rate": _line_scan_rate(image.timing, tables.shift).tolist(),
-        "starting_ephemeris_time": tables.epoch + float(image.timing.start_times[0]) - tables.shift,
-        "center_ephemeris_time": tables.epoch,
-        "radii": {"semimajor": image.body.equatorial / KM, "semiminor": image.body.polar / KM, "unit": "km"},
-        "naif_keywords": _naif_keywords(original["naif_keywords"], interior.focal_length),
+    found = support_fields(
+        image, tables.epoch, _position_table(tables, body), _pointing_table(tables, body, original),
+        _body_table(tables.epoch, body, original), _no_sun(tables),
+    )  # fmt: skip
+    return kept | found | {
         "detector_sample_summing": summing,
-        "focal_length_model": {"focal_length": interior.focal_length / MM},
-        "detector_center": {"line": float(interior.centre[0]), "sample": float(interior.centre[1])},
-        "starting_detector_line": float(interior.first[0]),
-        "starting_detector_sample": float(interior.first[1]),
-        "focal2pixel_lines": to_pixel[0].tolist(),
-        "focal2pixel_samples": to_pixel[1].tolist(),
-        "optical_distortion": {model: {"coefficients": coefficients}},
-        "body_rotation": _body_table(tables.epoch, body, original),
-        "instrument_pointing": _pointing_table(tables, body, original),
-        "instrument_position": _position_table(tables, body),
-        "sun_position": original.get("sun_position", _no_sun(tables)),
+        "naif_keywords": _naif_keywords(original["naif_keywords"], image.interior.focal_length),
+        "sun_position": original.get("sun_position", found["sun_position"]),
     }
 
 
@@ -255,55 +223,47 @@ def _naif_keywords(said: Mapping[str, Any], focal_length: float) -> dict[str, An
     return keywords
 
 
-def _pointing_table(tables: RefinedTables, body: AttitudeTable, original: Mapping[str, Any]) -> dict[str, Any]:
+def _pointing_table(tables: RefinedTables, body: AttitudeTable, original: Mapping[str, Any]) -> RotationTable:
     times = tables.attitude_times
     to_camera = rotation.to_matrix(tables.quaternions)
-    to_body, body_turning = body.at(times)
-    matrix = to_camera @ to_body
-    angular_rate = tables.angular_rates + np.einsum("nij,nj->ni", to_camera, body_turning)
-    return _attitude_table(tables.epoch + times, matrix, angular_rate, original.get("instrument_pointing"))
+    to_body, body_rate = body.at(times)
+    rate = tables.angular_rates + np.einsum("nij,nj->ni", to_camera, body_rate)
+    return _rotation_table(tables.epoch + times, to_camera @ to_body, rate, original.get("instrument_pointing"))
 
 
-def _body_table(epoch: float, body: AttitudeTable, original: Mapping[str, Any]) -> dict[str, Any]:
-    return _attitude_table(epoch + body.times, *body.at(body.times), original.get("body_rotation"))
+def _body_table(epoch: float, body: AttitudeTable, original: Mapping[str, Any]) -> RotationTable:
+    return _rotation_table(epoch + body.times, *body.at(body.times), original.get("body_rotation"))
 
 
-def _attitude_table(times: Array, matrices: Array, angular_rates: Array, said: Any) -> dict[str, Any]:
-    """Rotation table of attitudes (n, 3, 3), inertial to the frame, that turn with (n, 3) rad/s about its axes; the
-    angular velocities of ALE and NAIF are about inertial ones.
+def _rotation_table(times: Array, matrices: Array, rates: Array, said: Any) -> RotationTable:
+    """Rotation table of attitudes (n, 3, 3), inertial to the frame, with angular rates (n, 3), rad/s about the frame's
+    axes; those of ALE and NAIF are about inertial ones.
     """
     frames = said.get("constant_frames") if isinstance(said, dict) else None
-    named = {"time_dependent_frames": [frames[0], _INERTIAL], "constant_frames": [frames[0]]} if frames else {}
-    return {
-        **named,
-        "ck_table_start_time": float(times[0]),
-        "ck_table_end_time": float(times[-1]),
-        "ck_table_original_size": times.size,
-        "ephemeris_times": times.tolist(),
-        "quaternions": rotation.continuous(rotation.from_matrix(matrices)).tolist(),
-        "angular_velocities": np.einsum("nji,nj->ni", matrices, angular_rates).tolist(),
-        "constant_rotation": np.eye(3).ravel().tolist(),
-        "reference_frame": _INERTIAL,
-    }
+    return msgspec.structs.replace(
+        rotation_table(times, rotation.continuous(rotation.from_matrix(matrices)), np.eye(3)),
+        time_dependent_frames=[frames[0], J2000] if frames else None,
+        constant_frames=[frames[0]] if frames else None,
+        ck_table_start_time=float(times[0]),
+        ck_table_end_time=float(times[-1]),
+        ck_table_original_size=times.size,
+        angular_velocities=np.einsum("nji,nj->ni", matrices, rates).tolist(),
+    )
 
 
-def _position_table(tables: RefinedTables, body: AttitudeTable) -> dict[str, Any]:
-    to_body, angular_rate = body.at(tables.position_times)
+def _position_table(tables: RefinedTables, body: AttitudeTable) -> StateTable:
+    to_body, rate = body.at(tables.position_times)
     times = tables.epoch + tables.position_times
-    motion = tables.velocities + np.cross(angular_rate, tables.positions)
-    return {
-        "spk_table_start_time": float(times[0]),
-        "spk_table_end_time": float(times[-1]),
-        "spk_table_original_size": times.size,
-        "ephemeris_times": times.tolist(),
-        "positions": (np.einsum("nji,nj->ni", to_body, tables.positions) / KM).tolist(),
-        "velocities": (np.einsum("nji,nj->ni", to_body, motion) / KM).tolist(),
-        "reference_frame": _INERTIAL,
-    }
+    motion = tables.velocities + np.cross(rate, tables.positions)
+    inertial = [np.einsum("nji,nj->ni", to_body, vectors) for vectors in (tables.positions, motion)]
+    return msgspec.structs.replace(
+        state_table(times, *inertial), spk_table_start_time=float(times[0]), spk_table_end_time=float(times[-1]),
+        spk_table_original_size=times.size,
+    )  # fmt: skip
 
 
-def _no_sun(tables: RefinedTables) -> dict[str, Any]:
+def _no_sun(tables: RefinedTables) -> SunTable:
     """Zeros, as in a model state without a Sun (reset() of usgscsm): the key has to be there, and with three times."""
-    times = (tables.epoch + tables.position_times[[0, tables.position_times.size // 2, -1]]).tolist()
+    times = tables.epoch + tables.position_times[[0, tables.position_times.size // 2, -1]]
     zeros = np.zeros((3, 3)).tolist()
-    return {"ephemeris_times": times, "positions": zeros, "velocities": zeros, "reference_frame": _INERTIAL}
+    return SunTable(ephemeris_times=times.tolist(), positions=zeros, velocities=zeros, reference_frame=J2000)

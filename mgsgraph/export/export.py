@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
+from mgsgraph.export import Target
 from mgsgraph.export.round_trip import reprojection
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.files import write_file
@@ -24,16 +24,6 @@ _FINE = 0.01
 """px, above which it is said that files are farther off than they should be."""
 _SAME = 1e-6
 """m, by which adjusted points that come back may differ."""
-
-
-class Target(StrEnum):
-    """For whom."""
-
-    SPICE = "spice"
-    CSM = "csm"
-    ISIS = "isis"
-    ASP = "asp"
-    GIS = "gis"
 
 
 @dataclass(frozen=True, slots=True)

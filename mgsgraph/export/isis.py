@@ -16,7 +16,6 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import rejected_points
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
-from mgsgraph.export.lidar_out import lidar_text
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.io.control.binary import write_binary_network
@@ -30,10 +29,11 @@ from mgsgraph.io.control.record import (
     PointType,
 )
 from mgsgraph.io.files import write_file
+from mgsgraph.io.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
 from mgsgraph.network import PointClass
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.ties import PointKind
-from mgsgraph.units import ISIS_OFFSET
+from mgsgraph.units import ISIS_OFFSET, KM
 
 NETWORK, NETWORK_TEXT, WITHOUT_LASER, LIDAR = "network.net", "network.pvl", "network_without_laser.net", "lidar.json"
 """Files of the export beside jigsaw's tables (`bundle_out`)."""
@@ -75,7 +75,7 @@ def write_isis(solution: Solution, folder: Path, scaled: bool = False, target: s
     paths = [folder / NETWORK, folder / NETWORK_TEXT]
     write_binary_network(network, paths[0])
     write_pvl_network(network, paths[1])
-    if lidar := lidar_text(solution, covariance_factor(solution, scaled)):
+    if lidar := adjusted_lidar_text(solution, covariance_factor(solution, scaled)):
         write_file(folder / LIDAR, lidar)
         paths.append(folder / LIDAR)
         laser = solution.network.points.classes[solution.network.rays.point] == PointClass.LASER
@@ -196,3 +196,57 @@ def _description(solution: Solution, scaled: bool) -> str:
 def _one_line(text: str) -> str:
     """A text that PVL can hold."""
     return " ".join(text.split()).replace('"', "'")
+
+
+# --- lidar data
+
+
+def adjusted_lidar_text(solution: Solution, factor: float = 1.0) -> str:
+    """ISIS lidar data of all points whose range took part; empty without any.
+
+    Measures are those that took part; a shot without one in the image taken along with it, as MOLA's, has a range that
+    jigsaw can't use. Adjusted covariances are multiplied by `factor`. Raises InputError for a point with two ranges
+    that differ: the format holds one.
+    """
+    network, ranges = solution.network, solution.network.ranges
+    used = np.flatnonzero(solution.ranges_used)
+    points, first = np.unique(ranges.point[used], return_index=True)
+    first = used[first]
+    one = dict(zip(points.tolist(), first.tolist(), strict=True))
+    carriers = dict[int, list[str]]()
+    for r in used.tolist():
+        i, same = int(ranges.point[r]), one[int(ranges.point[r])]
+        if (ranges.values[r], ranges.times[r], ranges.sigmas[r]) != (
+            ranges.values[same], ranges.times[same], ranges.sigmas[same]
+        ):  # fmt: skip
+            where = f"lidar data, point {network.points.ids[i]}, range"
+            raise InputError(where, "two that differ", "one, for all images taken along with it")
+        carriers.setdefault(i, []).append(network.images[int(ranges.image[r])].name)
+    known = np.all(np.isfinite(network.points.places), axis=1, keepdims=True)
+    before = np.where(known, network.points.places, solution.places_before)
+    constrained = network.points.kinds == PointKind.CONSTRAINED
+    prior, prior_matrices = lidar_coordinates(before, network.points.covariances * constrained[:, None, None])
+    adjusted, adjusted_matrices = lidar_coordinates(solution.places, solution.covariances * factor)
+    measures = _lidar_measures(solution)
+    shots = []
+    for i, r in one.items():
+        latitude, longitude, radius = prior[i].tolist()
+        after = adjusted[i].tolist() if np.isfinite(adjusted[i]).all() else [None] * 3
+        shots.append(LidarShot(
+            id=network.points.ids[i], range=float(ranges.values[r]) / KM, sigma_range=float(ranges.sigmas[r]),
+            time=float(ranges.times[r]), latitude=latitude, longitude=longitude, radius=radius,
+            apriori_matrix=prior_matrices[i], adjusted_latitude=after[0], adjusted_longitude=after[1],
+            adjusted_radius=after[2], adjusted_matrix=adjusted_matrices[i], simultaneous_images=carriers[i],
+            measures=measures.get(i, []),
+        ))  # fmt: skip
+    return lidar_text(shots) if shots else ""
+
+
+def _lidar_measures(solution: Solution) -> dict[int, list[LidarMeasure]]:
+    """Measures that took part, by index of the point."""
+    found = dict[int, list[LidarMeasure]]()
+    rays, names = solution.network.rays, [image.name for image in solution.network.images]
+    for k in np.flatnonzero(solution.rays_used).tolist():
+        line, sample = (rays.places[k] + ISIS_OFFSET).tolist()
+        found.setdefault(int(rays.point[k]), []).append(LidarMeasure(line, sample, names[int(rays.image[k])]))
+    return found

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
+from mgsgraph.geometry.camera import Distortion, NoDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.isd import distortion_fields
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.units import KM, MM
 
@@ -276,14 +277,8 @@ def _distortion(distortion: Distortion, name: str) -> tuple[str, list[float]]:
     """Model and coefficients, in powers of mm."""
     if isinstance(distortion, NoDistortion):
         return "NONE", [0.0]
-    if isinstance(distortion, LrocNacDistortion):
-        return "LROC_NAC", [distortion.k * MM**2]
-    if isinstance(distortion, RadialDistortion):
-        return "RADIAL", [distortion.k0, distortion.k1 * MM**2, distortion.k2 * MM**4]
-    raise InputError(
-        f"image {name}, distortion", f"the model {type(distortion).__name__}",
-        "one that the instrument kernel holds: none, LROC NAC, radial", "export another product",
-    )  # fmt: skip
+    model, coefficients = distortion_fields(distortion, f"image {name}")
+    return {"lrolrocnac": "LROC_NAC", "radial": "RADIAL"}[model], coefficients
 
 
 def _text(text: str, where: str) -> str:

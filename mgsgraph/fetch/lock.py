@@ -12,7 +12,6 @@ from mgsgraph.fetch.archives import require_address
 from mgsgraph.fetch.needs import ImageNeeds
 from mgsgraph.fetch.part import Source
 from mgsgraph.io.files import read_json, sha256_of, write_file
-from mgsgraph.io.json_fields import Fields
 from mgsgraph.wording import many, some
 
 LOCK = "fetch.lock"
@@ -71,15 +70,15 @@ class Lock:
         path = folder / LOCK
         if not path.exists():
             return cls(folder)
-        fields = Fields(read_json(path), str(path))
-        if fields.count("format") != _FORMAT:
-            raise InputError(f"{path}, format", f"{fields.count('format')}", f"{_FORMAT}", "use a newer mgsgraph")
+        content = read_json(path)
+        if content.get("format") != _FORMAT:
+            raise InputError(f"{path}, format", f"{content.get('format')}", f"{_FORMAT}", "use a newer mgsgraph")
         try:
             return cls(
                 folder,
-                {name: _locked(name, entry) for name, entry in fields.mapping("files").items()},
-                {name: ImageNeeds.of(entry) for name, entry in fields.mapping("images").items()},
-                str(fields.mapping("written").get("case.toml", "")),
+                {name: _locked(name, entry) for name, entry in content["files"].items()},
+                {name: ImageNeeds.of(entry) for name, entry in content["images"].items()},
+                str(content["written"].get("case.toml", "")),
             )
         except (TypeError, ValueError, KeyError, AttributeError):
             found, remedy = "entries that are not ours", "move the folder away, and fetch anew"

@@ -3,7 +3,8 @@
 This package is the only one that imports matplotlib; import it only where figures are wanted.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,7 @@ from mgsgraph.figures.orientation import orientation_sheets
 from mgsgraph.figures.overlay import overlay_sheets, pixels_of
 from mgsgraph.figures.registration import registration_sheets
 from mgsgraph.figures.residuals import residual_sheets
-from mgsgraph.figures.sheet import Sheet, plain_style, save
-from mgsgraph.io.pictures import Pixels
+from mgsgraph.figures.sheet import Sheet, save
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
@@ -45,9 +45,7 @@ def write_figures(solution: Solution, folder: Path, connected: Connectivity | No
         images), map and connectivity, each as .png and .svg, numbered (residuals_1, ...) where a kind takes several
         sheets.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with plain_style():
-        return [name for sheet in _sheets(solution, connected) for name in save(sheet, folder)]
+    return save(_sheets(solution, connected), folder)
 
 
 def _sheets(solution: Solution, connected: Connectivity | None) -> Iterator[Sheet]:
@@ -71,11 +69,5 @@ def write_registration_figures(registration: CaseRegistration, folder: Path) -> 
         If the pixels of an image can't be read.
     """
     pixels = [pixels_of(path) for path in registration.pictures]
-    with plain_style():
-        return [name for sheet in _registration_sheets(registration, pixels) for name in save(sheet, folder)]
-
-
-def _registration_sheets(registration: CaseRegistration, pixels: Sequence[Pixels | None]) -> Iterator[Sheet]:
-    yield from overlay_sheets(registration, pixels)
-    yield from closeup_sheets(registration, pixels)
-    yield from discrepancy_sheets(registration)
+    on_images = chain(overlay_sheets(registration, pixels), closeup_sheets(registration, pixels))
+    return save(chain(on_images, discrepancy_sheets(registration)), folder)

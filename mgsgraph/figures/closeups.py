@@ -22,23 +22,13 @@ from mgsgraph.figures.overlay import (
     picture,
     stretch,
 )
-from mgsgraph.figures.sheet import (
-    INK,
-    MOST_SHEETS,
-    Sheet,
-    legend,
-    new_sheet,
-    number,
-    panels,
-    sheet_name,
-    short,
-    words,
-)
+from mgsgraph.figures.sheet import INK, MOST_SHEETS, Sheet, new_sheet, number, plain_style, sheet_name, short
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.io.pictures import Pixels
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.units import KM
+from mgsgraph.wording import listed
 
 _WINDOWS = 3
 """Places that are shown."""
@@ -98,9 +88,8 @@ def _pairs(registration: CaseRegistration) -> list[_Pair]:
     return sorted(best.values(), key=lambda pair: -pair.shared.size)
 
 
-def _closeups(
-    registration: CaseRegistration, pair: _Pair, pixels: Sequence[Pixels | None], name: str
-) -> Sheet:
+@plain_style()
+def _closeups(registration: CaseRegistration, pair: _Pair, pixels: Sequence[Pixels | None], name: str) -> Sheet:
     profile = registration.before[pair.profile]
     half = _half_side(profile.found.shots.spacing)
     images = [registration.images[j] for j in pair.images]
@@ -108,17 +97,17 @@ def _closeups(
     chosen = _worth_seeing(registration, pair, pixels, halves[0])
     states = list(registration.states())
     first, second = (short(image.name, 24) for image in images)
+    shots = listed([str(k + 1) for k in chosen])
     caption = (
-        f"Footprints of {profile.name} around {_and(chosen + 1)} in {first} and {second}, each window "
-        f"{number(2.0 * half / KM)} km wide and high on the ground, lines downward; if the orientation is right, a "
-        "number lies on the same thing in both; yellow squares: where the first image's place lies in the second one "
+        f"Footprints of {profile.name} around {shots} in {first} and {second}, each window "
+        f"{number(2.0 * half / KM)} km wide and high on the ground, lines downward; if the orientation is right, "
+        "a number lies on the same thing in both; yellow squares: where the first image's place lies in the second one "
         f"according to the images' tie points; {_lengths(registration, pair)}."
     )
     columns, rows, wide = 2 * chosen.size, len(states), _SIDES[chosen.size - 1]
-    sheet = new_sheet(
-        name, 0.5 + columns * (wide + 0.08), rows * (wide + 0.08) + 0.7, f"{first} and {second}: close-ups", caption
-    )
-    grid = panels(sheet, rows, columns, left=0.35, across=0.08, down=0.08)
+    title = f"{first} and {second}: close-ups"
+    sheet = new_sheet(name, 0.5 + columns * (wide + 0.08), rows * (wide + 0.08) + 0.5, title, caption)
+    grid = sheet.panels(rows, columns)
     limits = [stretch(pixels[j]) for j in pair.images]
     for row, (state, profiles) in enumerate(states):
         found, off = profiles[pair.profile].found, pair.found[row]
@@ -132,10 +121,9 @@ def _closeups(
             _draw(panel, found.places[j], found.inside[j], k, state)
             if side:
                 _transferred(panel, found.places[j], off)
-            title = f"{(first, second)[side]} around {k + 1}" if row == 0 else ""
-            words(panel, _apart(pair, k) if side and row == rows - 1 else "", "", title)
+            panel.set_title(f"{(first, second)[side]} around {k + 1}" if row == 0 else "")
+            panel.set_xlabel(_apart(pair, k) if side and row == rows - 1 else "")
         grid[row, 0].set_ylabel("before" if row == 0 else "after")
-        grid[row, 0].yaxis.set_label_coords(-0.04, 0.5)
     handles = [
         Line2D([], [], ls="", marker="o", ms=5, color=STATE_COLOURS[state], label=STATE_WORDS[state])
         for state, _ in states
@@ -144,7 +132,7 @@ def _closeups(
         Line2D([], [], color=_TRANSFERRED, marker="s", ms=5, mfc="none", mec=INK,
                label="its place in the first image, transferred")
     )
-    legend(sheet.figure, handles)
+    sheet.legend(handles)
     return sheet
 
 
@@ -223,11 +211,6 @@ def _seen(panel: Axes, places: Array) -> Mask:
             (places[:, 0] > low + margin) & (places[:, 0] < high - margin)
             & (places[:, 1] > left) & (places[:, 1] < right)
         )
-
-
-def _and(values: Index) -> str:
-    text = [str(value) for value in values.tolist()]
-    return text[0] if len(text) == 1 else f"{', '.join(text[:-1])} and {text[-1]}"
 
 
 def _apart(pair: _Pair, shot: int) -> str:

@@ -1,6 +1,6 @@
 """How the images hang together: a graph of the links by common points, and a map of the footprints."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,11 +8,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Annotation
+from matplotlib.transforms import Bbox
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.content import centre_of, east_north
-from mgsgraph.figures.ground_map import frame
+from mgsgraph.figures.ground_map import frame, map_axes
 from mgsgraph.figures.sheet import (
     CLASS_COLOUR,
     CLASS_MARKER,
@@ -21,48 +23,40 @@ from mgsgraph.figures.sheet import (
     MOST_MARKS,
     SOFT,
     Sheet,
-    legend,
     new_sheet,
-    panels,
+    plain_style,
     short,
-    words,
 )
-from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.footprint import areas
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import WEAKEST, connectivity_statements, worth_tying
 from mgsgraph.registration.measured import thinned
-from mgsgraph.units import DEG, KM
+from mgsgraph.units import KM
 
 _ISLANDS = ("#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Colours of the largest islands; smaller ones are grey."""
 _WEAK, _UNTIED, _APART = "#D55E00", "#777777", "#AA0000"
 _GRAPH, _FEW, _LOWEST = (3.6, 5.6), 6, 4.2
 """inch, width of the graph for up to so many images and for more; inch, least height of both panels."""
-_LEFT, _BESIDE, _BAR, _RIM = 0.4, 1.0, 0.5, 0.45
-"""inch: left of the graph, between the panels (for the map's numbers, and for a colour bar), and around the nodes."""
+_BESIDE, _RIM = 1.6, 0.45
+"""inch: beside the panels for labels and a colour bar in all, and around the nodes."""
 _STROKES = ("-", "--", "-.", ":")
 """Of the outlines, where there are no more images than that."""
 _NUMBERED = 15
 """Links up to which their numbers of points are written on them; beyond, a colour bar says it."""
-_LETTER, _LINE = 0.064, 0.13
-"""inch, size of a letter of a label."""
+_GAP = 4.0
+"""pt between a name and what it names."""
 _MOST_LINKS = 2000
 """Links drawn; the strongest come first."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Labels:
-    """Names that found room beside their places."""
-
-    which: Index
-    """(l,) places that have one."""
-    places: Array
-    """(l, 2) inch, middle of each."""
+Side = tuple[float, float, float, float]
+"""Where a name may stand: x and y of what it names, and pt right of that and above it; 0: centred on it."""
 
 
+@plain_style()
 def connectivity_sheet(solution: Solution, connected: Connectivity | None = None) -> Sheet:
     """Graph and map; `connected` saves finding it anew."""
     connected = connected or solution_connectivity(solution)
@@ -73,23 +67,27 @@ def connectivity_sheet(solution: Solution, connected: Connectivity | None = None
     low, high, (width, height) = frame(np.concatenate([*outlines, places]), least=(2.6, _LOWEST))
     caption = " ".join(connectivity_statements(connected)) or "One image."
     across = _GRAPH[len(outlines) > _FEW]
-    beside = _BESIDE + (_BAR if connected.links.size > _NUMBERED else 0.0)
-    middles = _middles(outlines)
+    middles, sizes = _middles(outlines), np.sqrt(areas(connected.footprints)) / KM
+    circle = on_one_another(middles, sizes)
     sheet = new_sheet(
-        "connectivity", _LEFT + across + beside + width + 0.2, height + 0.7, "How the images hang together",
-        f"{caption}{_graph_words(connected, on_one_another(middles, _sizes(connected)))}",
+        "connectivity", across + _BESIDE + width, height + 0.7, "How the images hang together",
+        f"{caption}{_graph_words(connected, circle)}",
     )  # fmt: skip
-    graph, ground = panels(sheet, 1, 2, left=_LEFT, across=beside, widths=[across, width])[0]
+    graph, ground = sheet.panels(1, 2, widths=[across, width])[0]
+    graph.set(xticks=[], yticks=[])
+    if len(outlines) > 1 and not circle:
+        graph.set(xlabel="west to east (not to scale)", ylabel="south to north (not to scale)")
+    several = f"; {len(connected.islands)} islands by colour" if len(connected.islands) > 1 else ""
+    graph.set_title(f"images and their common points{several}")
+    ground.set_title("footprints and points")
+    map_axes(ground, low, high, centre)
+    sheet.figure.draw_without_rendering()  # sizes of the panels are known from here on
+    sheet.figure.set_layout_engine("none")
     colours = island_colours(connected)
-    handles = _draw_graph(graph, connected, middles, colours)
-    ground.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    ground.set_aspect("equal")
+    handles = _draw_graph(graph, connected, middles, sizes, colours)
     handles += _draw_map(ground, solution, outlines, places, colours)
-    _name_outlines(ground, connected, outlines, low, (high - low) / np.array([width, height]))
-    longitude, latitude, _ = planetocentric(centre) / DEG
-    north = f"km north of latitude {abs(latitude):.3f}° {'N' if latitude >= 0.0 else 'S'}"
-    words(ground, f"km east of longitude {longitude % 360.0:.3f}° E", north, "footprints and points")
-    legend(sheet.figure, handles)
+    _name_outlines(ground, connected, outlines)
+    sheet.legend(handles)
     return sheet
 
 
@@ -105,11 +103,6 @@ def island_colours(connected: Connectivity) -> list[str]:
 def _middles(outlines: list[Array]) -> Array:
     """Middle (m, 2) of each outline's box, km; zero for an empty one."""
     return np.array([0.5 * (o.min(axis=0) + o.max(axis=0)) if o.size else np.zeros(2) for o in outlines])
-
-
-def _sizes(connected: Connectivity) -> Array:
-    """Roots (m,) of the footprints' areas, km."""
-    return np.sqrt(areas(connected.footprints)) / KM
 
 
 def _graph_words(connected: Connectivity, circle: bool) -> str:
@@ -173,17 +166,17 @@ def _apart(places: Array, least: float, room: Array) -> Array:
     return np.asarray(places)
 
 
-def _draw_graph(panel: Axes, connected: Connectivity, middles: Array, colours: list[str]) -> list[Line2D]:
+def _draw_graph(
+    panel: Axes, connected: Connectivity, middles: Array, sizes: Array, colours: list[str]
+) -> list[Line2D]:
     """Nodes and links; handles for the legend."""
-    assert isinstance(panel.figure, Figure)
-    box, (sheet_width, sheet_height) = panel.get_position(), panel.figure.get_size_inches()
-    size = float(box.width * sheet_width), float(box.height * sheet_height)
-    panel.set(xlim=(0.0, size[0]), ylim=(0.0, size[1]), xticks=[], yticks=[])
+    box = panel.get_window_extent()
+    width, height = box.width / panel.figure.dpi, box.height / panel.figure.dpi
+    panel.set(xlim=(0.0, width), ylim=(0.0, height))
     panel.grid(False)
-    reach = _sizes(connected)
-    nodes = node_places(middles, reach, size)
+    nodes = node_places(middles, sizes, (width, height))
     count = len(nodes)
-    scale = _distance(count, size) / 0.7
+    scale = _distance(count, (width, height)) / 0.7
     handles = _draw_links(panel, connected, nodes, scale)
     marker = float(np.clip(18.0 * scale, 3.0, 13.0))
     alone = np.isin(np.arange(count), connected.unconnected) & (count > 1)
@@ -193,18 +186,10 @@ def _draw_graph(panel: Axes, connected: Connectivity, middles: Array, colours: l
             nodes[mine, 0], nodes[mine, 1], s=marker**2, c=[colours[j] if filled else "white" for j in mine], zorder=4,
             edgecolors=["white" if filled else INK for _ in mine], linewidths=0.6,
         )  # fmt: skip
-    names = [short(name, 24) for name in connected.names]
-    labels = roomy(names, _around(names, nodes, 0.55 * marker / 72.0), nodes, size)
-    for j, place in zip(labels.which.tolist(), labels.places, strict=True):
-        _write(panel, place, names[j], 7.0)
-    islands = len(connected.islands)
-    title = "images and their common points"
-    words(panel, title=title + (f"; {islands} islands by colour" if islands > 1 else ""))
-    if count > 1 and not on_one_another(middles, reach):
-        panel.set_xlabel("west to east (not to scale)")
-        panel.xaxis.set_label_coords(0.5, -0.16 / size[1])
-        panel.set_ylabel("south to north (not to scale)")
-        panel.yaxis.set_label_coords(-0.12 / size[0], 0.5)
+    away = 0.55 * marker + 1.0
+    sides = ((0.0, away), (0.0, -away), (away, 0.0), (-away, 0.0))
+    write_names(panel, [short(name, 24) for name in connected.names],
+                [[(x, y, *side) for side in sides] for x, y in nodes.tolist()], 7.0, nodes)  # fmt: skip
     if np.any(alone):
         handles.append(Line2D([], [], ls="", marker="o", mfc="white", mec=INK, ms=5.0, label="image without links"))
     return handles
@@ -236,14 +221,12 @@ def _draw_links(panel: Axes, connected: Connectivity, nodes: Array, scale: float
     panel.add_collection(drawn, autolim=False)
     if rows.size <= _NUMBERED:
         names = [f"{number:.0f}" for number in points]
-        ends = nodes[connected.pairs[rows]]
-        tries = np.stack([(1.0 - s) * ends[:, 0] + s * ends[:, 1] for s in (0.5, 0.4, 0.6, 0.3, 0.7)], axis=1)
-        labels = roomy(names, tries, nodes, (np.inf, np.inf))
-        for k, place in zip(labels.which.tolist(), labels.places, strict=True):
-            _write(panel, place, names[k], 7.5, 1.0)
+        shares = np.array([0.5, 0.4, 0.6, 0.3, 0.7])[:, None]
+        along = [(1.0 - shares) * start + shares * stop for start, stop in nodes[connected.pairs[rows]]]
+        write_names(panel, names, [[(x, y, 0.0, 0.0) for x, y in one.tolist()] for one in along], 7.5, nodes, cover=1.0)
         return handles
     assert isinstance(panel.figure, Figure)
-    bar = panel.figure.colorbar(drawn, cax=panel.inset_axes((1.015, 0.0, 0.018, 0.45)))
+    bar = panel.figure.colorbar(drawn, cax=panel.inset_axes((0.02, 0.02, 0.02, 0.3)))
     bar.ax.set_title("points", size=7.5, pad=3.0, loc="left")
     bar.ax.tick_params(labelsize=7.0)
     return handles
@@ -262,43 +245,52 @@ def _lines(
     return Line2D([], [], color=colour, ls=stroke, lw=min(width, 4.0), label=label)
 
 
-def _write(panel: Axes, place: Array, name: str, size: float, cover: float = 0.7) -> None:
-    """A name on a white ground that covers what is under it in part."""
-    x, y = place.tolist()
-    ground = {"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": cover}
-    panel.text(x, y, name, size=size, ha="center", va="center", zorder=5, parse_math=False, bbox=ground)
+def write_names(
+    panel: Axes, names: list[str], sides: list[list[Side]], size: float, marks: Array, cover: float = 0.7,
+    keep_off: Callable[[int, Bbox], bool] = lambda k, box: False,
+) -> list[Annotation]:
+    """Write each name at the first of its sides where it hides no other name and none of the marks (k, 2), moved
+    sideways into the panel; names without such a side are left out.
 
+    Parameters
+    ----------
+    panel : Axes
+        At its final size.
+    size : float
+        pt, of letters.
+    cover : float
+        By how much the white ground behind a name covers what is under it.
+    keep_off : callable
+        Whether the name with an index may not stand in a box, in the figure's pixels.
 
-def _around(names: list[str], places: Array, away: float) -> Array:
-    """Middles (m, 4, 2), inch, of names above, below, right and left of places (m, 2)."""
-    sides = np.array([(0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0)])
-    return np.asarray(places[:, None] + sides * (_half(names) + away)[:, None])
-
-
-def _half(names: list[str]) -> Array:
-    """Half of the width and height (m, 2) of names, inch."""
-    return np.array([(0.5 * _LETTER * len(name), 0.5 * _LINE) for name in names])
-
-
-def roomy(names: list[str], tries: Array, marks: Array, box: tuple[float, float]) -> Labels:
-    """Names at the first of their places (m, c, 2), in inches, where they hide no other name and none of the marks
-    (k, 2), moved sideways into the box; names without such a place stay away.
+    Returns
+    -------
+    list of Annotation
+        Names that were written.
     """
-    which, middles = list[int](), list[Array]()
-    taken = np.empty((0, 4))
-    for j, (half, places) in enumerate(zip(_half(names), tries, strict=True)):
-        for place in places:
-            middle = np.array([np.clip(place[0], half[0], max(box[0] - half[0], half[0])), place[1]])
-            low, high = middle - half, middle + half
-            outside = not np.all(np.isfinite(middle)) or low[1] < 0.0 or high[1] > box[1] or high[0] > box[0] + 1e-9
-            on_mark = np.any(np.all((marks > low) & (marks < high), axis=1))
-            on_name = np.any(np.all((taken[:, :2] < high) & (taken[:, 2:] > low), axis=1))
-            if not (outside or on_mark or on_name):
-                which.append(j)
-                middles.append(middle)
-                taken = np.vstack([taken, np.concatenate([low, high])])
+    frame, written = panel.get_window_extent().padded(-3.0), list[Annotation]()
+    taken = list[Bbox]()
+    hidden = panel.transData.transform(marks)
+    ground = {"boxstyle": "square,pad=0.08", "fc": "white", "ec": "none", "alpha": cover}
+    for k, (name, options) in enumerate(zip(names, sides, strict=True)):
+        text = panel.annotate(
+            name, (0.0, 0.0), (0.0, 0.0), textcoords="offset points", size=size, zorder=5, bbox=ground
+        )
+        for x, y, right, up in options:
+            text.xy, text.xyann = (x, y), (right, up)
+            text.set_horizontalalignment(("center", "left", "right")[int(np.sign(right))])
+            text.set_verticalalignment(("center", "bottom", "top")[int(np.sign(up))])
+            box = text.get_window_extent()
+            inside = float(np.clip(0.0, frame.x0 - box.x0, max(frame.x1 - box.x1, frame.x0 - box.x0)))
+            text.xyann, box = (right + inside * 72.0 / panel.figure.dpi, up), box.translated(inside, 0.0)
+            outside = box.y0 < frame.y0 or box.y1 > frame.y1 or box.x1 > frame.x1 + 1e-6
+            if not (outside or box.count_overlaps(taken) or box.count_contains(hidden) or keep_off(k, box)):
+                written.append(text)
+                taken.append(box)
                 break
-    return Labels(np.array(which, dtype=np.int64), np.array(middles).reshape(-1, 2))
+        else:
+            text.remove()
+    return written
 
 
 # --- map
@@ -325,46 +317,27 @@ def _draw_map(
             for h in handles]  # fmt: skip
 
 
-def _name_outlines(panel: Axes, connected: Connectivity, outlines: list[Array], low: Array, per_inch: Array) -> None:
-    """Names at the ends of few footprints, beside many, where they fit."""
-    names = [short(name, 24) for name in connected.names]
-    inches = [(outline - low) / per_inch for outline in outlines]
-    size = (np.array([panel.get_xlim()[1], panel.get_ylim()[1]]) - low) / per_inch
-    few = len(names) <= _FEW
-    tries = np.array([_at_ends(o, k) if few else _beside(o, half[0], k)
-                      for k, (o, half) in enumerate(zip(inches, _half(names), strict=True))])  # fmt: skip
-    if not few:
-        _keep_off_others(tries, inches)
-    marks = np.empty((0, 2)) if few else np.concatenate(inches)
-    labels = roomy(names, tries, marks, (float(size[0]), float(size[1])))
-    for j, place in zip(labels.which.tolist(), labels.places, strict=True):
-        _write(panel, low + place * per_inch, names[j], 6.5)
+def _name_outlines(panel: Axes, connected: Connectivity, outlines: list[Array]) -> None:
+    """Names at the northern and southern ends of few footprints, east and west of many, where they fit; every other
+    name the other way round. Beside many no name stands on another one's ground: it would be taken for its.
+    """
+    names, few = [short(name, 24) for name in connected.names], len(outlines) <= _FEW
+    grounds = [Bbox(panel.transData.transform([o.min(axis=0), o.max(axis=0)])) if o.size else Bbox.null()
+               for o in outlines]  # fmt: skip
 
+    def on_others(k: int, box: Bbox) -> bool:
+        x, y = 0.5 * (box.p0 + box.p1)
+        return not few and any(one.contains(x, y) for j, one in enumerate(grounds) if j != k)
 
-def _keep_off_others(tries: Array, outlines: list[Array]) -> None:
-    """Strike out places (m, c, 2) beside an outline that lie on another one's ground: a name there would be its."""
+    sides = []
     for k, outline in enumerate(outlines):
-        if outline.size:
-            low, high = outline.min(axis=0), outline.max(axis=0)
-            on_it = np.all((tries > low) & (tries < high), axis=2)
-            on_it[k] = False
-            tries[on_it] = np.nan
-
-
-def _at_ends(outline: Array, turn: int) -> Array:
-    """Above the northern and below the southern end (2, 2) of an outline, every other time the other way round."""
-    if not outline.size:
-        return np.full((2, 2), np.nan)
-    away = np.array([0.0, 0.6 * _LINE])
-    ends = np.array([outline[np.argmax(outline[:, 1])] + away, outline[np.argmin(outline[:, 1])] - away])
-    return ends[:: 1 if turn % 2 == 0 else -1]
-
-
-def _beside(outline: Array, half: float, turn: int) -> Array:
-    """East and west (2, 2) of an outline's middle, every other time the other way round."""
-    if not outline.size:
-        return np.full((2, 2), np.nan)
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    middle = 0.5 * (low[1] + high[1])
-    sides = np.array([(high[0] + half + 0.06, middle), (low[0] - half - 0.06, middle)])
-    return sides[:: 1 if turn % 2 == 0 else -1]
+        ends: list[Side] = []
+        if outline.size and few:
+            north, south = outline[np.argmax(outline[:, 1])], outline[np.argmin(outline[:, 1])]
+            ends = [(*north.tolist(), 0.0, _GAP), (*south.tolist(), 0.0, -_GAP)]
+        elif outline.size:
+            (west, south), (east, north) = outline.min(axis=0), outline.max(axis=0)
+            ends = [(east, 0.5 * (south + north), _GAP, 0.0), (west, 0.5 * (south + north), -_GAP, 0.0)]
+        sides.append(ends[:: 1 if k % 2 == 0 else -1])
+    marks = np.empty((0, 2)) if few else np.concatenate(outlines)
+    write_names(panel, names, sides, 6.5, marks, keep_off=on_others)

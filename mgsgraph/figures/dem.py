@@ -6,28 +6,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, Normalize
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from mgsgraph.dem.checking import check_figures
 from mgsgraph.dem.model import Dem
-from mgsgraph.figures.sheet import (
-    AFTER,
-    INK,
-    MOST_MARKS,
-    SOFT,
-    Sheet,
-    legend,
-    new_sheet,
-    number,
-    panels,
-    plain_style,
-    save,
-    short,
-    words,
-)
+from mgsgraph.figures.sheet import AFTER, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.pictures import open_raster
 from mgsgraph.units import KM
@@ -38,27 +23,20 @@ _MOST_POSTS = 1200
 _TALL, _WIDE, _NARROW, _LOW = 7.0, 3.0, 1.45, 2.4
 """inch, height and width of a map at most, and at least."""
 _BESIDE, _LETTERS = 2.3, 3.2
-"""inch, width of the panel of differences, and room for labels beside the panels in all."""
-_BAR, _ROOM = 0.11, 0.62
-"""inch, height of a colour bar, and room above the panels for bars with their labels."""
+"""inch, width of the panel of differences, and of labels beside the panels in all."""
 _SHOWN = (0.02, 0.98)
 """Quantiles to which colours reach."""
 
 
-def write_dem_figure(dem: Dem, folder: Path) -> list[str]:
-    """Write dem.png and dem.svg to a folder that has the ortho image already; their names."""
-    with plain_style():
-        return save(dem_sheet(dem, _small(folder / "ortho.tif")), folder)
-
-
-def _small(path: Path) -> NDArray[np.uint8]:
-    """An ortho image as it is drawn."""
+def read_ortho(path: Path) -> NDArray[np.uint8]:
+    """An ortho image with no more rows and columns than are drawn."""
     with open_raster(path, "the ortho image") as file:
         step = max(1.0, max(file.shape) / _MOST_POSTS)
         found: NDArray[np.uint8] = file.read(1, out_shape=tuple(max(1, round(size / step)) for size in file.shape))
     return found
 
 
+@plain_style()
 def dem_sheet(dem: Dem, ortho: NDArray[np.uint8]) -> Sheet:
     """Shaded heights, sigma, and the laser shots: where they lie on the ortho image (0 where there is none), and by how
     much the model is higher.
@@ -67,21 +45,16 @@ def dem_sheet(dem: Dem, ortho: NDArray[np.uint8]) -> Sheet:
     height = float(np.clip(_WIDE * grid.rows / grid.columns, _LOW, _TALL))
     width = float(np.clip(height * grid.columns / grid.rows, _NARROW, _WIDE))
     sheet = new_sheet(
-        "dem", 3.0 * width + _BESIDE + _LETTERS, height + _ROOM + 0.7, f"Terrain model: {short(dem.name, 60)}",
-        _caption(dem),
-    )  # fmt: skip
-    where, sigma, checks, along = panels(sheet, 1, 4, across=0.7, widths=[width] * 3 + [_BESIDE])[0]
-    share = _ROOM / float(sheet.figure.get_figheight())
-    for panel in (where, sigma, checks, along):
-        box = panel.get_position()
-        panel.set_position((box.x0, box.y0, box.width, box.height - share))
+        "dem", 3.0 * width + _BESIDE + _LETTERS, height + 1.3, f"Terrain model: {short(dem.name, 60)}", _caption(dem)
+    )
+    where, sigma, checks, along = sheet.panels(1, 4, widths=[width] * 3 + [_BESIDE])[0]
     step = max(1, -(-max(grid.rows, grid.columns) // _MOST_POSTS))
     heights = dem.heights[::step, ::step]
     _heights(sheet, where, dem, heights, step)
     _sigmas(sheet, sigma, dem, step)
     _shots(sheet, checks, dem, ortho)
     _differences(along, dem)
-    legend(sheet.figure, [
+    sheet.legend([
         Line2D([], [], color=AFTER, marker="o", ls="", ms=3.5, label="laser shots that took no part"),
         Line2D([], [], color=SOFT, lw=1.0, label="stated sigma of a difference, once and three times"),
     ])  # fmt: skip
@@ -104,25 +77,24 @@ def _heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int) -> 
     norm, post = _norm(heights), dem.model.map.post * step
     light = LightSource(315.0, 45.0)
     flat = np.where(np.isfinite(heights), heights, np.nanmean(heights))
-    colours = np.asarray(_map("gist_earth", norm).to_rgba(flat))[:, :, :3]
+    colours = np.asarray(ScalarMappable(norm, "gist_earth").to_rgba(flat))[:, :, :3]
     tall = 1.0 / max(float(np.nanstd(np.gradient(flat, post)[0])) * 4.0, 1e-9)  # slopes that can be seen
     shaded = light.shade_rgb(colours, flat, vert_exag=min(tall, 10.0), dx=post, dy=post, blend_mode="soft")
     shaded = np.dstack([shaded, np.isfinite(heights)])
     panel.imshow(shaded, extent=_extent(dem), interpolation="nearest", aspect="equal")
-    _bar(sheet, panel, _map("gist_earth", norm), f"above {dem.reference.split(' of ')[0]} (m)")
-    _axes(panel, dem, True)
-
-
-def _map(name: str, norm: Normalize) -> ScalarMappable:
-    return ScalarMappable(norm, name)
+    shown = ScalarMappable(norm, "gist_earth")
+    sheet.colour_bar(shown, panel, f"above {dem.reference.split(' of ')[0]} (m)", MaxNLocator(2), "both")
+    _axes(panel, "north of the middle (km)")
 
 
 def _sigmas(sheet: Sheet, panel: Axes, dem: Dem, step: int) -> None:
     sigmas = np.ma.masked_invalid(np.where(np.isfinite(dem.heights), dem.model.sigmas, np.nan)[::step, ::step])
     norm = _norm(sigmas.filled(np.nan))
-    panel.imshow(sigmas, extent=_extent(dem), cmap="viridis", norm=norm, interpolation="nearest", aspect="equal")
-    _bar(sheet, panel, _map("viridis", norm), "sigma of height (m)")
-    _axes(panel, dem, False)
+    shown = panel.imshow(
+        sigmas, extent=_extent(dem), cmap="viridis", norm=norm, interpolation="nearest", aspect="equal"
+    )
+    sheet.colour_bar(shown, panel, "sigma of height (m)", MaxNLocator(2), "both")
+    _axes(panel)
 
 
 def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> None:
@@ -132,13 +104,13 @@ def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> Non
     widest = float(np.quantile(np.abs(checks.differences), 0.98)) if len(checks) else 1.0
     norm = Normalize(-max(widest, 1e-9), max(widest, 1e-9))
     some = _some(len(checks))
-    panel.scatter(
+    shown = panel.scatter(
         checks.plane[some, 0] / KM, checks.plane[some, 1] / KM, c=checks.differences[some], cmap="RdBu_r", norm=norm,
         s=9.0, edgecolors=INK, linewidths=0.2, zorder=3,
     )  # fmt: skip
     if len(checks):
-        _bar(sheet, panel, _map("RdBu_r", norm), "model minus shot (m)")
-    _axes(panel, dem, False)
+        sheet.colour_bar(shown, panel, "model minus shot (m)", MaxNLocator(2), "both")
+    _axes(panel)
 
 
 def _differences(panel: Axes, dem: Dem) -> None:
@@ -153,37 +125,18 @@ def _differences(panel: Axes, dem: Dem) -> None:
     if not len(checks):
         panel.text(0.5, 0.5, "no laser shot\nto check by", ha="center", va="center", transform=panel.transAxes)
     panel.xaxis.set_major_locator(MaxNLocator(4) if len(checks) else NullLocator())
-    words(panel, "model minus shot (m)", "", "")
+    panel.set_xlabel("model minus shot (m)")
 
 
 def _some(count: int) -> slice:
     return slice(None, None, max(1, -(-count // MOST_MARKS)))
 
 
-def _axes(panel: Axes, dem: Dem, first: bool) -> None:
-    """The whole map, in a frame as wide as its panel."""
-    assert isinstance(panel.figure, Figure)
-    west, east, south, north = _extent(dem)
-    box, (width, height) = panel.get_position(), panel.figure.get_size_inches()
-    shape = box.width * width / (box.height * height)
-    half = 0.5 * np.array([max(east - west, (north - south) * shape), max(north - south, (east - west) / shape)])
-    middle = 0.5 * np.array([west + east, south + north])
-    (left, below), (right, above) = middle - half, middle + half
-    panel.set(xlim=(left, right), ylim=(below, above))
+def _axes(panel: Axes, north: str = "") -> None:
     panel.grid(visible=False)
     panel.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
     panel.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
-    words(panel, "east (km)", "north of the middle (km)" if first else "")
-
-
-def _bar(sheet: Sheet, panel: Axes, shown: ScalarMappable, what: str) -> None:
-    """A colour bar above a panel."""
-    box, inch = panel.get_position(), 1.0 / float(sheet.figure.get_figheight())
-    axes = sheet.figure.add_axes((box.x0, box.y1 + 0.1 * inch, box.width, _BAR * inch))
-    sheet.figure.colorbar(shown, cax=axes, orientation="horizontal", ticks=MaxNLocator(2), extend="both")
-    axes.xaxis.set_ticks_position("top")
-    axes.xaxis.set_label_position("top")
-    axes.set_xlabel(what)
+    panel.set(xlabel="east (km)", ylabel=north)
 
 
 def _caption(dem: Dem) -> str:

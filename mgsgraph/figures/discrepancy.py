@@ -1,12 +1,11 @@
 """By how much two images contradict each other about footprints, along the second image, before and after."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from numpy.typing import ArrayLike
 
 from mgsgraph.figures.content import mean, rms
 from mgsgraph.figures.overlay import MARKERS, STATE_WORDS
@@ -17,21 +16,16 @@ from mgsgraph.figures.sheet import (
     MOST_SHEETS,
     SOFT,
     Sheet,
-    legend,
     new_sheet,
     number,
-    panels,
+    plain_style,
     sheet_name,
     short,
-    words,
 )
-from mgsgraph.geometry.records import Array
 from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.registration.footprints import Misregistration
 
 _COLOURS = {"nominal": BEFORE, "adjusted": AFTER}
-_SCALE = 0.55
-"""inch on the right, for the scale in spacings."""
 _WAYS = ("along the flight", "across the flight")
 
 
@@ -46,6 +40,7 @@ def discrepancy_sheets(registration: CaseRegistration) -> Iterator[Sheet]:
         yield _sheet(registration, pair, sheet_name("discrepancy", n + 1, len(shown)), omitted)
 
 
+@plain_style()
 def _sheet(registration: CaseRegistration, pair: tuple[str, str], name: str, omitted: str) -> Sheet:
     found = [
         (state, p, profile.name, one)
@@ -57,21 +52,19 @@ def _sheet(registration: CaseRegistration, pair: tuple[str, str], name: str, omi
     first, second = (short(one, 30) for one in pair)
     caption = _caption(found, pair) + omitted + "."
     sheet = new_sheet(name, 9.6, 5.6, f"Discrepancy between {first} and {second} at the footprints", caption)
-    grid = panels(sheet, 2, 1, left=0.95, down=0.3)[:, 0]
+    grid = sheet.panels(2, 1, sharex="col")[:, 0]
     for k, panel in enumerate(grid):
         panel.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
         for state, p, _, one in found:
             _draw(panel, one, k, state, MARKERS[p % len(MARKERS)])
-        box = panel.get_position()
-        panel.set_position((box.x0, box.y0, box.width - _SCALE / sheet.figure.get_figwidth(), box.height))
-        words(panel, f"line of {second} (px)" if k else "", f"{_WAYS[k]} (m)")
-        panel.tick_params(labelbottom=bool(k))
+        panel.set_ylabel(f"{_WAYS[k]} (m)")
         panel.margins(y=0.1)
         _spacings(panel, found[0][3].spacing)
-    grid[0].set_title(f"{second}: projected place minus the one that {first} and the tie points give", y=1.0, pad=4.0)
+    grid[0].set_title(f"{second}: projected place minus the one that {first} and the tie points give")
+    grid[1].set_xlabel(f"line of {second} (px)")
     profiles = {name_: p for _, p, name_, _ in found}
     states = dict.fromkeys(state for state, *_ in found)
-    legend(sheet.figure, [
+    sheet.legend([
         *(Line2D([], [], color=_COLOURS[s], marker="o", ms=4, lw=0.9, label=STATE_WORDS[s]) for s in states),
         *(
             Line2D([], [], ls="", marker=MARKERS[p % len(MARKERS)], ms=5, mec=INK, mfc="none",
@@ -95,19 +88,10 @@ def _spacings(panel: Axes, spacing: float) -> None:
     """The same axis in distances between footprints, on the right."""
     if not np.isfinite(spacing):
         return
-    right = panel.secondary_yaxis("right", functions=(_Scale(1.0 / spacing), _Scale(spacing)))
+    scales = partial(np.multiply, 1.0 / spacing), partial(np.multiply, spacing)
+    right = panel.secondary_yaxis("right", functions=scales)
     right.tick_params(labelsize=7.5)
     right.set_ylabel("MOLA spacings", size=8.0, labelpad=2.0)
-
-
-@dataclass(frozen=True, slots=True)
-class _Scale:
-    """Multiplication, as an axis takes it."""
-
-    factor: float
-
-    def __call__(self, values: ArrayLike) -> Array:
-        return np.asarray(values, dtype=np.float64) * self.factor
 
 
 def _caption(found: Sequence[tuple[str, int, str, Misregistration]], pair: tuple[str, str]) -> str:

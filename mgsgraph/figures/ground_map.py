@@ -17,9 +17,8 @@ from mgsgraph.figures.sheet import (
     Sheet,
     new_sheet,
     number,
-    panels,
+    plain_style,
     short,
-    words,
 )
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array, Index
@@ -34,6 +33,7 @@ _WIDEST, _TALLEST, _LEAST, _SIDE = 7.2, 7.4, 3.0, 2.9
 """inch: bounds of the map, and the column beside it for legend and colour bar."""
 
 
+@plain_style()
 def map_sheet(solution: Solution) -> Sheet:
     """The map, around the block's centre."""
     centre = centre_of(solution.places)
@@ -42,13 +42,8 @@ def map_sheet(solution: Solution) -> Sheet:
     places = east_north(solution.places, centre) / KM
     low, high, (width, height) = frame(np.concatenate([*outlines, places]))
     sheet = new_sheet("map", width + 1.4 + _SIDE, height + 0.69, "Map of the block", _caption(solution), band=0.0)
-    panel, side = panels(sheet, 1, 2, widths=[width, _SIDE], across=0.3)[0]
-    side.set_axis_off()
-    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    panel.set_aspect("equal")
-    longitude, latitude, _ = planetocentric(centre) / DEG
-    north = f"km north of latitude {abs(latitude):.3f}° {'N' if latitude >= 0.0 else 'S'}"
-    words(panel, f"km east of longitude {longitude % 360.0:.3f}° E", north)
+    panel: Axes = sheet.panels()[0, 0]
+    map_axes(panel, low, high, centre)
     handles = _draw_outlines(panel, solution, outlines)
     coloured = _draw_ties(panel, solution, places)
     handles += _draw_known(panel, solution, places)
@@ -56,11 +51,22 @@ def map_sheet(solution: Solution) -> Sheet:
         name = CLASS_NAME[PointClass.TIE]
         handles.append(Line2D([], [], ls="", marker="o", ms=4.5, color="#21918C", label=f"{name}, coloured by sigma"))
         bar = sheet.figure.colorbar(
-            coloured, cax=side.inset_axes((0.06, 0.04, 0.07, 0.5)), extend="both" if _clipped(solution) else "neither"
+            coloured, cax=panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5)),
+            extend="both" if _clipped(solution) else "neither",
         )
         bar.set_label("3-D sigma of tie points (m, sigma0 = 1)")
-    side.legend(handles=handles, loc="upper left", borderaxespad=0.0, labelspacing=0.7)
+    panel.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(1.0 + 0.1 / width, 1.0), borderaxespad=0.0, labelspacing=0.7
+    )
     return sheet
+
+
+def map_axes(panel: Axes, low: Array, high: Array, centre: Array) -> None:
+    """One scale between corners (2,) in km, and where its zero, `centre` (3,) in m, lies on the body."""
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    longitude, latitude, _ = planetocentric(centre) / DEG
+    panel.set_xlabel(f"km east of longitude {longitude % 360.0:.3f}° E")
+    panel.set_ylabel(f"km north of latitude {abs(latitude):.3f}° {'N' if latitude >= 0.0 else 'S'}")
 
 
 def frame(corners: Array, least: tuple[float, float] = (_LEAST, _LEAST)) -> tuple[Array, Array, tuple[float, float]]:

@@ -1,7 +1,5 @@
 """Heights of points above the terrain model by cell, before and after, side by side (the figure of Spiegel et al.)."""
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
@@ -11,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.analysis.height_cells import HeightCells, turned
 from mgsgraph.analysis.two_step_statistics import TwoStepStatistics, owners
-from mgsgraph.figures.sheet import INK, Sheet, legend, new_sheet, number, panels, plain_style, save, words
+from mgsgraph.figures.sheet import INK, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.records import Array
@@ -21,19 +19,10 @@ from mgsgraph.wording import many
 _BEFORE, _AFTER = 0, -1
 _EMPTY = "#DDDDDD"
 """Of cells without points."""
-_BAR, _GAP = 0.11, 0.30
-"""inch, height of a colour bar, and room between it and the panels for their titles."""
-_DOWN = 0.95
-"""inch between two rows of maps: tick labels, and the bar and the titles of the row below."""
 _MOST_OUTLINES = 60
 
 
-def write_height_map(merit: TwoStepStatistics, found: HeightCells, folder: Path) -> list[str]:
-    """Draw the map; names of the files."""
-    with plain_style():
-        return save(height_map_sheet(merit, found), folder)
-
-
+@plain_style()
 def height_map_sheet(merit: TwoStepStatistics, found: HeightCells) -> Sheet:
     """Root mean square and mean of the heights by cell, with the nominal orientation and after both steps."""
     west, east, south, north = found.extent
@@ -43,11 +32,10 @@ def height_map_sheet(merit: TwoStepStatistics, found: HeightCells) -> Sheet:
     height = float(np.clip(each * shape, 1.5, 5.2))
     rows = 1 if tall else 2
     sheet = new_sheet(
-        "height_map", 9.4, rows * (height + 0.5) + (rows - 1) * _DOWN + 0.7, "Points above the terrain model",
+        "height_map", 9.4, rows * (height + 1.0) + 0.4, "Points above the terrain model",
         _caption(merit, found, ("Left", "right") if tall else ("Above", "below")),
     )  # fmt: skip
-    grid = panels(sheet, rows, 4 // rows, across=0.62, down=_DOWN).ravel()
-    _leave_room(sheet, grid.tolist(), 0.5)
+    grid = sheet.panels(rows, 4 // rows).ravel()
     outlines = _outlines(merit, found)
     low = np.nanquantile(found.rms[[_BEFORE, _AFTER]], 0.98)
     spread = np.nanquantile(np.abs(found.mean[[_BEFORE, _AFTER]]), 0.98)
@@ -62,23 +50,15 @@ def height_map_sheet(merit: TwoStepStatistics, found: HeightCells) -> Sheet:
             shown = _draw(panel, values[stage], found, outlines, (colours, float(least), most))
             first = panel is pair[0] and (k == 0 or not tall)
             x = "east longitude (°)" if tall or k == 1 else ""
-            words(panel, x, "planetocentric latitude (°)" if first else "", title)
-        _bar(sheet, pair, shown, what, extend)
+            panel.set(xlabel=x, ylabel="planetocentric latitude (°)" if first else "", title=title)
+        sheet.colour_bar(shown, pair, what, MaxNLocator(6), extend)
     handles = [
         Line2D([], [], color=INK, lw=0.9, label="outlines of the strips' middle images" if merit.steps.network.strips
                else "outlines of the images"),
         Patch(facecolor=_EMPTY, edgecolor="#BBBBBB", label="cells without points"),
     ]  # fmt: skip
-    legend(sheet.figure, handles)
+    sheet.legend(handles)
     return sheet
-
-
-def _leave_room(sheet: Sheet, grid: list[Axes], room: float) -> None:
-    """Lower the tops of all panels by `room` inches, for bars above them."""
-    share = room / float(sheet.figure.get_figheight())
-    for panel in grid:
-        box = panel.get_position()
-        panel.set_position((box.x0, box.y0, box.width, box.height - share))
 
 
 def _draw(
@@ -100,17 +80,6 @@ def _draw(
     panel.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     panel.xaxis.set_major_formatter(lambda value, _: f"{value % 360.0:g}")
     return shown
-
-
-def _bar(sheet: Sheet, pair: list[Axes], shown: AxesImage, what: str, extend: str) -> None:
-    """One colour bar above two panels."""
-    left, right = pair[0].get_position(), pair[1].get_position()
-    inch = 1.0 / float(sheet.figure.get_figheight())
-    axes = sheet.figure.add_axes((left.x0, left.y1 + _GAP * inch, right.x1 - left.x0, _BAR * inch))
-    sheet.figure.colorbar(shown, cax=axes, orientation="horizontal", extend=extend, ticks=MaxNLocator(6))
-    axes.xaxis.set_ticks_position("top")
-    axes.xaxis.set_label_position("top")
-    axes.set_xlabel(what)
 
 
 def _outlines(merit: TwoStepStatistics, found: HeightCells) -> list[Array]:

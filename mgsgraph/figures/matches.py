@@ -2,29 +2,13 @@
 what is left of it.
 """
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from mgsgraph.figures.sheet import (
-    AFTER,
-    BEFORE,
-    INK,
-    MOST_MARKS,
-    SOFT,
-    Sheet,
-    legend,
-    new_sheet,
-    number,
-    panels,
-    plain_style,
-    save,
-    words,
-)
+from mgsgraph.figures.sheet import AFTER, BEFORE, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.pairs import by_pair, footprints
@@ -50,34 +34,30 @@ class _Drawn(NamedTuple):
     """(n,) m."""
 
 
-def write_matches_figure(matches: Matches, scene: Scene, name: str, folder: Path) -> list[str]:
-    """Write matches.png and matches.svg; their names."""
-    with plain_style():
-        return save(matches_sheet(matches, scene, name), folder)
-
-
+@plain_style()
 def matches_sheet(matches: Matches, scene: Scene, name: str) -> Sheet:
     """Map, nominal contradiction along the flight, histograms of sigma and of what is left."""
     drawn = _drawn(matches, scene)
     title = f"Matches between images: {name}"
     sheet = new_sheet("matches", 11.2, 4.6, title, _caption(matches, scene, drawn))
-    where, nominal, sigmas, left = panels(sheet, 1, 4, across=0.72, widths=[0.9, 1.2, 0.9, 0.9])[0]
+    where, nominal, sigmas, left = sheet.panels(1, 4, widths=[0.9, 1.2, 0.9, 0.9])[0]
     _map(where, scene, drawn)
     some = _some(drawn)
     nominal.plot(drawn.nominal[some, 0], drawn.plane[some, 1] / KM, ".", ms=2.5, color=AFTER)
     nominal.plot(drawn.nominal[some, 1], drawn.plane[some, 1] / KM, ".", ms=2.5, color=BEFORE)
-    words(nominal, "second minus first (m on the ground)", "along the flight (km)", "nominal orientation")
+    nominal.set(
+        xlabel="second minus first (m on the ground)", ylabel="along the flight (km)", title="nominal orientation"
+    )
     _histogram(sigmas, drawn.sigma)
-    words(sigmas, "sigma of a match (px)", "matches", "least-squares matching")
+    sigmas.set(xlabel="sigma of a match (px)", ylabel="matches", title="least-squares matching")
     _histogram(left, drawn.misfit)
-    words(left, "coplanarity residual (m)", "", "left under free orientation")
-    handles = [
+    left.set(xlabel="coplanarity residual (m)", title="left under free orientation")
+    sheet.legend([
         Line2D([], [], color=INK, lw=1.0, label="footprints"),
         Line2D([], [], color=SOFT, marker="o", ls="", ms=3.5, label="tie points"),
         Line2D([], [], color=AFTER, marker=".", ls="", label="across the plane of rays (orientation alone)"),
         Line2D([], [], color=BEFORE, marker=".", ls="", label="in it (height, and orientation)"),
-    ]
-    legend(sheet.figure, handles)
+    ])  # fmt: skip
     return sheet
 
 
@@ -103,16 +83,11 @@ def _some(drawn: _Drawn) -> slice:
 
 
 def _map(panel: Axes, scene: Scene, drawn: _Drawn) -> None:
-    for outline in _outlines(scene):
-        panel.plot(*(outline / KM).T, color=INK, lw=0.8)
+    for one in footprints(scene):
+        panel.plot(*(scene.ground.chart.plane(one.outline) / KM).T, color=INK, lw=0.8)
     some = _some(drawn)
     panel.plot(*(drawn.plane[some] / KM).T, "o", ms=2.0, color=SOFT)
-    words(panel, "across the flight (km)", "along the flight (km)", "where")
-
-
-def _outlines(scene: Scene) -> Iterator[Array]:
-    for one in footprints(scene):
-        yield scene.ground.chart.plane(one.outline)
+    panel.set(xlabel="across the flight (km)", ylabel="along the flight (km)", title="where")
 
 
 def _histogram(panel: Axes, values: Array) -> None:

@@ -19,13 +19,11 @@ from mgsgraph.figures.sheet import (
     Sheet,
     in_sheets,
     left_out,
-    legend,
     new_sheet,
     number,
-    panels,
+    plain_style,
     sheet_name,
     short,
-    words,
 )
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import ARCSEC, MGON
@@ -77,21 +75,21 @@ def _sheets(
         yield _sheet([draw(solution, k) for k in some], sheet_name(kind, n + 1, len(sheets)), omitted)
 
 
+@plain_style()
 def _sheet(columns: Sequence[Drawn], name: str, omitted: str) -> Sheet:
     of_strips = columns[0].nodes is not None
     title = "Corrections of the strips' trajectories" if of_strips else "Corrections of the exterior orientation"
     caption = _caption(columns, of_strips) + omitted + "."
     sheet = new_sheet(name, max(7.2, 0.9 + 3.1 * len(columns)), 8.4, title, caption)
-    grid = panels(sheet, 6, len(columns), across=0.25)
+    grid = sheet.panels(6, len(columns), sharex="col", sharey="row")
     along, rows = ("time (s)", _STRIP_ROWS) if of_strips else ("line (px)", _ROWS)
     for c, column in enumerate(columns):
         for n in range(6):
-            panel = grid[n, c]
-            panel.sharey(grid[n, 0])
-            _draw(panel, column, n)
-            panel.tick_params(labelbottom=n == 5, labelleft=c == 0)
-            title = short(column.title, 34) if n == 0 else ""
-            words(panel, along if n == 5 else "", rows[n] if c == 0 else "", title)
+            _draw(grid[n, c], column, n)
+        grid[0, c].set_title(short(column.title, 34))
+        grid[5, c].set_xlabel(along)
+    for panel, what in zip(grid[:, 0], rows, strict=True):
+        panel.set_ylabel(what)
     handles: list[Artist] = [
         Line2D([], [], color=AFTER, label="adjusted minus nominal"),
         Patch(color=AFTER, alpha=0.22, lw=0.0, label="± 1 sigma (sigma0 = 1)"),
@@ -100,7 +98,7 @@ def _sheet(columns: Sequence[Drawn], name: str, omitted: str) -> Sheet:
         handles[1:1] = [Line2D([], [], color=SOFT, ls="--", label="held at nominal")]
     if of_strips:
         handles.append(Line2D([], [], color=INK, ls="", marker="o", ms=_MARK, label="orientation images"))
-    legend(sheet.figure, handles)
+    sheet.legend(handles)
     return sheet
 
 

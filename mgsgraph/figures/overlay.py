@@ -25,13 +25,11 @@ from mgsgraph.figures.sheet import (
     MOST_SHEETS,
     Sheet,
     left_out,
-    legend,
     new_sheet,
     number,
-    panels,
+    plain_style,
     sheet_name,
     short,
-    words,
 )
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
@@ -97,24 +95,22 @@ def footprint_heights(profile: ProfileRegistration, body_of: PushbroomImage) -> 
 
 def overlay_sheets(registration: CaseRegistration, pixels: Sequence[Pixels | None]) -> Iterator[Sheet]:
     """One sheet for each of the images with most footprints."""
-    counts = np.sum([profile.found.inside.sum(axis=1) for profile in registration.before], axis=0)
-    chosen = sorted(np.argsort(-counts, kind="stable")[:MOST_SHEETS].tolist())
-    chosen = [j for j in chosen if counts[j]]
-    omitted = left_out(int(np.count_nonzero(counts)), len(chosen), f"{len(chosen)} with most footprints")
+    chosen, total = with_most_footprints(registration, MOST_SHEETS)
+    omitted = left_out(total, len(chosen), f"{len(chosen)} with most footprints")
     for n, j in enumerate(chosen):
         yield _overlay(registration, j, pixels[j], sheet_name("overlay", n + 1, len(chosen)), omitted)
 
 
+@plain_style()
 def _overlay(registration: CaseRegistration, j: int, pixels: Pixels | None, name: str, omitted: str) -> Sheet:
     image, size = registration.images[j], ground_size(registration.images[j])
     strips, width, height = _strips(float(image.samples * size[1] / (image.lines * size[0])))
-    order = _own_first(registration, j)
+    order = own_first(registration, j)[: len(MARKERS)]
     ratios = ([_HEIGHTS, height, _BETWEEN] * strips)[:-1]
     caption = _overlay_caption(registration, j, order, pixels is not None) + omitted + "."
-    sheet = new_sheet(
-        name, width + 1.06, sum(ratios) + 0.7, f"Laser footprints in {short(image.name, 60)}", caption
-    )
-    grid = panels(sheet, len(ratios), 1, heights=ratios, down=0.0)[:, 0]
+    title = f"Laser footprints in {short(image.name, 60)}"
+    sheet = new_sheet(name, width + 1.06, sum(ratios) + 0.7, title, caption, gap=0.0)
+    grid = sheet.panels(len(ratios), 1, heights=ratios)[:, 0]
     limits = stretch(pixels)
     heights, above = footprint_heights(registration.before[order[0]], image)
     for k in range(strips):
@@ -125,16 +121,15 @@ def _overlay(registration: CaseRegistration, j: int, pixels: Pixels | None, name
         picture(strip, pixels, limits, image, lines, (0.0, float(image.samples)), width, height, on_its_side=True)
         strip.set(xlim=lines, ylim=(0.0, image.samples))
         strip.locator_params(axis="y", nbins=4)
-        words(strip, "line (px)" if k == strips - 1 else "", "sample (px)")
+        strip.set(xlabel="line (px)" if k == strips - 1 else "", ylabel="sample (px)")
         relief.set_xlim(lines)
-        words(relief, "", "height (m)")
+        relief.set_ylabel("height (m)")
         relief.tick_params(labelbottom=False, bottom=False)
         relief.locator_params(axis="y", nbins=4)
         _marks(strip, registration, j, order, (lines[1] - lines[0]) / width)
         _relief(relief, registration, j, order[0], heights)
     grid[0].set_title(
-        f"Heights above the {above} on the image's right edge; the image lies on its side, lines go to the right",
-        y=1.0, pad=4.0,
+        f"Heights above the {above} on the image's right edge; the image lies on its side, lines go to the right"
     )
     _key(sheet, registration, order)
     return sheet
@@ -148,12 +143,30 @@ def _strips(aspect: float) -> tuple[int, float, float]:
     return strips, max(width, 5.0), height
 
 
-def _own_first(registration: CaseRegistration, j: int) -> list[int]:
+def with_most_footprints(registration: CaseRegistration, most: int) -> tuple[list[int], int]:
+    """Images with most footprints, in their own order, `most` at the most; and how many have any."""
+    counts = np.sum([profile.found.inside.sum(axis=1) for profile in registration.before], axis=0)
+    chosen = sorted(np.argsort(-counts, kind="stable")[:most].tolist())
+    return [j for j in chosen if counts[j]], int(np.count_nonzero(counts))
+
+
+def own_first(registration: CaseRegistration, j: int) -> list[int]:
     """Profiles that fall in an image; the one taken along with it first, then those with most footprints."""
     counts = [int(profile.found.inside[j].sum()) for profile in registration.before]
     own = [bool(np.any(profile.found.simultaneous[j])) for profile in registration.before]
-    seen = [p for p, count in enumerate(counts) if count]
-    return sorted(seen, key=lambda p: (not own[p], -counts[p]))[: len(MARKERS)]
+    return sorted((p for p, count in enumerate(counts) if count), key=lambda p: (not own[p], -counts[p]))
+
+
+def longest_profile(registration: CaseRegistration, j: int, p: int) -> tuple[Index, Array]:
+    """Shots (n,) of a profile whose heights are drawn in an image, and their lines (n,) in order, under the best
+    orientation there is: those of one orbit, for a file may hold several.
+    """
+    _, profiles = list(registration.states())[-1]
+    found = profiles[p].found
+    orbit = max(found.profiles(j), key=lambda one: (one.inside > 0, one.simultaneous, one.inside), default=None)
+    shots = np.zeros(0, dtype=np.int64) if orbit is None else orbit.shots[found.inside[j, orbit.shots]]
+    shots = shots[np.argsort(found.places[j, shots, 0])]
+    return shots, found.places[j, shots, 0]
 
 
 def _marks(
@@ -230,12 +243,8 @@ def _digit(digit: str) -> MatplotlibPath:
 
 def _relief(panel: Axes, registration: CaseRegistration, j: int, p: int, heights: Array) -> None:
     """Heights of a profile over the lines at which it falls, under the best orientation there is."""
-    state, profiles = list(registration.states())[-1]
-    found = profiles[p].found
-    orbit = max(found.profiles(j), key=lambda one: (one.inside > 0, one.simultaneous, one.inside))
-    mine = orbit.shots[found.inside[j, orbit.shots]]  # a file may hold several orbits
-    mine = mine[np.argsort(found.places[j, mine, 0])]
-    lines, (first, last) = found.places[j, mine, 0], panel.get_xlim()
+    (state, _), (mine, lines) = list(registration.states())[-1], longest_profile(registration, j, p)
+    first, last = panel.get_xlim()
     here = heights[mine[(lines >= first) & (lines <= last)]]
     if not here.size:
         panel.set_yticks([])
@@ -257,7 +266,7 @@ def _key(sheet: Sheet, registration: CaseRegistration, order: Sequence[int]) -> 
     for p, marker in zip(order, MARKERS, strict=False):
         name = short(registration.before[p].name, 24)
         handles.append(Line2D([], [], ls="", marker=marker, ms=5, mec=INK, mfc="none", label=f"profile {name}"))
-    legend(sheet.figure, handles)
+    sheet.legend(handles)
 
 
 def _overlay_caption(registration: CaseRegistration, j: int, order: Sequence[int], drawn: bool) -> str:

@@ -1,15 +1,11 @@
 """Figures of the report page: those of the results and, of ground points, arrows of correction; each as a data URI."""
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from io import BytesIO
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.overlap_sigmas import sigma_grid
@@ -29,12 +25,11 @@ from mgsgraph.figures.sheet import (
     CLASS_NAME,
     SOFT,
     Sheet,
+    encoded,
     new_sheet,
     number,
-    panels,
     plain_style,
     round_figure,
-    words,
 )
 from mgsgraph.figures.sigmas import raster_sheet
 from mgsgraph.geometry.body import east_north_up
@@ -56,8 +51,6 @@ _LONGEST = 0.5
 """inch, of the longest arrow."""
 _SHARE = 0.98
 """Share of the corrections that are drawn in full."""
-_LEGEND = 0.27
-"""inch, of the band in which the arrows' key stands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,19 +71,19 @@ class Picture:
     """CSS pixels."""
 
 
-def drawn(sheets: Iterator[Sheet], as_picture: bool = False) -> list[Picture]:
-    """Sheets as pictures, in order: SVG, or PNG where that is large; `as_picture`: JPEG, for what shows pixels.
-
-    They must be made while they are drawn, as an iterator does: the style of a sheet is set here.
-    """
-    with plain_style():
-        return [_drawn(sheet, as_picture) for sheet in sheets]
+def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
+    """Sheets as pictures, in order: SVG, or PNG where that is large; `as_picture`: JPEG, for what shows pixels."""
+    return [_drawn(sheet, as_picture) for sheet in sheets]
 
 
 def _drawn(sheet: Sheet, as_picture: bool) -> Picture:
-    kind, data = ("jpeg", _jpeg(sheet)) if as_picture else ("svg+xml", _svg(sheet))
+    if as_picture:
+        kind, data = "jpeg", encoded(sheet, "jpg", pil_kwargs={"quality": _QUALITY, "optimize": True})
+    else:
+        about = {"Title": sheet.title, "Date": None, "Creator": "mgsgraph"}
+        kind, data = "svg+xml", encoded(sheet, "svg", metadata=about)
     if len(data) > _LARGE and not as_picture:
-        kind, data = min((kind, data), ("png", _png(sheet)), key=lambda one: len(one[1]))
+        kind, data = min((kind, data), ("png", encoded(sheet, "png")), key=lambda one: len(one[1]))
     width, height = (round(96.0 * float(inch)) for inch in sheet.figure.get_size_inches())
     return Picture(sheet.name, sheet.title, sheet.caption, data_uri(f"image/{kind}", data), width, height)
 
@@ -98,28 +91,6 @@ def _drawn(sheet: Sheet, as_picture: bool) -> Picture:
 def data_uri(kind: str, data: bytes) -> str:
     """A file as an address that holds it."""
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
-
-
-def _svg(sheet: Sheet) -> bytes:
-    file, canvas = BytesIO(), FigureCanvasSVG(sheet.figure)
-    about = {"Title": sheet.title, "Date": None, "Creator": "mgsgraph"}
-    writer: Any = canvas
-    writer.print_svg(file, metadata=about)
-    return file.getvalue()
-
-
-def _png(sheet: Sheet) -> bytes:
-    file, canvas = BytesIO(), FigureCanvasAgg(sheet.figure)
-    writer: Any = canvas
-    writer.print_png(file)
-    return file.getvalue()
-
-
-def _jpeg(sheet: Sheet) -> bytes:
-    file, canvas = BytesIO(), FigureCanvasAgg(sheet.figure)
-    writer: Any = canvas
-    writer.print_jpg(file, pil_kwargs={"quality": _QUALITY, "optimize": True})
-    return file.getvalue()
 
 
 # --- by the page's sections
@@ -130,16 +101,11 @@ def solution_figures(solution: Solution, connected: Connectivity) -> dict[str, l
     rays = solution.network.rays
     laser = bool(np.any(solution.network.points.classes[rays.point] == PointClass.LASER))
     return {
-        "map": drawn(_maps(solution, connected)),
+        "map": drawn([map_sheet(solution), connectivity_sheet(solution, connected)]),
         "registration": drawn(registration_sheets(solution)) if laser else [],
         "orientation": drawn(orientation_sheets(solution)),
         "residuals": [*drawn(residual_sheets(solution)), *drawn(correction_sheets(solution))],
     }
-
-
-def _maps(solution: Solution, connected: Connectivity) -> Iterator[Sheet]:
-    yield map_sheet(solution)
-    yield connectivity_sheet(solution, connected)
 
 
 def registration_figures(registration: CaseRegistration) -> list[Picture]:
@@ -161,7 +127,7 @@ def sigma_figures(solution: Solution) -> tuple[list[Picture], str]:
         grid = sigma_grid(Posterior.of(solution))
     except MgsgraphError as error:
         return [], f"Sigmas of new points can't be mapped: {error}."
-    return drawn((raster_sheet(one, "sigma_map") for one in [grid]), as_picture=True), ""
+    return drawn([raster_sheet(grid, "sigma_map")], as_picture=True), ""
 
 
 # --- corrections of the ground
@@ -181,6 +147,7 @@ def local_corrections(solution: Solution) -> Array:
     return np.asarray(np.where(solution.determined[:, None], moved, np.nan))
 
 
+@plain_style()
 def _correction_sheet(solution: Solution, moved: Array) -> Sheet:
     centre = centre_of(solution.places)
     places = east_north(solution.places, centre) / KM
@@ -190,12 +157,11 @@ def _correction_sheet(solution: Solution, moved: Array) -> Sheet:
     longest = float(np.quantile(lengths, _SHARE)) or 1.0
     sheet = new_sheet(
         "corrections", width + 1.4, height + 0.7, "Corrections of the ground points",
-        _correction_caption(solution, moved, present, longest), band=_LEGEND,
+        _correction_caption(solution, moved, present, longest),
     )  # fmt: skip
-    panel: Axes = panels(sheet, 1, 1)[0, 0]
-    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    panel.set_aspect("equal")
-    words(panel, "km east of the block's middle", "km north")
+    panel: Axes = sheet.panels()[0, 0]
+    panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    panel.set(xlabel="km east of the block's middle", ylabel="km north")
     for n, point_class in enumerate(present):
         mine = solution.members(point_class)
         mine = mine[thinned(mine.size, _MOST_ARROWS)]
@@ -207,7 +173,7 @@ def _correction_sheet(solution: Solution, moved: Array) -> Sheet:
         )
         key = round_figure(longest)
         panel.quiverkey(
-            arrows, (0.75 + 2.2 * n) / (width + 1.4), 1.0 - 0.55 / float(sheet.figure.get_figheight()), key,
+            arrows, (0.75 + 2.2 * n) / (width + 1.4), sheet.band_height(), key,
             f"{CLASS_NAME[point_class]}: {number(key)} m", coordinates="figure", labelpos="E", color=colour,
         )
     panel.plot(*places[solution.determined].T, ls="", marker=".", ms=1.5, mew=0.0, color=SOFT, zorder=2)

@@ -10,7 +10,16 @@ from io import BytesIO
 
 import numpy as np
 
-from mgsgraph.figures.overlay import averaged, footprint_heights, ground_size, pixels_of, stretch
+from mgsgraph.figures.overlay import (
+    averaged,
+    footprint_heights,
+    ground_size,
+    longest_profile,
+    own_first,
+    pixels_of,
+    stretch,
+    with_most_footprints,
+)
 from mgsgraph.figures.page import data_uri
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
@@ -103,10 +112,7 @@ class Scene:
 
 def scenes(registration: CaseRegistration) -> tuple[list[Scene], str]:
     """The images with most footprints, and a sentence about others where there are any."""
-    counts = np.sum([profile.found.inside.sum(axis=1) for profile in registration.before], axis=0)
-    chosen = sorted(np.argsort(-counts, kind="stable")[:MOST_SCENES].tolist())
-    chosen = [j for j in chosen if counts[j]]
-    total = int(np.count_nonzero(counts))
+    chosen, total = with_most_footprints(registration, MOST_SCENES)
     omitted = f"Of {total} images with footprints the {len(chosen)} with most are shown." if total > len(chosen) else ""
     return [_scene(registration, j, _PIXELS // len(chosen)) for j in chosen], omitted
 
@@ -115,7 +121,7 @@ def _scene(registration: CaseRegistration, j: int, most_pixels: int) -> Scene:
     image, size = registration.images[j], ground_size(registration.images[j])
     per_line = float(size[0] / size[1])
     uri, (lines, samples) = _picture(image, pixels_of(registration.pictures[j]), most_pixels)
-    order = _own_first(registration, j)
+    order = own_first(registration, j)
     states = [
         _state(registration, j, p, state, per_line, numbered=p == order[0])
         for state, _ in registration.states() for p in order
@@ -131,13 +137,6 @@ def _scene(registration: CaseRegistration, j: int, most_pixels: int) -> Scene:
         above, first.name, [(k * length / pieces, length / pieces) for k in range(pieces)],
         f"At most {_MOST_MARKS} footprints of a profile are shown." if most > _MOST_MARKS else "",
     )  # fmt: skip
-
-
-def _own_first(registration: CaseRegistration, j: int) -> list[int]:
-    """Profiles that fall in an image; the one taken along with it first, then those with most footprints."""
-    counts = [int(profile.found.inside[j].sum()) for profile in registration.before]
-    own = [bool(np.any(profile.found.simultaneous[j])) for profile in registration.before]
-    return sorted((p for p, count in enumerate(counts) if count), key=lambda p: (not own[p], -counts[p]))
 
 
 def _picture(image: PushbroomImage, pixels: Pixels | None, most: int) -> tuple[str, tuple[int, int]]:
@@ -196,17 +195,13 @@ def _relief(
     registration: CaseRegistration, j: int, p: int, per_line: float
 ) -> tuple[str, str, tuple[str, str], str]:
     """Paths of the heights of a profile over the lines at which it falls, their span, and what they are above."""
-    _, profiles = list(registration.states())[-1]
-    found = profiles[p].found
     heights, above = footprint_heights(registration.before[p], registration.images[j])
-    orbit = max(found.profiles(j), key=lambda one: (one.inside > 0, one.simultaneous, one.inside), default=None)
-    mine = np.zeros(0, dtype=np.int64) if orbit is None else orbit.shots[found.inside[j, orbit.shots]]
-    mine = mine[np.argsort(found.places[j, mine, 0])]
-    mine = mine[np.isfinite(heights[mine])]
+    mine, lines = longest_profile(registration, j, p)
+    known = np.isfinite(heights[mine])
+    mine, x = mine[known], lines[known] * per_line
     if not mine.size:
         return "", "", ("", ""), above
     low, high = float(heights[mine].min()), float(heights[mine].max())
-    x = found.places[j, mine, 0] * per_line
     y = 94.0 - 88.0 * (heights[mine] - low) / max(high - low, 1e-9)
     corners = [f"{a:.1f} {b:.1f}" for a, b in zip(x, y, strict=True)]
     return "M" + "L".join(corners), "".join(f"M{one}h0" for one in corners), (f"{low:.0f}", f"{high:.0f}"), above

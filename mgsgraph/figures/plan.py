@@ -1,28 +1,13 @@
 """A plan drawn: the targets' sigma step by step, what each candidate would do by itself, and the information gained."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mgsgraph.figures.sheet import (
-    AFTER,
-    BEFORE,
-    INK,
-    SOFT,
-    Sheet,
-    legend,
-    new_sheet,
-    number,
-    panels,
-    plain_style,
-    save,
-    short,
-    words,
-)
+from mgsgraph.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.planning.plan import Evaluation, Plan
 
 _MOST = 20
@@ -33,35 +18,27 @@ _LETTERS = 24
 """Letters of a candidate's name."""
 
 
-def write_plan_figure(plan: Plan, folder: Path) -> list[str]:
-    """Write plan.png and plan.svg; their names."""
-    with plain_style():
-        return save(plan_sheet(plan), folder)
-
-
+@plain_style()
 def plan_sheet(plan: Plan) -> Sheet:
     """Left: sigma after each step of the choice; right: drop of each candidate by itself, and its bits."""
     shown = [one for one in plan.ranking if not one.reason][:_MOST]
     tall = max(len(shown), len(plan.chosen) + 1, 4)
     title = f"What to observe next: {plan.name}"
     sheet = new_sheet("plan", 11.2, 1.15 + _ROW * tall, title, _caption(plan, len(shown)))
-    steps, drops, bits = panels(sheet, 1, 3, left=1.75, across=1.95, widths=[1.0, 1.0, 0.55])[0]
+    steps, drops, bits = sheet.panels(1, 3, widths=[1.0, 1.0, 0.55])[0]
     _draw_steps(steps, plan)
     chosen = {one.name for one in plan.chosen}
     _bars(drops, shown, [100.0 * one.drop for one in shown], chosen)
-    words(drops, "drop of the sigma (%)", "", "each by itself")
+    drops.set(xlabel="drop of the sigma (%)", title="each by itself")
     _bars(bits, shown, [one.bits for one in shown], chosen)
     bits.set_yticklabels([])
-    box, beside = bits.get_position(), drops.get_position()
-    bits.set_position((beside.x1 + 0.02, box.y0, box.x1 - beside.x1 - 0.02, box.height))
-    words(bits, "information gained (bits)")
-    handles = [
+    bits.set_xlabel("information gained (bits)")
+    sheet.legend([
         Patch(color=AFTER, label="chosen"),
         Patch(color=SOFT, label="not chosen"),
         Patch(color=BEFORE, label="as it stands"),
         Line2D([], [], color=INK, ls="--", label="first of the ranking together"),
-    ]
-    legend(sheet.figure, handles)
+    ])  # fmt: skip
     return sheet
 
 
@@ -69,17 +46,16 @@ def _draw_steps(panel: Axes, plan: Plan) -> None:
     """Sigma in m as it stands and after each step."""
     names = ["now", *(f"+ {short(one.name, _LETTERS - 2)}" for one in plan.chosen)]
     sigmas = [plan.now.total, *(one.after.total for one in plan.chosen)]
-    places = np.arange(len(names))
-    panel.barh(places, sigmas, color=[BEFORE, *[AFTER] * len(plan.chosen)], height=0.68)
+    bars = panel.barh(np.arange(len(names)), sigmas, color=[BEFORE, *[AFTER] * len(plan.chosen)], height=0.68)
     drops = ["", *(f" (\N{MINUS SIGN}{number(100.0 * one.drop)}%)" for one in plan.chosen)]
-    for y, value, drop in zip(places.tolist(), sigmas, drops, strict=True):
-        panel.text(value, y, f" {number(value, 4)}{drop}", va="center", size=8.0)
+    labels = [f"{number(value, 4)}{drop}" for value, drop in zip(sigmas, drops, strict=True)]
+    panel.bar_label(bars, labels, padding=2.0, size=8.0)
     if plan.plain is not None:
         panel.axvline(plan.plain.after.total, color=INK, ls="--", lw=1.0)
     panel.set_xlim(0.0, 1.9 * max(*sigmas, 1e-12))
     _names(panel, names)
     what = "mean" if plan.criterion == "mean" else "largest"
-    words(panel, f"{what} sigma of the targets (m)", "", "one after the other")
+    panel.set(xlabel=f"{what} sigma of the targets (m)", title="one after the other")
 
 
 def _bars(panel: Axes, shown: Sequence[Evaluation], values: Sequence[float], chosen: set[str]) -> None:
@@ -91,7 +67,7 @@ def _bars(panel: Axes, shown: Sequence[Evaluation], values: Sequence[float], cho
 
 def _names(panel: Axes, names: Sequence[str]) -> None:
     panel.set_yticks(np.arange(len(names)))
-    panel.set_yticklabels(names, parse_math=False)
+    panel.set_yticklabels(names)
     panel.set_ylim(max(len(names), 1) - 0.4, -0.6)
     panel.grid(False, axis="y")
     panel.tick_params(axis="y", length=0.0)

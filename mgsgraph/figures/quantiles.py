@@ -1,7 +1,6 @@
 """Normal quantile plots of the normalised residuals, group by group: are the sigmas honest, are the errors normal?"""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,20 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics
-from mgsgraph.figures.sheet import (
-    AFTER,
-    INK,
-    SOFT,
-    Sheet,
-    legend,
-    new_sheet,
-    number,
-    panels,
-    plain_style,
-    save,
-    short,
-    words,
-)
+from mgsgraph.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 
 _ACROSS = 4
 """Panels in a row."""
@@ -30,13 +16,7 @@ _SIDE = 2.75
 """inch, of a panel with its labels."""
 
 
-def write_quantile_figure(statistics: Sequence[ResidualStatistics], name: str, folder: Path) -> list[str]:
-    """Write quantiles.png and quantiles.svg; their names. `name` is what the adjustment is called."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with plain_style():
-        return save(quantile_sheet(statistics, name), folder)
-
-
+@plain_style()
 def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet:
     """A panel for each group that has residuals which other rows control."""
     shown = [one for one in statistics if one.values.size]
@@ -44,19 +24,19 @@ def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet
     down = -(-max(len(shown), 1) // across)
     title = f"Normalised residuals against the normal law: {short(name)}"
     sheet = new_sheet("quantiles", max(6.0, _SIDE * across + 0.6), _SIDE * down, title, _caption(shown))
-    drawn = panels(sheet, down, across, across=0.5, down=0.72).ravel().tolist()
+    drawn = sheet.panels(down, across).ravel().tolist()
     for k, (panel, one) in enumerate(zip(drawn, shown, strict=False)):
         _draw(panel, one)
-        below = "promised by a normal law (sigmas)" if k + across >= len(shown) else ""
-        words(panel, below, "found (sigmas)" if k % across == 0 else "", short(one.name, 38))
+        panel.set_title(short(one.name, 38))
+        panel.set_xlabel("promised by a normal law (sigmas)" if k + across >= len(shown) else "")
+        panel.set_ylabel("found (sigmas)" if k % across == 0 else "")
     for panel in drawn[len(shown) :]:
         panel.set_axis_off()
-    handles = [
+    sheet.legend([
         Line2D([], [], ls="", marker="o", ms=3.5, mew=0.0, color=AFTER, label="normalised residuals"),
         Line2D([], [], color=INK, lw=1.0, label="honest sigmas, normal errors"),
         Patch(color=SOFT, alpha=0.3, lw=0.0, label="pointwise 95% band"),
-    ]
-    legend(sheet.figure, handles)
+    ])  # fmt: skip
     return sheet
 
 

@@ -17,14 +17,12 @@ from mgsgraph.figures.sheet import (
     Sheet,
     in_sheets,
     left_out,
-    legend,
     new_sheet,
     number,
-    panels,
+    plain_style,
     round_figure,
     sheet_name,
     short,
-    words,
 )
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
@@ -38,8 +36,6 @@ from mgsgraph.registration.measured import (
 _PER_SHEET = 2
 MOST_SHOTS = 1000
 """Laser points in an image; each is drawn up to ten times."""
-_FREE = 0.3
-"""Height of the free row above the discrepancy, which has an axis label and a title to hold."""
 _LABELS = ("sample (px)", "line, measured\nminus projected (px)", "sample, measured\nminus projected (px)")
 
 
@@ -70,14 +66,15 @@ def _richest(solution: Solution, most: int) -> list[int]:
     return sorted(np.argsort(-counts, kind="stable")[:most].tolist())
 
 
+@plain_style()
 def _sheet(solution: Solution, registrations: Sequence[MeasuredFootprints], name: str, omitted: str) -> Sheet:
     pair = _pair(solution, registrations)
     caption = _caption(solution, registrations, pair) + omitted + "."
     height = 6.4 if pair is None else 8.8
     width = 11.0 if len(registrations) > 1 else 7.6
     sheet = new_sheet(name, width, height, "Registration of the laser profile with the images", caption)
-    ratios = [1.25, 1.0, 1.0] if pair is None else [1.25, 1.0, 1.0, _FREE, 1.0]
-    grid = panels(sheet, len(ratios), len(registrations), heights=ratios, across=1.0)
+    ratios = [1.25, 1.0, 1.0] if pair is None else [1.25, 1.0, 1.0, 1.0]
+    grid = sheet.panels(len(ratios), len(registrations), heights=ratios)
     factor = min(magnification(one) for one in registrations)
     for column, registration in zip(grid.T, registrations, strict=True):
         _frame(column[0], solution, registration, factor)
@@ -86,18 +83,16 @@ def _sheet(solution: Solution, registrations: Sequence[MeasuredFootprints], name
             panel.sharey(grid[1 + k, 0])
             _along(panel, registration.lines, registration.offset_before[:, k], registration.offset_after[:, k])
         for panel, label in zip(column, _LABELS, strict=False):
-            words(panel, "line (px)" if panel is column[2] else "", label, panel.get_title())
+            panel.set(xlabel="line (px)" if panel is column[2] else "", ylabel=label)
             panel.tick_params(labelbottom=panel is column[2])
     if pair is not None:
-        for panel in grid[3]:
-            panel.remove()
-        _contradiction(grid[4], pair)
+        _contradiction(grid[3], pair)
     marks = (
         ("measured", "+", INK, INK),
         ("before: a-priori footprint, nominal orientation", "o", BEFORE, "white"),
         ("after: both adjusted", "o", AFTER, AFTER),
     )
-    legend(sheet.figure, [
+    sheet.legend([
         Line2D([], [], ls="", marker=marker, ms=5, mec=colour, mfc=face, mew=1.2, label=label)
         for label, marker, colour, face in marks
     ])
@@ -156,8 +151,8 @@ def _contradiction(row: Iterable[Axes], pair: MeasuredDiscrepancy) -> None:
     """Offsets in the first image minus those in the second, along the first."""
     for k, (panel, what) in enumerate(zip(row, ("line", "sample"), strict=True)):
         _along(panel, pair.lines, pair.before[:, k], pair.after[:, k])
-        title = f"Discrepancy between the images: {what}s, in pixels of the left one"
-        words(panel, "line of the left image (px)", f"{what}, left\nminus right (px)", title)
+        panel.set_title(f"Discrepancy between the images: {what}s, in pixels of the left one")
+        panel.set(xlabel="line of the left image (px)", ylabel=f"{what}, left\nminus right (px)")
 
 
 def _caption(solution: Solution, registrations: Sequence[MeasuredFootprints], pair: MeasuredDiscrepancy | None) -> str:

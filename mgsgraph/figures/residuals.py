@@ -18,17 +18,14 @@ from mgsgraph.figures.sheet import (
     MOST_SHEETS,
     SOFT,
     Sheet,
-    band_height,
     in_sheets,
     left_out,
-    legend,
     new_sheet,
     number,
-    panels,
+    plain_style,
     round_figure,
     sheet_name,
     short,
-    words,
 )
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
@@ -57,6 +54,7 @@ def _worst(sizes: Sequence[float], most: int) -> list[int]:
     return sorted(order[:most].tolist())
 
 
+@plain_style()
 def _sheet(
     solution: Solution, images: Sequence[int], residuals: Sequence[ImageResiduals], name: str, omitted: str
 ) -> Sheet:
@@ -64,12 +62,12 @@ def _sheet(
     present = [point_class for point_class in PointClass if any(one.of(point_class).size for one in residuals)]
     caption = _caption(residuals, present, scales) + omitted + "."
     sheet = new_sheet(name, max(7.2, 0.6 + 3.0 * len(images)), 6.6, "Image residuals after the adjustment", caption)
-    row = panels(sheet, 1, len(images))[0]
+    row = sheet.panels(1, len(images))[0]
     keys: dict[PointClass, Quiver] = {}
     for panel, j, one in zip(row, images, residuals, strict=True):
         picture = solution.network.images[j]
         _frame(panel, picture.lines, picture.samples)
-        words(panel, "sample (px)", "line (px)" if panel is row[0] else "", short(picture.name, 34))
+        panel.set(xlabel="sample (px)", ylabel="line (px)" if panel is row[0] else "", title=short(picture.name, 34))
         for point_class in present:
             arrows = _draw(panel, one, point_class, scales[point_class])
             if arrows is not None:
@@ -80,12 +78,12 @@ def _sheet(
     ]
     if any(np.any(~one.used) for one in residuals):
         handles.append(Line2D([], [], ls="", marker="x", ms=6, mew=1.4, color=INK, label="rejected (no arrow)"))
-    legend(sheet.figure, handles)
+    sheet.legend(handles)
     width = float(sheet.figure.get_figwidth())
     for n, (point_class, arrows) in enumerate(reversed(keys.items())):
         key = round_figure(scales[point_class])
         row[0].quiverkey(
-            arrows, 1.0 - (0.85 + 1.0 * n) / width, band_height(sheet.figure), key, f"{number(key)} px",
+            arrows, 1.0 - (0.85 + 1.0 * n) / width, sheet.band_height(), key, f"{number(key)} px",
             coordinates="figure", labelpos="E", labelsep=0.06, color=CLASS_COLOUR[point_class],
         )
     return sheet

@@ -1,13 +1,15 @@
-"""The paper that figures are drawn on: size, title, legend band, caption, colours; and how a sheet becomes files.
+"""What every figure needs, said once: style, size, title, caption, legend, and how a sheet becomes files.
 
-No pyplot, and the user's matplotlib settings are neither used nor changed.
+A function that draws a sheet is decorated by `plain_style()`, makes its panels by `Sheet.panels`, and leaves where they
+stand to matplotlib's constrained layout. No pyplot, and the user's matplotlib settings are neither used nor changed.
 """
 
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,9 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.ticker import Locator
 from numpy.typing import NDArray
 
 from mgsgraph.network import PointClass
@@ -36,7 +40,9 @@ CLASS_NAME = {PointClass.TIE: "tie points", PointClass.LASER: "laser points", Po
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
+    "text.parse_math": False,  # names of users may hold dollar signs
     "axes.titlesize": 9.0,
+    "axes.titlepad": 4.0,
     "axes.labelsize": 8.5,
     "axes.edgecolor": "#555555",
     "axes.linewidth": 0.7,
@@ -61,8 +67,6 @@ _STYLE: dict[Any, Any] = {
 _DPI = 150
 _MARGIN, _TITLE, _BAND, _CAPTION_LINE = 0.12, 0.33, 0.27, 0.165
 """inch: white border, heights of the title, the legend band and a line of the caption."""
-_LEFT, _RIGHT, _UNDER, _OVER = 0.86, 0.2, 0.45, 0.25
-"""inch: room beside the panels for their labels, numbers and titles."""
 _INCH_PER_LETTER = 0.0672
 """inch, width of a letter of the caption on the average, on the safe side."""
 
@@ -88,94 +92,81 @@ class Sheet:
     """The sentence under it."""
     figure: Figure
     """What is drawn."""
-    below: float
-    """inch, height of the caption with its borders."""
-    above: float
-    """inch, height of title and legend band with their borders."""
+
+    def panels(
+        self, rows: int = 1, columns: int = 1, heights: Sequence[float] | None = None,
+        widths: Sequence[float] | None = None, **shared: Any,
+    ) -> NDArray[np.object_]:
+        """Axes (rows, columns) that fill the sheet, of relative heights and widths; `shared`: sharex, sharey."""
+        made: NDArray[np.object_] = self.figure.subplots(
+            rows, columns, squeeze=False, height_ratios=heights, width_ratios=widths, **shared
+        )
+        return made
+
+    def band_height(self) -> float:
+        """Middle of the legend band as a share of the figure's height."""
+        return 1.0 - (_MARGIN + _TITLE + 0.42 * _BAND) / float(self.figure.get_figheight())
+
+    def legend(self, handles: Sequence[Artist]) -> None:
+        """A legend in one row, in the band under the title."""
+        self.figure.legend(
+            handles=list(handles), loc="center left", ncols=max(len(handles), 1), borderaxespad=0.0, borderpad=0.0,
+            bbox_to_anchor=(_MARGIN / float(self.figure.get_figwidth()), self.band_height()),
+        )
+
+    def colour_bar(
+        self, shown: ScalarMappable, above: Axes | list[Axes], label: str, ticks: Locator, extend: str = "neither"
+    ) -> None:
+        """A horizontal colour bar above one panel or several."""
+        bar = self.figure.colorbar(
+            shown, ax=above, location="top", fraction=0.04, aspect=40, pad=0.02, ticks=ticks, extend=extend, format="%g"
+        )
+        bar.minorticks_off()
+        bar.set_label(label)
 
 
-def new_sheet(name: str, width: float, height: float, title: str, caption: str, band: float = _BAND) -> Sheet:
-    """A sheet with title, caption and a legend band (inch), and `height` inches for panels with their labels."""
+def new_sheet(
+    name: str, width: float, height: float, title: str, caption: str, band: float = _BAND, gap: float = 0.04
+) -> Sheet:
+    """A sheet with title, caption and a legend band (inch), and `height` inches for panels with their labels, `gap`
+    inches above and below each.
+    """
     lines = textwrap.wrap(caption, int((width - 2.0 * _MARGIN) / _INCH_PER_LETTER)) or [""]
     below = 2.0 * _MARGIN + _CAPTION_LINE * len(lines)
-    above = _MARGIN + _TITLE + band
-    total = height + below + above
-    figure = Figure(figsize=(width, total), dpi=_DPI)
-    inset = _MARGIN / width
-    figure.text(inset, 1.0 - _MARGIN / total, title, va="top", size=12.0, weight="bold", parse_math=False)
-    figure.text(
-        inset, _MARGIN / total, "\n".join(lines), va="bottom", size=8.5, color="#333333", linespacing=1.35,
-        parse_math=False,
-    )
-    return Sheet(name, title, caption, figure, below, above)
+    total = height + below + _MARGIN + _TITLE + band
+    figure = Figure(figsize=(width, total), dpi=_DPI, layout="constrained")
+    engine: Any = figure.get_layout_engine()
+    left = _MARGIN / width
+    inside = 0.5 * left, below / total, 1.0 - left, height / total
+    engine.set(rect=inside, w_pad=0.06, h_pad=gap, hspace=0.5 * gap)
+    figure.text(left, 1.0 - _MARGIN / total, title, va="top", size=12.0, weight="bold")
+    figure.text(left, _MARGIN / total, "\n".join(lines), va="bottom", size=8.5, color="#333333", linespacing=1.35)
+    return Sheet(name, title, caption, figure)
 
 
-def panels(
-    sheet: Sheet,
-    rows: int = 1,
-    columns: int = 1,
-    left: float = _LEFT,
-    across: float = 0.55,
-    down: float = 0.14,
-    heights: Sequence[float] | None = None,
-    widths: Sequence[float] | None = None,
-) -> NDArray[np.object_]:
-    """Axes (rows, columns) that fill the sheet, with gaps `across` and `down` (inch) and relative heights and widths.
-
-    All borders are fixed: matplotlib's layout engines draw everything once more to measure it, which takes as long as
-    the figure itself.
-    """
-    width, height = (float(size) for size in sheet.figure.get_size_inches())
-    bottom, top = sheet.below + _UNDER, height - sheet.above - _OVER
-    inner_width, inner_height = width - left - _RIGHT - across * (columns - 1), top - bottom - down * (rows - 1)
-    return sheet.figure.subplots(
-        rows, columns, squeeze=False, height_ratios=heights, width_ratios=widths,
-        gridspec_kw={
-            "left": left / width, "right": 1.0 - _RIGHT / width, "bottom": bottom / height, "top": top / height,
-            "wspace": across * columns / inner_width, "hspace": down * rows / inner_height,
-        },
-    )
+@plain_style()
+def encoded(sheet: Sheet, kind: str, **options: Any) -> bytes:
+    """A sheet as png, jpg or svg; the same sheet gives the same bytes."""
+    file = BytesIO()
+    canvas = (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(sheet.figure)  # savefig would draw twice
+    sheet.figure.align_labels()
+    getattr(canvas, f"print_{kind}")(file, **options)
+    sheet.figure.set_layout_engine("none")  # places stay as they are, should it be drawn again
+    return file.getvalue()
 
 
-def words(panel: Axes, x: str = "", y: str = "", title: str = "") -> None:
-    """Axis labels and title at fixed distances, so that labels are in line and nothing needs to be measured."""
-    assert isinstance(panel.figure, Figure)
-    box, (width, height) = panel.get_position(), panel.figure.get_size_inches()
-    lines = 1 + y.count("\n")
-    panel.set_xlabel(x)
-    panel.set_ylabel(y)
-    panel.xaxis.set_label_coords(0.5, -0.27 / (box.height * height))
-    panel.yaxis.set_label_coords((-0.57 + 0.05 * (lines - 1)) / (box.width * width), 0.5)
-    panel.set_title(title, y=1.0, pad=4.0, parse_math=False)
-
-
-def band_height(figure: Figure) -> float:
-    """Middle of the legend band as a share of the figure's height."""
-    return 1.0 - (_MARGIN + _TITLE + 0.42 * _BAND) / float(figure.get_figheight())
-
-
-def legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """A legend in one row, in the band under the title."""
-    figure.legend(
-        handles=list(handles),
-        loc="center left",
-        bbox_to_anchor=(_MARGIN / float(figure.get_figwidth()), band_height(figure)),
-        ncols=max(len(handles), 1),
-        borderaxespad=0.0,
-        borderpad=0.0,
-    )
-
-
-def save(sheet: Sheet, folder: Path) -> list[str]:
-    """Write PNG and SVG; the names of the files. The same sheet gives the same bytes."""
-    figure = sheet.figure
-    png, svg = f"{sheet.name}.png", f"{sheet.name}.svg"
-    about = {"Title": sheet.title, "Description": sheet.caption}
-    agg: Any = FigureCanvasAgg(figure)  # savefig would draw twice
-    agg.print_png(folder / png, metadata=about, pil_kwargs={"compress_level": 1})
-    vector: Any = FigureCanvasSVG(figure)
-    vector.print_svg(folder / svg, metadata={"Date": None, "Creator": "mgsgraph", **about})
-    return [png, svg]
+def save(sheets: Iterable[Sheet], folder: Path) -> list[str]:
+    """Write each sheet as PNG and SVG to a folder, made where it does not exist; the names of the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    names = []
+    for sheet in sheets:
+        about = {"Title": sheet.title, "Description": sheet.caption}
+        png = encoded(sheet, "png", metadata=about, pil_kwargs={"compress_level": 1})
+        svg = encoded(sheet, "svg", metadata={"Date": None, "Creator": "mgsgraph", **about})
+        for suffix, data in (("png", png), ("svg", svg)):
+            (folder / f"{sheet.name}.{suffix}").write_bytes(data)
+            names.append(f"{sheet.name}.{suffix}")
+    return names
 
 
 def sheet_name(kind: str, number: int, sheets: int) -> str:

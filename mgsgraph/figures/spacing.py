@@ -1,13 +1,12 @@
 """Orientation images drawn: how well each spacing predicts rays held out, what vibrates, corrections over time."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.figures.sheet import (
@@ -17,15 +16,11 @@ from mgsgraph.figures.sheet import (
     MOST_SHEETS,
     SOFT,
     Sheet,
-    legend,
     new_sheet,
     number,
-    panels,
     plain_style,
-    save,
     sheet_name,
     short,
-    words,
 )
 from mgsgraph.spacing.choice import Choice
 from mgsgraph.spacing.corrections import CorrectionSeries
@@ -36,13 +31,8 @@ from mgsgraph.units import ARCSEC, MGON
 _GREEN = "#009E73"
 
 
-def write_node_figures(study: NodeStudy, folder: Path) -> list[str]:
-    """Write spacings, spectrum and course, each as .png and .svg, the latter two of each of the first strips."""
-    with plain_style():
-        return [name for sheet in _sheets(study) for name in save(sheet, folder)]
-
-
-def _sheets(study: NodeStudy) -> Iterator[Sheet]:
+def node_sheets(study: NodeStudy) -> Iterator[Sheet]:
+    """Misfit by spacing; spectrum and corrections over time of each of the first strips."""
     yield spacing_sheet(study.choice, study.name)
     shown = study.strips[:MOST_SHEETS]
     for k, one in enumerate(shown):
@@ -52,6 +42,7 @@ def _sheets(study: NodeStudy) -> Iterator[Sheet]:
         yield course_sheet(course, study.choice.spacing, sheet_name("course", k + 1, len(courses)))
 
 
+@plain_style()
 def spacing_sheet(choice: Choice, name: str) -> Sheet:
     """Left: misfit of rays held out over the spacing; right: how much worse than the best one."""
     good = [k for k, one in enumerate(choice.candidates) if not one.refused]
@@ -66,14 +57,14 @@ def spacing_sheet(choice: Choice, name: str) -> Sheet:
         + (f"; refused, as rays don't support them: {', '.join(refused)}." if refused else ".")
     )
     sheet = new_sheet("spacings", 8.6, 3.6, f"Spacing of orientation images: {short(name, 50)}", caption)
-    left, right = panels(sheet, 1, 2, across=0.95)[0]
+    left, right = sheet.panels(1, 2)[0]
     spacings = np.array([choice.candidates[k].spacing for k in good])
     rms, median = (np.array([getattr(choice.candidates[k], what) for k in good]) for what in ("rms", "median"))
     spread = np.array([choice.candidates[k].median_error for k in good])
     left.errorbar(spacings, rms, choice.rms_errors[good], color=AFTER, marker="o", ms=4.0, capsize=2.5)
     left.errorbar(spacings * 1.04, median, spread, color=BEFORE, marker="s", ms=3.5, capsize=2.5, ls="--", lw=1.0)
     left.axhline(choice.scatter.factor, color=SOFT, lw=0.9)
-    words(left, "spacing (s)", "misfit held out (sigma)")
+    left.set(xlabel="spacing (s)", ylabel="misfit held out (sigma)")
     shown = np.maximum(choice.worse[good], 0.0)
     right.errorbar(spacings, shown, choice.worse_errors[good], color=AFTER, marker="o", ms=4.0, capsize=2.5)
     right.axhline(0.0, color=SOFT, lw=0.9)
@@ -82,44 +73,42 @@ def spacing_sheet(choice: Choice, name: str) -> Sheet:
         linear = max(float(np.median(choice.worse_errors[good])), 1e-4)
         right.set_yscale("symlog", linthresh=linear)
         right.set_ylim(bottom=-0.5 * linear)
-    words(right, "spacing (s)", "mean square less the best one's")
+    right.set(xlabel="spacing (s)", ylabel="mean square less the best one's")
     for panel in (left, right):
         panel.set_xscale("log")
         panel.xaxis.set_major_locator(FixedLocator(spacings.tolist()))
         panel.xaxis.set_minor_locator(NullLocator())
-        panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        panel.xaxis.set_major_formatter("{x:g}")
         panel.axvline(chosen.spacing, color=_GREEN, lw=5.0, alpha=0.3, zorder=0)
-    handles = [
+    sheet.legend([
         Line2D([], [], color=AFTER, marker="o", ms=4.0, label="rms"),
         Line2D([], [], color=BEFORE, marker="s", ms=3.5, ls="--", label="from the median"),
         Line2D([], [], color=SOFT, label="noise alone"),
         Patch(color=_GREEN, alpha=0.3, lw=0.0, label="chosen"),
-    ]
-    legend(sheet.figure, handles)
+    ])  # fmt: skip
     return sheet
 
 
+@plain_style()
 def spectrum_sheet(found: StripSpectra, name: str) -> Sheet:
     """Amplitudes of the six axes over frequency, with the noise floor."""
     first = found.spectra[0]
     sheet = new_sheet(name, 9.2, 6.9, f"Vibrations of strip {short(first.strip, 50)}", _said(found))
-    grid = panels(sheet, 3, 2, across=0.75, down=0.3)
+    grid = sheet.panels(3, 2, sharex="col")
     for k, spectrum in enumerate(found.spectra):
         row, column = k % 3, k // 3
         panel: Axes = grid[row, column]
         scale, unit = (1.0, "m") if spectrum.unit == "m" else (MGON, "mgon")
         _draw(panel, spectrum, scale)
-        panel.tick_params(labelbottom=row == 2)
-        words(panel, "frequency (Hz)" if row == 2 else "", f"{FLIGHT_NAMES[k]} ({unit})")
-    handles = [
+        panel.set(xlabel="frequency (Hz)" if row == 2 else "", ylabel=f"{FLIGHT_NAMES[k]} ({unit})")
+    sheet.legend([
         Line2D([], [], color=AFTER, label="amplitude"),
         Patch(color=SOFT, alpha=0.45, lw=0.0, label="noise floor (rms)"),
         Line2D([], [], color=INK, ls="--", lw=1.0, label=f"{100.0 - 100.0 * FALSE_ALARMS:g} % level, all frequencies"),
         Line2D([], [], color=BEFORE, ls=":", label="with the prior's departures"),
         Line2D([], [], color="#D55E00", marker="v", ls="", ms=6.0, label="vibration"),
         Line2D([], [], color=_GREEN, lw=1.2, label="Nyquist"),
-    ]
-    legend(sheet.figure, handles)
+    ])  # fmt: skip
     return sheet
 
 
@@ -135,6 +124,8 @@ def _draw(panel: Axes, spectrum: Spectrum, scale: float) -> None:
     panel.plot(frequencies, np.maximum(amplitudes, bottom), color=AFTER)
     panel.axvline(spectrum.nyquist, color=_GREEN, lw=1.2)
     panel.set_yscale("log")
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter(NullFormatter())
     top = max(float(amplitudes.max()), float(np.quantile(level, 0.9)))
     for peak in spectrum.vibrations:
         panel.plot([peak.frequency], [1.35 * peak.amplitude / scale], color="#D55E00", marker="v", ms=6.0)
@@ -168,6 +159,7 @@ def _said(found: StripSpectra) -> str:
     )
 
 
+@plain_style()
 def course_sheet(course: CorrectionSeries, spacing: float, name: str) -> Sheet:
     """Corrections of a strip over time, with their sigmas and the nodes."""
     since = course.times - course.times[0]
@@ -180,7 +172,7 @@ def course_sheet(course: CorrectionSeries, spacing: float, name: str) -> Sheet:
         f"{number(float(sigmas[:, 3:].max()) / MGON)} mgon). Lower edge: sigmas for sigma0 = 1."
     )
     sheet = new_sheet(name, 9.6, 7.6, f"Corrections over time: strip {short(course.strip, 50)}", caption)
-    grid = panels(sheet, 6, 2, across=0.9, down=0.1, heights=[2.0, 1.0] * 3)
+    grid = sheet.panels(6, 2, heights=[2.0, 1.0] * 3, sharex="col")
     for k in range(6):
         row, column = 2 * (k % 3), k // 3
         scale, unit = (1.0, "m") if k < 3 else (MGON, "mgon")
@@ -194,13 +186,11 @@ def course_sheet(course: CorrectionSeries, spacing: float, name: str) -> Sheet:
         for panel in (above, below):
             panel.set_xlim(since[0], since[-1])
             panel.locator_params(axis="y", nbins=3 if panel is below else 5)
-            panel.tick_params(labelbottom=row == 4 and panel is below)
-        words(above, "", f"{FLIGHT_NAMES[k]} ({unit})")
-        words(below, "time since the first one (s)" if row == 4 else "", "sigma")
-    handles = [
+        above.set_ylabel(f"{FLIGHT_NAMES[k]} ({unit})")
+        below.set(xlabel="time since the first one (s)" if row == 4 else "", ylabel="sigma")
+    sheet.legend([
         Line2D([], [], color=AFTER, marker="o", ms=3.0, label="adjusted minus nominal, at orientation images"),
         Patch(color=AFTER, alpha=0.22, lw=0.0, label="± 1 sigma"),
         Line2D([], [], color=BEFORE, label="sigma"),
-    ]
-    legend(sheet.figure, handles)
+    ])  # fmt: skip
     return sheet

@@ -1,24 +1,65 @@
-"""ISIS lidar data (JSON, what ``lrolola2isis`` and ``jigsaw`` write) to a LaserProfile.
+"""ISIS lidar data (JSON, what ``lrolola2isis`` and ``jigsaw`` write): to a LaserProfile, and of shots.
 
-Kilometres, degrees and pixels counted from 1 end here. Keys and units: ISIS LidarData::read and ::write; the matrix is
-SurfacePoint's spherical one, the covariance of latitude, longitude (rad) and radius (m).
+Kilometres, degrees and pixels counted from 1 end and begin here. Keys and units: DOI-USGS/ISIS3, LidarData.cpp (read,
+write; adjusted values since ISIS 4); matrices are SurfacePoint's spherical ones: upper triangles of the covariance of
+latitude, longitude (rad) and radius (m).
 """
 
+import json
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
-from mgsgraph.geometry.body import from_planetocentric, planetocentric_jacobian
+from mgsgraph.geometry.body import from_planetocentric, planetocentric, planetocentric_jacobian
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.decoding import Name, Number, Positive, validated
 from mgsgraph.io.files import read_json
-from mgsgraph.io.json_fields import Fields
 from mgsgraph.units import DEG, ISIS_OFFSET, KM
 
 _FROM_TRIANGLE = np.array([[3, 1, 4], [1, 0, 2], [4, 2, 5]])
 """Where in the file's triangle (lat-lat, lat-lon, lat-rad, lon-lon, lon-rad, rad-rad) each element of the covariance of
 longitude, latitude, radius stands, which is the order of `planetocentric_jacobian`."""
+_Triangle = Annotated[list[Number], msgspec.Meta(min_length=6, max_length=6)]
+_Latitude = Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
+
+
+class LidarMeasure(msgspec.Struct, rename="camel"):
+    """A footprint's pixel in an image, as ISIS counts it."""
+
+    line: Number
+    sample: Number
+    serial_number: Name
+    """Of the image."""
+
+
+class LidarShot(msgspec.Struct, rename="camel", omit_defaults=True, kw_only=True):
+    """A laser shot as the file has it: planetocentric degrees, km; sigmas of ranges in m."""
+
+    id: Name
+    range: Positive
+    sigma_range: Positive
+    time: Number
+    """s TDB past J2000."""
+    latitude: _Latitude
+    longitude: Number
+    radius: Positive
+    apriori_matrix: _Triangle | None = None
+    adjusted_latitude: Number | None = None
+    adjusted_longitude: Number | None = None
+    adjusted_radius: Number | None = None
+    adjusted_matrix: _Triangle | None = None
+    simultaneous_images: list[Name]
+    """Serial numbers of the images taken along with the shot; may be empty."""
+    measures: list[LidarMeasure]
+
+
+class _LidarData(msgspec.Struct):
+    points: Annotated[list[LidarShot], msgspec.Meta(min_length=1)]
 
 
 def read_lidar(path: Path) -> LaserProfile:
@@ -41,73 +82,63 @@ def read_lidar(path: Path) -> LaserProfile:
         that is not positive, a latitude beyond a pole, an image twice in a shot. A covariance that is not positive
         definite is named by its id.
     """
-    values = read_json(path)
-    shots = Fields(values, str(path)).sections("points")
-    if not shots:
-        raise InputError(f"{path}, points", "an empty list", "laser shots")
-    ids = _named(shots)
-    places = np.array([_place(shot) for shot in shots])
-    covariances = _covariances(places, np.array([shot.numbers("aprioriMatrix", 6) for shot in shots], dtype=np.float64))
-    measures = [_measures(shot) for shot in shots]
-    flat = [measure for of_shot in measures for measure in of_shot]
+    shots = validated(read_json(path), _LidarData, path, strict=True).points
+    _require_sound(shots, str(path))
+    places = np.array([(shot.longitude * DEG, shot.latitude * DEG, shot.radius * KM) for shot in shots])
+    triangles, jacobian = np.array([shot.apriori_matrix for shot in shots]), planetocentric_jacobian(places)
+    measures = [measure for shot in shots for measure in shot.measures]
     return LaserProfile(
         source=str(path),
-        ids=ids,
-        times=np.array([shot.number("time") for shot in shots]),
-        ranges=np.array([shot.positive("range") * KM for shot in shots]),
-        range_sigmas=np.array([shot.positive("sigmaRange") for shot in shots]),
+        ids=tuple(shot.id for shot in shots),
+        times=np.array([shot.time for shot in shots]),
+        ranges=np.array([shot.range * KM for shot in shots]),
+        range_sigmas=np.array([shot.sigma_range for shot in shots]),
         footprints=from_planetocentric(places),
-        covariances=covariances,
-        simultaneous=tuple(
-            _names(raw.get("simultaneousImages"), shot.where) for raw, shot in zip(values["points"], shots, strict=True)
-        ),
-        measure_shot=np.repeat(np.arange(len(ids)), [len(of_shot) for of_shot in measures]),
-        measure_image=tuple(image for image, _, _ in flat),
-        measures=np.array([place for _, *place in flat], dtype=np.float64).reshape(-1, 2) - ISIS_OFFSET,
+        covariances=jacobian @ triangles[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1),
+        simultaneous=tuple(tuple(shot.simultaneous_images) for shot in shots),
+        measure_shot=np.repeat(np.arange(len(shots)), [len(shot.measures) for shot in shots]),
+        measure_image=tuple(measure.serial_number for measure in measures),
+        measures=np.array([(one.line, one.sample) for one in measures]).reshape(-1, 2) - ISIS_OFFSET,
     )
 
 
-def _named(shots: list[Fields]) -> tuple[str, ...]:
-    """The shots' ids, each once; from here on messages about a shot carry its id."""
-    first: dict[str, str] = {}
-    for shot in shots:
-        name = shot.text("id")
-        if name in first:
-            raise InputError(shot.where, f"the id {name!r} twice, first at {first[name]}", "each id once")
-        first[name] = shot.where
-        shot.where = f"{shot.where}, {name}"
-    return tuple(first)
+def _require_sound(shots: list[LidarShot], source: str) -> None:
+    """Raise InputError for an id twice, an image twice in a shot, or a shot without covariance."""
+    first = dict[str, int]()
+    for k, shot in enumerate(shots):
+        where = f"{source}, points[{k}] ({shot.id})"
+        if first.setdefault(shot.id, k) != k:
+            raise InputError(where, f"the id {shot.id!r} twice, first in points[{first[shot.id]}]", "each id once")
+        if shot.apriori_matrix is None:
+            raise InputError(where, "no key 'aprioriMatrix'", "the covariance of the footprint")
+        images = [measure.serial_number for measure in shot.measures]
+        for image in [image for image in images if images.count(image) > 1][:1]:
+            raise InputError(where, f"two measures in image {image}", "one per shot", "remove the worse one")
 
 
-def _place(shot: Fields) -> tuple[float, float, float]:
-    """Longitude, latitude (rad, planetocentric), radius (m)."""
-    latitude = shot.number("latitude")
-    if abs(latitude) > 90.0:
-        raise InputError(f"{shot.where}, latitude", f"{latitude:g} degrees", "-90 .. 90")
-    return shot.number("longitude") * DEG, latitude * DEG, shot.positive("radius") * KM
+def lidar_coordinates(positions: Array, covariances: Array) -> tuple[Array, list[list[float] | None]]:
+    """Body-fixed positions (n, 3) in m and their covariances (n, 3, 3) as the file has them.
+
+    Returns
+    -------
+    coordinates : (n, 3)
+        Latitude, longitude (degrees) and radius (km).
+    matrices : (n)
+        Upper triangles; None for a covariance that is zero or not known.
+    """
+    spherical = planetocentric(positions)
+    # rad and m in the file: longitude comes first in our Jacobian, latitude in the file
+    jacobian = planetocentric_jacobian(spherical)[:, :, [1, 0, 2]]
+    known = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(spherical).all(axis=1)
+    known = known & covariances.any(axis=(1, 2))
+    half = np.linalg.solve(jacobian[known], covariances[known])
+    matrix = np.linalg.solve(jacobian[known], np.swapaxes(half, 1, 2))
+    triangles = iter(matrix[:, *np.triu_indices(3)].tolist())
+    matrices = [next(triangles) if there else None for there in known.tolist()]
+    return np.column_stack([spherical[:, 1] / DEG, spherical[:, 0] / DEG % 360.0, spherical[:, 2] / KM]), matrices
 
 
-def _covariances(places: Array, triangles: Array) -> Array:
-    """(n, 3, 3) m^2, body-fixed, from places (n, 3) and the file's triangles (n, 6)."""
-    jacobian = planetocentric_jacobian(places)
-    return np.asarray(jacobian @ triangles[:, _FROM_TRIANGLE] @ jacobian.transpose(0, 2, 1))
-
-
-def _measures(shot: Fields) -> list[tuple[str, float, float]]:
-    """Image, line and sample as the file counts them."""
-    measures: dict[str, tuple[str, float, float]] = {}
-    for measure in shot.sections("measures"):
-        image = measure.text("serialNumber")
-        if image in measures:
-            found = f"a second measure in image {image}"
-            raise InputError(measure.where, found, "one per shot", "remove the worse one")
-        measures[image] = (image, measure.number("line"), measure.number("sample"))
-    return list(measures.values())
-
-
-def _names(value: object, where: str) -> tuple[str, ...]:
-    """The names in `simultaneousImages`; a list without any says that no image was taken along with the shot."""
-    if not isinstance(value, list) or not all(isinstance(name, str) and name for name in value):
-        found = "no such list" if value is None else f"{str(value)[:60]!r}"
-        raise InputError(f"{where}, simultaneousImages", found, "a list of serial numbers")
-    return tuple(value)
+def lidar_text(shots: Iterable[LidarShot]) -> str:
+    """Lidar data as JSON, a shot in each line."""
+    rows = ",\n".join(json.dumps(msgspec.to_builtins(shot), allow_nan=False) for shot in shots)
+    return f'{{"points": [\n{rows}\n]}}\n'

@@ -125,9 +125,10 @@ def write_matches(
         names = [MATCH, "network.pvl", "network.net", "matches.csv"]
         if not figures:
             return names
-        from mgsgraph.figures.matches import write_matches_figure  # matplotlib takes its time
+        from mgsgraph.figures.matches import matches_sheet  # matplotlib takes its time
+        from mgsgraph.figures.sheet import save
 
-        return names + write_matches_figure(matches, scene, name, aside)
+        return names + save([matches_sheet(matches, scene, name)], aside)
 
 
 def matches_table(matches: Matches) -> Table:

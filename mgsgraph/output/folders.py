@@ -99,7 +99,7 @@ def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
         aside.mkdir()
         yield aside
         require_replaceable(path, record)
-        _warn_of_strangers(aside, record)
+        _warn_of_unrelated_files(aside, record)
         _put_in_place(aside, target)
     except OSError as error:
         raise _refusal(shown, error) from None
@@ -126,25 +126,25 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
         if any(target.iterdir()) and (kept := _kind(target)) != record:
             found = f"not a result of {PROGRAM}" if kept is None else f"another kind of result ({kept})"
             raise InputError(shown, f"exists and is {found}", remedy="choose another --out")
-        for other in _strangers(target)[:1]:
+        for other in _unrelated_files(target)[:1]:
             found = f"an earlier result that holds {other!r}, too, which would be lost"
             raise InputError(shown, found, remedy="move that away, or choose another --out")
     except OSError as error:
         raise _refusal(shown, error) from None
 
 
-def _warn_of_strangers(folder: Path, record: str) -> None:
+def _warn_of_unrelated_files(folder: Path, record: str) -> None:
     """Warn where results hold a file that TABLES and FIGURES lack, which keeps the next ones from replacing them.
 
     Nothing is refused for it, for the work has been done; our tests, to which warnings are errors, stop there.
     """
     if record not in _KINDS or not (folder / record).exists():
         return
-    for name in _strangers(folder):
+    for name in _unrelated_files(folder):
         warnings.warn(f"{name!r} is not a name that results are known to hold: see output.folders", stacklevel=2)
 
 
-def _strangers(folder: Path) -> list[str]:
+def _unrelated_files(folder: Path) -> list[str]:
     """Names in a folder of ours that no result has, in order; in folders of an export, too."""
     listed = _listed(folder)
     folders = {name.split("/")[0] for name in listed if "/" in name}

@@ -28,6 +28,11 @@ _SIGNS = {"percent": "%"}
 _LAYOUT = re.compile(r"([<>])([+]?)(\d*)(\.\d+[a-z]|d|g)?")
 
 
+def numbers(records: Sequence[Any], attribute: str) -> Array:
+    """(n, ...) numbers that records have under one attribute."""
+    return np.array([getattr(one, attribute) for one in records], dtype=np.float64)
+
+
 def fixed(value: float, decimals: int = 2) -> str:
     """A number with so many decimals; a dash for none."""
     if not math.isfinite(value):

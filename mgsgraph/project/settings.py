@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.decoding import read_table, validated
 from mgsgraph.case.schema import CaseInput, OrientationInput, Sigma, SolverInput, SpiceInput, decode
 from mgsgraph.errors import InputError
+from mgsgraph.io.decoding import read_table, validated
 
 
 class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,10 +16,9 @@ from mgsgraph.analysis.snooping import snoop
 from mgsgraph.analysis.suspects import suspects
 from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import write_json
 from mgsgraph.output.folders import ANALYSIS, PROGRAM, fresh_folder
-from mgsgraph.output.table import Column, Table
+from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.reports.answers import Answer, Questions, answered
 from mgsgraph.reports.reliability import (
     reliability_record,
@@ -29,6 +28,9 @@ from mgsgraph.reports.reliability import (
     snooping_text,
 )
 from mgsgraph.reports.sigmas import Section, curve_section, raster_section
+
+if TYPE_CHECKING:
+    from mgsgraph.figures.sheet import Sheet
 
 _PROMISED = (
     f"{'  (a normal law promises)':<28} {'':>9} {'':>8} {0:>6} {1:>6} {0:>6} {0:>6} "
@@ -129,13 +131,10 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     test, components = chi_square_test(fit), components_of(at)
     statistics = residual_statistics(at)
 
-    def write(folder: Path, figures: bool) -> list[str]:
-        components_table(components).write_csv(folder / "components.csv")
-        if not figures:
-            return ["components.csv"]
-        from mgsgraph.figures.quantiles import write_quantile_figure
+    def sheet() -> "Sheet":
+        from mgsgraph.figures.quantiles import quantile_sheet
 
-        return ["components.csv", *write_quantile_figure(statistics, name, folder)]
+        return quantile_sheet(statistics, name)
 
     lines = [f"{test.words()}.", "By what factor the sigmas of each group are wrong:", components.words()]
     residuals = residuals_table(statistics)
@@ -149,26 +148,23 @@ def _honesty(posterior: Posterior, name: str) -> Section:
         "components": _components_record(components),
         "residuals": residuals.records(),
     }  # fmt: skip
-    return Section("honesty", "\n".join(lines), record, write)
+    files = {"components.csv": components_table(components).write_csv}
+    return Section("honesty", "\n".join(lines), record, files, sheet)
 
 
 def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
     """One row per group of normalised residuals: how they are distributed."""
-
-    def numbers(name: str) -> Array:
-        return np.array([getattr(one, name) for one in statistics], dtype=np.float64)
-
-    beyond, p = numbers("beyond").reshape(-1, 3), numbers("p_value")
+    beyond, p = numbers(statistics, "beyond").reshape(-1, 3), numbers(statistics, "p_value")
     odd = ["" if one.as_promised is not False else " not as promised" for one in statistics]
     return Table("residuals", "Normalised residuals", (
         Column("group", [one.name for one in statistics], label="Normalised residuals", text="<28"),
         Column("residuals", np.array([one.values.size for one in statistics]), label="number", text=">9"),
-        Column("independent", numbers("effective"), meaning="residuals that they are worth", label="worth",
+        Column("independent", numbers(statistics, "effective"), meaning="residuals that they are worth", label="worth",
                text=">8.4g"),
-        Column("mean", numbers("mean"), text=">6.2f"),
-        Column("rms", numbers("rms"), text=">6.2f"),
-        Column("skewness", numbers("skewness"), label="skew", text=">6.2f"),
-        Column("excess_kurtosis", numbers("kurtosis"), label="kurt.", text=">6.2f"),
+        Column("mean", numbers(statistics, "mean"), text=">6.2f"),
+        Column("rms", numbers(statistics, "rms"), text=">6.2f"),
+        Column("skewness", numbers(statistics, "skewness"), label="skew", text=">6.2f"),
+        Column("excess_kurtosis", numbers(statistics, "kurtosis"), label="kurt.", text=">6.2f"),
         Column("beyond_1_2_3_sigma", beyond),
         *(Column(f"beyond_{k + 1}", beyond[:, k], "percent", label=f">{k + 1} %", text=">6.3g", files=False)
           for k in range(3)),
@@ -196,20 +192,17 @@ def _components_record(found: Components) -> dict[str, Any]:
 
 def components_table(found: Components) -> Table:
     """One row per group of measures: by what factor its sigmas are wrong."""
-
-    def numbers(name: str) -> Array:
-        return np.array([float(getattr(one, name)) for one in found.groups])
-
+    groups = found.groups
     interval = np.array([one.interval() for one in found.groups]).reshape(-1, 2)
     return Table("components", "Variance components", (
         Column("group", [one.name for one in found.groups], meaning="of measures with a sigma of their own"),
         Column("judgement", [str(one.judgement) for one in found.groups], meaning="whether the data can tell"),
-        Column("rows", numbers("rows"), meaning="how many measures"),
-        Column("redundancy", numbers("redundancy"), meaning="sum of their redundancy numbers"),
-        Column("squares", numbers("squares"), meaning="sum of squares of the normalised residuals"),
-        Column("factor", numbers("factor"), meaning="of the stated sigmas"),
-        Column("sigma", numbers("sigma"), meaning="of the factor"),
-        Column("foerstner", numbers("foerstner"), meaning="the factor, if all other groups' sigmas are right"),
+        Column("rows", numbers(groups, "rows"), meaning="how many measures"),
+        Column("redundancy", numbers(groups, "redundancy"), meaning="sum of their redundancy numbers"),
+        Column("squares", numbers(groups, "squares"), meaning="sum of squares of the normalised residuals"),
+        Column("factor", numbers(groups, "factor"), meaning="of the stated sigmas"),
+        Column("sigma", numbers(groups, "sigma"), meaning="of the factor"),
+        Column("foerstner", numbers(groups, "foerstner"), meaning="the factor, if all other groups' sigmas are right"),
         Column("factor_low_99", interval[:, 0], meaning="lower end of the 99 % interval"),
         Column("factor_high_99", interval[:, 1], meaning="upper end"),
     ))  # fmt: skip
@@ -221,23 +214,14 @@ def _iterated(posterior: Posterior) -> Section:
         "converged": found.converged, "passes": len(found.history), **_components_record(found.components),
         "sigma0": found.solution.sigma0,
     }  # fmt: skip
-
-    def write(folder: Path, figures: bool) -> list[str]:
-        components_table(found.components).write_csv(folder / "components_iterated.csv")
-        return ["components_iterated.csv"]
-
+    files = {"components_iterated.csv": components_table(found.components).write_csv}
     text = f"Scaled and adjusted again, until all factors were one:\n{found.words()}"
-    return Section("iterated", text, record, write)
+    return Section("iterated", text, record, files)
 
 
 def _reliability(found: Reliability, most: int) -> Section:
-    worst = suspects(found, most)
-
-    def write(folder: Path, figures: bool) -> list[str]:
-        reliability_table(found).write_csv(folder / "reliability.csv")
-        return ["reliability.csv"]
-
-    return Section("reliability", reliability_text(found, worst), reliability_record(found, worst), write)
+    worst, files = suspects(found, most), {"reliability.csv": reliability_table(found).write_csv}
+    return Section("reliability", reliability_text(found, worst), reliability_record(found, worst), files)
 
 
 def _snooped(posterior: Posterior, levels: Levels) -> Section:

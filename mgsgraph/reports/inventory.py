@@ -11,7 +11,7 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, NodePrior, PointClass, Surface
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.network.connectivity_words import (
@@ -24,7 +24,7 @@ from mgsgraph.network.terrain_control import coverage
 from mgsgraph.reports.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
-from mgsgraph.wording import some
+from mgsgraph.wording import some, some_of
 
 _FEW_POINTS = 6
 """Fewer points than this in an image leave its orientation to the prior."""
@@ -217,8 +217,8 @@ def _partners(connected: Connectivity, image: int) -> str:
     partners = [
         f"{connected.points[row]} with {connected.names[j]}" for row, j in zip(rows[:_NAMED], other, strict=False)
     ]
-    named = ", ".join(partners) + (f" and {rows.size - _NAMED} more" if rows.size > _NAMED else "")
-    return f"  {connected.names[image]}: {connected.seen[image]} points; {named or 'no other image'}"
+    named = some(partners, rows.size, _NAMED) or "no other image"
+    return f"  {connected.names[image]}: {connected.seen[image]} points; {named}"
 
 
 def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
@@ -235,11 +235,13 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
     lost = np.flatnonzero(network.undetermined)
     if lost.size:
         found.append(
-            f"{lost.size} points have fewer than two rays and no a-priori place, and stay out: {_some(network, lost)}"
+            f"{lost.size} points have fewer than two rays and no a-priori place, and stay out: "
+            f"{some_of(network.points.ids, lost, _NAMED)}"
         )
     flat = np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~network.undetermined)
     if flat.size:
-        found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {_some(network, flat)}")
+        names = some_of(network.points.ids, flat, _NAMED)
+        found.append(f"the rays of {flat.size} points are parallel, and the points stay out: {names}")
     found += [*_poor_images(network), *bare_nodes(network)]
     angle = _convergence(network)
     if np.any(angle < _NARROW):
@@ -264,18 +266,14 @@ def _doubtful_observations(network: Network, prediction: Prediction) -> list[str
     middle = np.median(values) if values.size else 0.0
     wild = np.flatnonzero(np.abs(values - middle) > _WILD * network.ranges.sigmas)
     if wild.size:
-        names = _some(network, network.ranges.point[wild])
+        names = some_of(network.points.ids, network.ranges.point[wild], _NAMED)
         found.append(f"{wild.size} ranges lie more than {_WILD:.0f} sigmas from the others: {names}")
     laser = np.flatnonzero(network.points.classes == PointClass.LASER)
     bare = np.setdiff1d(laser, network.ranges.point)
     if network.ranges.point.size and bare.size:
-        found.append(f"{bare.size} laser points have no range (no simultaneous image): {_some(network, bare)}")
+        names = some_of(network.points.ids, bare, _NAMED)
+        found.append(f"{bare.size} laser points have no range (no simultaneous image): {names}")
     return found
-
-
-def _some(network: Network, points: Index) -> str:
-    names = ", ".join(network.points.ids[i] for i in points[:_NAMED])
-    return names + (f" and {points.size - _NAMED} more" if points.size > _NAMED else "")
 
 
 def _poor_images(network: Network) -> list[str]:

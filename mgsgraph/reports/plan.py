@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PLAN, PROGRAM, fresh_folder
-from mgsgraph.output.table import Column, Table
+from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan
 from mgsgraph.planning.targets import Sigmas
 from mgsgraph.units import KM
@@ -42,13 +41,10 @@ def judged_table(judged: Sequence[Evaluation], ranks: Sequence[int] = (), lists:
     ranks, lists : sequence, optional
         Place of each, and the list that it is of; one after the other when absent.
     """
-
-    def sigmas(when: str, part: str) -> Array:
-        return np.array([getattr(getattr(one, when), part) for one in judged], dtype=np.float64)
-
+    sigmas = {"before": [one.before for one in judged], "after": [one.after for one in judged]}
     ways = ("total", "east", "north", "up")
     pairs = [
-        Column(f"{'sigma' if way == 'total' else way}_{when}", sigmas(when, way), "m", label=label, text=text)
+        Column(f"{'sigma' if way == 'total' else way}_{when}", numbers(sigmas[when], way), "m", label=label, text=text)
         for way in ways
         for when, label, text in (
             ("before", "before", ">8.4g" if way == "total" else ""),
@@ -121,9 +117,10 @@ def write_plan(plan: Plan, folder: str | Path, figures: bool = True) -> list[str
         _csv(plan, aside / "plan.csv")
         names = [PLAN, "plan.csv"]
         if figures:
-            from mgsgraph.figures.plan import write_plan_figure  # matplotlib takes its time
+            from mgsgraph.figures.plan import plan_sheet  # matplotlib takes its time
+            from mgsgraph.figures.sheet import save
 
-            names += write_plan_figure(plan, aside)
+            names += save([plan_sheet(plan)], aside)
     return names
 
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.shared_unknowns import SharedEstimate, shared_estimates
-from mgsgraph.geometry.records import Array
-from mgsgraph.output.table import Column, Table
+from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.wording import some
 
 _CORRELATED = 0.9
@@ -27,10 +26,6 @@ ON_PAGE = ("name", "kind", "axis", "unit", "value", "sigma", "prior_sigma", "ima
 def shared_table(solution: Solution) -> Table:
     """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
     found = shared_estimates(solution)
-
-    def numbers(name: str) -> Array:
-        return np.array([getattr(one, name) for one in found], dtype=np.float64)
-
     units = [one.unit for one in found]
     return Table("shared", "Unknowns that images share", (
         Column("text", [f"{one.name[:34]} {one.axis}".strip() for one in found], label="Shared unknowns", text="<38",
@@ -41,16 +36,18 @@ def shared_table(solution: Solution) -> Table:
         Column("unit", units, meaning="s, mrad or m", page="s", text="<5"),
         Column("image", [one.image for one in found], meaning="whose constant pitch it is most like",
                head="most like pitch of", page="s"),
-        Column("value", numbers("value"), units, "adjusted", page=".4g", text=">+10.4g"),
-        Column("sigma", numbers("sigma"), units, "for sigma0 = 1", head="σ", page=".4g", label="sigma", text=">9.3g"),
-        Column("prior_sigma", numbers("prior_sigma"), units, "the same beforehand", head="a-priori σ", page=".4g",
-               label="before", text=">9.3g"),
-        Column("correlation_with_pitch", numbers("correlation"), meaning="of the posterior, with that pitch",
+        Column("value", numbers(found, "value"), units, "adjusted", page=".4g", text=">+10.4g"),
+        Column("sigma", numbers(found, "sigma"), units, "for sigma0 = 1", head="σ", page=".4g", label="sigma",
+               text=">9.3g"),
+        Column("prior_sigma", numbers(found, "prior_sigma"), units, "the same beforehand", head="a-priori σ",
+               page=".4g", label="before", text=">9.3g"),
+        Column("correlation_with_pitch", numbers(found, "correlation"), meaning="of the posterior, with that pitch",
                head="correlation", page=".3f", label="with pitch: corr.", text=">17.2f"),
-        Column("likeness_to_pitch", numbers("likeness"), meaning="cosine of what both do to the measures",
+        Column("likeness_to_pitch", numbers(found, "likeness"), meaning="cosine of what both do to the measures",
                head="likeness", page=".3f", label="alike", text=">6.2f"),
-        Column("likeness_to_pitches", numbers("together"), meaning="with the best mixture of all images' pitches"),
-        Column("ground_m_per_{unit}", numbers("ground"), units, "m on the ground, in the middle of that image"),
+        Column("likeness_to_pitches", numbers(found, "together"),
+               meaning="with the best mixture of all images' pitches"),
+        Column("ground_m_per_{unit}", numbers(found, "ground"), units, "m on the ground, in the middle of that image"),
     ))  # fmt: skip
 
 

@@ -4,10 +4,11 @@ The GeoTIFF has four bands in metres, on the body's sphere, planetocentric degre
 """
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,12 +22,11 @@ from mgsgraph.output.geotiff import geotiff
 from mgsgraph.output.table import Column, Table
 from mgsgraph.units import DEG
 
+if TYPE_CHECKING:
+    from mgsgraph.figures.sheet import Sheet
+
 _CRS = {3396190.0: "IAU_2015:49900", 1737400.0: "IAU_2015:30100"}
 """Sphere, ocentric, of Mars and of the Moon, by equatorial radius in m."""
-
-
-def _nothing(folder: Path, figures: bool) -> list[str]:
-    return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +39,20 @@ class Section:
     """Lines for a person."""
     record: Any
     """The same for a program, units in the keys."""
-    write: Callable[[Path, bool], list[str]] = _nothing
-    """Writes its own files into a folder, with figures or without; their names."""
+    files: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
+    """What writes its files but for the figure, by their names."""
+    sheet: Callable[[], "Sheet"] | None = None
+    """What draws its figure."""
+
+    def write(self, folder: Path, figures: bool) -> list[str]:
+        """Write its files into a folder, with the figure or without; their names."""
+        for name, write in self.files.items():
+            write(folder / name)
+        if not figures or self.sheet is None:
+            return list(self.files)
+        from mgsgraph.figures.sheet import save  # matplotlib takes its time
+
+        return [*self.files, *save([self.sheet()], folder)]
 
 
 def _file_of(posterior: Posterior, image: str) -> str:
@@ -64,19 +76,14 @@ def curve_section(posterior: Posterior, image: str) -> Section:
     ))  # fmt: skip
     file = _file_of(posterior, image)
 
-    def write(folder: Path, figures: bool) -> list[str]:
-        table.write_csv(folder / f"{file}.csv")
-        if not figures:
-            return [f"{file}.csv"]
-        from mgsgraph.figures.sheet import plain_style, save  # matplotlib takes its time
+    def sheet() -> "Sheet":
         from mgsgraph.figures.sigmas import curve_sheet
 
-        with plain_style():
-            return [f"{file}.csv", *save(curve_sheet(poses, file), folder)]
+        return curve_sheet(poses, file)
 
     text = "\n".join([f"Sigmas along image {image} (m; mrad)", *table.take(np.arange(0, lines.size, 10)).text()])
     record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
-    return Section("curves", text, record, write)
+    return Section("curves", text, record, {f"{file}.csv": table.write_csv}, sheet)
 
 
 def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | None, sigma: float) -> Section:
@@ -84,15 +91,10 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
     grid = sigma_grid(posterior, images, cell, sigma)
     body = posterior.network.images[0].body
 
-    def write(folder: Path, figures: bool) -> list[str]:
-        write_sigma_raster(grid, body, folder / "sigmas.tif")
-        if not figures:
-            return ["sigmas.tif"]
-        from mgsgraph.figures.sheet import plain_style, save
+    def sheet() -> "Sheet":
         from mgsgraph.figures.sigmas import raster_sheet
 
-        with plain_style():
-            return ["sigmas.tif", *save(raster_sheet(grid, "sigma_map"), folder)]
+        return raster_sheet(grid, "sigma_map")
 
     _, rows, columns = grid.values.shape
     record = {
@@ -100,7 +102,8 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
         "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
         "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
     }  # fmt: skip
-    return Section("raster", f"{grid.statement[0].upper()}{grid.statement[1:]}.", record, write)
+    text = f"{grid.statement[0].upper()}{grid.statement[1:]}."
+    return Section("raster", text, record, {"sigmas.tif": partial(write_sigma_raster, grid, body)}, sheet)
 
 
 def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:

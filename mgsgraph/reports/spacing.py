@@ -11,7 +11,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import NODES, PROGRAM, fresh_folder
-from mgsgraph.output.table import Column, Table
+from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.spacing.choice import Choice
 from mgsgraph.spacing.corrections import AXES
 from mgsgraph.spacing.densify import Densified
@@ -47,25 +47,21 @@ def spacing_table(choice: Choice) -> str:
 def candidates_table(choice: Choice) -> Table:
     """One row per candidate spacing."""
     several = choice.candidates
-
-    def numbers(name: str) -> Array:
-        return np.array([getattr(one, name) for one in several], dtype=np.float64)
-
     state = ["chosen" if k == choice.chosen else "best" if k == choice.best else "" for k in range(len(several))]
     nodes, refused = [one.nodes for one in several], [one.refused for one in several]
     return Table("spacings", "Spacings of orientation images", (
         Column("standing", ["refused" if why else state for why, state in zip(refused, state, strict=True)]),
         Column("reason", refused),
-        Column("spacing", numbers("spacing"), "s", text=">9g"),
+        Column("spacing", numbers(several, "spacing"), "s", text=">9g"),
         Column("nodes", np.array(nodes, dtype=np.float64), text=">6.0f"),
-        Column("longest", numbers("longest"), "s", "largest interval", text=">8.4g"),
-        Column("rms", numbers("rms"), text=">8.4f"),
+        Column("longest", numbers(several, "longest"), "s", "largest interval", text=">8.4g"),
+        Column("rms", numbers(several, "rms"), text=">8.4f"),
         Column("rms_error", np.asarray(choice.rms_errors), label="+-", text=">7.4f"),
-        Column("median", numbers("median"), text=">8.4f"),
-        Column("median_error", numbers("median_error"), label="+-", text=">7.4f"),
+        Column("median", numbers(several, "median"), text=">8.4f"),
+        Column("median_error", numbers(several, "median_error"), label="+-", text=">7.4f"),
         Column("worse", np.asarray(choice.worse), text=">9.4f"),
         Column("worse_error", np.asarray(choice.worse_errors), label="+-", text=">8.4f"),
-        Column("sigma0", numbers("sigma0"), text=">8.4f"),
+        Column("sigma0", numbers(several, "sigma0"), text=">8.4f"),
         Column("mark", state, label="", text="<", files=False),
     ), instead={k: ("longest", f" refused: {why}") for k, why in enumerate(refused) if why})  # fmt: skip
 
@@ -194,9 +190,10 @@ def write_nodes(study: NodeStudy, folder: str | Path, figures: bool = True) -> l
             _spectra_table(study).write_csv(aside / "spectra.csv")
             names.append("spectra.csv")
         if figures:
-            from mgsgraph.figures.spacing import write_node_figures  # matplotlib takes its time
+            from mgsgraph.figures.sheet import save  # matplotlib takes its time
+            from mgsgraph.figures.spacing import node_sheets
 
-            names += write_node_figures(study, aside)
+            names += save(node_sheets(study), aside)
     return names
 
 

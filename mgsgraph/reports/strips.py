@@ -16,7 +16,7 @@ from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import JointNodePrior, Network, NodePrior
 from mgsgraph.network.support import support
-from mgsgraph.output.table import Column, Table
+from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.units import KM, MGON
 from mgsgraph.wording import many, some, span, three
 
@@ -33,11 +33,7 @@ _ROWS = 24
 def strips_table(solution: Solution) -> Table:
     """One row per strip."""
     found = strip_reports(solution)
-
-    def numbers(name: str) -> Array:
-        return np.array([getattr(one, name) for one in found], dtype=np.float64)
-
-    largest, sigmas = numbers("largest").reshape(-1, 6), numbers("mean_sigmas").reshape(-1, 6)
+    largest, sigmas = numbers(found, "largest").reshape(-1, 6), numbers(found, "mean_sigmas").reshape(-1, 6)
     (m, mgon), heads = ((("along", "acr.", "rad."), ROTATION), (POSITION, ROTATION))
     of_largest, of_sigmas = (
         [tuple(f"{what} {name}" for name in some) for some in heads] for what in ("largest Δ", "σ")
@@ -48,9 +44,9 @@ def strips_table(solution: Solution) -> Table:
         Column("images", [one.images for one in found]),
         Column("number", np.array([len(one.images) for one in found]), head="images", page="s", files=False),
         Column("nodes", np.array([one.nodes for one in found]), page="s", text=">5"),
-        Column("spacing", numbers("spacing"), "s", "on the average", page=".3f", label="every s", text=">8.2f"),
-        Column("spacing_lines", numbers("lines"), label="lines", text=">7.0f"),
-        Column("spacing", numbers("ground"), "km", "over ground", label="km", text=">6.1f"),
+        Column("spacing", numbers(found, "spacing"), "s", "on the average", page=".3f", label="every s", text=">8.2f"),
+        Column("spacing_lines", numbers(found, "lines"), label="lines", text=">7.0f"),
+        Column("spacing", numbers(found, "ground"), "km", "over ground", label="km", text=">6.1f"),
         Column("largest_correction", largest[:, :3], "m", "at a node", m, of_largest[0], ".2f"),
         Column("largest_roll_pitch_yaw", largest[:, 3:], "mgon", "at a node", mgon, of_largest[1], ".2f"),
         Column("mean_sigma", sigmas[:, :3], "m", "of the nodes", m, of_sigmas[0], ".2f", "mean sigma [m]", ">5", 3),

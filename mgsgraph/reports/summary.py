@@ -26,7 +26,7 @@ from mgsgraph.reports.strips import strips_statements, strips_table
 from mgsgraph.reports.tables import classes_table, images_table
 from mgsgraph.ties import PointKind
 from mgsgraph.units import MRAD
-from mgsgraph.wording import NAMED, listed, many, short, some, span, three
+from mgsgraph.wording import NAMED, listed, many, short, some_of, span, three
 
 _ODDS = 0.0027
 """Chance (three sigma) of taking mere noise for something worth a sentence, in a whole solution."""
@@ -209,7 +209,7 @@ def _left_out(solution: Solution) -> list[str]:
         found.append(
             f"{many(lost.size, 'point')} of {len(network.points)} stayed out, because nothing determines a place "
             "(fewer than two rays, or rays that hardly converge): "
-            f"{_some_points(solution, lost)}."
+            f"{some_of(network.points.ids, lost)}."
         )
     rays = int(np.sum(~solution.rays_used & solution.determined[network.rays.point]))
     ranges = int(np.sum(~solution.ranges_used & solution.determined[network.ranges.point]))
@@ -221,13 +221,9 @@ def _left_out(solution: Solution) -> list[str]:
     bare = np.flatnonzero(solution.determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
     if bare.size:
         found.append(
-            f"{many(bare.size, 'point')} lost all rays to that: {_some_points(solution, bare)}."
+            f"{many(bare.size, 'point')} lost all rays to that: {some_of(network.points.ids, bare)}."
         )
     return found
-
-
-def _some_points(solution: Solution, points: Index) -> str:
-    return some([solution.network.points.ids[i] for i in points[:NAMED]], points.size)
 
 
 # --- the table

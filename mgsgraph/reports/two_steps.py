@@ -14,10 +14,10 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import picked, write_json
 from mgsgraph.output.folders import PROGRAM, fresh_folder
-from mgsgraph.output.table import Column, Table
+from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.reports.results import write_into
 from mgsgraph.units import DEG, MGON
-from mgsgraph.wording import cell, cells, many, short, some, three
+from mgsgraph.wording import many, short, some_of, three
 
 _ROWS = 24
 """Strips listed in a table."""
@@ -65,9 +65,10 @@ def write_merit_into(merit: TwoStepStatistics, folder: Path, figures: bool = Tru
     found = cells_of(merit)
     _cells_table(found).write_csv(folder / "height_cells.csv")
     if figures:
-        from mgsgraph.figures.height_maps import write_height_map  # matplotlib takes its time
+        from mgsgraph.figures.height_maps import height_map_sheet  # matplotlib takes its time
+        from mgsgraph.figures.sheet import save
 
-        write_height_map(merit, found, folder)
+        save([height_map_sheet(merit, found)], folder)
 
 
 def cells_of(merit: TwoStepStatistics, step: float | None = None) -> HeightCells:
@@ -99,25 +100,25 @@ def two_steps_table(merit: TwoStepStatistics) -> str:
 
 def _step_table(merit: TwoStepStatistics) -> str:
     steps = merit.steps
-    lines = [
-        f"{short(steps.fitted.name, 60)}",
-        f"{'':<{_NAME + 2}} {'sigma0':>8} {'freedom':>9} {'rays':>8} {'rejected':>8} {'ranges':>7} {'rejected':>8} "
-        f"{'heights':>8} {'off':>5} {'iterations':>10} {'seconds':>7}",
-    ]
-    off = int(np.count_nonzero(steps.off))
-    rows = int(np.count_nonzero(_height_rows(steps)))
-    for k, (name, solution, heights) in enumerate(
-        (("step 1, no terrain", steps.free, ("-", "-")), ("step 2, terrain", steps.fitted, (str(rows), str(off))))
-    ):
-        rays, ranges = solution.rays_rejected, solution.ranges_rejected
-        out = [0 if one is None else int(one.sum()) for one in (rays, ranges)]
-        state = "" if solution.converged else "  NOT CONVERGED"
-        lines.append(
-            f"  {name:<{_NAME}} {cell(solution.sigma0, 8):>8} {solution.fit.degrees_of_freedom:>9} "
-            f"{int(solution.rays_used.sum()):>8} {out[0]:>8} {int(solution.ranges_used.sum()):>7} {out[1]:>8} "
-            f"{heights[0]:>8} {heights[1]:>5} {len(steps.history[k]):>10} {steps.seconds[k]:>7.1f}{state}"
-        )
-    return "\n".join(lines)
+    both = (steps.free, steps.fitted)
+    out = np.array([[0 if one is None else int(one.sum()) for one in (step.rays_rejected, step.ranges_rejected)]
+                    for step in both])  # fmt: skip
+    heights = int(np.count_nonzero(_height_rows(steps))), int(np.count_nonzero(steps.off))
+    table = Table("steps", "Both steps", (
+        Column("step", ["step 1, no terrain", "step 2, terrain"], label="", text=f"<{_NAME}"),
+        Column("sigma0", np.array([step.sigma0 for step in both]), text=">8"),
+        Column("freedom", np.array([step.fit.degrees_of_freedom for step in both]), text=">9"),
+        Column("rays", np.array([int(step.rays_used.sum()) for step in both]), text=">8"),
+        Column("rays_rejected", out[:, 0], label="rejected", text=">8"),
+        Column("ranges", np.array([int(step.ranges_used.sum()) for step in both]), text=">7"),
+        Column("ranges_rejected", out[:, 1], label="rejected", text=">8"),
+        Column("heights", ["-", str(heights[0])], text=">8"),
+        Column("off", ["-", str(heights[1])], text=">5"),
+        Column("iterations", np.array([len(history) for history in steps.history]), text=">10"),
+        Column("seconds", np.array(steps.seconds), text=">7.1f"),
+        Column("state", ["" if step.converged else "NOT CONVERGED" for step in both], label="", text="<", gap=2),
+    ))  # fmt: skip
+    return "\n".join([short(steps.fitted.name, 60), *table.text(indent=2)])
 
 
 def _height_rows(steps: TwoSteps) -> np.ndarray:
@@ -142,20 +143,16 @@ def _stage_table(
 
 
 def _height_table(merit: TwoStepStatistics) -> str:
-    heads = ("before", "step 1", "step 2")
-    lines = [
-        f"Points above the terrain [m]{'':<6} {'rms':>20} {'factor of reduction':>24} {'mean':>23}",
-        f"{'':<{_NAME + 2}} {'points':>8}" + "".join(
-            "  " + " ".join(f"{head:>7}" for head in mine) for mine in (heads, heads[1:], heads)
-        ),
-    ]  # fmt: skip
-    for group in _listed(merit):
-        found = group.heights
-        lines.append(
-            f"  {short(group.name, _NAME):<{_NAME}} {found.count:>8}  {cells(found.rms, 7)}  "
-            f"{cells(found.factors[1:], 7)}  {cells(found.mean, 7)}"
-        )
-    return "\n".join(lines + _unlisted(merit))
+    heights = [group.heights for group in _listed(merit)]
+    stages = ("before", "step 1", "step 2")
+    table = Table("heights", "Points above the terrain [m]", (
+        Column("strip", [group.name for group in _listed(merit)], label="", text=f"<{_NAME}"),
+        Column("points", np.array([one.count for one in heights]), text=">8"),
+        Column("rms_{}", numbers(heights, "rms"), parts=stages, label="rms", text=">7", gap=2),
+        Column("factor_{}", numbers(heights, "factors")[:, 1:], parts=stages[1:], label="reduced by", text=">7", gap=2),
+        Column("mean_{}", numbers(heights, "mean"), parts=stages, label="mean", text=">7", gap=2),
+    ))  # fmt: skip
+    return "\n".join([table.title, *table.text(indent=2), *_unlisted(merit)])
 
 
 def _listed(merit: TwoStepStatistics) -> list[GroupStatistics]:
@@ -215,7 +212,7 @@ def _of_blunders(merit: TwoStepStatistics) -> str:
     )
     if not off.size:
         return text + "no height above the terrain is off by as much."
-    names = some([steps.network.points.ids[i] for i in off[:4]], off.size)
+    names = some_of(steps.network.points.ids, off)
     text += (
         f"{many(off.size, 'point')} lie{'s' * (off.size == 1)} so far off the terrain that the height row went: a "
         f"blunder of matching that all rays share, or other ground than the model's ({names})"

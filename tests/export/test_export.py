@@ -11,8 +11,9 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
+from mgsgraph.export import Target
 from mgsgraph.export import export as exports
-from mgsgraph.export.export import Exported, ExportSettings, Target, export_solution, target_of
+from mgsgraph.export.export import Exported, ExportSettings, export_solution, target_of
 from mgsgraph.reports.results import write_results
 
 FINE = 0.01

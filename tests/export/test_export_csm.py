@@ -19,7 +19,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.export import csm_back
-from mgsgraph.export.csm import distortion_fields, write_csm
+from mgsgraph.export.csm import write_csm
 from mgsgraph.export.csm_back import csm_differences, ground_to_image, isd_differences, state_differences
 from mgsgraph.export.csm_tables import refined_tables
 from mgsgraph.export.round_trip import Reprojection, reprojection
@@ -30,7 +30,7 @@ from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.isd import read_isd
+from mgsgraph.io.isd import distortion_fields, read_isd
 from mgsgraph.simulation.isis_files import json_text, support_data
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"

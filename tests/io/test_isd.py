@@ -167,7 +167,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
             "naif_keywords": {"INS-1_LIGHTTIME_CORRECTION": "LT+S"},
             "sun_position": {"ephemeris_times": [2.0, 1.0], "velocities": [[0.0, 1.0, 0.0]] * 2},
         },
-        "sun_position, ephemeris_times: times that stand still or go back",
+        "sun_position, ephemeris_times: 2 times and 2 velocities",
     ),
 }
 

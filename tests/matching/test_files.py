@@ -13,7 +13,6 @@ import pytest
 
 from mgsgraph.errors import InputError
 from mgsgraph.figures.matches import matches_sheet
-from mgsgraph.figures.sheet import plain_style
 from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.matching import files as module
@@ -97,15 +96,14 @@ def test_record_and_sentences(written: Path) -> None:
 
 
 def test_figure_shows_every_match() -> None:
-    with plain_style():
-        sheet = matches_sheet(matched.matches(), matched.scene(), "pair")
-        where, nominal, sigmas, left = sheet.figure.axes
-        count = len(matched.matches().ties.ids)
-        assert len(where.lines[-1].get_xdata()) == count
-        across, along = (np.asarray(line.get_xdata()) for line in nominal.lines[:2])
-        assert np.median(np.hypot(across, along)) == pytest.approx(229.0, abs=20.0)  # as published
-        for panel in (sigmas, left):
-            assert sum(bar.get_height() for bar in panel.patches) >= 0.97 * count  # type: ignore[attr-defined]
+    sheet = matches_sheet(matched.matches(), matched.scene(), "pair")
+    where, nominal, sigmas, left = sheet.figure.axes
+    count = len(matched.matches().ties.ids)
+    assert len(where.lines[-1].get_xdata()) == count
+    across, along = (np.asarray(line.get_xdata()) for line in nominal.lines[:2])
+    assert np.median(np.hypot(across, along)) == pytest.approx(229.0, abs=20.0)  # as published
+    for panel in (sigmas, left):
+        assert sum(bar.get_height() for bar in panel.patches) >= 0.97 * count  # type: ignore[attr-defined]
 
 
 @pytest.mark.usefixtures("ready")

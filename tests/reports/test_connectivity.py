@@ -6,21 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.transforms import Bbox
 
 import mgsgraph
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.figures.connectivity import (
-    _keep_off_others,
     connectivity_sheet,
     island_colours,
     node_places,
     on_one_another,
-    roomy,
+    write_names,
 )
-from mgsgraph.figures.sheet import plain_style, save
+from mgsgraph.figures.sheet import new_sheet, save
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.network.connectivity import Connectivity, common_points
@@ -183,14 +183,19 @@ def test_nodes_stand_as_on_the_ground() -> None:
     assert np.ptp(np.linalg.norm(ring - 2.5, axis=1)) < 1e-9
 
 
+@settings(deadline=None, max_examples=20)
 @given(places)
 def test_names_never_hide_one_another(middles: np.ndarray) -> None:
-    names = [f"IMAGE {j}" for j in range(len(middles))]
-    found = roomy(names, np.abs(middles[:, None]) / 100.0, np.empty((0, 2)), (5.0, 5.0))
-    between = np.abs(found.places[:, None] - found.places)
-    clear = np.any(between >= [0.4, 0.1299], axis=2) | np.eye(found.which.size, dtype=bool)
-    assert np.all(clear)
-    assert np.all(found.places >= 0.0)
+    panel = new_sheet("names", 5.0, 5.0, "", "").panels()[0, 0]
+    panel.set(xlim=(0.0, 500.0), ylim=(0.0, 500.0))
+    sides = [[(x, y, 0.0, 4.0), (x, y, 4.0, 0.0)] for x, y in np.abs(middles).tolist()]
+    written = write_names(panel, [f"IMAGE {j}" for j in range(len(middles))], sides, 7.0, middles)
+    boxes = [one.get_window_extent() for one in written]
+    assert [text.get_text() for text in panel.texts] == [one.get_text() for one in written]
+    assert all(box.count_overlaps(boxes) == 1 for box in boxes)  # itself
+    assert all(box.count_contains(panel.transData.transform(middles)) == 0 for box in boxes)
+    frame = panel.get_window_extent()
+    assert all(box.x0 >= frame.x0 - 1e-6 and box.x1 <= frame.x1 + 1e-5 for box in boxes)
 
 
 def test_islands_have_their_colours() -> None:
@@ -205,9 +210,8 @@ def test_sheets(solution: Solution, what: str, tmp_path: Path) -> None:
     connected = solution_connectivity(solution) if what == "pair" else block()
     if what == "empty footprint":
         connected = replace(connected, footprints=(*connected.footprints[:-1], Footprint("I6", np.zeros((0, 3)), MARS)))
-    with plain_style():
-        sheet = connectivity_sheet(solution, connected)
-        assert save(sheet, tmp_path) == ["connectivity.png", "connectivity.svg"]
+    sheet = connectivity_sheet(solution, connected)
+    assert save([sheet], tmp_path) == ["connectivity.png", "connectivity.svg"]
     graph, ground = sheet.figure.axes[:2]
     drawn = {text.get_text() for text in graph.texts}
     assert set(connected.names) <= drawn
@@ -222,11 +226,15 @@ def test_sheets(solution: Solution, what: str, tmp_path: Path) -> None:
 
 
 def test_no_name_stands_on_another_images_ground() -> None:
-    """Two strips side by side: beside the left one on the right is the other one's ground; between far ones is none."""
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 5.0], [0.0, 5.0]])
-    for gap, left in ((0.2, False), (9.0, True)):
-        outlines = [square, square + np.array([1.0 + gap, 0.0])]
-        tries = np.array([[[1.5, 2.5], [-0.5, 2.5]], [[2.5 + gap, 2.5], [0.5 + gap, 2.5]]])
-        _keep_off_others(tries, outlines)
-        assert np.all(np.isfinite(tries[0, 0])) == left
-        assert np.all(np.isfinite(tries[:, 1])[0])
+    """Two strips side by side: on the right of the left one is the other one's ground; between far ones is none."""
+    for gap, right in ((0.2, False), (9.0, True)):
+        panel = new_sheet("names", 8.0, 5.0, "", "").panels()[0, 0]
+        panel.set(xlim=(-10.0, 20.0), ylim=(-3.0, 8.0))
+        west, east = panel.transData.transform([[1.0 + gap, 0.0], [2.0 + gap, 5.0]])[:, 0]
+
+        def on_the_other(k: int, box: Bbox, west: float = west, east: float = east) -> bool:
+            return bool(box.x0 < east and box.x1 > west)
+
+        sides = [[(1.0, 2.5, 4.0, 0.0), (0.0, 2.5, -4.0, 0.0)]]
+        (name,) = write_names(panel, ["LEFT"], sides, 6.5, np.empty((0, 2)), keep_off=on_the_other)
+        assert name.get_ha() == ("left" if right else "right")

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.figures.sheet import plain_style
 from mgsgraph.figures.spacing import course_sheet, spacing_sheet, spectrum_sheet
 from mgsgraph.reports.spacing import node_statements, nodes_json, spacing_table, write_nodes
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
@@ -98,10 +97,9 @@ def test_files(tmp_path: Path) -> None:
 
 def test_figures_show_the_numbers() -> None:
     made = study()
-    with plain_style():
-        spacings = spacing_sheet(made.choice, made.name)
-        spectrum = spectrum_sheet(made.strips[0], "spectrum")
-        over_time = course_sheet(made.corrections[0], made.choice.spacing, "course")
+    spacings = spacing_sheet(made.choice, made.name)
+    spectrum = spectrum_sheet(made.strips[0], "spectrum")
+    over_time = course_sheet(made.corrections[0], made.choice.spacing, "course")
     rms = spacings.figure.axes[0].containers[0].lines[0].get_ydata()
     np.testing.assert_allclose(rms, [one.rms for one in made.choice.candidates])
     pitch = spectrum.figure.axes[3]

@@ -17,7 +17,6 @@ from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.height_cells import height_cells
 from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, owners, two_step_statistics
 from mgsgraph.figures.height_maps import height_map_sheet
-from mgsgraph.figures.sheet import plain_style
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array
@@ -260,8 +259,7 @@ def test_results_with_figures_can_be_replaced(tmp_path: Path) -> None:
 def test_the_map_shows_before_and_after_on_one_scale(which: str) -> None:
     found = merit(which)
     cells = cells_of(found)
-    with plain_style():
-        sheet = height_map_sheet(found, cells)
+    sheet = height_map_sheet(found, cells)
     shown = [image for axes in sheet.figure.axes for image in axes.images]
     assert len(shown) == 4
     for one, other in (shown[:2], shown[2:]):

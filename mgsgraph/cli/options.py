@@ -1,7 +1,8 @@
-"""Options by which a command line overrules case files."""
+"""Options that several verbs have; those by which a command line overrules case files."""
 
 from collections.abc import Callable
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,6 +10,9 @@ import click
 if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Form, Loss
 
+PATH = click.Path(path_type=Path)
+TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
+NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write tables only.")
 _OPTIONS = (
     click.option(
         "--form",
@@ -24,7 +28,7 @@ _OPTIONS = (
         "--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none."
     ),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
-    click.option("--no-figures", is_flag=True, help="Write tables only."),
+    NO_FIGURES,
 )
 
 

@@ -1,17 +1,18 @@
-"""`mgsgraph analyze`: questions to the covariance of an adjustment."""
+"""Verbs that ask the covariance of an adjustment, and show it on a page."""
 
 from pathlib import Path
 
 import click
 
-_PATH = click.Path(path_type=Path)
+from mgsgraph.cli.options import NO_FIGURES, PATH
+
 _SUMMARY = 10
 """Rows of the table by suspicion when nothing in particular is asked."""
 _WEAK = 5
 
 
-@click.command(short_help="Ask the covariance of an adjustment.")
-@click.argument("adjusted", type=_PATH, metavar="SOLUTION_OR_PROJECT")
+@click.command()
+@click.argument("adjusted", type=PATH, metavar="SOLUTION_OR_PROJECT")
 @click.option("--point", "points", multiple=True, metavar="NAME", help="Sigmas and error ellipsoid of a ground point.")
 @click.option(
     "--pair", "pairs", multiple=True, type=(str, str), metavar="NAME NAME",
@@ -48,8 +49,8 @@ _WEAK = 5
 @click.option("--alpha", type=float, help="Baarda's level, share of false alarms; 0.001 when absent.")
 @click.option("--power", type=float, help="Share of minimal detectable blunders that are found; 0.8 when absent.")
 @click.option("--weak", type=click.IntRange(1), metavar="N", help="N directions of which least was learnt, in words.")
-@click.option("--out", type=_PATH, help="Folder for analysis.json, tables and figures; made anew.")
-@click.option("--no-figures", is_flag=True, help="Write tables only.")
+@click.option("--out", type=PATH, help="Folder for analysis.json, tables and figures; made anew.")
+@NO_FIGURES
 def analyze(
     adjusted: Path,
     points: tuple[str, ...],
@@ -124,3 +125,96 @@ def analyze(
     for section in sections:
         click.echo(section.text)
     click.echo(f"The analysis is in {out}")
+
+
+@click.command()
+@click.argument("adjusted", type=PATH, metavar="SOLUTION_OR_PROJECT")
+@click.argument("candidates", type=PATH)
+@click.option("--choose", type=click.IntRange(1), default=3, show_default=True, help="How many to choose at the most.")
+@click.option(
+    "--target", "targets", multiple=True, default=("ties",), show_default=True, metavar="ties|all|NAME",
+    help="Whose sigmas count: tie points, all points, or points and images by name; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--criterion", type=click.Choice(["mean", "worst"]), default="mean", show_default=True,
+    help="Whether the targets' mean sigma counts, or the largest one.",
+)  # fmt: skip
+@click.option("--out", type=PATH, help="Folder for plan.csv, plan.json and a figure; made anew.")
+def plan(
+    adjusted: Path, candidates: Path, choose: int, targets: tuple[str, ...], criterion: str, out: Path | None
+) -> None:
+    """Rank the images, laser profiles and control points of CANDIDATES (a TOML file, see docs/plan.md) by what they
+    would do to the sigmas of SOLUTION_OR_PROJECT (results of `mgsgraph adjust`, or a project), before anything is
+    measured; and choose some, each in sight of those before it.
+
+    Exit status: 0, also where nothing is worth anything; 2 bad input.
+    """
+    from mgsgraph.case.candidates import read_candidates
+    from mgsgraph.cli.progress import counting_bar
+    from mgsgraph.output.folders import PLAN, require_replaceable
+    from mgsgraph.planning.plan import plan as make
+    from mgsgraph.project.reading import read_state
+    from mgsgraph.reports.plan import plan_table, statements, write_plan
+
+    if out is not None:
+        require_replaceable(out, PLAN)
+    name, state, warning = read_state(adjusted)
+    if warning:
+        click.echo(f"- {warning}")
+    with counting_bar("planning measures", "candidate") as bar:
+        wanted = read_candidates(candidates, state, bar)
+    with counting_bar("judging", "candidate") as bar:
+        made = make(state, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
+    if out is not None:
+        write_plan(made, out)
+    click.echo(plan_table(made))
+    for sentence in statements(made):
+        click.echo(f"- {sentence}")
+    if out is not None:
+        click.echo(f"The plan is in {out}")
+
+
+@click.command()
+@click.argument("solution", type=PATH)
+@click.option("--compare", type=PATH, metavar="OTHER", help="Results of an earlier adjustment, to compare with.")
+@click.option(
+    "--case", type=PATH,
+    help="Case that was adjusted: show laser footprints on its images. A demo's and a project's are found.",
+)
+@click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that the case names.")
+@click.option("--out", type=PATH, default=Path("report.html"), show_default=True, help="HTML file; replaced.")
+def report(solution: Path, compare: Path | None, case: Path | None, ties: Path | None, out: Path) -> None:
+    """Write one HTML file about SOLUTION (results of `mgsgraph adjust`, or a project): summary, maps, figures, tables.
+
+    The page holds everything that it shows and asks nothing of the network. It says from which files it was made, with
+    their checksums.
+    """
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.project.reading import results_of
+    from mgsgraph.reports.archive import read_solution
+    from mgsgraph.reports.page import require_page, write_report
+
+    require_page(out)
+    solution, own_case, own_ties, warning = results_of(solution)
+    compare = None if compare is None else results_of(compare).folder
+    adjusted, earlier = read_solution(solution), None if compare is None else read_solution(compare)
+    if case is None and own_case is not None:
+        case, ties = own_case, ties or own_ties
+    if ties is not None and case is None:
+        raise click.UsageError("--ties is for a case: give --case, too")
+    read = None if case is None else read_case(case, ties=ties)
+    write_report(adjusted, out, read, earlier, _inputs([solution, compare], case, ties))
+    if warning:
+        click.echo(f"- {warning}")
+    click.echo(f"The page is {out}")
+
+
+def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:
+    """Checksums of the solutions' archives, of the case, and of every file that it names."""
+    from mgsgraph.campaign.inputs import checksums
+    from mgsgraph.io.files import sha256_of
+    from mgsgraph.reports.archive import ARCHIVE
+
+    given = [path / ARCHIVE if path.is_dir() else path for path in solutions if path is not None]
+    own = {str(path): sha256_of(path) for path in [*given, *([] if ties is None else [ties])]}
+    return own | ({} if case is None else checksums(case))

@@ -1,0 +1,287 @@
+"""Verbs for a case: check it, adjust it, adjust many, choose the spacing of its orientation images, register it."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from tqdm import tqdm
+
+from mgsgraph.cli.options import NO_FIGURES, PATH, TIES, overruling
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.cluster import Connection
+    from mgsgraph.adjustment.settings import SolverSettings
+    from mgsgraph.campaign import CampaignEntry, Overrides
+    from mgsgraph.case.reading import Case
+
+
+@click.command()
+@click.argument("case", type=PATH)
+@click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
+@TIES
+def check(case: Path, no_laser: bool, ties: Path | None) -> None:
+    """Read and validate CASE and everything that it names; print what is there and where it is weak. Solves nothing."""
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.reports.inventory import inventory
+
+    click.echo(inventory(read_case(case, not no_laser, ties)))
+
+
+@click.command()
+@click.argument("case", type=PATH)
+@click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
+@click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
+@TIES
+@click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
+@overruling
+@click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
+@click.pass_context
+def adjust(
+    ctx: click.Context,
+    case: Path,
+    out: Path,
+    cluster: str | None,
+    two_steps: bool,
+    ties: Path | None,
+    overrides: "Overrides",
+    verbose: bool,
+) -> None:
+    """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
+
+    Options overrule the case file. With --cluster the points lie with the workers, in partitions. With --two-steps
+    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md.
+
+    Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
+    """
+    from mgsgraph.adjustment.adjust import adjust_network
+    from mgsgraph.adjustment.cluster import open_cluster, parse_cluster
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import iteration_bar
+    from mgsgraph.output.folders import require_replaceable
+    from mgsgraph.reports.results import write_results
+    from mgsgraph.reports.summary import statements, summary_table
+
+    require_replaceable(out)
+    if cluster is not None:
+        parse_cluster(cluster)
+    read = read_case(case, overrides.laser, ties)
+    settings = overrides.over(read.settings)
+    connection: AbstractContextManager[Connection | None]
+    connection = open_cluster(cluster) if cluster is not None else nullcontext()
+    if two_steps:
+        ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, verbose) else 1)
+    with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
+        solution = adjust_network(read.network, settings, read.name, bar, workers)
+    write_results(solution, out, figures=overrides.figures)
+    click.echo(summary_table(solution))
+    for sentence in statements(solution):
+        click.echo(f"- {sentence}")
+    click.echo(f"Results are in {out}")
+    ctx.exit(0 if solution.converged else 1)
+
+
+def _in_two_steps(
+    read: "Case",
+    settings: "SolverSettings",
+    out: Path,
+    connection: AbstractContextManager["Connection | None"],
+    overrides: "Overrides",
+    verbose: bool,
+) -> bool:
+    """Whether both steps converged."""
+    from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
+    from mgsgraph.analysis.two_step_statistics import two_step_statistics
+    from mgsgraph.cli.progress import iteration_bar, stage_bar
+    from mgsgraph.reports.results import write_results
+    from mgsgraph.reports.two_steps import two_steps_page, write_two_steps
+
+    require_terrain(read.network, str(read.path))
+    with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
+        steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
+    write_results(steps.fitted, out, figures=False)  # what took longest is safe, whatever becomes of the rest
+    with _solution_kept(out), stage_bar(2) as stages:
+        with stages.stage("figures of merit"):
+            merit = two_step_statistics(steps)
+        with stages.stage("tables and figures"):
+            write_two_steps(merit, out, figures=overrides.figures)
+    click.echo(two_steps_page(merit))
+    click.echo(f"Results are in {out}")
+    return steps.converged
+
+
+@contextmanager
+def _solution_kept(out: Path) -> Iterator[None]:
+    """Say where the solution is, should what follows it fail or be interrupted."""
+    said = f"the solution of step 2 is in {out}, without figures of merit"
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"mgsgraph: interrupted; {said}", err=True)
+        raise click.exceptions.Exit(130) from None
+    except Exception:
+        click.echo(f"mgsgraph: {said}", err=True)
+        raise
+
+
+_EXPLAIN_AFTER = 20.0
+"""s after which it is said why nothing has moved yet."""
+
+
+@click.command()
+@click.argument("cases", type=PATH, nargs=-1, required=True, metavar="CASE|FOLDER...")
+@click.option("--out", type=PATH, required=True, help="Folder for all results and the record.")
+@click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
+@click.option("--retry", is_flag=True, help="Do those again that have failed or not converged, though nothing changed.")
+@overruling
+@click.option("-v", "--verbose", is_flag=True, help="One line per case.")
+@click.pass_context
+def campaign(
+    ctx: click.Context,
+    cases: tuple[Path, ...],
+    out: Path,
+    cluster: str | None,
+    retry: bool,
+    overrides: "Overrides",
+    verbose: bool,
+) -> None:
+    """Adjust each CASE (a TOML file; of a FOLDER, every *.toml at any depth) into a folder of its own in OUT.
+
+    Options overrule all case files. OUT/campaign.jsonl records each case that is over. The same command again does
+    what is new, what has changed and what was interrupted, and leaves the rest. Exit status: 0 all done, 1 some failed
+    or did not converge, 2 bad input.
+    """
+    from mgsgraph.campaign import run_campaign
+    from mgsgraph.campaign.run import summary
+
+    bar = _CaseBar(verbose)
+    try:
+        done = run_campaign(cases, out, overrides, cluster, retry, bar)
+    except KeyboardInterrupt:
+        bar.close()
+        click.echo(f"mgsgraph: interrupted; {bar.state()}; the same command goes on", err=True)
+        ctx.exit(130)
+    finally:
+        bar.close()
+    click.echo(summary(done))
+    click.echo(f"Results are in {out}")
+    ctx.exit(0 if done.well else 1)
+
+
+class _CaseBar:
+    """Progress over the cases that are due, on standard error where that is a terminal; a line each when verbose."""
+
+    def __init__(self, verbose: bool) -> None:
+        self._verbose, self._over, self._due, self._failed = verbose, 0, 0, 0
+        self._bar: tqdm[None] | None = None
+        self._timer = threading.Timer(_EXPLAIN_AFTER, self.explain)
+        self._timer.daemon = True
+
+    def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:
+        """Show that a case is over."""
+        from mgsgraph.campaign.run import line
+
+        self._over, self._due = over, due
+        if self._bar is None:
+            self._bar = tqdm(total=due, desc="adjusting", unit="case", leave=False, disable=None)
+            self._timer.start()
+        if entry is None:
+            return
+        self._failed += entry.status == "failed"
+        if self._verbose:
+            tqdm.write(line(entry))
+        if self._failed:
+            self._bar.set_postfix_str(f"{self._failed} failed")
+        self._bar.update()
+
+    def state(self) -> str:
+        """How far it is."""
+        return f"{self._over} of {self._due} cases are over and recorded" if self._due else "nothing was begun"
+
+    def explain(self) -> None:
+        """Say why nothing has moved yet."""
+        if self._over == 0 and self._due:
+            click.echo("no case is over yet; the kernel may have to be compiled first: about a minute, once", err=True)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._timer.cancel()
+        if self._bar is not None:
+            self._bar.close()
+
+
+@click.command()
+@click.argument("case", type=PATH)
+@click.option(
+    "--spacings", default="4,8,16,32", show_default=True, metavar="S,S,...", help="Candidates, seconds between nodes."
+)
+@click.option(
+    "--hold-out", type=float, default=0.2, show_default=True,
+    help="Share of the points with three rays or more of which one ray is held out.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draw of these rays.")
+@click.option("--densify", is_flag=True, help="Give nodes to the widest spacing where residuals ask for them.")
+@click.option("--out", type=PATH, help="Folder for nodes.json, tables and figures; made anew.")
+@TIES
+@NO_FIGURES
+def nodes(
+    case: Path, spacings: str, hold_out: float, seed: int, densify: bool, out: Path | None,
+    ties: Path | None, no_figures: bool,
+) -> None:
+    """Adjust CASE (a TOML file with [[strips]]) with orientation images at several spacings, without some of its rays,
+    and choose the coarsest that predicts these no worse than the best one; with that, look for vibrations.
+
+    Exit status: 0, whatever is found; 2 bad input.
+    """
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import counting_bar
+    from mgsgraph.output.folders import NODES, require_replaceable
+    from mgsgraph.reports.analysis import require_used
+    from mgsgraph.reports.spacing import node_statements, seconds_of, spacing_table, write_nodes
+    from mgsgraph.spacing.study import study_nodes
+
+    require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
+    wanted = seconds_of(spacings)
+    if out is not None:
+        require_replaceable(out, NODES)
+    read = read_case(case, ties=ties)
+    with counting_bar("adjusting", "step") as bar:
+        study = study_nodes(read.network, read.settings, read.name, wanted, hold_out, seed, densify, progress=bar)
+    if out is not None:
+        write_nodes(study, out, figures=not no_figures)
+    click.echo(spacing_table(study.choice))
+    for sentence in node_statements(study):
+        click.echo(f"- {sentence}")
+    if out is not None:
+        click.echo(f"The study is in {out}")
+
+
+@click.command()
+@click.argument("case", type=PATH)
+@click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
+@click.option(
+    "--solution", type=PATH, help="Results of `mgsgraph adjust` CASE: register after it as well."
+)
+@TIES
+@NO_FIGURES
+def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no_figures: bool) -> None:
+    """Project the footprints of CASE's laser profiles into its images, and compare the images at them.
+
+    Writes registration.json, registration.csv (each shot in each image), discrepancy.csv (by how much two images
+    contradict each other about each footprint) and figures with numbered footprints.
+    """
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.output.folders import REGISTRATION, require_replaceable
+    from mgsgraph.registration.case import register_case, registration_statements
+    from mgsgraph.registration.tables import write_registration
+    from mgsgraph.reports.archive import read_solution
+
+    require_replaceable(out, REGISTRATION)
+    adjusted = None if solution is None else read_solution(solution)
+    registration = register_case(read_case(case, ties=ties), adjusted)
+    write_registration(registration, out, figures=not no_figures)
+    for sentence in registration_statements(registration):
+        click.echo(f"- {sentence}")
+    click.echo(f"Results are in {out}")

@@ -1,0 +1,183 @@
+"""Verbs that pass networks and solutions on to other programs, and tie points to a person."""
+
+from pathlib import Path
+
+import click
+
+from mgsgraph.cli.options import PATH
+from mgsgraph.export import Target
+
+_FORMATS = click.Choice(["pvl", "net", "csv", "match", "match-text", "gcp", "nvm"])
+
+
+@click.command()
+@click.argument("inputs", type=PATH, nargs=-1, required=True, metavar="IN...")
+@click.argument("output", type=PATH, metavar="OUT")
+@click.option("--from", "read_as", type=_FORMATS, help="Format of all IN; by their endings when absent.")
+@click.option("--to", "write_as", type=_FORMATS, help="Format of OUT; by its ending when absent.")
+@click.option("--case", type=PATH, help="A case file, for the names and sizes of its images and for the ellipsoid.")
+@click.option(
+    "--images", "sizes", multiple=True, metavar="NAME=LINESxSAMPLES",
+    help="Size of an image, for .nvm; may be repeated."
+)  # fmt: skip
+@click.option(
+    "--radii", type=float, nargs=2, metavar="EQUATORIAL POLAR",
+    help="Ellipsoid of geodetic latitudes and heights (m), for .gcp and tables with height_m.",
+)  # fmt: skip
+@click.option("--target", default="", help="The body's name, for .pvl and .net where IN don't say it, as MARS.")
+@click.option("--rename", multiple=True, metavar="OLD=NEW", help="Call an image otherwise in OUT; may be repeated.")
+@click.option("--prefix", help="How the names of match files in IN begin, before the hyphen; empty for without.")
+@click.option("--nvm-no-shift", is_flag=True, help="Places of .nvm count from the first pixel, not the image's middle.")
+@click.option("--replace", is_flag=True, help="Overwrite OUT, though of the format of one of IN.")
+@click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
+def convert(
+    inputs: tuple[Path, ...],
+    output: Path,
+    read_as: str | None,
+    write_as: str | None,
+    case: Path | None,
+    sizes: tuple[str, ...],
+    radii: tuple[float, float] | None,
+    target: str,
+    rename: tuple[str, ...],
+    prefix: str | None,
+    nvm_no_shift: bool,
+    replace: bool,
+    strict: bool,
+) -> None:
+    """Read IN... as one network and write it to OUT, each in the format of its ending: .pvl and .net (ISIS), .csv,
+    .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files' names begin with, and there is one
+    for each pair of images), .gcp and .nvm.
+
+    Says what was written and, one line each, what the format can't hold. Pixels are counted as each format counts them:
+    see docs/exchange.md.
+
+    Exit status: 0, or 2 for bad input, and with --strict for a format that can't hold all.
+    """
+    from mgsgraph.export.exchange import Lossy
+    from mgsgraph.export.exchange import convert as make
+    from mgsgraph.export.exchange_setting import setting_of
+
+    setting = setting_of(case, sizes, radii, target, rename, prefix, not nvm_no_shift)
+    try:
+        made = make(
+            inputs, output, setting, read_as=read_as, write_as=write_as, strict=strict, replace=replace
+        )
+    except Lossy as error:
+        _tell_lost(error.lost)
+        raise
+    for note in made.notes:
+        click.echo(f"- {note}")
+    for path in made.written:
+        click.echo(f"Wrote {path}")
+    _tell_lost(made.lost)
+
+
+def _tell_lost(lost: tuple[str, ...]) -> None:
+    for line in lost:
+        click.echo(f"- Not held: {line}")
+
+
+@click.command()
+@click.argument("solution", type=PATH)
+@click.option("--to", "target", type=click.Choice([one.value for one in Target]), required=True, help="For whom.")
+@click.option("--out", type=PATH, required=True, help="Folder for the files; made anew.")
+@click.option("--scaled", is_flag=True, help="Covariances times sigma0 squared, as jigsaw's; else for sigma0 = 1.")
+@click.option("--case", type=PATH, help="The case, for what its image support data say besides geometry (csm, asp).")
+@click.option("--raster", is_flag=True, help="Sigmas of new points over the overlap as well, a GeoTIFF (gis).")
+def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | None, raster: bool) -> None:
+    """Write SOLUTION (results, or a project) for another program, read the files back and say how far they are off.
+
+    spice: SPK, CK, their frames, clock and camera, and a meta-kernel. csm: image support data and model states of
+    usgscsm. isis: control network with adjusted points, lidar data, jigsaw's tables. asp: matches, control points,
+    cameras. gis: a GeoPackage, and with --raster a GeoTIFF.
+    """
+    from mgsgraph.export.export import ExportSettings, export_solution
+    from mgsgraph.project.reading import results_of
+
+    support = None
+    if case is not None:
+        from mgsgraph.case.schema import decode
+        from mgsgraph.errors import InputError
+
+        support = {image.name: case.parent / image.isd for image in decode(case).images if image.isd is not None}
+        if not support:
+            raise InputError(str(case), "no image with support data (isd)", "some to take over", "leave --case out")
+    results = results_of(solution)
+    done = export_solution(results.folder, target, out, ExportSettings(scaled, support, raster))
+    for sentence in filter(None, (results.warning, done.statement)):
+        click.echo(f"- {sentence}")
+    click.echo(f"The files are in {out}")
+
+
+_PAGES = (".html", ".htm")
+_NETWORKS = (".pvl", ".net", ".csv")
+
+
+@click.command()
+@click.argument("case", type=PATH)
+@click.option("--out", type=PATH, required=True, help="Page (.html), or with --verdicts a network (.pvl, .net, .csv).")
+@click.option("--ties", type=PATH, help="Network to review, in place of the case's own.")
+@click.option("--worst", type=click.IntRange(1), help="How many points to show.  [default: 300]")
+@click.option("--points", metavar="ID,ID,...", help="Points to show, in place of the worst.")
+@click.option("--solution", type=PATH, help="Results of `mgsgraph adjust` with these points: show their residuals.")
+@click.option("--verdicts", type=PATH, help="CSV that the page has saved: to act upon, or to begin a page with.")
+def review(
+    case: Path, out: Path, ties: Path | None, worst: int | None, points: str | None, solution: Path | None,
+    verdicts: Path | None,
+) -> None:  # fmt: skip
+    """Show the images of CASE around its tie points, so that a person can accept or reject each of them.
+
+    The page is one file that any browser shows; it saves verdicts as CSV. With --verdicts and a network as --out, the
+    network is written with Ignore = True at rejected points, and nothing else changed. Nothing overwrites the network
+    that was reviewed.
+    """
+    from mgsgraph.errors import InputError
+
+    if out.suffix.lower() in _PAGES:
+        if worst is not None and points is not None:
+            raise click.UsageError("--worst and --points can't both be given")
+        _write_page(case, out, ties, worst, points, solution, verdicts)
+    elif out.suffix.lower() in _NETWORKS:
+        if verdicts is None:
+            raise click.UsageError(f"{out} is a network; it is written by --verdicts, a page has the ending .html")
+        if given := [name for name, value in (("worst", worst), ("points", points), ("solution", solution)) if value]:
+            raise click.UsageError(f"--{given[0]} is for a page, and {out} is a network")
+        _write_network(case, out, ties, verdicts)
+    else:
+        raise InputError(str(out), f"the ending {out.suffix!r}", "a page (.html) or a network (.pvl, .net, .csv)")
+
+
+def _write_page(
+    case: Path, out: Path, ties: Path | None, worst: int | None, points: str | None, solution: Path | None,
+    verdicts: Path | None,
+) -> None:  # fmt: skip
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import counting_bar
+    from mgsgraph.reports.archive import read_solution
+    from mgsgraph.review.page import write_review
+    from mgsgraph.review.selection import WORST, review_case
+    from mgsgraph.review.verdicts import read_verdicts, reviewed_network
+
+    if ties is None:
+        reviewed_network(case)  # of several, none could be written without the rejected points
+    earlier = None if verdicts is None else read_verdicts(verdicts)
+    adjusted = None if solution is None else read_solution(solution)
+    wanted = () if points is None else tuple(point.strip() for point in points.split(","))
+    read = read_case(case, ties=ties)
+    with counting_bar("comparing chips", "measure") as bar:
+        made = review_case(read, adjusted, worst=worst or WORST, points=wanted, verdicts=earlier, progress=bar)
+    write_review(made, out, earlier)
+    click.echo(f"- {made.choice}.")
+    click.echo(f"The page is {out}")
+
+
+def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> None:
+    from mgsgraph.export.exchange_setting import case_setting
+    from mgsgraph.review.verdicts import read_verdicts, reviewed_network, write_kept
+
+    network = reviewed_network(case) if ties is None else ties
+    setting = case_setting(case) if network.suffix.lower() == ".csv" else None
+    ignored, total = write_kept(network, read_verdicts(verdicts), out, setting)
+    click.echo(f"- {ignored} of {total} points of {network} are ignored now.")
+    click.echo(f"The network is {out}")

@@ -1,0 +1,217 @@
+"""Verbs for a project, a folder to which images come one after the other."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from mgsgraph.cli.options import NO_FIGURES, PATH
+
+if TYPE_CHECKING:
+    from mgsgraph.incremental.closing import Closing
+    from mgsgraph.incremental.impact import Impact
+    from mgsgraph.project.addition import Addition
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@click.option("--case", type=PATH, help="A case file: its images, measures, terrain and settings go in.")
+@click.option("--settings", type=PATH, help="A TOML file with [orientation], [spice], [measures], [solver] alone.")
+@click.option("--name", default="", help="What to call it; the case's or the folder's name when absent.")
+def init(project: Path, case: Path | None, settings: Path | None, name: str) -> None:
+    """Make PROJECT, a folder to which images are added one after the other.
+
+    Its settings hold for all that comes: a-priori sigmas of the orientation, SPICE kernels, the solver's choices.
+
+    A case without tie points, as `mgsgraph fetch` writes it, gives its images; `mgsgraph match PROJECT` finds the ties.
+    """
+    from mgsgraph.cli.progress import stage_bar
+    from mgsgraph.errors import InputError
+    from mgsgraph.project.changes import begin
+
+    if case is not None and settings is not None:
+        raise InputError("--settings", "a case is given, too, which has settings", "one of the two")
+    with stage_bar(2) as stages:
+        begun = begin(project, name, case, settings, stages.stage)
+    click.echo(f"{project}: a new project, {begun.words}")
+    if begun.waits:
+        click.echo(f"Its images wait for tie points; next: mgsgraph match {project}")
+    elif case is not None:
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+    else:
+        click.echo(f"Next: mgsgraph add {project} IMAGE...")
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@click.argument("images", nargs=-1, metavar="[NAME=]IMAGE...")
+@click.option("--ties", type=PATH, multiple=True, help="Control network with their measures; may be repeated.")
+@click.option("--shots", type=PATH, multiple=True, help="Laser shots: ISIS lidar (.json) or PEDR; may be repeated.")
+@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
+@click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
+@click.pass_context
+def add(
+    ctx: click.Context,
+    project: Path,
+    images: tuple[str, ...],
+    ties: tuple[Path, ...],
+    shots: tuple[Path, ...],
+    table: Path | None,
+    check: bool,
+    dry_run: bool,
+) -> None:
+    """Add each IMAGE to PROJECT, with the measures of --ties and --shots, and adjust what it touches.
+
+    IMAGE is support data (.json, .isd), a MOC label (.img, .lbl, .cub; with the project's kernels) or a case file
+    (.toml), which brings everything that it names. NAME is what control networks call it.
+
+    What is printed is the impact: which images and points moved, in metres and in their sigmas. --check ends with the
+    closing check: batch over everything, the largest difference, and batch's result where the two are not the same.
+
+    Exit status: 0 added, 1 added and not come to rest, 2 bad input (nothing has changed).
+    """
+    from mgsgraph.cli.progress import stage_bar
+    from mgsgraph.errors import InputError
+    from mgsgraph.project.addition import parse_image, read_addition
+    from mgsgraph.project.changes import add as put
+    from mgsgraph.project.changes import check as compare
+    from mgsgraph.project.project import open_project
+    from mgsgraph.reports.impact import require_writable
+
+    if not (images or ties or shots):
+        raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
+    if table is not None:
+        require_writable(table, project)
+    wanted = [parse_image(text) for text in images]
+    closing = None
+    with stage_bar(3 if check else 2) as stages, open_project(project, write=not dry_run) as opened:
+        with stages.stage("reading"):
+            addition = read_addition(opened.store, opened.settings, str(project), wanted, ties, shots)
+        if not dry_run:
+            with stages.stage("adjusting"):
+                impact = put(opened, addition)
+            if check and impact is not None:
+                with stages.stage("closing check"):
+                    closing = compare(opened)
+    if dry_run:
+        click.echo(f"{project}: would add {_words(addition)}; nothing was changed")
+        _warn(addition)
+        return
+    click.echo(f"{project}: added {_words(addition)}")
+    for one in addition.images:
+        if len(one.files) == 1 and not any(one.known.image.name in (given.name, given.path.stem) for given in wanted):
+            click.echo(f"- {one.files[0]} was taken for {one.known.image.name}, which the ties name; NAME=FILE says it")
+    if impact is None:
+        _warn(addition)
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+        return
+    tell(impact, closing, table)
+    ctx.exit(0 if impact.converged else 1)
+
+
+def _words(addition: "Addition") -> str:
+    from mgsgraph.wording import many
+
+    network = addition.network
+    rays, ranges = (0, 0) if network is None else (network.rays.point.size, network.ranges.point.size)
+    named = ", ".join(addition.names)
+    images = many(len(addition.names), "image")
+    return f"{images}{f' ({named})' if named else ''}, {rays} image measures, {ranges} laser ranges"
+
+
+def _warn(addition: "Addition") -> None:
+    if addition.unconnected:
+        names = ", ".join(addition.unconnected)
+        click.echo(f"- Unconnected: {names}. No point is shared with another image; tie points would join it.")
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@click.argument("images", nargs=-1, required=True, metavar="IMAGE...")
+@click.option("--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file.")
+@click.option("--check", is_flag=True, help="Compare with batch over everything afterwards; see `mgsgraph solve`.")
+@click.pass_context
+def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None, check: bool) -> None:
+    """Take each IMAGE (by its name) out of PROJECT with its measures, and adjust what it touched.
+
+    Exit status: 0 removed, 1 removed and not come to rest, 2 bad input (nothing has changed).
+    """
+    from mgsgraph.cli.progress import stage_bar
+    from mgsgraph.project.changes import check as compare
+    from mgsgraph.project.changes import remove as take_out
+    from mgsgraph.project.project import open_project
+    from mgsgraph.reports.impact import require_writable
+
+    if table is not None:
+        require_writable(table, project)
+    closing = None
+    with stage_bar(2 if check else 1) as stages, open_project(project, write=True) as opened:
+        with stages.stage("adjusting"):
+            impact = take_out(opened, images)
+        if check and impact is not None:
+            with stages.stage("closing check"):
+                closing = compare(opened)
+    click.echo(f"{project}: removed {', '.join(images)}")
+    if impact is None:
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+        return
+    tell(impact, closing, table)
+    ctx.exit(0 if impact.converged else 1)
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@NO_FIGURES
+@click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
+@click.pass_context
+def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) -> None:
+    """Adjust everything in PROJECT by batch, compare it with the incremental result, and write PROJECT/solutions/NNNN.
+
+    Exit status: 0 converged, 1 not converged (results are written), 2 bad input (nothing has changed).
+    """
+    from mgsgraph.cli.progress import iteration_bar
+    from mgsgraph.project.changes import solve as solve_all
+    from mgsgraph.project.project import open_project
+    from mgsgraph.reports.summary import statements, summary_table
+
+    with (
+        open_project(project, write=True, thorough=True) as opened,
+        iteration_bar(verbose, opened.settings.solver_settings.max_iterations) as bar,
+    ):
+        solved = solve_all(opened, figures=not no_figures, progress=bar)
+    click.echo(summary_table(solved.solution))
+    for sentence in statements(solved.solution):
+        click.echo(f"- {sentence}")
+    if solved.closing is not None:
+        click.echo(f"- {solved.closing.sentence()}")
+    click.echo(f"Results are in {solved.folder}")
+    ctx.exit(0 if solved.solution.converged else 1)
+
+
+@click.command()
+@click.argument("project", type=PATH)
+def status(project: Path) -> None:
+    """Say what is in PROJECT, how it hangs together, what the last solution was, and what has changed since."""
+    from mgsgraph.project.project import open_project
+    from mgsgraph.project.status import status as describe
+
+    with open_project(project, thorough=True) as opened:
+        text = describe(opened)
+    click.echo(text)
+
+
+def tell(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
+    """Sentences, the images reached, the points that moved most (all of them in a CSV file), the closing check."""
+    for sentence in impact.sentences():
+        click.echo(f"- {sentence}")
+    click.echo(impact.table())
+    if moved := impact.points_table():
+        click.echo(moved)
+    if table is not None:
+        from mgsgraph.reports.impact import write_impact
+
+        write_impact(impact, table)
+        click.echo(f"All points that moved are in {table}")
+    if closing is not None:
+        click.echo(f"- {closing.sentence()}")

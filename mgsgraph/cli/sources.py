@@ -1,0 +1,315 @@
+"""Verbs that make what is adjusted: a simulated site, files of the archives, tie points and terrain of the images."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from mgsgraph.cli.options import NO_FIGURES, PATH
+
+if TYPE_CHECKING:
+    from mgsgraph.fetch.fetch import Planned
+    from mgsgraph.matching.settings import MatchSettings
+
+
+@click.command()
+@click.argument("site", default="gusev")
+@click.option(
+    "--out",
+    type=PATH,
+    default=Path("mgsgraph-demo"),
+    show_default=True,
+    help="Folder for inputs and results; made anew.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of everything drawn.")
+@click.option("--attitude-time-bias", type=float, help="Seconds by which the nadir image's CK is off, instead of 0.7.")
+@NO_FIGURES
+@click.pass_context
+def demo(
+    ctx: click.Context, site: str, out: Path, seed: int, attitude_time_bias: float | None, no_figures: bool
+) -> None:
+    """Simulate SITE (eos, gusev, isidis; or pair: small and synthetic), write it in the formats of the mission's
+    archive, read it back, register its laser profiles, adjust it, and register them again.
+
+    Its kernels are wrong as the papers found them; the closing words say what was wrong before and what is right now,
+    against the truth. Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
+    """
+    from mgsgraph.adjustment.solution import Solution
+    from mgsgraph.case.reading import Case
+    from mgsgraph.case.reading import adjust as run
+    from mgsgraph.cli.progress import iteration_bar, stage_bar
+    from mgsgraph.demo.demonstration import STAGES
+    from mgsgraph.demo.simulate import DEMONSTRATED, simulation_options
+    from mgsgraph.demo.summary import write_demo
+    from mgsgraph.output.folders import fresh_folder
+    from mgsgraph.reports.summary import statements, summary_table
+
+    def adjusting(case: Case) -> Solution:
+        with iteration_bar(False, case.settings.max_iterations) as bar:
+            return run(case, bar)
+
+    options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
+    with fresh_folder(out) as folder, stage_bar(len(STAGES)) as stages:
+        solution, closing = write_demo(site, folder, seed, options, adjusting, stages, figures=not no_figures)
+    click.echo(summary_table(solution))
+    for sentence in statements(solution):
+        click.echo(f"- {sentence}")
+    click.echo("\nWhat was wrong, and what is right now")
+    for sentence in closing:
+        click.echo(f"- {sentence}")
+    click.echo(f"Inputs and results are in {out}")
+    ctx.exit(0 if solution.converged else 1)
+
+
+@click.command()
+@click.argument("site")
+@click.option("--out", type=PATH, required=True, help="Folder for the files; absent or empty.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of everything drawn.")
+@click.option("--attitude-time-bias", type=float, help="Seconds by which the nadir image's CK is off, instead of 0.7.")
+@click.option("--no-pictures", is_flag=True, help="Images of one grey, which is enough for geometry.")
+@click.option("--images", type=int, help="Of a strip: number of images, 2 to 500.  [default: 40]")
+@click.option("--ties", type=int, help="Of a strip: new tie points with each further image.  [default: 2000]")
+@click.option("--steps", is_flag=True, help="Of a strip: write what each image adds to those before it, too.")
+def simulate(
+    site: str,
+    out: Path,
+    seed: int,
+    attitude_time_bias: float | None,
+    no_pictures: bool,
+    images: int | None,
+    ties: int | None,
+    steps: bool,
+) -> None:
+    """Simulate SITE and write its files to a folder.
+
+    SITE is eos, gusev or isidis; pair: two images, small and synthetic; strip: overlapping pairs along one ground
+    track; three-sites: the three study sites and a bridge image that holds them together, in one case.
+
+    case.toml in it is what `mgsgraph adjust` and `mgsgraph register` take; truth.json says what they should find. An
+    attitude time bias of 0.95 s makes the 325 m of the papers' text at Gusev.
+    """
+    from mgsgraph.cli.progress import stage_bar
+    from mgsgraph.demo.simulate import simulation_options, strip_settings, write_simulation
+
+    options = simulation_options(site, attitude_time_bias, not no_pictures)
+    strip = strip_settings(site, images, ties, steps)
+    with stage_bar(2) as stages:
+        case = write_simulation(site, out, seed, options, strip, steps, stages)
+    click.echo(f"The case is {case}; the truth lies beside it in truth.json")
+
+
+@click.command()
+@click.argument("images", nargs=-1, metavar="IMAGE...")
+@click.option("--out", type=PATH, help="Folder to fetch into; an earlier one is added to.")
+@click.option(
+    "--terrain", type=click.Choice(["4", "16", "128", "none"]), default="16", show_default=True,
+    help="MOLA's grids, pixels per degree: 4 (4 MB), 16 (66 MB), 128 (260 MB for each tile).",
+)  # fmt: skip
+@click.option("--volume", "volumes", multiple=True, metavar="mgsc_NNNN", help="Where the images are; may be repeated.")
+@click.option("--mirror", metavar="URL", help="All archives below one address: URL/images/, URL/kernels/ ...")
+@click.option("--mirrors", type=PATH, help="TOML file with addresses of single archives; also $MGSGRAPH_MIRRORS.")
+@click.option("--dry-run", is_flag=True, help="List what would be fetched, with sizes; write nothing.")
+@click.option("--update", is_flag=True, help="Ask the archives for everything anew, and take what has changed.")
+@click.option("--verify", type=PATH, metavar="FOLDER", help="Hold a folder against its fetch.lock; fetches nothing.")
+def fetch(
+    images: tuple[str, ...], out: Path | None, terrain: str, volumes: tuple[str, ...], mirror: str | None,
+    mirrors: Path | None, dry_run: bool, update: bool, verify: Path | None,
+) -> None:
+    """Fetch all that the adjustment of MOC narrow-angle images needs, by their ids (E02/00665, e0200665), and write a
+    case file.
+
+    What has come is locked by size and SHA-256: the same command again brings only what is missing, and an interrupted
+    download goes on where it was. Exit status: 0, 2 for bad input or an archive that can't give what is needed, 130
+    interrupted.
+    """
+    if verify is not None:
+        if images or out is not None or dry_run or update:
+            raise click.UsageError("--verify takes a folder, and neither images nor --out, --dry-run or --update")
+        _verify(verify)
+        return
+    if dry_run and update:
+        raise click.UsageError("--dry-run tells what is not here, not what has changed: leave --update out")
+    if out is None and not dry_run:
+        raise click.UsageError("Missing option '--out'")
+    from mgsgraph.cli.progress import byte_bar, passing_word
+    from mgsgraph.fetch.archives import Archives
+    from mgsgraph.fetch.fetch import fetch_images, survey
+
+    archives = Archives.chosen(mirror, mirrors)
+    if out is None or dry_run:
+        with byte_bar("looking up") as show:
+            plan = survey(
+                images, out or Path("fetched"), terrain=terrain, archives=archives, volumes=volumes, progress=show,
+                say=passing_word,
+            )
+        _tell_plan(plan, terrain)
+        return
+    try:
+        with byte_bar("fetching") as show:
+            fetched = fetch_images(
+                images, out, terrain=terrain, archives=archives, volumes=volumes, update=update, progress=show,
+                say=passing_word,
+            )
+    except KeyboardInterrupt:
+        click.echo("mgsgraph: interrupted; what has come is kept, the same command goes on", err=True)
+        raise click.exceptions.Exit(130) from None
+    for sentence in fetched.sentences():
+        click.echo(f"- {sentence}")
+    click.echo(f"The case is {fetched.case}")
+    if commands := fetched.commands():
+        click.echo("Next:")
+        for command in commands:
+            click.echo(f"  {command}")
+    else:
+        click.echo("Next: fetch an image that overlaps it, into the same folder")
+
+
+def _verify(folder: Path) -> None:
+    from mgsgraph.cli.progress import byte_bar
+    from mgsgraph.fetch.lock import verify
+
+    with byte_bar("verifying") as show:
+        lock = verify(folder, show)
+    click.echo(f"{len(lock.files)} files, {lock.size / 1e6:.1f} MB, all as locked")
+
+
+def _tell_plan(plan: "tuple[Planned, ...]", terrain: str) -> None:
+    for one in plan:
+        each = "?" if one.size is None else f"{one.size / 1e6:.1f}"
+        click.echo(f"{each:>9} MB  {one.path}  {'here' if one.here else one.url}")
+    coming = [one for one in plan if not one.here]
+    unknown = "" if all(one.size is not None for one in coming) else ", and what has no size"
+    size = f"{sum(one.size or 0 for one in coming) / 1e6:.1f} MB{unknown}"
+    click.echo(f"{len(coming)} files to fetch and their labels, {size}")
+    if terrain == "128":
+        click.echo("and tiles of 128 pixels per degree, 260 MB each: which ones shows when the kernels are there")
+
+
+@click.command()
+@click.argument("case", type=PATH)
+@click.option("--out", type=PATH, help="Folder for the networks, tables and figure; made anew. A project has its own.")
+@click.option(
+    "--method", type=click.Choice(["sift", "grid"]), default="sift", show_default=True,
+    help="At distinct features, or at the nodes of a regular grid.",
+)  # fmt: skip
+@click.option("--step", type=float, metavar="M", help="Pixel of the common ground grid; as the coarsest image's.")
+@click.option("--spacing", type=float, metavar="M", help="Between nodes of the regular grid.")
+@click.option(
+    "--search", type=float, metavar="M",
+    help="By how much the nominal orientations may contradict each other on the ground; three a-priori sigmas.",
+)  # fmt: skip
+@click.option("--height", type=float, metavar="M", help="Of the ground above the ellipsoid, without a terrain model.")
+@click.option("--height-sigma", type=float, metavar="M", help="By how much the ground may be higher or lower.")
+@click.option("--cells", type=int, default=250, show_default=True, help="Into which an overlap is divided, about.")
+@click.option("--per-cell", type=int, default=2, show_default=True, help="Matches kept in each.")
+@click.option("--workers", type=click.IntRange(1), help="Tiles at a time; one per processor when absent.")
+@click.option("--no-figures", is_flag=True, help="Write networks and tables only.")
+def match(
+    case: Path, out: Path | None, method: str, step: float | None, spacing: float | None, search: float | None,
+    height: float | None, height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
+) -> None:
+    """Find tie points in the overlapping images of CASE, whose own ties are not looked at.
+
+    CASE may also be a project whose images wait for tie points: they go into it, with all that its case names besides.
+
+    Images are resampled to one ground grid on the terrain, features matched where orientation and heights say, and
+    every match measured by least squares in the images themselves, with its covariance. Use the result with
+    `mgsgraph adjust CASE --ties OUT/network.pvl`. An interrupted run goes on where it was.
+    """
+    from mgsgraph.errors import InputError
+    from mgsgraph.matching.settings import MatchSettings, method_of
+    from mgsgraph.project.changes import take_ties, waiting_case
+    from mgsgraph.project.connection import FILE
+    from mgsgraph.project.project import open_project
+
+    settings = MatchSettings(
+        method=method_of(method), step=step, spacing=spacing, search=search, cells=cells, per_cell=per_cell
+    )
+    project: Path | None = None
+    if (case / FILE).is_file():
+        if out is not None:
+            raise click.UsageError("--out is for a case: a project keeps its tie points itself")
+        with open_project(project := case) as opened:
+            case, out = waiting_case(opened), opened.matches
+    if out is None:
+        if not case.is_file():
+            raise InputError(str(case), "neither a case file nor a project", "one of the two", "check the path")
+        raise click.UsageError("Missing option '--out'")
+    _match(case, out, settings, height, height_sigma, workers, not no_figures)
+    if project is not None:
+        with open_project(project, write=True) as opened:
+            words = take_ties(opened, out / "network.pvl")
+        click.echo(f"{project}: {words}; nothing is adjusted yet")
+        click.echo(f"Next: mgsgraph solve {project}")
+
+
+def _match(
+    case: Path, out: Path, settings: "MatchSettings", height: float | None, height_sigma: float | None,
+    workers: int | None, figures: bool,
+) -> None:
+    """Match the images of a case, write what was found, and say it."""
+    from mgsgraph.case.scene import read_scene
+    from mgsgraph.cli.progress import counting_bars
+    from mgsgraph.matching.files import match_into, match_statements
+    from mgsgraph.output.folders import MATCH, require_replaceable
+
+    require_replaceable(out, MATCH)
+    name, scene = read_scene(case, height, height_sigma)
+    try:
+        with counting_bars() as show:
+            matches = match_into(name, scene, out, settings, workers, figures, show)
+    except KeyboardInterrupt:
+        click.echo("mgsgraph: interrupted; tiles that are done are kept, the same command goes on", err=True)
+        raise click.exceptions.Exit(130) from None
+    for sentence in match_statements(matches, scene):
+        click.echo(f"- {sentence}")
+    click.echo(f"The network is {out / 'network.pvl'}")
+
+
+@click.command()
+@click.argument("solution", type=PATH)
+@click.option("--case", type=PATH, help="Case that was adjusted, for its pixels. A demo's is found.")
+@click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
+@click.option("--post", type=float, metavar="M", help="Between posts of the terrain model; as the matches'.")
+@click.option("--spacing", type=float, metavar="M", help="Between matches; five pixels of the ground grid.")
+@click.option(
+    "--heights", type=click.Choice(["sphere", "areoid"]), default="sphere", show_default=True, help="Above what."
+)
+@click.option(
+    "--mola", type=PATH, multiple=True, metavar="FILE", help="More laser shots to check by; repeatable."
+)
+@click.option("--ortho-pixel", type=float, metavar="M", help="Pixel of the ortho image; as the image's own.")
+@click.option("--pair", metavar="A,B", help="Names of the two images to take; all that overlap when absent.")
+@click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
+@click.option("--no-figures", is_flag=True, help="Write rasters and tables only.")
+def dem(
+    solution: Path, case: Path | None, out: Path, post: float | None, spacing: float | None, heights: str,
+    mola: tuple[Path, ...], ortho_pixel: float | None, pair: str | None, workers: int | None, no_figures: bool,
+) -> None:
+    """Match the images of SOLUTION (results of `mgsgraph adjust`, or a project) densely and write a terrain model.
+
+    OUT then holds dem.tif (height, sigma, its parts by matching and by orientation, number of points), ortho.tif (an
+    image laid on it), dem.json, shots.csv (heights against laser shots that took no part in the adjustment) and a
+    figure.
+    """
+    from typing import cast
+
+    from mgsgraph.cli.progress import counting_bars
+    from mgsgraph.dem.files import dem_statements
+    from mgsgraph.dem.model import DemSettings, Heights
+    from mgsgraph.dem.production import make_dem
+    from mgsgraph.project.reading import read_posterior, results_of
+
+    images = () if pair is None else tuple(name.strip() for name in pair.split(","))
+    if pair is not None and (len(images) != 2 or len({*images, ""}) != 3):
+        raise click.UsageError(f"--pair {pair}: two different names, with a comma between them")
+    settings = DemSettings(post, spacing, cast(Heights, heights), ortho_pixel, images, mola)
+    _, posterior, warning = read_posterior(solution)
+    case = case or results_of(solution).case
+    if case is None:
+        raise click.UsageError("the pixels are the case's: give it by --case")
+    with counting_bars() as show:
+        made = make_dem(posterior, case, out, settings, workers, not no_figures, show)
+    for sentence in [*([warning] if warning else []), *dem_statements(made)]:
+        click.echo(f"- {sentence}")
+    click.echo(f"The terrain model is {out / 'dem.tif'}")
