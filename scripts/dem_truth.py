@@ -13,6 +13,8 @@ import resource
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -133,14 +135,27 @@ def without_orientation(dem: Dem, site: SimulatedSite, posts: Array, heights: Ar
     x, y = ((posts - posts.mean(axis=0)) / np.ptp(posts, axis=0)).T
     powers = np.column_stack([np.ones_like(y), y, y * y])
     surface = np.column_stack([powers, x, x * y, x * x])
-    shift, left = np.zeros((3, 2)), np.zeros_like(heights)
+    return laid_on(partial(truth, dem, site), lambda _: slopes, posts, heights, powers, surface)[2]
+
+
+def laid_on(
+    truth: Callable[[Array], Array], slopes: Callable[[Array], Array], plane: Array, heights: Array, shift: Array,
+    surface: Array,
+) -> tuple[Array, Array, Array]:
+    """Lay heights (n,) in m at positions (n, 2) in m on the true ground, by least squares.
+
+    `truth` gives heights (n,) and `slopes` (n, 2) at positions; `shift` (n, s) and `surface` (n, k) are the columns of
+    a horizontal and of a vertical displacement. Returns the coefficients (s, 2) and (k,) of both, and the errors (n,)
+    in m that they leave.
+    """
+    moved, level, off = np.zeros((shift.shape[1], 2)), np.zeros(surface.shape[1]), heights
     for _ in range(_ROUNDS):
-        off = heights - truth(dem, site, posts - powers @ shift)
-        design = np.column_stack([surface, *(powers * slope[:, None] for slope in slopes.T)])
-        found = np.linalg.lstsq(design, off)[0]
-        shift -= found[6:].reshape(2, 3).T
-        left = off - surface @ found[:6]
-    return left
+        there = plane - shift @ moved
+        off = heights - truth(there)
+        design = np.column_stack([surface, *(-shift * slope[:, None] for slope in slopes(there).T)])
+        level, more = np.split(np.linalg.lstsq(design, off)[0], [surface.shape[1]])
+        moved = moved + more.reshape(2, -1).T
+    return moved, level, off - surface @ level
 
 
 def rms(values: Array) -> float:

@@ -78,23 +78,11 @@ class HeightChecks:
 def check_profiles(
     posterior: Posterior, case: CaseInput, path: Path, more: Sequence[Path] = ()
 ) -> tuple[CheckProfile, ...]:
-    """Shots of a case's profiles, and of other files, that took no part in the adjustment.
+    """Shots of a case's [[mola]] profiles, and of more PEDR files or tables, that took no part in the adjustment; shots
+    are known by their names.
 
-    Parameters
-    ----------
-    posterior : Posterior
-        Of the adjustment; shots are known by their names.
-    case : CaseInput
-        Whose [[mola]] profiles are read.
-    path : Path
-        Its file.
-    more : sequence of Path
-        Other PEDR files or tables. Their sigmas are the largest that the case states for a profile.
-
-    Raises
-    ------
-    InputError
-        Where a file can't be read.
+    `path` is the case's file; the sigmas of further files are the largest that the case states for a profile.
+    InputError where a file can't be read.
     """
     used = set(posterior.network.points.ids)
     entries = [(entry, read_mola(entry, path.parent)) for entry in case.mola]

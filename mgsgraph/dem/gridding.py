@@ -56,27 +56,14 @@ def gridded(
     points: DensePoints, grid: MapGrid, spacing: float, window: float, workers: int | None = None,
     progress: Progress = no_progress,
 ) -> HeightGrid:
-    """Heights at the posts of a map. Posts far apart are chosen from a finer grid, which has those of the points around
-    each: a wider plane would be that of the ground in between, and what scatters about it says little of its height at
-    the post.
+    """Heights at the posts of a map, from points that are about `spacing` m apart.
 
-    Parameters
-    ----------
-    points : DensePoints
-    grid : MapGrid
-    spacing : float
-        m between points, about.
-    window : float
-        m, width of the windows that were matched: matching errors of points that are nearer are correlated.
-    workers : int, optional
-        Threads; one per processor when None.
-    progress : callable
-        Called with the rows done and all rows.
+    Matching errors of points that are nearer than `window` m, the width of the windows that were matched, are
+    correlated. Posts far apart are chosen from a finer grid, which has those of the points around each: a wider plane
+    would be that of the ground in between, and what scatters about it says little of its height at the post. `workers`
+    is the number of threads, one per processor when None.
 
-    Raises
-    ------
-    InputError
-        Where no post has points on all sides.
+    InputError where no post has points on all sides.
     """
     if not (np.isfinite(spacing) and spacing > 0.0 and np.isfinite(window) and window > 0.0):
         raise InputError("terrain model", f"points every {spacing} m, windows of {window} m", "positive numbers")

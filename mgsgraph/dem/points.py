@@ -84,21 +84,8 @@ class _Crossed(NamedTuple):
 
 
 def intersected(posterior: Posterior, scene: Scene, matches: Sequence["DenseMatches"]) -> DensePoints:
-    """Intersect dense matches.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        Of the adjustment.
-    scene : Scene
-        Its pictures are the posterior's images as adjusted (`scene.adjusted_scene`).
-    matches : sequence of DenseMatches
-        Of pairs of its pictures. Those whose rays don't meet are left out.
-
-    Raises
-    ------
-    InputError
-        Where none is left.
+    """Intersect dense matches of pairs of a scene's pictures, which are the posterior's images as adjusted
+    (`production.adjusted_scene`). Those whose rays don't meet are left out; InputError where none is left.
     """
     parts = [
         _of_pair(posterior, scene, one, k, slice(begin, begin + _AT_ONCE), nodes)

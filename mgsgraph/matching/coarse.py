@@ -125,26 +125,10 @@ def brought_together(
     store: TileStore | None,
     progress: Progress,
 ) -> Together:
-    """Correct pictures, one after the other, until they agree with those before.
+    """Correct pictures that share ground, one after the other, until they agree with those before.
 
-    Parameters
-    ----------
-    scene : Scene
-        With nominal orientations.
-    pairs : sequence of Pair
-        That share ground.
-    settings : MatchSettings
-    step : float
-        m between pixels of the fine ground grid.
-    store : TileStore, optional
-        Where links that are found are kept.
-    progress : callable
-        Called with the number of pictures that are done.
-
-    Raises
-    ------
-    InputError
-        Where no two pictures agree.
+    `scene` has nominal orientations, `step` is the pixel of the fine ground grid in m; links that are found are kept in
+    the store. InputError where no two pictures agree.
     """
     count = len(scene.pictures)
     left, there, group = set(range(count)), set[int](), np.full(count, -1)

@@ -41,7 +41,7 @@ class Features(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Where the counterpart of a feature may lie: about the same place of the chart, farther along one direction."""
+    """Where the counterpart of a feature may lie: about the same position of the chart, farther along one direction."""
 
     direction: Array
     """(2,) unit, of the displacement by height."""

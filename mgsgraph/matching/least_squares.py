@@ -53,7 +53,7 @@ class LeastSquaresSettings:
     iterations: int = 30
     """At most."""
     tolerance: float = 1e-3
-    """pixels: a step that moves the place less, and the corners less than ten times that, is the last but one."""
+    """pixels: a step that moves the position less, and the corners less than ten times that, is the last but one."""
     reach: float = 4.0
     """pixels by which a match may leave its start."""
     saturated: float = 0.05
@@ -93,9 +93,9 @@ class LeastSquaresMatches:
     residual: Array
     """(n,) grey values of the template, weighted rms, by the degrees of freedom."""
     noise: Array
-    """(n, 2, 2) px^2 of the place, the anchor being given, but for relief that the model doesn't follow."""
+    """(n, 2, 2) px^2 of the position, the anchor being given, but for relief that the model doesn't follow."""
     bend: Array
-    """(n, 2) px by which the place would move if the middle of the window alone counted."""
+    """(n, 2) px by which the position would move if the middle of the window alone counted."""
     bend_noise: Array
     """(n, 2, 2) px^2 of the bend, if it is nothing but noise."""
     misfit: Array
@@ -114,8 +114,8 @@ class LeastSquaresMatches:
 
     @property
     def covariance(self) -> Array:
-        """(n, 2, 2) px^2 of the place, the anchor being given: noise, and of each match what its own bend has above its
-        noise. For matches of one kind of ground `covariance_with_relief` knows more.
+        """(n, 2, 2) px^2 of the position, the anchor being given: noise, and of each match what its own bend has above
+        its noise. For matches of one kind of ground `covariance_with_relief` knows more.
         """
         (a, b), (c, d) = np.moveaxis(self.bend_noise, 0, -1)
         sound = a * d - b * c > 0.0
@@ -128,7 +128,7 @@ class LeastSquaresMatches:
     def covariance_with_relief(self, directions: ArrayLike) -> Array:
         """(n, 2, 2) px^2: noise, and along the direction (n, 2) in which height displaces the roughness of the ground.
 
-        A place is that of its window's ground, smoothed; the anchor's own differs by what relief displaces one pixel
+        A position is that of its window's ground, smoothed; the anchor's own differs by what relief displaces one pixel
         beside the model. That shows in residuals: they are larger where grey values change along the direction. It is
         one number for all matches, since one window says little.
 
@@ -160,7 +160,7 @@ def match_least_squares(
     settings: LeastSquaresSettings | None = None,
     threads: int | None = None,
 ) -> LeastSquaresMatches:
-    """Match windows of the template picture: template(anchor + d) = gain search(place + A d) + offset.
+    """Match windows of the template picture: template(anchor + d) = gain search(position + A d) + offset.
 
     The result does not depend on the number of threads, nor does a match on the others.
 
@@ -264,7 +264,7 @@ def _matches(rows: Array, status: Index, growth: float) -> LeastSquaresMatches:
     n = status.size
     return LeastSquaresMatches(
         status=status,
-        pixels=rows[:, equations.PLACE : equations.AFFINE],
+        pixels=rows[:, equations.POSITION : equations.AFFINE],
         affine=rows[:, equations.AFFINE : equations.GAIN].reshape(n, 2, 2),
         gain=rows[:, equations.GAIN],
         offset=rows[:, equations.OFFSET],

@@ -25,21 +25,9 @@ _TEMPLATE = "templates/review.html"
 
 
 def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = None) -> None:
-    """Write the page.
+    """Write the page to an HTML file; an earlier one is replaced. InputError if it can't be written.
 
-    Parameters
-    ----------
-    review : MatchReview
-        What to show.
-    path : Path
-        HTML file; an earlier one is replaced.
-    verdicts : Verdicts, optional
-        Earlier ones, with which the page begins; of points that it doesn't show they are kept in what it saves.
-
-    Raises
-    ------
-    InputError
-        If the file can't be written.
+    The page begins with earlier verdicts; of points that it doesn't show they are kept in what it saves.
     """
     import jinja2  # takes 0.1 s
 

@@ -55,21 +55,9 @@ class MocImageLabel:
 
 
 def write_moc_image(path: Path, label: MocImageLabel, pixels: NDArray[np.uint8]) -> None:
-    """Write an image with its label attached; the same arguments give the same bytes.
-
-    Parameters
-    ----------
-    path : Path
-        File that is written, or replaced.
-    label : MocImageLabel
-        Its values.
-    pixels : (lines, samples)
-        Grey values.
-
-    Raises
-    ------
-    InputError
-        If the pixels are no picture, a value can't stand in a label, or the file can't be written.
+    """Write an image of grey values (lines, samples) with its label attached, or replace it; the same arguments give
+    the same bytes. InputError if the pixels are no picture, a value can't stand in a label, or the file can't be
+    written.
     """
     if pixels.ndim != 2 or pixels.dtype != np.uint8 or pixels.size == 0:
         raise InputError(f"{path}, pixels", f"{pixels.dtype} of shape {pixels.shape}", "(lines, samples) of uint8")

@@ -277,18 +277,8 @@ class MegdrLayout:
 
 
 def write_megdr(folder: Path, name: str, layout: MegdrLayout, posts: Iterable[Array]) -> None:
-    """Write ``name.img`` and ``name.lbl``, which are replaced.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    name : str
-        ``megr...`` for radii of the planet, ``megt...`` for topography.
-    layout : MegdrLayout
-        Of the whole grid.
-    posts : iterable of arrays
-        m, the grid's rows from the north, some at a time.
+    """Write ``name.img`` and ``name.lbl`` to a folder that exists, or replace them: ``megr...`` for radii of the
+    planet, ``megt...`` for topography. `posts` (m) are the grid's rows from the north, some at a time.
     """
     with (folder / f"{name}.img").open("wb") as file:
         for rows in posts:

@@ -75,20 +75,11 @@ def sampled_trajectory(
     mount: Array | None = None,
     tilt: Array | None = None,
 ) -> Trajectory:
-    """Trajectory that is sampled at times (n,), s past the epoch.
+    """Trajectory that is sampled at increasing times (n,), s past the epoch (s TDB past J2000).
 
-    Parameters
-    ----------
-    epoch : float
-        s TDB past J2000.
-    times : (n,)
-        s, increasing.
-    state : positions (n, 3), velocities (n, 3)
-        m and m/s, inertial.
-    camera, body : (n, 3, 3)
-        Matrices that take inertial components to those of the camera frame, and to body-fixed ones.
-    mount, tilt : (3, 3), optional
-        Constant last parts of these rotations, which the tables of quaternions leave out; none when absent.
+    `state` has positions and velocities (n, 3), m and m/s, inertial; `camera` and `body` (n, 3, 3) take inertial
+    components to those of the camera frame, and to body-fixed ones. `mount` and `tilt` (3, 3) are the constant last
+    parts of these rotations, which the tables of quaternions leave out.
     """
     attitude, rotating = (
         AttitudeTable(times, quaternions(full), np.eye(3))
@@ -236,25 +227,13 @@ def mount() -> Array:
 def site_pass(
     settings: ImageSettings, epoch: float, site: Array, altitude: float, emission: float | None = None
 ) -> SitePass:
-    """The flight whose optical axis meets `site` at the epoch, at the emission angle and the published ground speed.
+    """The flight whose optical axis meets `site` at the epoch, at the published ground speed and emission angle, or at
+    another angle (rad).
 
-    Parameters
-    ----------
-    settings : ImageSettings
-        Of the image.
-    epoch : float
-        s TDB past J2000, of the middle line.
-    site : (3,)
-        m, body-fixed, the image's middle.
-    altitude : float
-        m, by which the spacecraft is farther from Mars' centre than the ellipsoid at the site.
-    emission : float, optional
-        rad, other than the published one.
-
-    Notes
-    -----
-    The spacecraft flies north by day at 92.9 degrees of inclination, as MGS did. It is west of the site, as at Eos
-    (Shan et al.), and looks east across its flight.
+    `epoch` (s TDB past J2000) is that of the middle line, `site` (3,) the image's middle in m, body-fixed; `altitude`
+    in m is by how much farther the spacecraft is from Mars' centre than the ellipsoid at the site. The spacecraft flies
+    north by day at 92.9 degrees of inclination, as MGS did. It is west of the site, as at Eos (Shan et al.), and looks
+    east across its flight.
     """
     to_inertial = body_matrix(np.array([epoch]))[0].T
     normal = to_inertial @ (site / np.array([MARS.equatorial, MARS.equatorial, MARS.polar]) ** 2)

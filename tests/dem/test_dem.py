@@ -83,7 +83,7 @@ def test_heights_scatter_with_orientations_drawn_from_the_posterior() -> None:
     """An authority that knows nothing of derivatives: whole corrections drawn, rays intersected anew."""
     scene, posterior = dem_site.scene(), dem_site.posterior()
     matches = dem_site.matched(None)
-    few = replace(matches, **{name: getattr(matches, name)[::3000] for name in ("anchors", "places", "covariances")})
+    few = replace(matches, **{name: getattr(matches, name)[::3000] for name in ("anchors", "pixels", "covariances")})
     covariance = dem_site.solution().correction_covariance(0, 1)
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(covariance)), covariance, 400, method="cholesky")
     places = []
@@ -125,12 +125,12 @@ def test_a_horizontal_error_is_a_height_error_on_a_slope() -> None:
 def test_no_matches_and_pictures_that_were_not_adjusted() -> None:
     scene = dem_site.scene()
     empty = replace(
-        dem_site.matched(None), anchors=np.zeros((0, 2)), places=np.zeros((0, 2)), covariances=np.zeros((0, 2, 2))
+        dem_site.matched(None), anchors=np.zeros((0, 2)), pixels=np.zeros((0, 2)), covariances=np.zeros((0, 2, 2))
     )
     with pytest.raises(InputError, match="no matches: nothing to make a terrain model from"):
         intersected(dem_site.posterior(), scene, [empty])
     same = replace(dem_site.matched(None), second=0)
-    same = replace(same, places=same.anchors)
+    same = replace(same, pixels=same.anchors)
     with pytest.raises(InputError, match=r"nothing to make|don't meet"):
         intersected(dem_site.posterior(), scene, [same])
     with pytest.raises(InputError, match="solution doesn't have: E02-00665; expected"):
