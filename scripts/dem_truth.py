@@ -34,6 +34,7 @@ from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
+from mgsgraph.wording import root_mean_square as rms
 
 PAGE = "dem_truth.md"
 CHECK_EVERY = 3
@@ -156,11 +157,6 @@ def laid_on(
         level, more = np.split(np.linalg.lstsq(design, off)[0], [surface.shape[1]])
         moved = moved + more.reshape(2, -1).T
     return moved, level, off - surface @ level
-
-
-def rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 if __name__ == "__main__":

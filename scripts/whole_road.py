@@ -27,6 +27,8 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from archive_server import serving
 from simulated_archive import write_archive
 
+from mgsgraph.wording import root_mean_square as rms
+
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "whole_road.md"
 ROAD = (
     "fetch {images} --out DATA",
@@ -169,10 +171,6 @@ def laid_on(
         lambda plane: truth(*plane.T), slopes, np.column_stack([x, y]), heights, np.ones((x.size, 1)), shape
     )
     return np.array([*moved[0], level[0]]), rms(left)
-
-
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def table(steps: list[Step]) -> list[str]:

@@ -14,6 +14,8 @@ SUFFIX = ".toml"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
 _JOINT = "-"
+_BESIDE = (".lbl", ".img", ".imq", ".cub")
+"""Endings of files that belong together: a label, and the pixels or posts that it describes."""
 
 
 def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:
@@ -90,10 +92,6 @@ def _parts(case: Path) -> tuple[str, ...]:
     """Folders and stem of a case file's path, without a stem that says nothing."""
     parts = tuple(part for part in case.parent.parts if part != case.anchor)
     return parts if case.stem == _PLAIN and parts else (*parts, case.stem)
-
-
-_BESIDE = (".lbl", ".img", ".imq", ".cub")
-"""Endings of files that belong together: a label, and the pixels or posts that it describes."""
 
 
 def checksums(case: Path) -> dict[str, str | None]:

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.dem.map import bilinear
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.network import ImageRays
@@ -153,11 +153,10 @@ class _Nodes(NamedTuple):
     """(k, l, 3, 3) m^2."""
 
     def at(self, pixels: Array) -> Array:
-        """(n, 3, 3) m^2, bilinear at lines and samples (n, 2) of the first image; those of the edge beyond it."""
-        first = np.array([self.lines[0], self.samples[0]])
-        step = np.array([self.lines[-1], self.samples[-1]]) - first
-        last = np.array(self.covariances.shape[:2]) - 1.0
-        return bilinear(self.covariances, np.clip((pixels - first) * (last / step), 0.0, last))
+        """(n, 3, 3) m^2, bilinear at lines and samples (n, 2) of the first image."""
+        axes = zip((self.lines, self.samples), pixels.T, strict=True)
+        at = np.column_stack([np.interp(values, nodes, np.arange(nodes.size)) for nodes, values in axes])
+        return between_nodes(self.covariances, at)
 
 
 def _orientation_nodes(posterior: Posterior, scene: Scene, one: "DenseMatches") -> _Nodes:
