@@ -121,9 +121,10 @@ def _named(wanted: CaseInput) -> Iterator[str]:
     if wanted.ground_control is not None:
         yield wanted.ground_control.file
     yield from (group.file for group in wanted.laser_groups)
-    for profile in wanted.mola:
-        yield profile.pedr
-        yield from (name for name in (profile.leap_seconds,) if name is not None)
+    yield from (profile.pedr for profile in wanted.mola)
+    yield from (cloud.file for cloud in wanted.altimetry)
+    leap_seconds = [*(entry.leap_seconds for entry in wanted.mola), *(entry.leap_seconds for entry in wanted.altimetry)]
+    yield from (name for name in leap_seconds if name is not None)
     if wanted.terrain is not None:
         terrain = wanted.terrain
         for several in (terrain.radius, terrain.tracks):
