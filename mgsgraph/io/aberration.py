@@ -3,8 +3,8 @@
 Support data of MGS, HRSC and CTX hold positions corrected for light time and stellar aberration (SPICE "LT+S"): 55 to
 220 m away from where the camera was. A range, and a camera, need the geometric position. What is undone here (Park's
 and NAIF's definition, ``spkezr`` required reading): the light time, iterated on the table itself, and the aberration by
-the observer's velocity about the Sun, which the support data give with the Sun's position. The Sun's own motion about the
-barycentre (about 13 m/s) is left out: at most 0.2 m.
+the observer's velocity about the Sun, which the support data give with the Sun's position. The Sun's own motion about
+the barycentre (about 13 m/s) is left out: at most 0.2 m.
 """
 
 import numpy as np
