@@ -58,7 +58,7 @@ ONLY_IN = {
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.graph.prior",
         "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.stereo_surface", "mgsgraph.geometry.track_terrain",
-        "mgsgraph.matching", "mgsgraph.spacing",
+        "mgsgraph.matching", "mgsgraph.dem", "mgsgraph.spacing",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

@@ -216,7 +216,7 @@ def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: f
     _, slopes = image.image_to_ground(middle[:, 0], middle[:, 1], float(np.median(ground)), posterior.correction(first))
     variances = np.linalg.eigvalsh(matches.covariances)[:, 1]
     pixel = np.linalg.norm(slopes[0], axis=0)
-    return averaged_surface(matches.anchors, matches.places, variances, pixel, width, window)
+    return averaged_surface(matches.anchors, matches.pixels, variances, pixel, width, window)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
