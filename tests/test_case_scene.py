@@ -73,7 +73,7 @@ def test_a_site_is_what_was_written(site: Path) -> None:
         points = ours.points(ours.chart.plane(matched.inner(40)))
         assert np.abs(ground.points(ground.chart.plane(points)) - points).max() < 1.0  # posts of whole metres
         # polynomials in place of the kernels' noise of four seconds of arc
-        assert np.abs(picture.places(points) - made.places(points)).max() < 6.0
+        assert np.abs(picture.project(points) - made.project(points)).max() < 6.0
     ends = np.array([[0.0, 512.0], [matched.LINES, 512.0]])
     across, along = np.diff(scene.pictures[0].on_chart(ground, ends), axis=0)[0]
     assert abs(across) < 0.02 * along  # y is along the flight
