@@ -89,9 +89,9 @@ def test_strips_of_a_network() -> None:
     with_strip = replace(net, strips=(Strip("A", np.array([0]), nodes, prior),))
 
     assert with_strip.strip_of.tolist() == [0, -1]
-    assert with_strip.own.tolist() == [False, True]
+    assert with_strip.with_polynomial.tolist() == [False, True]
     assert not np.any(with_strip.held)
-    assert np.all(replace(with_strip, strips=()).own)
+    assert np.all(replace(with_strip, strips=()).with_polynomial)
     with pytest.raises(InputError, match="it is held"):
         replace(with_strip, held=np.array([True, False]))
     assert with_strip.first_of_strips.tolist() == [2, 2 + len(nodes)]
