@@ -164,7 +164,7 @@ def evenly(items: Index, count: int) -> Index:
 def of_point(posterior: Posterior, draw: Draw, i: int) -> tuple[Array, Array]:
     """East, north, up of a ground point, m."""
     found = posterior.point(posterior.network.points.ids[i])
-    return east_north_up(found.place[None])[0] @ (found.place - draw.places[i]), found.east_north_up
+    return east_north_up(found.position[None])[0] @ (found.position - draw.places[i]), found.east_north_up
 
 
 def of_heights(posterior: Posterior, draw: Draw, i: int, j: int) -> tuple[Array, Array]:
@@ -183,7 +183,7 @@ def of_projections(posterior: Posterior, draw: Draw, rays: Index) -> Answers:
     found = [
         posterior.projection(network.points.ids[i], network.images[j].name) for i, j in zip(points, images, strict=True)
     ]
-    return [(one.place - true, one.covariance) for one, true in zip(found, truth, strict=True)]
+    return [(one.position - true, one.covariance) for one, true in zip(found, truth, strict=True)]
 
 
 def seen(network: Network, draw: Draw, places: Array, images: Index) -> Array:
@@ -241,4 +241,4 @@ def new_places(
     ]
     for start, end in zip(starts, [*starts[1:], len(images)], strict=True):
         found = posterior.intersection(pixels[start:end])
-        yield east_north_up(found.place[None])[0] @ (found.place - trues[start]), found.east_north_up
+        yield east_north_up(found.position[None])[0] @ (found.position - trues[start]), found.east_north_up

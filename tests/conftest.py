@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import kernels
 import pytest
 from outside import require
 
@@ -17,13 +18,13 @@ FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
 ]  # fmt: skip
-SOON = (
-    "adjustment/test_adjust", "matching/", "test_docs", "cli/", "reports/", "export/", "figures/", "dem/", "demo/",
-    "review/", "scripts/", "simulation/", "project/", "campaign/", "fetch/",
+PLAIN = ("io/", "fetch/", "geometry/", "output/", "simulation/test_imagery", "simulation/test_terrain")
+"""Tests that need no large kernel: they begin while the kernels are compiled."""
+LONG = (
+    "adjustment/", "matching/", "test_docs", "cli/", "reports/", "figures/", "scripts/", "dem/", "demo/", "review/",
+    "export/", "simulation/", "project/", "campaign/",
 )  # fmt: skip
-"""What begins soon when processes share the suite: one compiles the adjustment's kernel while another one compiles
-that of matching; and files that take long, so that short ones fill up what is left.
-"""
+"""Those that take long, next, so that short files fill up what is left at the end."""
 sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
 
 
@@ -31,19 +32,32 @@ sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
 def pytest_cmdline_main(config: pytest.Config) -> None:
     """The whole suite is shared by a process per processor, file by file; not so a part of it, or with `-n 0`."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not hasattr(config, "workerinput")
-    if whole and config.pluginmanager.hasplugin("xdist") and config.option.numprocesses is None:
+    shared = config.pluginmanager.hasplugin("xdist") and config.option.numprocesses is None
+    if whole and shared and not config.option.collectonly:
         config.option.numprocesses, config.option.dist = "logical", "loadfile"
         config.option.loadscopereorder = False
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else its threads wait for one another's processor
+        kernels.compile_in_background()
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """In the order of `SOON`, the rest as it is."""
+    """Tests in a browser are slow; `PLAIN` ones come first, then `LONG` ones, the rest as it is."""
+    order = [f"tests/{start}" for start in (*PLAIN, *LONG)]
 
     def rank(item: pytest.Item) -> int:
-        return next((k for k, start in enumerate(SOON) if item.nodeid.startswith(f"tests/{start}")), len(SOON))
+        return next((k for k, start in enumerate(order) if item.nodeid.startswith(start)), len(order))
 
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
     items.sort(key=rank)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """All but the `PLAIN` tests wait for the kernels."""
+    if not item.nodeid.startswith(tuple(f"tests/{start}" for start in PLAIN)):
+        kernels.wait()
 
 
 @pytest.fixture(scope="session")

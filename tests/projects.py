@@ -111,7 +111,7 @@ def contents(store: StateStore) -> Iterator[tuple[str, Any]]:
         if bundle.reduced is not None:
             yield from _leaves(f"reduced {members}", reduced[members])
         ids = bundle.network.points.ids
-        yield f"homes {members}", store.homes([*ids, "nowhere"]) == dict.fromkeys(ids, members)
+        yield f"bundles of {members}", store.bundles_of([*ids, "nowhere"]) == dict.fromkeys(ids, members)
 
 
 def _leaves(where: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -57,6 +57,7 @@ ONLY_IN = {
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.graph.prior",
         "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.track_terrain", "mgsgraph.matching",
+        "mgsgraph.spacing",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

@@ -1,9 +1,9 @@
-"""Are the sigmas honest? Variance components: by what factor the sigmas of each group of rows are wrong, and how sure
+"""Variance components: by what factor the sigmas of each group of rows are wrong, and how sure
 one can be of it.
 
 components = mgsgraph.analysis.components.components_of(solution)
 print(components.words())
-honest = iterated_components(network, settings)  # scaled and adjusted again, until all factors are one
+found = iterated_components(network, settings)  # scaled and adjusted again, until all factors are one
 
 A pass solves Helmert's equations S s = q (see `helmert`) for the variance factors s. They are unbiased, and repeated
 until s = 1 they give what Foerstner's simpler v'v / r leads to as well, in fewer passes; for normal errors that is the
@@ -18,11 +18,11 @@ from enum import StrEnum
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.passes import Selection, everything
+from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.helmert import CORRELATED, DENSE, Redundancy, given, group_redundancy, most_correlated, nearest
+from mgsgraph.analysis.helmert import CORRELATED, Redundancy, given, group_redundancy, most_correlated, nearest
 from mgsgraph.analysis.linearised import Linearised, at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
@@ -33,13 +33,13 @@ LEAST = 1.0
 SURE = 0.99
 """Probability that a verdict goes by: sigmas are called wrong when this interval leaves out 1."""
 _VAGUE = 0.15
-"""Relative sigma of a factor from which on a verdict says that little can be told."""
+"""Relative sigma of a factor from which on a verdict says that little can be said."""
 _FAR = 0.25
 """Logarithm of a factor from which on a single pass is but a first look."""
 _STEP = 4.0
 """Largest factor of a sigma in one pass."""
 _FLOOR, _CEILING = 0.02, 500.0
-"""Factors in total at which a group is held: its sigma can't be told from zero, or from infinity."""
+"""Factors in total at which a group is held: its sigma can't be distinguished from zero, or from infinity."""
 _UNDAMPED = 8
 """Passes after which only half the step is taken (in logarithms), should they go to and fro."""
 
@@ -58,7 +58,7 @@ class Judgement(StrEnum):
     ZERO = "goes to zero"
     """Residuals so small that others' sigmas explain them; held."""
     UNBOUNDED = "goes to infinity"
-    """Held."""
+    """Factor held at its upper limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Component:
     """What the residuals say of the sigmas of one group."""
 
     name: str
-    """Of the group."""
+    """Name of the group."""
     judgement: Judgement
     """Whether what follows means anything."""
     rows: int
@@ -80,7 +80,7 @@ class Component:
     degrees: float
     """Degrees of freedom of its square, chi-square with which it is distributed like, nearly; NaN where not judged."""
     beside: str = ""
-    """The group that it is most entangled with."""
+    """The group that it is most correlated with."""
     correlation: float = math.nan
     """Of the two groups' squared factors."""
     given: str = ""
@@ -111,7 +111,7 @@ class Component:
         return (math.pow(self.factor / truth, 2.0 / 3.0) - 1.0 + spread) / math.sqrt(spread)
 
     @property
-    def honest(self) -> bool | None:
+    def consistent(self) -> bool | None:
         """Whether the sigmas may be right; None where it can't be judged."""
         if self.judgement is not Judgement.JUDGED:
             return None
@@ -119,30 +119,30 @@ class Component:
         return low <= 1.0 <= high
 
     @property
-    def entangled(self) -> bool:
+    def correlated(self) -> bool:
         """Whether another group may have taken what is its own: `sigma` holds near the estimate, not beyond."""
         return abs(self.correlation) > CORRELATED or bool(self.given)
 
     def verdict(self) -> str:
-        """One sentence."""
+        """Verdict on the sigmas of the group, in one sentence."""
         return f"{self.name}: {_VERDICTS[self.judgement](self)}"
 
 
 def _judged(one: Component) -> str:
     notes = [f"if the stated sigmas of {one.given} are right"] if one.given else []
     if abs(one.correlation) > CORRELATED:
-        notes.insert(0, f"entangled with {one.beside}, correlation {one.correlation:.2f}")
+        notes.insert(0, f"correlated with {one.beside}, correlation {one.correlation:.2f}")
     return "; ".join([_plainly(one), *notes])
 
 
 def _plainly(one: Component) -> str:
     low, high = one.interval()
-    if one.honest and one.sigma > _VAGUE * one.factor:
+    if one.consistent and one.sigma > _VAGUE * one.factor:
         return (
             f"nothing wrong to be seen, with little to see it by (factor {one.factor:.2g}, "
             f"{low:.2g} to {high:.2g} with {100 * SURE:.0f}%)"
         )
-    if one.honest:
+    if one.consistent:
         return f"honest (factor {_with_sigma(one.factor, one.sigma)})"
     if one.factor > 1.0:
         return f"too optimistic, sigmas too small by a factor of {_with_sigma(one.factor, one.sigma)}"
@@ -219,9 +219,9 @@ class IteratedComponents:
     """A network whose sigmas agree with its residuals."""
 
     network: Network
-    """With the new sigmas."""
+    """The network with the new sigmas."""
     solution: Solution
-    """Its adjustment."""
+    """Adjustment with the new sigmas."""
     components: Components
     """Factors in total, new sigmas over stated ones."""
     converged: bool
@@ -230,15 +230,13 @@ class IteratedComponents:
     """(passes, g) factors in total with which each pass was adjusted."""
 
     def words(self) -> str:
-        """What came of it."""
+        """Verdicts of all groups, and whether the factors converged."""
         passes = len(self.history)
         end = f"Came to rest after {passes} passes." if self.converged else f"NOT at rest after {passes} passes."
         return f"{self.components.words()}\n{end}"
 
 
-def components_of(
-    solution: Solution | Linearised, grouping: Grouping | None = None, dense: int = DENSE
-) -> Components:
+def components_of(solution: Solution | Linearised, grouping: Grouping | None = None) -> Components:
     """Variance components from one adjustment.
 
     With factors far from one they are rough, and their sigmas too small where other groups' sigmas are too small:
@@ -247,14 +245,11 @@ def components_of(
 
     Parameters
     ----------
-    solution : Solution or Linearised
     grouping : Grouping, optional
         `group_rows` when absent.
-    dense : int
-        Shared unknowns up to which Helmert's matrix is exact.
     """
     at = solution if isinstance(solution, Linearised) else at_solution(solution)
-    found = group_redundancy(at, grouping or group_rows(at.network), dense)
+    found = group_redundancy(at, grouping or group_rows(at.network))
     judgements = _judgements(found, {})
     squared = _squared_factors(found, judgements)
     plain = found.squares / np.maximum(found.redundancy, 1e-300)
@@ -269,7 +264,6 @@ def iterated_components(
     grouping: Grouping | None = None,
     most: int = 25,
     tolerance: float = 0.01,
-    dense: int = DENSE,
 ) -> IteratedComponents:
     """Scale the sigmas of each group, adjust again, and so on until all factors are one.
 
@@ -279,16 +273,12 @@ def iterated_components(
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     grouping : Grouping, optional
         `group_rows` when absent.
     most : int
         Passes.
     tolerance : float
         By which factors of the last pass may differ from one.
-    dense : int
-        Shared unknowns up to which Helmert's matrix is exact.
 
     Raises what `adjust_network` raises.
     """
@@ -296,12 +286,12 @@ def iterated_components(
         raise InputError("variance components", f"{most} passes, tolerance {tolerance}", "at least 1, above zero")
     grouping = grouping or group_rows(network)
     total, held, history = np.ones(len(grouping.names)), dict[int, Judgement](), list[Array]()
-    left_in = _unmarked(network) if settings.reject == 0.0 else None
+    left_in = unmarked(network) if settings.reject == 0.0 else None
     while True:
         present = scaled(network, grouping, total)
         solution = adjust_network(present, settings, left_in=left_in)
         history.append(total.copy())
-        found = group_redundancy(at_solution(solution), grouping, dense)
+        found = group_redundancy(at_solution(solution), grouping)
         judgements = _judgements(found, held)
         free = np.array([one is Judgement.JUDGED for one in judgements], dtype=bool)
         step = np.where(free, np.sqrt(np.clip(_squared_factors(found, judgements), _STEP**-2, _STEP**2)), 1.0)
@@ -317,14 +307,6 @@ def iterated_components(
             held[g], total[g] = Judgement.LOST, 1.0
     components = _components(found, judgements, total)
     return IteratedComponents(present, solution, components, converged, np.array(history))
-
-
-def _unmarked(network: Network) -> Selection:
-    """All but known blunders, as `at_values` takes them."""
-    rays, ranges = network.rays.rejected, network.ranges.rejected
-    assert rays is not None  # a network fills them in
-    assert ranges is not None
-    return Selection(~rays, ~ranges, everything(network).out)
 
 
 def _judgements(found: Redundancy, held: dict[int, Judgement]) -> list[Judgement]:

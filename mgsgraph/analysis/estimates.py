@@ -32,32 +32,32 @@ class Quantity:
     """(m,) at the solution."""
     by_shared: Mapping[int, Array]
     """(m, width) derivatives by each shared unknown they depend on, per m and rad."""
-    own: Mapping[Hashable, Array]
+    noise: Mapping[Hashable, Array]
     """(m, 3) derivatives by the noise of each point they depend on, by a key of its own: quantities that have one in
     common share that noise."""
 
     def through(self, names: tuple[str, ...], units: tuple[str, ...], values: Array, jacobian: Array) -> "Quantity":
         """Further numbers (k) that follow from these; `jacobian` (k, m) are their derivatives."""
         by_shared = {variable: jacobian @ part for variable, part in self.by_shared.items()}
-        return Quantity(names, units, values, by_shared, {point: jacobian @ part for point, part in self.own.items()})
+        return Quantity(names, units, values, by_shared, {point: jacobian @ part for point, part in self.noise.items()})
 
 
 def together(quantities: Sequence[Quantity]) -> Quantity:
     """Several quantities as one, one after another."""
     ends = np.cumsum([0, *(len(one.names) for one in quantities)]).tolist()
     by_shared: dict[int, Array] = {}
-    own: dict[Hashable, Array] = {}
+    noise: dict[Hashable, Array] = {}
     for first, last, one in zip(ends, ends[1:], quantities, strict=False):
         for variable, part in one.by_shared.items():
             by_shared.setdefault(variable, np.zeros((ends[-1], part.shape[1])))[first:last] = part
-        for point, part in one.own.items():
-            own.setdefault(point, np.zeros((ends[-1], 3)))[first:last] = part
+        for point, part in one.noise.items():
+            noise.setdefault(point, np.zeros((ends[-1], 3)))[first:last] = part
     return Quantity(
         tuple(name for one in quantities for name in one.names),
         tuple(unit for one in quantities for unit in one.units),
         np.concatenate([one.values for one in quantities]),
         by_shared,
-        own,
+        noise,
     )
 
 
@@ -68,7 +68,7 @@ def covariance(quantity: Quantity, joint: JointCovariance) -> Array:
     if quantity.by_shared:
         jacobian = np.hstack(list(quantity.by_shared.values()))
         found += jacobian @ joint.of(quantity.by_shared) @ jacobian.T
-    for part in quantity.own.values():
+    for part in quantity.noise.values():
         found += part @ part.T
     return np.asarray(0.5 * (found + found.T))
 
@@ -108,7 +108,7 @@ class Estimate:
         return correlation(self.covariance)
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """HTML for notebooks."""
         rows = [("", "value", "sigma", "unit")]
         rows += [
             (name, f"{value:.9g}", f"{sigma:.4g}", unit)
@@ -125,7 +125,7 @@ class ErrorEllipsoid:
     """Surface within which the truth lies with a probability, in the local frame east, north, up."""
 
     probability: float
-    """Of the truth inside it."""
+    """Probability that the truth lies inside."""
     semi_axes: Array
     """(3,) m, longest first."""
     directions: Array
@@ -159,12 +159,12 @@ def error_ellipsoid(covariance: Array, probability: float) -> ErrorEllipsoid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaceEstimate:
-    """A ground place."""
+class PositionEstimate:
+    """Position of a ground point."""
 
     name: str
-    """Of the point."""
-    place: Array
+    """Name of the point."""
+    position: Array
     """(3,) m, body-fixed."""
     covariance: Array
     """(3, 3) m^2, body-fixed, for sigma0 = 1."""
@@ -179,7 +179,7 @@ class PlaceEstimate:
     @property
     def east_north_up(self) -> Array:
         """(3, 3) m^2, covariance in the local frame."""
-        frame = east_north_up(self.place[None])[0]
+        frame = east_north_up(self.position[None])[0]
         return np.asarray(frame @ self.covariance @ frame.T)
 
     def ellipsoid(self, probability: float = 0.95) -> ErrorEllipsoid:
@@ -187,9 +187,9 @@ class PlaceEstimate:
         return error_ellipsoid(self.east_north_up, probability)
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """HTML for notebooks."""
         east, north, up = _roots(self.east_north_up)
-        longitude, latitude, radius = planetocentric(self.place)
+        longitude, latitude, radius = planetocentric(self.position)
         rows = [
             ("longitude, latitude", "radius", "sigma east", "north", "up"),
             ("deg", "m", "m", "m", "m"),
@@ -200,7 +200,7 @@ class PlaceEstimate:
 
     def __repr__(self) -> str:
         east, north, up = _roots(self.east_north_up)
-        return f"PlaceEstimate({self.name!r}, sigma east {east:.3g} m, north {north:.3g} m, up {up:.3g} m)"
+        return f"PositionEstimate({self.name!r}, sigma east {east:.3g} m, north {north:.3g} m, up {up:.3g} m)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -341,7 +341,7 @@ class PixelEstimate:
     """Name of the point."""
     image: str
     """Name of the image."""
-    place: Array
+    pixel: Array
     """(2,) line, sample."""
     covariance: Array
     """(2, 2) px^2, for sigma0 = 1; without the noise of a measure."""
@@ -354,6 +354,6 @@ class PixelEstimate:
     def __repr__(self) -> str:
         line, sample = self.sigmas
         return (
-            f"PixelEstimate(point {self.point!r} in image {self.image!r}: line {self.place[0]:.2f} sigma "
-            f"{line:.3g} px, sample {self.place[1]:.2f} sigma {sample:.3g} px)"
+            f"PixelEstimate(point {self.point!r} in image {self.image!r}: line {self.pixel[0]:.2f} sigma "
+            f"{line:.3g} px, sample {self.pixel[1]:.2f} sigma {sample:.3g} px)"
         )

@@ -12,6 +12,7 @@ import numpy as np
 from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.statistics import sigmas_along
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
@@ -35,7 +36,6 @@ def pose_sigmas(
     ----------
     network : Network
         Whose numbering of variables `joint` has.
-    image : int
     correction : OrientationCorrection
         Of the image, whole.
     joint : JointCovariance
@@ -50,9 +50,9 @@ def pose_sigmas(
     picture = network.images[image]
     moments, nominal = picture.moments(lines), picture.pose(lines)
     turns, result = _turns(nominal, correction.axes(nominal, moments)), np.empty((lines.size, 6))
-    for k, felt in enumerate(designs(network, image, correction.angles, lines)):
-        design = turns[k] @ np.concatenate([np.zeros((6, 0)), *felt.values()], axis=1)
-        result[k] = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", design, joint.of(felt), design), 0.0))
+    for k, partials in enumerate(designs(network, image, correction.angles, lines)):
+        design = turns[k] @ np.concatenate([np.zeros((6, 0)), *partials.values()], axis=1)
+        result[k] = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", design, joint.of(partials), design), 0.0))
     return result
 
 
@@ -92,7 +92,7 @@ def point_sigmas(covariances: Array, places: Array, velocities: Array) -> Array:
         Body-fixed, of any length: of the camera that flies over each (`overhead`).
     """
     axes = flight_axes_at(places, velocities)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("nai,nij,naj->na", axes, covariances, axes), 0.0)))
+    return sigmas_along(axes, covariances)
 
 
 def flight_axes_at(places: Array, velocities: Array) -> Array:
@@ -112,14 +112,14 @@ def overhead(image: PushbroomImage, lines: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StripCorrections:
-    """Corrections along a strip, at some times."""
+    """Corrections of a strip at some times, in the axes of the flight."""
 
     times: Array
     """(n,) s TDB past J2000."""
     values: Array
     """(n, 6) m along, across and radial, and rad of roll, pitch and yaw."""
     sigmas: Array
-    """(n, 6) the same, of `values`, for sigma0 = 1."""
+    """(n, 6) m and rad, standard deviations of `values`, for sigma0 = 1."""
 
 
 def strip_corrections(solution: Solution, strip: int, times: Array) -> StripCorrections:
@@ -141,22 +141,22 @@ def strip_corrections(solution: Solution, strip: int, times: Array) -> StripCorr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StripReport:
-    """One strip, in figures."""
+    """Nodes, corrections and trend of one strip."""
 
     name: str
-    """What it is called."""
+    """Name of the strip."""
     basis: str
-    """Between its nodes."""
+    """Interpolation between its nodes: Lagrange or spline."""
     images: tuple[str, ...]
-    """Names."""
+    """Names of its images."""
     nodes: int
-    """All of them; a spline has one beyond either end."""
+    """Number of nodes; a spline has one beyond either end."""
     spacing: float
     """s between nodes, on the average."""
     lines: float
-    """The same in lines of the image that looks straight down."""
+    """Lines of the most nadir-looking image between two nodes."""
     ground: float
-    """The same in m over ground; NaN where that image misses the body."""
+    """m on the ground between two nodes; NaN where that image misses the body."""
     corrections: StripCorrections
     """Corrections at the nodes within the strip."""
     trend: tuple[tuple[str, str, float, float], ...]
@@ -175,7 +175,7 @@ class StripReport:
 
 
 def strip_reports(solution: Solution) -> list[StripReport]:
-    """All strips, in their order."""
+    """Reports of all strips, in their order."""
     return [_report(solution, k) for k in range(len(solution.network.strips))]
 
 

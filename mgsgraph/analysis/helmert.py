@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 DENSE = 2000
 """Shared unknowns up to which the last term is exact; beyond, it is estimated with random signs (Hutchinson 1990)."""
 _PROBES = 64
+CORRELATED = 0.5
+"""Correlation of two groups' squared factors from which on a verdict names the other group."""
+_HALF = 0.75
+"""By how much a variance factor changes when sigmas change by half."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +135,7 @@ class _Sums:
                 self.cross[g, k] += inner[g] @ inner[k] + 2.0 * np.vdot(carried[g], outer[k])
 
     def close(self) -> None:
-        """Put the gathered blocks away."""
+        """Add the gathered blocks to the sums."""
         if self._variables is None:
             return
         layout = self._at.layout
@@ -193,17 +197,11 @@ def _traces(normals: "list[csr_array]", covariance: Array) -> Array:
 
 
 def _estimated_traces(normals: "list[csr_array]", joint: JointCovariance) -> Array:
-    """The same, expected: with S = U U' and random signs z, tr(U'N_g U U'N_k U) = E (U'N_g U z)'(U'N_k U z)."""
+    """(g, g) estimates of tr(N_g S N_k S): with S = U U' and random signs z it is E (U'N_g U z)'(U'N_k U z)."""
     signs, root = np.random.default_rng(0).choice([-1.0, 1.0], (joint.columns, _PROBES)), joint.square_root
     spread = root.back(signs)
-    felt = [root.forward(normal @ spread) for normal in normals]
-    return np.array([[np.sum(one * other) for other in felt] for one in felt]) / _PROBES
-
-
-CORRELATED = 0.5
-"""Correlation of two groups' squared factors from which on a verdict names the other group."""
-_HALF = 0.75
-"""By how much a variance factor changes when sigmas change by half."""
+    projected = [root.forward(normal @ spread) for normal in normals]
+    return np.array([[np.sum(one * other) for other in projected] for one in projected]) / _PROBES
 
 
 def nearest(found: Redundancy, group: int) -> tuple[str, float]:

@@ -7,12 +7,13 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, residuals
 from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.reduction import design
 from mgsgraph.kernel.rows import OUT, Rows, of_points
@@ -65,11 +66,11 @@ class Linearised:
     """A network where it is linearised, and the covariance of the unknowns that its points share."""
 
     layout: Layout
-    """All rows."""
+    """Layout of all rows."""
     settings: SolverSettings
-    """How they were laid out."""
+    """Settings of the layout."""
     rows: Rows
-    """Those that take part."""
+    """Rows that take part."""
     orientation: Array
     """(columns,) shared unknowns, m and rad."""
     points: Array
@@ -79,7 +80,7 @@ class Linearised:
 
     @property
     def network(self) -> Network:
-        """What was adjusted."""
+        """The network that was adjusted."""
         return self.layout.network
 
     @property
@@ -96,19 +97,19 @@ class Linearised:
         found = residuals(self.layout, self.orientation, self.points)
         return fit(self.layout, self.rows, self.orientation, self.points, found)
 
-    def place_of(self, point: int) -> int:
+    def layout_index(self, point: int) -> int:
         """Place in the layout of a network point that takes part; InputError where nothing determines it."""
-        place = int(self.layout.patterns.point_place[point])
-        if self.rows.kind[place] == OUT:
+        index = int(self.layout.patterns.point_place[point])
+        if self.rows.kind[index] == OUT:
             where = f"point {self.network.points.ids[point]}"
             raise InputError(where, "its measures determine no place, or were rejected", "a point that was adjusted")
-        return place
+        return index
 
     def rows_of(self, point: int) -> PointRows:
         """Rows of one network point that takes part."""
-        place = self.place_of(point)
-        piece = int(self.layout.patterns.piece_of(place))
-        return self._rows_of(piece, np.array([place - self.rows.piece[piece, 1]]))
+        index = self.layout_index(point)
+        piece = int(self.layout.patterns.piece_of(index))
+        return self._rows_of(piece, np.array([index - self.rows.piece[piece, 1]]))
 
     def rows_of_piece(self, piece: int) -> PointRows:
         """Rows of all points of a piece of the layout, taking part or not."""
@@ -125,7 +126,7 @@ class Linearised:
     def asked(self, places: Array, rays: ImageRays, known: bool) -> Layout:
         """Layout of places (m, 3) in m that nobody has measured, on the same shared unknowns.
 
-        Rays of known places stand alone; the others' intersect in them.
+        Rays of known positions are rows without a point; those of unknown ones intersect in them.
         """
         network, m = self.network, places.shape[0]
         kinds, ids = np.full(m, PointKind.FIXED if known else PointKind.FREE), tuple(f"place {k}" for k in range(m))
@@ -209,7 +210,8 @@ def at_values(network: Network, settings: SolverSettings, values: Sequence[Array
     out = ~np.all(np.isfinite(places), axis=1)
     orientation, points = _placed(layout, values, np.where(out[:, None], 0.0, places))
     layout, points = exactly(layout.following(points, orientation), orientation, points)
-    rows = layout.active(_unmarked(network.rays.rejected), _unmarked(network.ranges.rejected), out)
+    present = unmarked(network)
+    rows = layout.active(present.rays, present.ranges, out)
     graph = BundleGraph(layout, rows)
     joint = orientation_covariance(graph, graph.reduction(orientation, points=points))
     return Linearised(layout, settings, rows, orientation, points, joint)
@@ -219,11 +221,6 @@ def _placed(layout: Layout, values: Sequence[Array], places: Array) -> tuple[Arr
     """Shared unknowns (columns,) of the values of all variables, and places (n, 3) in the layout's order."""
     adjusted = (values[v] for v in layout.variables.adjusted())
     return np.concatenate([np.zeros(0), *adjusted]), places[layout.point_order]
-
-
-def _unmarked(rejected: Mask | None) -> Mask:
-    assert rejected is not None  # a network fills them in
-    return ~rejected
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,6 +17,13 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 
+UNCONTROLLED = 1e-6
+"""Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
+Small = NDArray[np.int8]
+Indices = NDArray[np.int32]
+_POWERS = ("constant", "linear", "quadratic", "cubic")
+_WIDEST = 3
+
 
 @dataclass(frozen=True, slots=True)
 class Levels:
@@ -55,8 +62,8 @@ class Levels:
         return self.critical + float(ndtri(self.power))
 
     def critical_tau(self, degrees_of_freedom: float) -> float:
-        """The same as `critical` for tests divided by the a-posteriori sigma0 (Pope 1976), one among whose degrees of
-        freedom they are.
+        """Critical value of tests divided by the a-posteriori sigma0, Pope's tau (Pope 1976), of so many degrees of
+        freedom.
         """
         from scipy.special import stdtrit
 
@@ -73,22 +80,9 @@ class Levels:
             return self.critical**2
         return float(ncx2.ppf(1.0 - self.power, dimensions, self.shift**2))
 
-    def alpha_of(self, dimensions: int) -> float:
-        """Size of a test of several dimensions; of the global test, with the degrees of freedom."""
-        from scipy.stats import chi2
-
-        return self.alpha if dimensions == 1 else float(chi2.sf(self.critical_squares(dimensions), dimensions))
-
-
-UNCONTROLLED = 1e-6
-"""Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
-
-Small = NDArray[np.int8]
-Places = NDArray[np.int32]
-
 
 class MeasureKind(IntEnum):
-    """What a measure is."""
+    """Kind of a scalar measure."""
 
     RAY = 0
     """Image place: line and sample, in pixels."""
@@ -103,20 +97,20 @@ class MeasureKind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measures:
+class ScalarMeasures:
     """m scalar measures: what each is and how far it can be trusted."""
 
     kind: Small
     """(m,) MeasureKind."""
     component: Small
     """(m,) line 0, sample 1; x, y, z; of a prior, which of its variable's columns; else 0."""
-    row: Places
+    row: Indices
     """(m,) ray, range, point (a-priori place, height) of the network; of a prior, its column among the unknowns."""
-    point: Places
+    point: Indices
     """(m,) ground point; -1 for priors."""
-    image: Places
+    image: Indices
     """(m,) image; -1 for a-priori places, heights and priors that are no image's."""
-    observation: Places
+    observation: Indices
     """(m,) place among the layout's observations; -1 for priors."""
     sigma: Array
     """(m,) a-priori, px, m, rad or s."""
@@ -137,39 +131,39 @@ class Measures:
     dimensions: Small
     """(m,) how many of its dimensions something controls."""
 
-    def part(self, first: int, last: int) -> "Measures":
+    def part(self, first: int, last: int) -> "ScalarMeasures":
         """Some of them, as views."""
-        return Measures(*(getattr(self, name)[first:last] for name in self.__slots__))
+        return ScalarMeasures(*(getattr(self, name)[first:last] for name in self.__slots__))
 
     def say(
         self,
         kind: MeasureKind,
         component: Small | Index,
-        row: Index | Places,
+        row: Index | Indices,
         point: Index | int,
         image: Index | int,
-        observation: Index | Places | int,
+        observation: Index | Indices | int,
     ) -> None:
-        """Write down what they are."""
+        """Write kind, component, row, point, image and observation of all of them."""
         self.kind[:], self.component[:], self.row[:] = kind, component, row
         self.point[:], self.image[:], self.observation[:] = point, image, observation
 
 
-def room(size: int) -> Measures:
-    """Room for so many."""
+def empty_measures(size: int) -> ScalarMeasures:
+    """So many measures, to be filled in."""
     types = [np.int8] * 2 + [np.int32] * 4 + [np.float64] * 8 + [np.int8]
     arrays: list[Any] = [np.empty(size, dtype=kind) for kind in types]
-    return Measures(*arrays)
+    return ScalarMeasures(*arrays)
 
 
 def judge_scalars(
-    out: Measures, sigma: Array, misfit: Array, share: Array, effect: Array, root: Array | None, levels: Levels
+    out: ScalarMeasures, sigma: Array, misfit: Array, share: Array, effect: Array, root: Array | None, levels: Levels
 ) -> None:
     """Fill in measures that are independent of each other; `joint` too, as if each stood alone.
 
     Parameters
     ----------
-    out : Measures
+    out : ScalarMeasures
         Where to.
     sigma : (m,)
         A-priori, in the unit.
@@ -181,7 +175,6 @@ def judge_scalars(
         m that an error of one sigma, scaled likewise, moves the point.
     root : (m,), optional
         Roots of the robust weights.
-    levels : Levels
 
     Others predict the measure with a variance of g = h / (1 - h) / p sigma^2: the test is that of the prediction's
     error v / (1 - h), whose variance is (1 + g) sigma^2.
@@ -250,18 +243,17 @@ def pair_tests(misfit: Array, share: Array, between: Array, root: Array | None) 
     return test, dimensions
 
 
-def judge_places(out: Measures, covariance: Array, numbers: Array, levels: Levels) -> float:
+def judge_ground_priors(out: ScalarMeasures, covariance: Array, numbers: Array, levels: Levels) -> float:
     """Fill in a-priori places: back from the whitened rows U v, U'U = P, to the body's axes; their sum of squares.
 
     Parameters
     ----------
-    out : Measures
+    out : ScalarMeasures
         Three for each of g points.
     covariance : (g, 3, 3)
         Of the places, m^2.
     numbers : (g, 3, 7)
         Residual, H and effect of each row, as the kernel has them.
-    levels : Levels
 
     w_k = (P v)_k / sqrt((P Qvv P)_kk), Baarda's for correlated measures; an error e along axis k is U e in the rows.
     """
@@ -321,17 +313,15 @@ def _diagonal(matrices: Array) -> Array:
     return np.diagonal(matrices, axis1=1, axis2=2)
 
 
-_POWERS = ("constant", "linear", "quadratic", "cubic")
 _WHAT = {
     MeasureKind.RAY: ("line", "sample"),
     MeasureKind.RANGE: ("range",),
     MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
     MeasureKind.HEIGHT: ("height above the terrain",),
 }
-_WIDEST = 3
 
 
-def names_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
+def names_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[str]:
     """What each of the chosen measures (k,) is, in words."""
     network, kind = layout.network, measures.kind[chosen]
     heads = [""] * (_WIDEST * len(MeasureKind))
@@ -341,57 +331,49 @@ def names_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
     head, image = _WIDEST * kind.astype(np.int64) + measures.component[chosen], measures.image[chosen]
     priors = np.flatnonzero(kind == MeasureKind.PRIOR)
     head[priors], image[priors] = len(heads) + np.arange(priors.size), -1
-    places = zip(*_variables_of(layout, measures.row[chosen[priors]]), strict=True)
-    heads += [_prior_name(layout, variable, inside) for variable, inside in places]
+    heads += [name for name, _ in _priors(layout, measures.row[chosen[priors]])]
     ids, images = network.points.ids, [*(f" in image {one.name}" for one in network.images), ""]
     rows = zip(head.tolist(), measures.point[chosen].tolist(), image.tolist(), strict=True)
     return [heads[h] + (ids[i] if i >= 0 else "") + images[j] for h, i, j in rows]
 
 
-def units_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
+def units_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[str]:
     """Unit of each of the chosen measures (k,): px, m, rad or s."""
     kind = measures.kind[chosen]
     units = ["px" if one else "m" for one in (kind == MeasureKind.RAY).tolist()]
     priors = np.flatnonzero(kind == MeasureKind.PRIOR)
-    places = zip(*_variables_of(layout, measures.row[chosen[priors]]), strict=True)
-    for k, (variable, inside) in zip(priors.tolist(), places, strict=True):
-        units[k] = _prior_unit(layout, variable, inside)
+    for k, (_, unit) in zip(priors.tolist(), _priors(layout, measures.row[chosen[priors]]), strict=True):
+        units[k] = unit
     return units
 
 
-def _variables_of(layout: Layout, columns: Places) -> tuple[list[int], list[int]]:
-    """Variable of each of some columns (k,), and which of its columns it is."""
+def _priors(layout: Layout, columns: Indices) -> list[tuple[str, str]]:
+    """Name and unit of the a-priori values of some columns (k,) of the shared unknowns."""
     adjusted = np.array(layout.variables.adjusted(), dtype=np.int64)
     first = layout.variables.first[adjusted]
-    place = np.searchsorted(first, columns, side="right") - 1
-    return adjusted[place].tolist(), (columns - first[place]).tolist()
+    index = np.searchsorted(first, columns, side="right") - 1
+    pairs = zip(adjusted[index].tolist(), (columns - first[index]).tolist(), strict=True)
+    return [(f"a-priori {name}", unit) for name, unit in (_unknown(layout, *pair) for pair in pairs)]
 
 
-def _prior_name(layout: Layout, variable: int, inside: int) -> str:
+def _unknown(layout: Layout, variable: int, inside: int) -> tuple[str, str]:
+    """Name and unit of one column of a variable."""
     network = layout.network
     if variable < len(network.images):
         power, component = divmod(inside, len(COMPONENTS))
         term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
-        return f"a-priori {term} {COMPONENTS[component]} of image {network.images[variable].name}"
-    k = variable - len(network.images)
-    if k < len(network.shift_names):
-        return f"a-priori {network.shift_terms[k][inside].name} of {network.shift_names[k]}"
+        return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}", _unit(component)
     if variable >= network.first_of_strips[0]:
         strip, node = network.of_strips(variable)
         what, component = strip.part(node, inside)
-        return f"a-priori {COMPONENTS[component]} of {what} of strip {strip.name}"
-    shared = network.shared[k - len(network.shift_names)]
-    return " ".join([f"a-priori {shared.name}", shared.kind.components[inside]]).strip()
+        return f"{COMPONENTS[component]} of {what} of strip {strip.name}", _unit(component)
+    if variable < network.first_shared:
+        k = variable - len(network.images)
+        return f"{network.shift_terms[k][inside].name} of {network.shift_names[k]}", network.shift_terms[k][inside].unit
+    shared = network.shared[variable - network.first_shared]
+    return f"{shared.name} {shared.kind.components[inside]}".strip(), shared.kind.unit
 
 
-def _prior_unit(layout: Layout, variable: int, inside: int) -> str:
-    network = layout.network
-    k = variable - network.first_shared
-    if variable >= network.first_of_strips[0]:
-        strip, node = network.of_strips(variable)
-        return "rad" if strip.part(node, inside)[1] >= 3 else "m"
-    if k >= 0:
-        return network.shared[k].kind.unit
-    if variable < len(network.images):
-        return "rad" if inside % len(COMPONENTS) >= 3 else "m"
-    return network.shift_terms[variable - len(network.images)][inside].unit
+def _unit(component: int) -> str:
+    """Unit of a component of the orientation: three of position, three of rotation."""
+    return "rad" if component >= 3 else "m"

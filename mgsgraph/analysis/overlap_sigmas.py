@@ -67,7 +67,6 @@ def sigma_grid(
 
     Parameters
     ----------
-    posterior : Posterior
     images : sequence of str
         Names, two or more; all images of the network when empty.
     cell : float, optional

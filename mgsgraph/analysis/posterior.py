@@ -1,4 +1,4 @@
-"""The posterior, to be asked: points, poses at any line, pairs, projections, new intersections, and their covariances.
+"""The posterior: points, poses at any line, pairs, projections, new intersections, and their covariances.
 
 posterior = mgsgraph.Posterior.of(solution)
 posterior.point("T17").ellipsoid(0.95)
@@ -19,8 +19,8 @@ from mgsgraph.analysis.estimates import (
     Difference,
     Estimate,
     PixelEstimate,
-    PlaceEstimate,
     PoseEstimate,
+    PositionEstimate,
     Quantity,
     covariance,
     together,
@@ -45,7 +45,7 @@ _POSE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 @dataclass(frozen=True, slots=True)
 class Pixel:
-    """A place in an image, measured or to be measured."""
+    """An image point, measured or to be measured."""
 
     image: str
     """Name of the image."""
@@ -54,11 +54,13 @@ class Pixel:
     sample: float
     """Sample coordinate."""
     sigma: float = 1.0
-    """Sigma of either, pixels."""
+    """px, of line and sample."""
 
 
 class Posterior:
-    """What an adjustment knows, on demand. All covariances are for sigma0 = 1, as the a-priori sigmas imply.
+    """Estimates and covariances of an adjustment, computed when asked for.
+
+    All covariances are for sigma0 = 1, as the a-priori sigmas imply.
 
     Parameters
     ----------
@@ -77,10 +79,10 @@ class Posterior:
 
     # --- answers
 
-    def point(self, name: str) -> PlaceEstimate:
+    def point(self, name: str) -> PositionEstimate:
         """Place and covariance of an adjusted ground point."""
         quantity = self.of_point(name)
-        return PlaceEstimate(name, quantity.values, self.covariance([quantity]))
+        return PositionEstimate(name, quantity.values, self.covariance([quantity]))
 
     def difference(self, first: str, second: str) -> Difference:
         """From the first point to the second: vector, height difference and distance, with what they share left out."""
@@ -94,7 +96,7 @@ class Posterior:
         return self.poses(image, np.array([line]))[0]
 
     def poses(self, image: str, lines: Array) -> list[PoseEstimate]:
-        """The same at several lines (n,): what a sigma curve is drawn from."""
+        """Exterior orientation of an image at several lines (n,)."""
         j = self.image_number(image)
         picture, correction = self.network.images[j], self.correction(j)
         pose = picture.pose(lines, correction)
@@ -109,12 +111,12 @@ class Posterior:
         quantity = self.of_projection(point, image)
         return PixelEstimate(point, image, quantity.values, self.covariance([quantity]))
 
-    def intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> PlaceEstimate:
+    def intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> PositionEstimate:
         """Ground place of new measures, with their own noise and that of the orientation; two rays or more."""
         rows, place = self._crossing(pixels, name)
         quantity = self._of_crossing(rows, place, name)
         misfit = self._misfit(rows, name)
-        return PlaceEstimate(name, quantity.values, self.covariance([quantity]), misfit)
+        return PositionEstimate(name, quantity.values, self.covariance([quantity]), misfit)
 
     def joint(self, quantities: Sequence[Quantity]) -> Estimate:
         """Several quantities with their joint covariance and correlations."""
@@ -129,8 +131,8 @@ class Posterior:
 
     def of_point(self, name: str) -> Quantity:
         """X, Y, Z of an adjusted ground point."""
-        i = self._point(name)
-        place = self.linearised.place_of(i)
+        i = _number(self._numbers[0], name, "point")
+        place = self.linearised.layout_index(i)
         names = tuple(f"{axis} of point {name}" for axis in _AXES)
         values = self.linearised.points[place]
         if self.linearised.rows.kind[place] == FIXED:
@@ -164,7 +166,7 @@ class Posterior:
         return self._of_crossing(*self._crossing(pixels, name), name)
 
     def intersections(self, rays: ImageRays) -> tuple[Array, Array]:
-        """Places (m, 3) in m and covariances (m, 3, 3) in m^2 of many new points; NaN where their rays don't meet.
+        """Positions (m, 3) in m and covariances (m, 3, 3) in m^2 of many new points; NaN where their rays don't meet.
 
         Parameters
         ----------
@@ -247,10 +249,10 @@ class Posterior:
         turned = -rotation.logarithm(pose.matrix @ np.swapaxes(nominal.matrix, 1, 2))
         first, found = self.linearised.layout.variables.first, []
         follows = designs(self.network, image, correction.angles, lines)
-        for k, (line, felt) in enumerate(zip(lines, follows, strict=True)):
+        for k, (line, partials) in enumerate(zip(lines, follows, strict=True)):
             names = tuple(f"{name} of image {picture.name} at line {line:g}" for name in COMPONENTS)
             values = np.concatenate([pose.position[k], turned[k]])
-            by_shared = {v: turn[k] @ part for v, part in felt.items() if first[v] >= 0}
+            by_shared = {v: turn[k] @ part for v, part in partials.items() if first[v] >= 0}
             found.append(Quantity(names, _POSE_UNITS, values, by_shared, {}))
         return found
 
@@ -260,14 +262,14 @@ class Posterior:
         return Quantity(names, ("m",) * 3, values, self._by_variable(rows.variables, by_shared[0]), {own: noise[0]})
 
     def _by_variable(self, variables: Sequence[int], columns: Array) -> dict[int, Array]:
-        """Columns (m, c) of variables, one after another, taken apart; none where only held images are felt."""
+        """Columns (m, c) of variables, one after another, split by variable; none where all images are held."""
         if not variables:
             return {}
         width = self.linearised.layout.variables.width[list(variables)]
         return dict(zip(variables, np.split(columns, np.cumsum(width)[:-1], axis=1), strict=True))
 
     def _meet(self, layout: Layout) -> tuple[Array, Mask]:
-        """Places (m, 3), layout order, at which new rays meet, and which of them do."""
+        """Positions (m, 3), layout order, at which new rays meet, and which of them do."""
         target, orientation = layout.blocks.target, self.linearised.orientation
         found = reduce(layout.rows, layout.groups, target, layout.model, orientation, COSTS)
         return found.points, (found.states == GOOD) & (layout.rows.kind != OUT)
@@ -277,9 +279,6 @@ class Posterior:
         """Numbers of points and of images by their names."""
         images = {image.name: j for j, image in enumerate(self.network.images)}
         return {name: i for i, name in enumerate(self.network.points.ids)}, images
-
-    def _point(self, name: str) -> int:
-        return _number(self._numbers[0], name, "point")
 
     def image_number(self, name: str) -> int:
         """Number of an image in the network by its name; InputError where there is none."""

@@ -24,27 +24,27 @@ ObservationKey = tuple[MeasureKind, int]
 
 @dataclass(frozen=True, slots=True)
 class Removal:
-    """What went at one stroke: an observation, and those that can't be told apart from it."""
+    """Observations rejected together: one, and those that can't be separated from it."""
 
     observations: tuple[ObservationKey, ...]
     """The one with the largest test first."""
     names: tuple[str, ...]
-    """The same in words."""
+    """Names of these observations, for reports."""
     point: int
-    """Network point that they belong to."""
+    """Network point of the observations."""
     test: float
     """Joint test of the first when it went, chi-square (divided by sigma0 squared where `Levels.scaled` says so)."""
     dimensions: int
-    """Its dimensions."""
+    """Dimensions of the test."""
     critical: float
-    """Its critical value."""
+    """Critical value of the test."""
     adjustment: int
     """Number of the adjustment after which it went, from 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taken:
-    """Marks of what is out, in network order."""
+    """Marks of rejected observations, in network order."""
 
     rays: Mask
     """(k,) as `ImageRays.rejected`."""
@@ -56,7 +56,7 @@ class Taken:
     """(n,) points whose height above the terrain is out."""
 
     def changed(self, observations: Iterable[ObservationKey], out: bool) -> "Taken":
-        """The same with some observations out, or in."""
+        """Marks with some observations taken out or put back."""
         masks = {
             MeasureKind.RAY: self.rays.copy(),
             MeasureKind.RANGE: self.ranges.copy(),
@@ -69,22 +69,17 @@ class Taken:
 
     def marked(self, network: Network) -> Network:
         """A network whose rays and ranges carry the marks, and whose points lack what else is out."""
-        left = without(network, self)
-        return replace(
-            left,
-            rays=replace(left.rays, rejected=self.rays),
-            ranges=replace(left.ranges, rejected=self.ranges),
-        )
+        return without(network, self).with_rejected(self.rays, self.ranges)
 
     def holds(self, observation: ObservationKey) -> bool:
-        """Whether it is out."""
+        """Whether an observation is rejected."""
         kind, row = observation
         masks = (self.rays, self.ranges, self.places, self.heights)
         return bool(masks[kind][row])
 
 
 def nothing_rejected(network: Network) -> Taken:
-    """All in."""
+    """Marks of a network of which nothing is rejected."""
     sizes = network.rays.point.size, network.ranges.point.size, len(network.points), len(network.points)
     return Taken(*(np.zeros(size, dtype=np.bool_) for size in sizes))
 
@@ -124,12 +119,12 @@ class ObservationIndex:
     def of(self, point: int) -> dict[ObservationKey, int]:
         """Observations of a network point, and the index of each in those of its pattern (`PointRows.observation`)."""
         rows, patterns = self._at.rows, self._at.layout.patterns
-        place = int(patterns.point_place[point])
-        pattern, first, count, _, observation = rows.piece[patterns.piece_of(place)].tolist()
+        number = int(patterns.point_place[point])
+        pattern, first, count, _, observation = rows.piece[patterns.piece_of(number)].tolist()
         found: dict[ObservationKey, int] = {}
         for kind, index, places in self._measured:
             for k in index.of(point).tolist():
-                found[kind, k] = (int(places[k]) - observation - (place - first)) // count
+                found[kind, k] = (int(places[k]) - observation - (number - first)) // count
         for slot, k in enumerate(range(rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1])):
             if rows.observation_kind[k] == GROUND:
                 found[MeasureKind.GROUND, point] = slot
@@ -222,7 +217,7 @@ def _agrees(
 
 
 def _chosen_rows(rows: PointRows, chosen: Mask) -> PointRows:
-    """Some of a point's rows."""
+    """Chosen rows of a point."""
     return replace(
         rows,
         residuals=rows.residuals[:, chosen],

@@ -3,7 +3,7 @@
 Of every scalar measure that takes part: its redundancy number r (what of an error in it shows in its own residual), the
 w-test of its residual, the minimal detectable blunder, and what a blunder of that size, unnoticed, does to its point
 and to any result (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Rejected rows don't take part. With a robust loss
-a row of weight p keeps its own sigma in its test, while the others speak with their weights: the test is that of the
+a row of weight p keeps its own sigma in its test, while the others keep their weights: the test is that of the
 residual against what the others predict. One without weight doesn't take part.
 """
 
@@ -20,16 +20,16 @@ from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import Linearised, PriorRows, at_solution, prior_rows
 from mgsgraph.analysis.measures import (
+    Indices,
     Levels,
     MeasureKind,
-    Measures,
-    Places,
+    ScalarMeasures,
     Small,
-    judge_places,
+    empty_measures,
+    judge_ground_priors,
     judge_scalars,
     names_of,
     pair_tests,
-    room,
     units_of,
 )
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -43,8 +43,11 @@ _RAYS = 1 << 18
 """Rays: large pages of memory, which arrays of 4 MB and more get, cost least."""
 _Part = TypeVar("_Part")
 _BOTH = np.arange(2, dtype=np.int8)
+_MISFIT, _SHARE, _EFFECT, _BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
+"""Columns of the kernel's numbers of the first two rows of observations (t, 8), side by side, lest each look-up cost
+several: whitened residuals; diagonal of H; m that an error of one sigma moves the point; H between the two rows."""
 _EXACT = 1e-12
-"""Residual in sigmas without a robust weight to speak of."""
+"""Residual in sigmas below which its robust weight is taken as one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,11 +55,11 @@ class Reliability:
     """Reliability of an adjustment: `measures`, in the order of kinds, and within these of the network's rows."""
 
     at: Linearised
-    """What was asked about."""
+    """The linearised network."""
     levels: Levels
-    """Sizes of the tests."""
-    measures: Measures
-    """All that take part."""
+    """Significance and power of the tests."""
+    measures: ScalarMeasures
+    """All measures that take part."""
     critical: float
     """Modulus that a good measure's test exceeds with probability alpha."""
     sigma0: float
@@ -112,7 +115,7 @@ class Reliability:
         return units_of(self.at.layout, self.measures, measures)
 
     def names(self, measures: Index) -> list[str]:
-        """What many measures (k,) are."""
+        """Names of many measures (k,)."""
         return names_of(self.at.layout, self.measures, measures)
 
     def __repr__(self) -> str:
@@ -134,20 +137,20 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     """
     at, levels = (of if isinstance(of, Linearised) else at_solution(of)), levels or Levels()
     points = np.flatnonzero(at.layout.network_order(at.rows.kind) == PRIOR)
-    places = _ground_places(at, points)
+    places = _ground_indices(at, points)
     numbers, ground = _swept(at, places)
     roots = _robust_roots(at, numbers)
     used, shots, heights = _taking_part(at, roots)
     known = prior_rows(at)
     sizes = [2 * int(np.count_nonzero(used)), shots.size, 3 * points.size, heights.size, known.about.size]
     ends = np.cumsum([0, *sizes]).tolist()
-    out = room(ends[-1])
+    out = empty_measures(ends[-1])
     rays, ranges, apriori, surface, priors = (out.part(a, b) for a, b in pairwise(ends))
     squares = sum(_rays(rays, at, numbers, used, roots, levels))
     squares += _ranges(ranges, at, numbers, shots, roots, levels)
     thrice = np.repeat(points, 3)
     apriori.say(MeasureKind.GROUND, np.tile(np.arange(3), points.size), thrice, thrice, -1, np.repeat(places, 3))
-    squares += judge_places(apriori, at.network.points.covariances[points], ground, levels)
+    squares += judge_ground_priors(apriori, at.network.points.covariances[points], ground, levels)
     squares += _heights(surface, at, numbers, heights, levels) + _priors(priors, at, known, levels)
     degrees = float(out.redundancy.sum())
     sigma0 = float(np.sqrt(squares / degrees)) if degrees > 0.0 else float("nan")
@@ -171,56 +174,24 @@ def _taking_part(at: Linearised, roots: tuple[Array, Array] | None) -> tuple[Mas
     return used, shots, np.flatnonzero(there & _used(at, places.heights, places.on_terrain, None))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Numbers:
-    """What the kernel says of the first two rows of observations."""
-
-    packed: Array
-    """(t, 8) side by side, lest each look-up of an observation cost several."""
-
-    def of(self, places: Index | Places | slice) -> "_Numbers":
-        """Of some observations."""
-        return _Numbers(self.packed[places])
-
-    @property
-    def misfit(self) -> Array:
-        """(t, 2) whitened residuals."""
-        return self.packed[:, :2]
-
-    @property
-    def share(self) -> Array:
-        """(t, 2) diagonal of H."""
-        return self.packed[:, 2:4]
-
-    @property
-    def effect(self) -> Array:
-        """(t, 2) m that an error of one sigma moves the point."""
-        return self.packed[:, 4:6]
-
-    @property
-    def between(self) -> Array:
-        """(t,) H between the two."""
-        return self.packed[:, 6]
-
-
-def _ground_places(at: Linearised, points: Index) -> Index:
+def _ground_indices(at: Linearised, points: Index) -> Index:
     """(g,) places among all observations of the a-priori places of network points."""
-    rows, place = at.rows, at.layout.patterns.point_place
+    rows, index_of = at.rows, at.layout.patterns.point_place
     of_pattern = np.full(rows.pattern_group.size, -1)
     own = np.flatnonzero(rows.observation_kind == GROUND)
     pattern = np.searchsorted(rows.pattern_observation, own, side="right") - 1
     of_pattern[pattern] = own - rows.pattern_observation[pattern]
-    inside = place[points]
+    inside = index_of[points]
     pattern, first, count, _, observation = rows.piece[at.layout.patterns.piece_of(inside)].T
     return np.asarray(observation + of_pattern[pattern] * count + inside - first, dtype=np.int64)
 
 
-def _swept(at: Linearised, ground: Index) -> tuple[_Numbers, Array]:
-    """The kernel's numbers, and all of them (g, 3, 7) for some observations."""
+def _swept(at: Linearised, ground: Index) -> tuple[Array, Array]:
+    """The kernel's numbers (t, 8), and all of them (g, 3, 7) for some observations."""
     rows, layout = at.rows, at.layout
     pairs = at.pair_blocks(layout)
     begins = np.append(rows.piece[:, 4], rows.weight.shape[1])
-    found, chosen = _Numbers(np.empty((begins[-1], 8))), np.empty((ground.size, 3, NUMBERS))
+    found, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
     order = np.argsort(ground)
 
     def part(first: int, last: int) -> None:
@@ -229,11 +200,10 @@ def _swept(at: Linearised, ground: Index) -> tuple[_Numbers, Array]:
         values = reduction.reliability(
             mine, layout.groups, layout.blocks.target, layout.model, at.orientation, pairs, points
         )
-        goal = found.of(slice(begins[first], begins[last]))
-        goal.misfit[:], goal.between[:] = values[:, :2, 0], values[:, 0, 2]
-        goal.share[:, 0], goal.share[:, 1] = values[:, 0, 1], values[:, 1, 2]
-        moved = values[:, :2, 4:]
-        goal.effect[:] = np.sqrt(np.einsum("tik,tik->ti", moved, moved))
+        target, moved = found[begins[first] : begins[last]], values[:, :2, 4:]
+        target[:, _MISFIT], target[:, _BETWEEN] = values[:, :2, 0], values[:, 0, 2]
+        target[:, _SHARE] = values[:, [0, 1], [1, 2]]
+        target[:, _EFFECT] = np.sqrt(np.einsum("tik,tik->ti", moved, moved))
         own = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
         chosen[own] = values[ground[own] - begins[first]]
 
@@ -250,14 +220,14 @@ def _in_threads(part: Callable[[int, int], _Part], edges: list[int]) -> list[_Pa
         return list(pool.map(part, edges[:-1], edges[1:]))
 
 
-def _robust_roots(at: Linearised, numbers: _Numbers) -> tuple[Array, Array] | None:
+def _robust_roots(at: Linearised, numbers: Array) -> tuple[Array, Array] | None:
     """Roots of the robust weights of all rays (k,) and ranges (r,), network order; None without a loss."""
     if at.layout.model.loss == NO_LOSS:
         return None
     network, places = at.network, at.layout.places
     found = residuals(at.layout, at.orientation, at.points)
     plain = np.linalg.norm(found.image / network.rays.sigmas, axis=1), np.abs(found.ranges / network.ranges.sigmas)
-    scaled = np.linalg.norm(numbers.misfit[places.rays], axis=1), np.abs(numbers.misfit[places.ranges, 0])
+    scaled = np.linalg.norm(numbers[places.rays, _MISFIT], axis=1), np.abs(numbers[places.ranges, 0])
     rays, ranges = (
         np.where(whole > _EXACT, part / np.maximum(whole, _EXACT), 1.0)
         for part, whole in zip(scaled, plain, strict=True)
@@ -266,9 +236,9 @@ def _robust_roots(at: Linearised, numbers: _Numbers) -> tuple[Array, Array] | No
 
 
 def _rays(
-    out: Measures, at: Linearised, numbers: _Numbers, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
+    out: ScalarMeasures, at: Linearised, numbers: Array, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
 ) -> list[float]:
-    """Fill in the rays; sums of squares."""
+    """Fill in the rays; their sums of squares, part by part."""
     rays, places = at.network.rays, at.layout.places.rays
     edges = [*range(0, used.size, _RAYS), used.size]
     counts = [int(np.count_nonzero(used[a:b])) for a, b in pairwise(edges)]
@@ -279,14 +249,14 @@ def _rays(
         chosen: slice | Index = slice(first, last)
         if begins[last] - begins[first] < 2 * number.size:
             number, chosen = number[used[first:last]], np.flatnonzero(used[first:last]) + first
-        place, root = places[chosen], None if roots is None else roots[0][chosen]
-        found, mine = numbers.of(place), out.part(begins[first], begins[last])
+        index, root = places[chosen], None if roots is None else roots[0][chosen]
+        found, mine = numbers[index], out.part(begins[first], begins[last])
         point, image = np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
-        mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(place, 2))
-        misfit, share, effect = (one.ravel() for one in (found.misfit, found.share, found.effect))
+        mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(index, 2))
+        misfit, share, effect = (found[:, columns].ravel() for columns in (_MISFIT, _SHARE, _EFFECT))
         twice = None if root is None else np.repeat(root, 2)
         judge_scalars(mine, rays.sigmas[chosen].ravel(), misfit, share, effect, twice, levels)
-        joint, dimensions = pair_tests(found.misfit, found.share, found.between, root)
+        joint, dimensions = pair_tests(found[:, _MISFIT], found[:, _SHARE], found[:, _BETWEEN], root)
         mine.joint[:], mine.dimensions[:] = np.repeat(joint, 2), np.repeat(dimensions, 2)
         return float(misfit @ misfit)
 
@@ -294,31 +264,30 @@ def _rays(
 
 
 def _ranges(
-    out: Measures, at: Linearised, numbers: _Numbers, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
+    out: ScalarMeasures, at: Linearised, numbers: Array, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
 ) -> float:
     """Fill in the ranges; their sum of squares."""
-    ranges, place = at.network.ranges, at.layout.places.ranges[shots]
-    out.say(MeasureKind.RANGE, _zeros(shots), shots, ranges.point[shots], ranges.image[shots], place)
-    found, root = numbers.of(place), None if roots is None else roots[1][shots]
-    misfit, share, effect = (one[:, 0] for one in (found.misfit, found.share, found.effect))
+    ranges, index = at.network.ranges, at.layout.places.ranges[shots]
+    out.say(MeasureKind.RANGE, _zeros(shots), shots, ranges.point[shots], ranges.image[shots], index)
+    root = None if roots is None else roots[1][shots]
+    misfit, share, effect = numbers[index][:, [0, 2, 4]].T
     judge_scalars(out, ranges.sigmas[shots], misfit, share, effect, root, levels)
     return float(misfit @ misfit)
 
 
-def _heights(out: Measures, at: Linearised, numbers: _Numbers, chosen: Index, levels: Levels) -> float:
+def _heights(out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index, levels: Levels) -> float:
     """Fill in the heights above the terrain; their sum of squares."""
     if at.network.surface is None:
         return 0.0
-    point, place = at.layout.places.on_terrain[chosen], at.layout.places.heights[chosen]
-    out.say(MeasureKind.HEIGHT, _zeros(point), point, point, -1, place)
-    found, sigma = numbers.of(place), at.network.surface.sigmas[point]
-    misfit, share, effect = (one[:, 0] for one in (found.misfit, found.share, found.effect))
+    point, index = at.layout.places.on_terrain[chosen], at.layout.places.heights[chosen]
+    out.say(MeasureKind.HEIGHT, _zeros(point), point, point, -1, index)
+    misfit, share, effect = numbers[index][:, [0, 2, 4]].T
     # the kernel's are heights of the points above the terrain: predicted, where 0 is measured
-    judge_scalars(out, sigma, -misfit, share, effect, None, levels)
+    judge_scalars(out, at.network.surface.sigmas[point], -misfit, share, effect, None, levels)
     return float(misfit @ misfit)
 
 
-def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> float:
+def _priors(out: ScalarMeasures, at: Linearised, known: PriorRows, levels: Levels) -> float:
     """Fill in a-priori values of the shared unknowns, all of them zero; their sum of squares."""
     about = known.about
     variables = at.layout.variables
@@ -330,7 +299,7 @@ def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> 
     return float(known.misfit @ known.misfit)
 
 
-def _used(at: Linearised, places: Index | Places, points: Index, root: Array | None) -> Mask:
+def _used(at: Linearised, places: Index | Indices, points: Index, root: Array | None) -> Mask:
     """Which observations take part, by their places and points."""
     used = (at.rows.weight[0, places] > 0.0) & (at.layout.network_order(at.rows.kind)[points] != OUT)
     return np.asarray(used if root is None else used & (root > 0.0))

@@ -18,6 +18,7 @@ from mgsgraph.analysis.linearised import Linearised, at_solution, prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import reliability
+from mgsgraph.wording import root_mean_square
 
 ALPHA = 0.05
 """Probability of a false alarm of the tests."""
@@ -30,7 +31,7 @@ _CONTROLLED = 1e-3
 _FEWEST = 5.0
 """Independent residuals without which no test is made."""
 _MARKS = 200
-"""Places of a quantile plot."""
+"""Points of a quantile plot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +47,9 @@ class ChiSquareTest:
     smaller: float
     """Of so small a one, or a smaller one."""
     bounds: tuple[float, float]
-    """Two-sided, at alpha."""
+    """Two-sided bounds of `squares`, at alpha."""
     upper_bound: float
-    """One-sided, at alpha."""
+    """One-sided upper bound of `squares`, at alpha."""
 
     @property
     def two_sided(self) -> float:
@@ -60,13 +61,8 @@ class ChiSquareTest:
         """Whether the two-sided test finds nothing."""
         return self.two_sided >= self.alpha
 
-    @property
-    def passed_one_sided(self) -> bool:
-        """Whether the sum is not too large."""
-        return self.larger >= self.alpha
-
     def words(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         low, high = self.bounds
         found, advice = "passed", ""
         if not self.passed:
@@ -87,7 +83,8 @@ def chi_square_test(fit: Fit, alpha: float = ALPHA) -> ChiSquareTest:
     """The global test at a probability alpha of a false alarm; without redundancy there is none."""
     from scipy.stats import chi2  # slow to import
 
-    _require_probability(alpha)
+    if not 0.0 < alpha < 1.0:
+        raise InputError("global test, alpha", f"{alpha}", "a probability between 0 and 1")
     degrees = fit.degrees_of_freedom
     if degrees < 1:
         raise InputError("global test", f"{degrees} degrees of freedom", "at least 1", "measure more")
@@ -115,7 +112,7 @@ class ResidualStatistics:
     """Normalised residuals of one group."""
 
     name: str
-    """Of the group."""
+    """Name of the group."""
     values: Array
     """(n,) sorted; of rows with a redundancy number of at least 0.001."""
     uncontrolled: int
@@ -125,13 +122,13 @@ class ResidualStatistics:
 
     @property
     def mean(self) -> float:
-        """0 is promised."""
+        """Mean; 0 is expected."""
         return float(self.values.mean()) if self.values.size else math.nan
 
     @property
     def rms(self) -> float:
-        """1 is promised."""
-        return float(np.sqrt(np.mean(self.values**2))) if self.values.size else math.nan
+        """Root mean square; 1 is expected."""
+        return root_mean_square(self.values)
 
     @property
     def skewness(self) -> float:
@@ -195,7 +192,7 @@ class ResidualStatistics:
         return QuantilePlot(ndtri(share), self.values[ranks], ndtri(low), ndtri(high))
 
     def words(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         if not self.values.size:
             return f"{self.name}: no residual that anything controls"
         pairs = zip(self.beyond, PROMISED, strict=True)
@@ -213,7 +210,7 @@ class ResidualStatistics:
         if self.values.size < 2:
             return math.nan
         away = self.values - self.mean
-        scale = math.sqrt(float(np.mean(away**2)))
+        scale = root_mean_square(away)
         return float(np.mean(away**order)) / scale**order if scale > 0.0 else math.nan
 
 
@@ -250,8 +247,3 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
         np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
         np.concatenate([of_observation[taken], grouping.of_columns(layout)[known.about]]),
     )
-
-
-def _require_probability(alpha: float) -> None:
-    if not 0.0 < alpha < 1.0:
-        raise InputError("global test, alpha", f"{alpha}", "a probability between 0 and 1")

@@ -1,7 +1,7 @@
-"""Unknowns that images share, and whether they can be told apart from along-track pointing.
+"""Unknowns that images share, and whether they can be separated from along-track pointing.
 
 *Likeness* is the cosine of the angle between what two unknowns do to the measures, points free and priors left out: at
-1 the measures cannot tell them apart, whatever the sigmas are. *Correlation* is the posterior's, priors included.
+1 the measures cannot separate them, whatever the sigmas are. *Correlation* is the posterior's, priors included.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift
 from mgsgraph.units import MRAD
 
-_FELT = 0.1
+_COMPARED = 0.1
 """Share of the largest effect on the ground from which an image is compared at all."""
 _TAKES_PART = 0.1
 """Share of the largest pitch from which an image is named among those that together do the same."""
@@ -27,25 +27,25 @@ class SharedEstimate:
     """One column of a shared unknown: its value, and what it may be taken for. Units of reports: s, mrad, m."""
 
     name: str
-    """Of the unknown."""
+    """Name of the unknown."""
     kind: SharedKind
-    """What it is."""
+    """Kind of the unknown."""
     axis: str
     """x, y or z of the camera, of a boresight; else empty."""
     unit: str
     """s, mrad or m."""
     value: float
-    """In that unit."""
+    """Estimated value, in that unit."""
     sigma: float
     """Its standard deviation, for sigma0 = 1."""
     prior_sigma: float
-    """The same beforehand."""
+    """Its a-priori standard deviation."""
     image: str
     """Image whose constant pitch (`pitch_axis`) it is most like; empty where all are held."""
     correlation: float
-    """With that pitch."""
+    """Correlation with that pitch."""
     likeness: float
-    """With that pitch, 0 to 1."""
+    """Likeness with that pitch, 0 to 1."""
     together: float
     """Likeness with the best mixture of constant pitches of all its images, 0 to 1."""
     mixture: tuple[str, ...]
@@ -63,14 +63,14 @@ def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
     shared, values = solution.network.shared[k], solution.shared[k]
     factor = MRAD if shared.kind.unit == "rad" else 1.0
     sigmas = np.sqrt(np.diag(solution.shared_covariance(k)))
-    images = shared.images[solution.network.own[shared.images]]
+    images = shared.images[solution.network.with_polynomial[shared.images]]
     correlation, likeness, shares, together = _with_pitch(solution, k, images)
     found = []
     ground = np.array([_grounds(solution, shared, j) for j in images.tolist()]).reshape(images.size, shared.kind.width)
     for c, axis in enumerate(shared.kind.components):
         size = np.nan_to_num(ground[:, c], nan=1.0) if images.size else np.zeros(0)
-        felt = size >= _FELT * size.max(initial=0.0)  # a pitch of an image that it does not move is no rival
-        rival = np.where(felt, np.maximum(np.abs(correlation[c]), likeness[c]), -1.0)
+        compared = size >= _COMPARED * size.max(initial=0.0)  # a pitch of an image that it does not move is no rival
+        rival = np.where(compared, np.maximum(np.abs(correlation[c]), likeness[c]), -1.0)
         nearest = int(np.argmax(rival)) if images.size else -1
         named = images[nearest] if images.size else shared.images[0]
         strong = np.abs(shares[c]) > _TAKES_PART * np.abs(shares[c]).max(initial=0.0)

@@ -40,7 +40,7 @@ _MOST_COLUMNS = 4000
 _MOST_CANDIDATES = 2000
 """Points that are compared at a time."""
 
-Told = Callable[[Removal], None]
+Progress = Callable[[Removal], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +51,7 @@ class Snooping:
     """The last adjustment; its network lacks the a-priori places and heights that were taken out, and marks the rays
     and ranges, as `rays_rejected` and `ranges_rejected` do."""
     reliability: Reliability
-    """Of the measures that are left."""
+    """Reliability of the measures that are left."""
     removals: tuple[Removal, ...]
     """What stays out, in the order in which it went."""
     readmitted: tuple[Removal, ...]
@@ -59,14 +59,14 @@ class Snooping:
     taken: Taken
     """Marks of what stays out; `taken.marked(network)` is the network with its rays and ranges marked as rejected."""
     adjustments: int
-    """How many there were."""
+    """Number of adjustments."""
     complete: bool
     """False where more tests exceed their critical value than might be taken out (`most`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidate:
-    """The most suspicious observation of a point, and those that can't be told apart from it."""
+    """The most suspicious observation of a point, and those that can't be separated from it."""
 
     removal: Removal
     variables: tuple[int, ...]
@@ -87,13 +87,12 @@ def snoop(
     levels: Levels | None = None,
     most: int = 1000,
     name: str = "adjustment",
-    progress: Told = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> Snooping:
     """Adjust a network without its blunders.
 
     Parameters
     ----------
-    network : Network
     settings : SolverSettings, optional
         Without a robust loss and a limit of its own for blunders: tests presume plain least squares.
     levels : Levels, optional
@@ -134,10 +133,10 @@ def snoop(
 
 
 class _Search:
-    """One search, and where it stands."""
+    """One search for blunders and its state."""
 
     def __init__(
-        self, network: Network, settings: SolverSettings, levels: Levels, most: int, name: str, progress: Told
+        self, network: Network, settings: SolverSettings, levels: Levels, most: int, name: str, progress: Progress
     ) -> None:
         self._network, self._settings, self._levels, self._name = network, settings, levels, name
         self._most, self._progress = most, progress
@@ -147,7 +146,7 @@ class _Search:
 
     @property
     def scale(self) -> float:
-        """What tests are divided by."""
+        """Sigma0 by which tests are divided, or 1."""
         return self.found.sigma0 if self._levels.scaled else 1.0
 
     def critical(self, dimensions: int) -> float:
@@ -157,18 +156,18 @@ class _Search:
     def take_out(self) -> None:
         """Until no test exceeds its critical value."""
         while candidates := _candidates(self.found, self.scale, self.adjustments):
-            room = self._most - len(self.removals)
-            if room <= 0:
+            allowed = self._most - len(self.removals)
+            if allowed <= 0:
                 self.complete = False
                 return
-            for one in _independent(candidates, self.at, self.scale)[:room]:
+            for one in _independent(candidates, self.at, self.scale)[:allowed]:
                 self.removals.append(one.removal)
                 self.taken = self.taken.changed(one.removal.observations, True)
                 self._progress(one.removal)
             self.adjust()
 
     def adjust(self) -> None:
-        """Adjust what is left."""
+        """Adjust the observations that are left."""
         left = self.taken.marked(self._network)
         self.solution = adjust_network(left, self._settings, self._name, left_in=selection(left, self.taken))
         self.at = at_solution(self.solution)
@@ -213,7 +212,7 @@ def _candidate(found: Reliability, index: ObservationIndex, point: int, scale: f
 
 
 def _name(at: Linearised, kind: MeasureKind, row: int) -> str:
-    """A whole observation in words."""
+    """Name of a whole observation."""
     network = at.network
     if kind is MeasureKind.RAY:
         of, image = network.points.ids[network.rays.point[row]], network.images[network.rays.image[row]].name

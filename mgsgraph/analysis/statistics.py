@@ -1,4 +1,4 @@
-"""Figures of merit of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
+"""Statistics of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
 
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
 """
@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.geometry.body import planetocentric, planetocentric_jacobian
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.ties import PointKind
+from mgsgraph.wording import root_mean_square
 
 CLASSES = len(PointClass)
 PLACES = 31
@@ -26,7 +27,7 @@ def mean_and_rms(values: Array) -> tuple[Array, Array]:
     if values.shape[0] == 0:
         nothing = np.full(values.shape[1:], np.nan)
         return nothing, nothing
-    return values.mean(axis=0), np.sqrt(np.mean(values**2, axis=0))
+    return values.mean(axis=0), root_mean_square(values, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +97,7 @@ class OrientationStatistics:
     mean: Array
     """(9,) m and rad, adjusted minus nominal."""
     rms: Array
-    """(9,) m and rad, the same."""
+    """(9,) m and rad, of adjusted minus nominal."""
     mean_sigma: Array
     """(9,) m and rad, mean standard deviation of the adjusted orientation, for sigma0 = 1."""
 
@@ -115,11 +116,11 @@ class PointStatistics:
     """Ground points of one class; sigmas and corrections are of those that were adjusted (fixed ones have none)."""
 
     count: int
-    """All points of the class."""
+    """Number of points of the class."""
     rejected: int
     """Points without a place, or none of whose rays took part."""
     adjusted: int
-    """Points with an adjusted place."""
+    """Number of points with an adjusted position."""
     mean_sigma: Array
     """(3,) m, in x, y, z, for sigma0 = 1."""
     mean_correction: Array
@@ -164,9 +165,9 @@ class RangeStatistics:
     """Laser ranges; residuals, measured minus predicted, of those that took part."""
 
     count: int
-    """All ranges."""
+    """Number of all ranges."""
     used: int
-    """Ranges that took part."""
+    """Number of ranges that took part."""
     mean: float
     """m."""
     rms: float
@@ -193,11 +194,16 @@ def laser_gain(solution: Solution) -> float:
     return float(np.linalg.norm(without) / np.linalg.norm(point_statistics(solution, PointClass.TIE).mean_sigma))
 
 
-def local_sigmas(solution: Solution) -> Array:
-    """(n, 3) m, standard deviations of the points towards east, north and up (radially), for sigma0 = 1."""
-    partials = planetocentric_jacobian(planetocentric(solution.places))
-    axes = partials / np.linalg.norm(partials, axis=1, keepdims=True)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("nia,nij,nja->na", axes, solution.covariances, axes), 0.0)))
+def local_sigmas(covariances: Array, points: Array) -> Array:
+    """(n, 3) m, standard deviations towards east, north and up (radially) of points (n, 3) in m, body-fixed, of
+    covariances (n, 3, 3) in m^2.
+    """
+    return sigmas_along(east_north_up(points), covariances)
+
+
+def sigmas_along(axes: Array, covariances: Array) -> Array:
+    """(n, a) standard deviations along unit vectors (n, a, 3), of covariances (n, 3, 3)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("nai,nij,naj->na", axes, covariances, axes), 0.0)))
 
 
 def solution_connectivity(solution: Solution) -> Connectivity:

@@ -1,4 +1,4 @@
-"""The table by suspicion: what may be a blunder, and what can't be told apart from it.
+"""Measures that may be blunders, and those that can't be separated from them.
 
 Tests of the same point are correlated. Where the modulus of a correlation is above 0.99, a blunder of one minimal
 detectable blunder (4.13 sigmas of its test) shifts the two tests by amounts that differ by 0.3 sigmas of their
@@ -13,19 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.analysis.linearised import Linearised, PointRows
-from mgsgraph.analysis.measures import MeasureKind, Places
+from mgsgraph.analysis.measures import Indices, MeasureKind
 from mgsgraph.analysis.reliability import Reliability
 from mgsgraph.geometry.records import Array, Index
 
 INSEPARABLE = 0.99
-"""Correlation of two tests from which on they can't be told apart."""
+"""Correlation of two tests from which on they can't be separated."""
 _NOTHING = 1e-12
 """Redundancy that is rounding: it has no direction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
-    """A measure with a large test, and those that can't be told apart from it."""
+    """A measure with a large test, and those that can't be separated from it."""
 
     measures: Index
     """(k,) in `Reliability.measures`: the one with the largest test, then the others, by the size of theirs."""
@@ -38,7 +38,7 @@ class Suspect:
 
 
 def suspects(found: Reliability, most: int = 20) -> tuple[Suspect, ...]:
-    """The `most` suspicious measures, or groups of such as can't be told apart, worst first."""
+    """The `most` suspicious measures, or groups of such as can't be separated, worst first."""
     groups, listed = list[Suspect](), set[int]()
     index = PointIndex(found.measures.point, len(found.at.network.points))
     correlations: dict[int, tuple[Index, Array]] = {}
@@ -85,7 +85,7 @@ class PointIndex:
         Number of points.
     """
 
-    def __init__(self, points: Index | Places, count: int) -> None:
+    def __init__(self, points: Index | Indices, count: int) -> None:
         self._order = np.argsort(points, kind="stable")
         self._first = np.searchsorted(points[self._order], np.arange(count + 1))
 
@@ -121,9 +121,9 @@ def combinations(found: Reliability, measures: Index, rows: PointRows) -> Array:
     """
     table, at = found.measures, found.at
     point = int(table.point[measures[0]])
-    place = int(at.layout.patterns.point_place[point])
-    _, first, count, _, observation = at.rows.piece[at.layout.patterns.piece_of(place)].tolist()
-    slot = (table.observation[measures] - observation - (place - first)) // count
+    index = int(at.layout.patterns.point_place[point])
+    _, first, count, _, observation = at.rows.piece[at.layout.patterns.piece_of(index)].tolist()
+    slot = (table.observation[measures] - observation - (index - first)) // count
     chosen = np.zeros((rows.row.size, measures.size))
     for q, k in enumerate(measures.tolist()):
         here = np.flatnonzero(rows.observation == slot[q])

@@ -1,4 +1,4 @@
-"""Figures of merit of an adjustment in two steps: sigmas of points and orientation, and heights above the terrain, at
+"""Statistics of an adjustment in two steps: sigmas of points and orientation, and heights above the terrain, at
 each stage; by strip and for all. SI units, NaN for nothing.
 
 Heights are compared like with like: at every stage of the places where the rays alone put the points, with the
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
 from mgsgraph.analysis.flight import overhead, point_sigmas, pose_sigmas
 from mgsgraph.analysis.statistics import mean_and_rms
@@ -41,7 +40,7 @@ class HeightStatistics:
     rms: Array
     """(stages,) m, by rays alone."""
     mean: Array
-    """(stages,) m, the same."""
+    """(stages,) m, mean height by rays alone."""
     rms_given: float
     """m, the same after step 2, above the model where it is given: differs where its shift or tilt is unknown."""
     rms_adjusted: float
@@ -58,7 +57,7 @@ class GroupStatistics:
     """Of one strip, one image in no strip, or all."""
 
     name: str
-    """Which."""
+    """Name of the strip or image, or "all"."""
     points: int
     """Tie points that have a place after both steps."""
     mean: Array
@@ -75,18 +74,13 @@ class GroupStatistics:
         """(stages, 3) by how much smaller than before the mean sigmas are."""
         return ratio(self.mean[0], self.mean)
 
-    @property
-    def pose_factors(self) -> Array:
-        """(stages, 6) the same of the orientation."""
-        return ratio(self.poses[0], self.poses)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoStepStatistics:
-    """All of an adjustment in two steps."""
+    """Statistics of an adjustment in two steps."""
 
     steps: TwoSteps
-    """What was adjusted."""
+    """The adjustment."""
     whole: GroupStatistics
     """All strips together; each point counts once, in the axes of the first strip that sees it."""
     groups: tuple[GroupStatistics, ...]
@@ -111,7 +105,7 @@ def ratio(before: Array, after: Array) -> Array:
 
 
 def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
-    """Figures of merit of both steps.
+    """Statistics of both steps.
 
     A-priori sigmas of points are those of forward intersection (`analysis.forward`), of the rays that step 1 left in.
     """
@@ -149,7 +143,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
 def owners(network: Network) -> list[tuple[str, Index]]:
     """Strips with their images; then every other image that is adjusted, or all where none is."""
     strips = [(strip.name, strip.images) for strip in network.strips]
-    alone = np.flatnonzero(network.own)
+    alone = np.flatnonzero(network.with_polynomial)
     if not strips and not alone.size:
         alone = np.arange(len(network.images))
     return strips + [(network.images[j].name, np.array([j])) for j in alone.tolist()]
@@ -188,18 +182,14 @@ def _poses(steps: TwoSteps, image: int) -> Array:
     lines = np.linspace(0.0, float(steps.network.images[image].lines), _LINES)
     result = np.full((len(STAGES), 6), np.nan)
     for k, solution in enumerate((steps.free, steps.fitted), start=1):
-        result[k] = _mean_pose(solution, image, lines)
-    joint = steps.rays_alone.joint
-    if joint is not None:
+        correction, joint = solution.correction(image), solution.joint_covariance
+        result[k] = pose_sigmas(solution.network, image, correction, joint, lines).mean(axis=0)
+    prior = steps.rays_alone.joint
+    if prior is not None:
         whole = steps.free.correction(image)
         nominal = OrientationCorrection(np.zeros_like(whole.coefficients), whole.angles, whole.nodes)
-        result[0] = pose_sigmas(steps.free.network, image, nominal, joint, lines).mean(axis=0)
+        result[0] = pose_sigmas(steps.free.network, image, nominal, prior, lines).mean(axis=0)
     return result
-
-
-def _mean_pose(solution: Solution, image: int, lines: Array) -> Array:
-    correction, joint = solution.correction(image), solution.joint_covariance
-    return np.asarray(pose_sigmas(solution.network, image, correction, joint, lines).mean(axis=0))
 
 
 def _heights(steps: TwoSteps, before: Array) -> tuple[Array, Array]:

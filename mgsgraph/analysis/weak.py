@@ -1,7 +1,7 @@
 """What is weak: the directions of which an adjustment has learnt least, in words.
 
 The posterior covariance S of the shared unknowns in units of what was known before, D^-1 S D^-1 with the a-priori
-sigmas D, has eigenvalues in 0 .. 1: the share of the a-priori variance that the measures left standing. (In place of an
+sigmas D, has eigenvalues in 0 .. 1: the share of the a-priori variance that remains after the measures. (In place of an
 infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.) What is known of a strip's nodes
 is known of them together: there the square root R of the a-priori information takes the place of D^-1, R S R'.
 
@@ -57,7 +57,7 @@ class WeakDirection:
     """A direction of the shared unknowns of which little was learnt."""
 
     ratio: float
-    """Its sigma over the a-priori one."""
+    """Ratio of its sigma to the a-priori one."""
     sigma: float
     """m or rad, how far one sigma moves the axis of its main part."""
     unit: str
@@ -80,7 +80,6 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
 
     Parameters
     ----------
-    solution : Solution
     count : int
         How many are wanted.
 
@@ -94,7 +93,7 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
 
 
 def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[WeakDirection, ...]:
-    """The same of a covariance that belongs to a layout."""
+    """The directions of a layout's shared unknowns of which a covariance says least, weakest first."""
     if count < 1:
         raise InputError("weak directions, count", f"{count}", "1 or more")
     if joint.columns == 0 or joint.columns != layout.columns:
@@ -108,13 +107,13 @@ def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[Wea
     values, vectors = spectrum(joint, layout.scales, min(count, layout.columns), prior)
     runs = _runs(values, vectors)
     if values.size < layout.columns:
-        runs = chain(_own(frames, joint, float(values[0]), count), runs)
+        runs = chain(_single_images(frames, joint, float(values[0]), count), runs)
     for run in runs:
         if len(found) >= count:
             break
         for direction in _legible(frames, run, max(_TURNED, count))[:, : count - len(found)].T:
-            felt = _before(prior, direction) / layout.scales
-            variance = felt @ joint.square_root.covariance_times(felt)
+            whitened = _before(prior, direction) / layout.scales
+            variance = whitened @ joint.square_root.covariance_times(whitened)
             found.append(_described(frames, direction, float(np.sqrt(variance)), run.number))
     return tuple(found)
 
@@ -161,8 +160,8 @@ def _lanczos(joint: JointCovariance, scales: Array, count: int, prior: "csr_arra
     size, root = joint.columns if prior is None else prior.shape[0], joint.square_root
 
     def times(x: Array) -> Array:
-        felt = x.ravel() if prior is None else prior.T @ x.ravel()
-        covered = root.covariance_times(felt / scales) / scales
+        whitened = x.ravel() if prior is None else prior.T @ x.ravel()
+        covered = root.covariance_times(whitened / scales) / scales
         return np.asarray(covered if prior is None else prior @ covered)
 
     operator = LinearOperator((size, size), matvec=times, dtype=np.float64)
@@ -173,7 +172,7 @@ def _lanczos(joint: JointCovariance, scales: Array, count: int, prior: "csr_arra
     return values[order], vectors[:, order]
 
 
-def _own(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_EqualDirections]:
+def _single_images(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_EqualDirections]:
     """Directions of single images that are as weak as the weakest, where there are `count`; those that move most."""
     layout, found = frames.layout, list[tuple[slice, Array]]()
     joined = {v for factor in layout.prior.factors for v in factor.variables}

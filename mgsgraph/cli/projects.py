@@ -176,7 +176,7 @@ def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) ->
 
     with (
         open_project(project, write=True, thorough=True) as opened,
-        iteration_bar(verbose, opened.settings.solver_settings.max_iterations) as bar,
+        iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
     ):
         solved = solve_all(opened, figures=not no_figures, progress=bar)
     print_solution(solved.solution)
@@ -201,9 +201,8 @@ def status(project: Path) -> None:
 def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
     """Sentences, the images reached, the points that moved most (all of them in a CSV file), the closing check."""
     print_sentences(impact.sentences())
-    click.echo(impact.table())
-    if moved := impact.points_table():
-        click.echo(moved)
+    click.echo("
+".join(impact.tables_text()))
     if table is not None:
         from mgsgraph.reports.impact import write_impact
 

@@ -18,7 +18,6 @@ from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import PointClass
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM
-from mgsgraph.registration.case import root_mean_square
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.registration.tables import discrepancy_json, write_registration_into
 from mgsgraph.reports.results import write_into
@@ -26,7 +25,7 @@ from mgsgraph.simulation.site import SimulatedImage, SimulationOptions
 from mgsgraph.simulation.terrain import grid_shift
 from mgsgraph.stages import Stages
 from mgsgraph.units import ARCMIN, ARCSEC
-from mgsgraph.wording import listed, many
+from mgsgraph.wording import listed, many, root_mean_square
 
 SUMMARY = "summary.json"
 """File of the demo's figures."""

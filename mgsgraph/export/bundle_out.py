@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import rejected_points, used_ray_counts
+from mgsgraph.analysis.statistics import local_sigmas, rejected_points, used_ray_counts
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_orientation import (
     PARAMETERS,
@@ -24,7 +24,7 @@ from mgsgraph.export.bundle_orientation import (
     orientation_polynomials,
 )
 from mgsgraph.export.bundle_text import Tables, bundle_text
-from mgsgraph.geometry.body import east_north_up, in_turn, planetocentric
+from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.files import write_files
 from mgsgraph.network import PointClass
@@ -128,8 +128,7 @@ def _reported(places: Array) -> Array:
 
 def _local_sigmas(covariances: Array, places: Array) -> Array:
     """(n, 3) m, sigmas along latitude, longitude and radius."""
-    axes = east_north_up(places)[:, [1, 0, 2]]
-    return np.asarray(np.sqrt(np.maximum(np.einsum("nai,nij,naj->na", axes, covariances, axes), 0.0)))
+    return local_sigmas(covariances, places)[:, [1, 0, 2]]
 
 
 def _of_points(solution: Solution) -> _Measures:

@@ -160,7 +160,7 @@ def _point_fields(solution: Solution) -> dict[str, Any]:
     network, places = solution.network, solution.places
     longitude, latitude, radius = planetocentric(places).T
     moved = _components(east_north_up(places), places - solution.places_before)
-    sigmas, ways = local_sigmas(solution), ("east", "north", "up")
+    sigmas, ways = local_sigmas(solution.covariances, places), ("east", "north", "up")
     return {
         "id": list(network.points.ids),
         "kind": picked([kind.name.lower() for kind in PointKind], network.points.kinds),

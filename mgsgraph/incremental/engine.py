@@ -44,14 +44,14 @@ class _Kept(Generic[_Laid]):
         self._all: OrderedDict[Members, tuple[int, _Laid]] = OrderedDict()
 
     def get(self, members: Members) -> _Laid | None:
-        """What was kept for a bundle."""
+        """The entry of a bundle; None where there is none."""
         if members not in self._all:
             return None
         self._all.move_to_end(members)
         return self._all[members][1]
 
     def put(self, members: Members, size: int, laid: _Laid) -> None:
-        """Keep it."""
+        """Keep an entry of a size."""
         self.drop(members)
         self._all[members] = size, laid
         self._size += size
@@ -60,7 +60,7 @@ class _Kept(Generic[_Laid]):
             self._size -= count
 
     def drop(self, members: Members) -> None:
-        """Forget it."""
+        """Remove the entry of a bundle."""
         if members in self._all:
             self._size -= self._all.pop(members)[0]
 
@@ -70,7 +70,6 @@ class Engine:
 
     Parameters
     ----------
-    settings : SolverSettings
     store : StateStore
         Read here, never written.
     """
@@ -99,7 +98,7 @@ class Engine:
 
     @contextmanager
     def all_or_nothing(self) -> Iterator[None]:
-        """Whatever fails within, the engine stands as it did."""
+        """Restore the engine's state when anything within fails."""
         before = dict(self.shared), dict(self.systems)
         try:
             yield
@@ -193,8 +192,8 @@ class Engine:
 
     def _unfelt(self, gone: Sequence[Members], networks: Iterable[Members]) -> list[Unknown]:
         """Shifts that no bundle feels any longer, not even one whose points have no place."""
-        felt = {unknown for members in gone for unknown in members if unknown.kind == "shift"}
-        doubtful = [unknown for unknown in felt if not self._holding[unknown]]
+        shifts = {unknown for members in gone for unknown in members if unknown.kind == "shift"}
+        doubtful = [unknown for unknown in shifts if not self._holding[unknown]]
         left = {*self._store.members()} - {*gone} | {*networks} if doubtful else set()  # all bundles are many to read
         return [unknown for unknown in doubtful if not any(unknown in members for members in left)]
 
@@ -268,7 +267,9 @@ class Engine:
             waiting.sort(key=len)  # large ones first: their covariance has that of their parts in it
             members = waiting.pop()
             system = self.systems[members]
-            joint, step = self._joint_within(system.unknowns, looked_at), self._step(system, before)
+            joint = self._joint_within(system.unknowns, looked_at)
+            # new unknowns have moved from zero
+            step = np.concatenate([self.value[one] - before.get(one, 0.0) for one in system.unknowns])
             if members not in changed and step @ np.linalg.solve(joint, step) < _REACH**2:
                 continue
             reached[members] = joint
@@ -287,10 +288,6 @@ class Engine:
                 return np.asarray(joint[np.ix_(mine, mine)])
         known[unknowns] = self.joint(unknowns)
         return known[unknowns]
-
-    def _step(self, system: ReducedSystem, before: Mapping[Unknown, Array]) -> Array:
-        """(d,) by which a system's unknowns have moved; new ones from zero."""
-        return np.concatenate([self.value[unknown] - before.get(unknown, 0.0) for unknown in system.unknowns])
 
     def _note(self, reached: Mapping[Members, Array], new: Iterable[Unknown]) -> None:
         """Values and covariances of the unknowns reached, for the records of the store."""
@@ -334,7 +331,7 @@ class Engine:
         """
         found = {members: self._renewed(members) for members in made}
         for members, spread in joint.items():
-            moved, changed = self._told(members, spread)
+            moved, changed = self._changed_noticeably(members, spread)
             if moved and changed:
                 found |= self._placed([members], joint)
             elif moved:
@@ -344,8 +341,8 @@ class Engine:
     def _renewed(self, members: Members) -> Bundle:
         return replace(self._store.bundle(members), reduced=self.systems.get(members))
 
-    def _told(self, members: Members, joint: Array) -> tuple[bool, bool]:
-        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed: its probes tell."""
+    def _changed_noticeably(self, members: Members, joint: Array) -> tuple[bool, bool]:
+        """Whether points of a bundle have moved noticeably, and whether their sigmas have changed, by its probes."""
         bundle = self._store.bundle(members)
         if (found := self._probes.get(members)) is None:
             chosen = probes(bundle)

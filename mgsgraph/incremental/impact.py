@@ -9,13 +9,15 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.incremental.state import NOTICEABLE, Bundle, Settled, Shared
 from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.notebook import card
-from mgsgraph.units import MRAD
+from mgsgraph.output.table import Column, Table
 from mgsgraph.wording import many
 
 _FAR = 5.0
 """A-priori sigmas beyond which a new image's correction is remarkable."""
-_SHOWN = 12
+SHOWN = 12
 """Rows of a printed table."""
+_NAME = 28
+"""Characters of a printed name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +67,7 @@ class Impact:
     """What adding or removing images has done to the rest."""
 
     verb: str
-    """What was done: add or remove."""
+    """add or remove."""
     subjects: tuple[str, ...]
     """Images added or removed."""
     images: MovedImages
@@ -83,11 +85,11 @@ class Impact:
     updates: int
     """How often iSAM2's tree was changed until everything lay within its slack."""
     systems: int
-    """Reduced systems that were made."""
+    """Number of reduced systems that were made."""
     converged: bool
-    """Whether it came to rest."""
+    """Whether the adjustment converged."""
     seconds: float = float("nan")
-    """Wall time of all of it."""
+    """s, wall time of the whole change."""
 
     def __repr__(self) -> str:
         moved = int(np.count_nonzero(~self.points.new))
@@ -97,11 +99,11 @@ class Impact:
         )
 
     def after(self, seconds: float) -> "Impact":
-        """The same, with the wall time it took."""
+        """The record with the wall time (s) of the change."""
         return replace(self, seconds=seconds)
 
     def sentences(self) -> list[str]:
-        """What a reader should know first."""
+        """The main results, in sentences."""
         said = list[str]()
         if self.unconnected:
             names = ", ".join(self.unconnected)
@@ -147,62 +149,55 @@ class Impact:
             said.append(f"{many(int(np.count_nonzero(points.new)), 'new point')}; mean sigmas x, y, z {mean} m.")
         return said
 
-    def table(self) -> str:
-        """The images reached as text, most moved first."""
-        return _aligned(self._rows(), _WIDTHS)
-
-    def points_table(self) -> str:
-        """The points that moved most as text; empty where none did."""
-        points = self.points
-        order = np.argsort(-np.where(points.new, -1.0, points.in_sigmas), kind="stable")
-        order = order[: min(_SHOWN, int(np.count_nonzero(~points.new)))]
-        if order.size == 0:
-            return ""
-        sigmas = [np.linalg.norm(part, axis=1) for part in (points.sigmas_before, points.sigmas_after)]
-        rows: list[tuple[str, ...]] = [_POINT_HEAD, ("", "sigmas", "m", "m", "m", "m", "m")]
-        for k in order.tolist():
-            numbers = (points.in_sigmas[k], *points.moves[k], sigmas[0][k], sigmas[1][k])
-            rows.append((points.ids[k][-_WIDTHS[0] :], *(f"{number:.3g}" for number in numbers)))
-        if (more := int(np.count_nonzero(~points.new)) - order.size) > 0:
-            rows.append((f"and {more} more", *[""] * 6))
-        return _aligned(rows, _WIDTHS)
-
-    def _rows(self) -> list[tuple[str, ...]]:
+    def table(self) -> Table:
+        """The images reached, new ones first, then the most moved; for the terminal and for notebooks."""
         images = self.images
-        order = np.argsort(-np.where(images.new, np.inf, images.in_sigmas), kind="stable")
-        rows: list[tuple[str, ...]] = [_HEAD, _UNITS]
-        for k in order[:_SHOWN].tolist():
-            before = "-" if images.new[k] else f"{images.ground_before[k]:.3g}"
-            angle = float(np.linalg.norm(images.moves[k, 3:])) / MRAD
-            rows.append(
-                (
-                    images.names[k][-_WIDTHS[0] :],
-                    "new" if images.new[k] else f"{images.in_sigmas[k]:.3f}",
-                    f"{np.linalg.norm(images.moves[k, :3]):.3g}",
-                    f"{angle:.3g}",
-                    f"{images.on_ground[k]:.3g}",
-                    before,
-                    f"{images.ground_after[k]:.3g}",
-                )
-            )
-        if order.size > _SHOWN:
-            rows.append((f"and {order.size - _SHOWN} more", *[""] * (len(_HEAD) - 1)))
-        return rows
+        moved = ["new" if new else f"{size:.3f}" for new, size in zip(images.new, images.in_sigmas, strict=True)]
+
+        def column(name: str, values: Array, unit: str, width: int = 9) -> Column:
+            return Column(name, values, unit, page=".3g", text=f">{width}.3g", gap=2)
+
+        found = Table("images", "Images reached", (
+            Column("image", images.names, page="s", text=f"<{_NAME}"),
+            Column("moved", moved, "sigmas", page="s", text=">8", gap=2),
+            column("position", np.linalg.norm(images.moves[:, :3], axis=1), "m"),
+            column("pointing", np.linalg.norm(images.moves[:, 3:], axis=1), "mrad"),
+            column("ground", images.on_ground, "m"),
+            column("sigma before", np.where(images.new, np.nan, images.ground_before), "m", 13),
+            column("after", images.ground_after, "m"),
+        ))  # fmt: skip
+        return found.take(np.argsort(-np.where(images.new, np.inf, images.in_sigmas), kind="stable"))
+
+    def points_table(self) -> Table:
+        """Every point that moved, or that is new; for the terminal also the root of the trace of the covariances."""
+        points, axes = self.points, ("x", "y", "z")
+        before, after = (np.linalg.norm(part, axis=1) for part in (points.sigmas_before, points.sigmas_after))
+        return Table("impact", "Points that moved", (
+            Column("point", points.ids, text=f"<{_NAME}"),
+            Column("new", np.asarray(points.new, dtype=np.bool_)),
+            Column("move_{}", points.moves, "m", "after minus before, body-fixed", axes, label="moved, m", text=">9.3g",
+                   gap=2),
+            Column("move_sigmas", points.in_sigmas, label="sigmas", text=">9.3g", gap=2),
+            Column("sigma_before_{}", points.sigmas_before, "m", "for sigma0 = 1", axes),
+            Column("sigma_{}", points.sigmas_after, "m", "for sigma0 = 1", axes),
+            Column("sigma before", before, "m", text=">13.3g", gap=2, files=False),
+            Column("after", after, "m", text=">9.3g", gap=2, files=False),
+        ))  # fmt: skip
+
+    def tables_text(self) -> list[str]:
+        """Lines of aligned text: the images reached, and the points that moved most."""
+        points, lines = self.points, self.table().text(SHOWN, "more image: each moved less", units=True)
+        order = np.argsort(-np.where(points.new, -1.0, points.in_sigmas), kind="stable")
+        moved = order[: int(np.count_nonzero(~points.new))]
+        if moved.size:
+            lines += self.points_table().take(moved).text(SHOWN, "more point: each moved less", units=True)
+        return lines
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
-        return card(repr(self), self.sentences(), self._rows(), head=2)
-
-
-def _aligned(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> str:
-    lines = (zip(row, widths, strict=True) for row in rows)
-    return "\n".join("  ".join(cell.rjust(width) for cell, width in line).rstrip() for line in lines)
-
-
-_HEAD = ("image", "moved", "position", "pointing", "ground", "sigma before", "after")
-_POINT_HEAD = ("point", "moved", "x", "y", "z", "sigma before", "after")
-_UNITS = ("", "sigmas", "m", "mrad", "m", "m", "m")
-_WIDTHS = (28, 8, 9, 9, 9, 13, 9)
+        """HTML for notebooks."""
+        table = self.table().take(np.arange(min(SHOWN, len(self.images.names))))
+        heads = [[name for name, _ in table.headings], [unit for _, unit in table.headings]]
+        return card(repr(self), self.sentences(), [*heads, *table.rows], head=2)
 
 
 def impact(

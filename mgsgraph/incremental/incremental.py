@@ -3,7 +3,6 @@
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -62,7 +61,7 @@ class IncrementalAdjustment:
 
     @classmethod
     def of(cls, solution: Solution, store: StateStore | None = None) -> "IncrementalAdjustment":
-        """Go on from a batch solution."""
+        """An incremental adjustment that begins with a batch solution."""
         found = cls(solution.settings, store)
         found.adopt(solution)
         return found
@@ -111,8 +110,8 @@ class IncrementalAdjustment:
 
         Undetermined points have NaN. Raises InputError for an unknown name.
         """
-        homes = set(self.store.members()) if ids is None else set(self.store.homes(ids).values())
-        fresh = list(self._engine.refreshed(sorted(homes)).values())
+        wanted = set(self.store.members()) if ids is None else set(self.store.bundles_of(ids).values())
+        fresh = list(self._engine.refreshed(sorted(wanted)).values())
         names = tuple(name for one in fresh for name in one.network.points.ids)
         places = np.concatenate([np.zeros((0, 3)), *(one.places for one in fresh)])
         covariances = np.concatenate([np.zeros((0, 3, 3)), *(one.covariances for one in fresh)])
@@ -207,7 +206,8 @@ class IncrementalAdjustment:
 
     def adopt(self, solution: Solution) -> None:
         """Take a batch solution over: its images, points and unknowns in the place of all that was there."""
-        engine, network = self._engine, _with_rejections(solution)
+        engine = self._engine
+        network = solution.network.with_rejected(solution.rays_rejected, solution.ranges_rejected)
         there = set(self.images)
         with engine.all_or_nothing():
             for one in known_images(network):
@@ -307,16 +307,6 @@ class IncrementalAdjustment:
 
 def _alike(one: KnownImage, other: KnownImage) -> bool:
     return one.image is other.image and one.prior is other.prior and one.held == other.held
-
-
-def _with_rejections(solution: Solution) -> Network:
-    """The network of a solution, its blunders marked."""
-    network = solution.network
-    return replace(
-        network,
-        rays=replace(network.rays, rejected=solution.rays_rejected),
-        ranges=replace(network.ranges, rejected=solution.ranges_rejected),
-    )
 
 
 def _require_finite_prior(one: KnownImage) -> None:

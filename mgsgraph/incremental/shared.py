@@ -11,6 +11,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.rotation import skew
 from mgsgraph.incremental.state import Shared
 from mgsgraph.network.parts import KnownImage, Unknown, unknowns
 
@@ -40,16 +41,10 @@ def ground_motion(known: KnownImage, angles: Angles) -> Array:
     turn = OrientationCorrection(np.zeros((terms, 6)), angles).axes(pose, image.moments(line))[0]
     look = pose.matrix[0] @ direction[0]
     # M = Exp([theta]x)' M0: a ray d = M' look turns by M0' (theta x look)
-    turned = -pose.matrix[0].T @ _cross(look) @ turn
+    turned = -pose.matrix[0].T @ skew(look) @ turn
     jacobian = np.zeros((3, 6 * terms))
     jacobian[:, :3], jacobian[:, 3:6] = by_origin[0], by_direction[0] @ turned
     return jacobian if np.all(np.isfinite(jacobian)) else np.zeros_like(jacobian)
-
-
-def _cross(vector: Array) -> Array:
-    """(3, 3) matrix of the cross product with a vector from the left."""
-    x, y, z = vector.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def shared_image(known: KnownImage, angles: Angles) -> Shared:

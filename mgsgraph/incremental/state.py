@@ -106,78 +106,64 @@ class Shared:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
-    """How a change came to rest."""
+    """Result of a change."""
 
     bundles: dict[Members, Bundle]
     """Bundles changed, made anew or reached, with their points where they are now."""
     reached: dict[Members, Array]
     """Joint covariance (d, d) of the unknowns of those that a noticeable change reached, as in their reduced system."""
     updates: int
-    """How often the tree was changed."""
+    """Number of updates of the tree."""
     systems: int
-    """Reduced systems that were made."""
+    """Number of reduced systems that were made."""
     converged: bool
-    """Whether it came to rest."""
+    """Whether the adjustment converged."""
 
 
 class StateStore(Protocol):
-    """Where the state lies: in memory (`InMemory`), or in the file of a kept project."""
+    """Storage of the state: in memory (`InMemory`), or in the file of a kept project."""
 
     def image_names(self) -> list[str]:
         """All images, in the order in which they came."""
-        ...
 
     def image(self, name: str) -> KnownImage:
-        """One of them."""
-        ...
+        """An image by its name."""
 
     def shared(self) -> dict[Unknown, Shared]:
         """All adjusted unknowns."""
-        ...
 
     def reduced(self) -> dict[Members, ReducedSystem]:
         """The reduced systems of all bundles that have one, without any of their points."""
-        ...
 
-    def homes(self, ids: Iterable[str]) -> dict[str, Members]:
+    def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
         """For those of the points that are there: their bundle."""
-        ...
 
     def seen_by(self, image: str) -> list[Members]:
         """Bundles with points that have a ray or a range from an image."""
-        ...
 
     def bundle(self, members: Members) -> Bundle:
         """A bundle with its points."""
-        ...
 
     def members(self) -> list[Members]:
-        """All bundles."""
-        ...
+        """Members of all bundles."""
 
     def put_image(self, known: KnownImage) -> None:
         """Add an image."""
-        ...
 
     def drop_image(self, name: str) -> None:
         """Take an image out; its bundles have been replaced before."""
-        ...
 
     def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
         """Add unknowns or replace their values."""
-        ...
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
-        """Take unknowns out."""
-        ...
+        """Remove unknowns."""
 
     def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
         """Take bundles out and put others in, none of which is there."""
-        ...
 
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
         """New systems and places for bundles whose points are the same."""
-        ...
 
 
 class ImagesByName(Mapping[str, KnownImage]):
@@ -206,7 +192,7 @@ class InMemory:
         self._images = dict[str, KnownImage]()
         self._shared = dict[Unknown, Shared]()
         self._bundles = dict[Members, Bundle]()
-        self._home = dict[str, Members]()
+        self._bundle_of = dict[str, Members]()
         self._seen_by = dict[str, dict[Members, None]]()
 
     def image_names(self) -> list[str]:
@@ -214,7 +200,7 @@ class InMemory:
         return list(self._images)
 
     def image(self, name: str) -> KnownImage:
-        """One of them."""
+        """An image by its name."""
         return self._images[name]
 
     def shared(self) -> dict[Unknown, Shared]:
@@ -225,9 +211,9 @@ class InMemory:
         """Reduced systems of all bundles that have one."""
         return {members: bundle.reduced for members, bundle in self._bundles.items() if bundle.reduced is not None}
 
-    def homes(self, ids: Iterable[str]) -> dict[str, Members]:
+    def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
         """For those of the points that are there: their bundle."""
-        return {name: self._home[name] for name in ids if name in self._home}
+        return {name: self._bundle_of[name] for name in ids if name in self._bundle_of}
 
     def seen_by(self, image: str) -> list[Members]:
         """Bundles with points that have a ray or a range from an image."""
@@ -238,7 +224,7 @@ class InMemory:
         return self._bundles[members]
 
     def members(self) -> list[Members]:
-        """All bundles."""
+        """Members of all bundles."""
         return list(self._bundles)
 
     def put_image(self, known: KnownImage) -> None:
@@ -246,7 +232,7 @@ class InMemory:
         self._images[known.image.name] = known
 
     def drop_image(self, name: str) -> None:
-        """Take an image out."""
+        """Remove an image."""
         del self._images[name]
 
     def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
@@ -254,7 +240,7 @@ class InMemory:
         self._shared |= shared
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
-        """Take unknowns out."""
+        """Remove unknowns."""
         for unknown in unknowns:
             del self._shared[unknown]
 
@@ -263,12 +249,12 @@ class InMemory:
         for members in gone:
             bundle = self._bundles.pop(members)
             for name in bundle.network.points.ids:
-                del self._home[name]
+                del self._bundle_of[name]
             for image in bundle.network.images:
                 del self._seen_by[image.name][members]
         for members, bundle in new.items():
             self._bundles[members] = bundle
-            self._home |= dict.fromkeys(bundle.network.points.ids, members)
+            self._bundle_of |= dict.fromkeys(bundle.network.points.ids, members)
             for image in bundle.network.images:
                 self._seen_by.setdefault(image.name, {})[members] = None
 
@@ -284,7 +270,7 @@ def with_addition(store: StateStore, addition: Network | None) -> tuple[list[Mem
     """
     if addition is None:
         return [], {}
-    gone = sorted(set(store.homes(addition.points.ids).values()))
+    gone = sorted(set(store.bundles_of(addition.points.ids).values()))
     return _completed(store, gone, [*(store.bundle(members).network for members in gone), addition])
 
 

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
-from mgsgraph.adjustment.passes import Selection, determined_points
+from mgsgraph.adjustment.passes import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
@@ -24,7 +23,7 @@ for the errors of bundles add up."""
 _ROBUST_SHARE = 0.01
 """Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
 _PROBES = 48
-"""Points that stand for all of a bundle: their moves are polynomials of the line, of low degree."""
+"""Points that represent all of a bundle: their moves are polynomials of the line, of low degree."""
 
 
 def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array) -> float:
@@ -38,8 +37,6 @@ def slack(network: Network, settings: SolverSettings, motion: Array, spread: Arr
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     motion : (2,)
         Pixels per m and per rad, of the image that has most of them.
     spread : (n,)
@@ -65,7 +62,6 @@ class Sweep:
     ----------
     network : Network
         Points that feel the same shared unknowns; for `reduce` and `places`, any.
-    settings : SolverSettings
     places : (n, 3), optional
         m, where its points are thought to be; NaN where nothing is known.
 
@@ -79,10 +75,7 @@ class Sweep:
         self.network, self._settings = network, settings
         self._names = unknowns(network)
         layout = lay_out(network, settings, places)
-        rays, ranges = network.rays.rejected, network.ranges.rejected
-        assert rays is not None
-        assert ranges is not None
-        self._select(layout, Selection(~rays, ~ranges, network.undetermined.copy()))
+        self._select(layout, unmarked(network))
         self._last: Reduction | None = None
         self._spread: Array | None = None
 

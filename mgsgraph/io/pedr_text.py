@@ -81,21 +81,21 @@ def read_pedr_text(
     if header is None:
         raise InputError(str(path), "an empty file", "a header and shots")
     csv = "," in lines[header]
-    names = [_plain(name) for name in (lines[header].split(",") if csv else lines[header].split())]
+    names = [plain_name(name) for name in (lines[header].split(",") if csv else lines[header].split())]
     first = header + 1 + (not csv and len(lines) > header + 1 and set(lines[header + 1]) <= set("-. "))
     body = [(k + 1, line.rstrip()) for k, line in enumerate(lines[first:], first) if line.strip()]
     if not body:
         raise InputError(str(path), "a header alone", "shots below it")
     wanted = _wanted(names, path)
     cut = _cut_csv if csv else _cut_table
-    table = _Table(path, np.array([number for number, _ in body]), cut(body, names, wanted, path))
+    table = _ShotTable(path, np.array([number for number, _ in body]), cut(body, names, wanted, path))
     letter = IAU2000_VERSION if csv and version is None else pedr_version(path, None, version)
     shots = _shots(table, clock_bias, leap_seconds)
     return in_iau2000(shots) if letter < IAU2000_VERSION else shots
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Table:
+class _ShotTable:
     """Columns of a text, by what they mean."""
 
     path: Path
@@ -135,7 +135,8 @@ class _Table:
         return values
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
+    """The letters and digits of a column's name, in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
@@ -201,7 +202,7 @@ def _cut_table(
     return {meaning: np.array([row[k] for row in rows]) for k, meaning in wanted.items()}
 
 
-def _shots(table: _Table, clock_bias: float, leap_seconds: Path | None) -> AltimeterShots:
+def _shots(table: _ShotTable, clock_bias: float, leap_seconds: Path | None) -> AltimeterShots:
     n = table.lines.size
     longitude = table.within("longitude", -360.0, 360.0) * DEG
     latitude = table.within("latitude", -90.0, 90.0) * DEG
@@ -233,7 +234,7 @@ def _shots(table: _Table, clock_bias: float, leap_seconds: Path | None) -> Altim
     )
 
 
-def _from_utc(table: _Table, leap_seconds: Path | None) -> Array:
+def _from_utc(table: _ShotTable, leap_seconds: Path | None) -> Array:
     """Times (n,) in s TDB past J2000 of the column UTC."""
     if leap_seconds is None:
         raise InputError(

@@ -1,4 +1,4 @@
-"""The ground under a network, and what its images show of it, where they stand."""
+"""Ground coverage of a network's images: what each shows of the ground with its adjusted orientation."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -26,25 +26,26 @@ _TERRAIN_STEPS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientedImage:
-    """An image where it stands."""
+    """An image with its adjusted orientation and its footprint."""
 
     known: KnownImage
-    """Geometry and prior."""
+    """Geometry and prior of the image."""
     correction: OrientationCorrection
-    """Of its nominal orientation."""
+    """Correction of its nominal orientation."""
     height: float
     """m above the ellipsoid, of the ground that it shows."""
     footprint: Footprint
-    """At that height."""
+    """Footprint at that height."""
 
     @property
     def image(self) -> PushbroomImage:
-        """Its geometry."""
+        """Geometry of the image."""
         return self.known.image
 
     def shown(self, points: Array) -> tuple[Index, Array]:
         """Which of points (n, 3) in m it shows well inside its edges and from above, (k,), and their places (k, 2)."""
-        image, eye, outline = self.image, self._eye(), self.footprint
+        image, outline = self.image, self.footprint
+        eye = image.pose(np.array([0.5 * image.lines]), self.correction).position[0]
         near = np.flatnonzero(np.einsum("ni,ni->n", points, eye - points) > 0.0)
         if outline.outline.shape[0]:  # Newton over all points of a large network takes seconds
             away = np.linalg.norm(points[near] - outline.centre, axis=1)
@@ -55,9 +56,6 @@ class OrientedImage:
             inside = np.all((places > EDGE * size) & (places < (1.0 - EDGE) * size), axis=1)
         return near[inside], places[inside]
 
-    def _eye(self) -> Array:
-        return np.asarray(self.image.pose(np.array([0.5 * self.image.lines]), self.correction).position[0])
-
     def positions(self, times: Array) -> Array:
         """(n, 3) m, where the camera is at times (n,) in s TDB past J2000."""
         lines = self.image.timing.lines(times - self.image.trajectory.epoch)
@@ -65,12 +63,7 @@ class OrientedImage:
 
 
 class ImageCoverage:
-    """All images of a network and the ground under them.
-
-    Parameters
-    ----------
-    state : NetworkState
-    """
+    """All images of a network and the ground under them."""
 
     def __init__(self, state: NetworkState) -> None:
         network = state.network

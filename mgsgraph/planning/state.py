@@ -1,4 +1,4 @@
-"""Where a plan begins: a network as it was adjusted, linearised there once more, with its joint covariance."""
+"""Network state from which a plan begins: the adjusted network, linearised at its solution, with its covariance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.datum.datum import require_strength
-from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.passes import Selection, determined_points, everything
+from mgsgraph.adjustment.passes import Selection, determined_points, everything, without_weak
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.settings import SolverSettings
@@ -33,7 +32,7 @@ class NetworkState:
     settings: SolverSettings
     """Measurement model and loss."""
     values: Mapping[Unknown, Array]
-    """Shared unknowns (d,), m and rad; those that are missing stand at zero."""
+    """Shared unknowns (d,), m and rad; those that are missing are zero."""
     places: Array
     """(n, 3) m, of the points."""
 
@@ -43,7 +42,7 @@ class NetworkState:
         return OrientationCorrection(value.reshape(-1, 6), self.settings.angles)
 
     def extended(self, additions: Sequence[Network]) -> "NetworkState":
-        """The same with planned measures: new unknowns at zero, new points where they are planned."""
+        """The network state with planned measures: new unknowns at zero, new points at their planned positions."""
         network = joined([self.network, *additions])
         places = network.points.places.copy()
         places[: self.places.shape[0]] = self.places  # the points of the first part come first, in their order
@@ -51,7 +50,7 @@ class NetworkState:
 
 
 def state_of_solution(solution: Solution) -> NetworkState:
-    """Where a batch solution stands.
+    """Network state of a batch solution.
 
     Raises
     ------
@@ -74,8 +73,6 @@ def network_state(
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     values : mapping
         Shared unknowns, m and rad.
     places : (n, 3)
@@ -92,11 +89,8 @@ def network_state(
     kept = np.flatnonzero(np.isfinite(places[:, 0]))
     if kept.size == 0:
         raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
-    used = replace(
-        network,
-        rays=replace(network.rays.chosen(rays), rejected=None),
-        ranges=replace(network.ranges.chosen(ranges), rejected=None),
-    )
+    used = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
+    used = used.with_rejected(None, None)
     left = with_images(part(used, kept), known_images(network))
     return NetworkState(left, settings, values, places[kept])
 
@@ -106,10 +100,8 @@ class ReducedNetwork:
 
     Parameters
     ----------
-    network : Network
-    settings : SolverSettings
     values : mapping
-        Shared unknowns; those that are missing stand at zero.
+        Shared unknowns; those that are missing are zero.
     places : (n, 3)
         m, where the points are.
     """
@@ -173,7 +165,7 @@ class ReducedNetwork:
 
 
 class CurrentState(ReducedNetwork):
-    """A whole network linearised where it stands, with the joint covariance of its shared unknowns.
+    """A whole network linearised at its state, with the joint covariance of its shared unknowns.
 
     Raises WeakNetwork where nothing determines some direction of the orientation.
     """
@@ -183,7 +175,7 @@ class CurrentState(ReducedNetwork):
         self.state = state
         require_strength(self.layout, self.reduction)
         self.joint = orientation_covariance(BundleGraph(self.layout, self.rows), self.reduction)
-        self.place = {name: i for i, name in enumerate(state.network.points.ids)}
+        self.index_of = {name: i for i, name in enumerate(state.network.points.ids)}
 
     def covariance_with(self, names: Sequence[Unknown]) -> Array:
         """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another."""

@@ -31,18 +31,18 @@ class Targets:
     images: tuple[str, ...]
     """Names of images: what counts is the place of the ground under the image's middle line, on the ellipsoid."""
     wanted: tuple[str, ...]
-    """As they were asked for."""
+    """Targets as they were requested."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of them, points first."""
+        """Names of all targets, points first."""
         return (*self.points, *self.images)
 
     def __len__(self) -> int:
         return len(self.points) + len(self.images)
 
     def words(self) -> str:
-        """What they are."""
+        """The targets in words."""
         named = {"ties": "tie points", "all": "points"}
         if len(self.wanted) == 1 and self.wanted[0] in named:
             return f"{len(self)} {named[self.wanted[0]]}"
@@ -56,11 +56,11 @@ class Sigmas:
     total: float
     """Root of the trace of the covariance."""
     east: float
-    """Eastward."""
+    """Sigma eastward."""
     north: float
-    """Northward."""
+    """Sigma northward."""
     up: float
-    """Upward."""
+    """Sigma upward."""
     worst: str
     """The target whose total is largest."""
 
@@ -70,7 +70,6 @@ def targets_of(state: NetworkState, wanted: Sequence[str]) -> Targets:
 
     Parameters
     ----------
-    state : NetworkState
     wanted : sequence of str
         "ties", "all" (points), or names of points and images; each once.
 
@@ -104,20 +103,14 @@ def targets_of(state: NetworkState, wanted: Sequence[str]) -> Targets:
 
 
 class TargetSigmas:
-    """Sigmas of targets in a network as it stands, and after an update.
-
-    Parameters
-    ----------
-    present : CurrentState
-    targets : Targets
-    """
+    """Sigmas of targets in the present network, and after an update."""
 
     def __init__(self, present: CurrentState, targets: Targets) -> None:
         self.present, self.targets = present, targets
         network, layout = present.state.network, present.layout
-        self._place = np.array([present.place[name] for name in targets.points], dtype=np.int64)
+        self._index = np.array([present.index_of[name] for name in targets.points], dtype=np.int64)
         out = np.ones(len(network.points), dtype=bool)
-        out[self._place] = False
+        out[self._index] = False
         every = np.ones(network.rays.point.size, dtype=bool), np.ones(network.ranges.point.size, dtype=bool)
         self._rows = layout.active(*every, out | ~present.determined)
         number = {image.name: j for j, image in enumerate(network.images)}
@@ -125,17 +118,17 @@ class TargetSigmas:
         known = [KnownImage(network.images[j], network.priors[j]) for j in chosen]
         self._ground = [ground_motion(one, present.state.settings.angles) for one in known]
         under = np.array([_under(one) for one in known]).reshape(-1, 3)
-        self._axes = east_north_up(np.concatenate([present.state.places[self._place], under]))
+        self._axes = east_north_up(np.concatenate([present.state.places[self._index], under]))
 
     def before(self) -> Array:
-        """(t, 4) m: total, east, north, up of every target as it stands."""
+        """(t, 4) m: total, east, north, up of every target in the present network."""
         flat = self.present.layout.blocks.filled(self.present.joint)
         numbers = [self.present.names.index(Unknown("image", name)) for name in self.targets.images]
         return self._sigmas(self._of_points(flat), [self.present.joint.block(v, v) for v in numbers])
 
     def after(self, update: Update) -> Array:
-        """(t, 4) m, the same after planned measures."""
-        points = self._of_points(update.pairs()) if self._place.size else np.zeros((0, 3, 3))
+        """(t, 4) m: total, east, north, up of every target after planned measures."""
+        points = self._of_points(update.pairs()) if self._index.size else np.zeros((0, 3, 3))
         place = {name: k for k, name in enumerate(self.targets.points)}
         ids = update.added.after.network.points.ids
         again = np.array([i for i, name in enumerate(ids) if name in place], dtype=np.int64)
@@ -149,7 +142,7 @@ class TargetSigmas:
         present, layout = self.present, self.present.layout
         points = present.reduction.points
         found = IN_PROCESS.covariances(layout, self._rows, present.values, flat, points)
-        return np.asarray(layout.network_order(found)[self._place])
+        return np.asarray(layout.network_order(found)[self._index])
 
     def _sigmas(self, points: Array, images: Sequence[Array]) -> Array:
         ground = [motion @ spread @ motion.T for motion, spread in zip(self._ground, images, strict=True)]

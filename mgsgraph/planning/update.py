@@ -30,25 +30,25 @@ class AddedInformation:
     touched: tuple[Unknown, ...]
     """Unknowns of the present network that feel them."""
     new: tuple[Unknown, ...]
-    """Unknowns that they bring."""
+    """New unknowns that come with the measures."""
     root: Array
     """(d, d) L on the touched unknowns, per m and rad."""
     conditional: Array
     """(w, w) covariance of the new unknowns, were the touched ones known."""
     regression: Array
-    """(w, d) how the new unknowns follow the touched ones."""
+    """(w, d) regression of the new unknowns on the touched ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Update:
-    """Planned measures over a network as it stands."""
+    """Planned measures added to the present network."""
 
     present: CurrentState
-    """What is there."""
+    """The present network."""
     added: AddedInformation
-    """What the measures add."""
+    """Information that the measures add."""
     downdate: Array
-    """(columns, d) U on all present unknowns."""
+    """(columns, d) U of S' = S - U U', on all present unknowns."""
     bits: float
     """Information gained on all present unknowns."""
 
@@ -58,19 +58,13 @@ class Update:
             return self.bits
         # det S of a part is det(information of the others) / det(information of all)
         before = self.present.information(others, priors=True)
-        after, place = before.copy(), self._places_among(others)
-        mine = np.flatnonzero(place >= 0)
+        after, position = before.copy(), _positions(self.present, others, self.added.touched)
+        mine = np.flatnonzero(position >= 0)
         added = self.added.root @ self.added.root.T
-        after[np.ix_(place[mine], place[mine])] += added[np.ix_(mine, mine)]
+        after[np.ix_(position[mine], position[mine])] += added[np.ix_(mine, mine)]
         scale = 1.0 / np.sqrt(np.diagonal(before))
         logs = [np.linalg.slogdet(one * scale[:, None] * scale)[1] for one in (before, after)]
         return self.bits - float(0.5 * (logs[1] - logs[0]) / np.log(2.0))
-
-    def _places_among(self, others: Sequence[Unknown]) -> Index:
-        """(d,) place of each touched column among those of others; -1 for none."""
-        columns, wanted = self.present.columns(self.added.touched), self.present.columns(others)
-        number = {column: k for k, column in enumerate(wanted.tolist())}
-        return np.array([number.get(column, -1) for column in columns.tolist()], dtype=np.int64)
 
     def pairs(self) -> Array:
         """The joint covariance after, in the blocks of the present layout, flat."""
@@ -107,7 +101,7 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
     Parameters
     ----------
     present : CurrentState
-        The network as it stands.
+        The network before the measures.
     additions : sequence of Network
         Measures of new points, with their planned places, and of points known already, by their ids; on images known
         already and new ones. At least one.
@@ -119,9 +113,9 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
     PointBehindCamera
         At the present values of the unknowns.
     """
-    state, place = present.state, present.place
+    state, index = present.state, present.index_of
     ids = dict.fromkeys(name for one in additions for name in one.points.ids)
-    again = np.array([place[name] for name in ids if name in place], dtype=np.int64)
+    again = np.array([index[name] for name in ids if name in index], dtype=np.int64)
     before = part(state.network, again) if again.size else None
     network = joined([*([before] if before else []), *additions])
     places = network.points.places.copy()
@@ -133,15 +127,15 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
     gained, own, regression = _on_touched(after, touched, new)
     if before is not None:
         old = ReducedNetwork(before, state.settings, state.values, state.places[again])
-        felt = [name for name in touched if name in set(old.adjusted)]
-        place_of = _places(after, touched, felt)
-        gained[np.ix_(place_of, place_of)] -= old.information(felt)
+        before_too = [name for name in touched if name in set(old.adjusted)]
+        columns = _positions(after, touched, before_too)
+        gained[np.ix_(columns, columns)] -= old.information(before_too)
     root = _root(gained, present.layout.scales[present.columns(touched)])
     return AddedInformation(after, touched, new, root, own, regression)
 
 
 def updated(present: CurrentState, adds: AddedInformation) -> Update:
-    """What added information does to the joint covariance of a network as it stands."""
+    """What added information does to the joint covariance of the present network."""
     touched, root = adds.touched, adds.root
     spread = present.covariance_with(touched) @ root if touched else np.zeros((present.layout.columns, 0))
     inner = np.eye(root.shape[1]) + root.T @ spread[present.columns(touched)]
@@ -150,10 +144,10 @@ def updated(present: CurrentState, adds: AddedInformation) -> Update:
     return Update(present, adds, downdate, float(np.sum(np.log2(np.diagonal(factor)))))
 
 
-def _places(after: ReducedNetwork, touched: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
-    """Places of the columns of some of the touched unknowns among those of all of them."""
-    number = {column: k for k, column in enumerate(after.columns(touched).tolist())}
-    return np.array([number[column] for column in after.columns(some).tolist()], dtype=np.int64)
+def _positions(network: ReducedNetwork, among: Sequence[Unknown], some: Sequence[Unknown]) -> Index:
+    """(d,) positions of the columns of some unknowns among the columns of others; -1 for none."""
+    number = {column: k for k, column in enumerate(network.columns(among).tolist())}
+    return np.array([number.get(column, -1) for column in network.columns(some).tolist()], dtype=np.int64)
 
 
 def _on_touched(

@@ -11,10 +11,9 @@ from mgsgraph.case.reading import picture_of, read_case, read_shots
 from mgsgraph.case.schema import ImageInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
-from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
-from mgsgraph.geometry.records import Mask
+from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.isd import read_isd
@@ -36,7 +35,7 @@ class NewImage:
     """An image that is to be added."""
 
     known: KnownImage
-    """What the adjustment needs of it."""
+    """Geometry, prior and whether it is held."""
     files: tuple[Path, ...]
     """Files that it comes from."""
     picture: Path | None = None
@@ -48,7 +47,7 @@ class Addition:
     """Images and measures that are to be added in one change."""
 
     images: tuple[NewImage, ...]
-    """New ones."""
+    """New images."""
     network: Network | None
     """All measures, with the images (new and known) that they name, and all new images; None without any measure."""
     files: tuple[Path, ...] = ()
@@ -111,8 +110,10 @@ def read_addition(
         if wanted.path.suffix.lower() in _CASES:
             found, network = _of_case(wanted.path)
             new += found
-            networks += [] if network is None else [store.own(network)]
-    tie_points = [read_tie_points(path, _body(store, new)) for path in ties]
+            networks += [] if network is None else [store.with_known_grids(network)]
+    every = ImagesByName(store, [one.known for one in new])
+    body = next((every[name].image.body for name in every), None)  # of the first image that is known
+    tie_points = [read_tie_points(path, body) for path in ties]
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
     new += [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
     _require_new(_names(new), there, where)
@@ -121,8 +122,8 @@ def read_addition(
     mapping = ImagesByName(store, [one.known for one in new])
     profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
     sigmas = settings.measures
-    every: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
-    measures = observed(mapping, every, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
+    observations: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
+    measures = observed(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
     if measures is not None and (measures := _unknown_alone(measures, store)) is not None:
         networks.append(_on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
@@ -138,7 +139,7 @@ def read_addition(
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:
     """Images with a point that another image, of the addition or of the project, sees, too."""
-    known = store.homes(network.points.ids)
+    known = store.bundles_of(network.points.ids)
     there = np.array([name in known for name in network.points.ids], dtype=bool)
     count = len(network.images)
     point, image = np.divmod(np.unique(network.rays.point * count + network.rays.image), count)
@@ -261,12 +262,6 @@ def _require_known(ties: Sequence[TiePoints], known: Sequence[str]) -> None:
 # --- shots
 
 
-def _body(store: ProjectStore, new: Sequence[NewImage]) -> Ellipsoid | None:
-    """Of the first image that is known; None where none is yet."""
-    known = ImagesByName(store, [one.known for one in new])
-    return next((known[name].image.body for name in known), None)
-
-
 def _profile(
     path: Path, settings: ProjectSettings, images: Sequence[PushbroomImage] | None, store: ProjectStore
 ) -> LaserProfile:
@@ -299,10 +294,10 @@ def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
 
     A measure of the same point in the same image with another place stays: it contradicts, and will be refused.
     """
-    homes = store.homes(network.points.ids)
-    if not homes:
+    bundles = store.bundles_of(network.points.ids)
+    if not bundles:
         return network
-    old = joined([store.bundle(members).network for members in dict.fromkeys(homes.values())])
+    old = joined([store.bundle(members).network for members in dict.fromkeys(bundles.values())])
     number = {name: i for i, name in enumerate(old.points.ids)}
     there = np.array([number.get(name, -1) for name in network.points.ids])
     points, before, of = network.points, old.points, np.maximum(there, 0)
@@ -324,41 +319,35 @@ def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
     return part(replace(left, points=points, shifts=shifts), with_rows)
 
 
-def _repeated_rays(network: Network, old: Network, there: np.ndarray) -> Mask:
-    place = {
-        (point, old.images[image].name): tuple(value)
-        for point, image, value in zip(
-            old.rays.point.tolist(), old.rays.image.tolist(), old.rays.places.tolist(), strict=True
-        )
-    }
-    rows = zip(
-        there[network.rays.point].tolist(), network.rays.image.tolist(), network.rays.places.tolist(), strict=True
-    )
-    return np.array(
-        [place.get((point, network.images[image].name)) == tuple(value) for point, image, value in rows], dtype=bool
-    )
+def _repeated_rays(network: Network, old: Network, there: Index) -> Mask:
+    """(k,) True for rays that are there already, with the same line and sample."""
+    known = set(_ray_rows(old, old.rays.point))
+    return np.array([row in known for row in _ray_rows(network, there[network.rays.point])], dtype=bool)
 
 
-def _repeated_ranges(network: Network, old: Network, there: np.ndarray) -> Mask:
-    """Ranges that are there already; InputError for one of the same time with another value."""
-    known = {
-        (point, old.images[image].name, time): value
-        for point, image, time, value in _range_rows(old, old.ranges.point)
-    }
+def _ray_rows(network: Network, points: Index) -> list[tuple[int, str, float, float]]:
+    """Point, name of the image, line and sample of each ray."""
+    names = [network.images[j].name for j in network.rays.image.tolist()]
+    return list(zip(points.tolist(), names, *network.rays.places.T.tolist(), strict=True))
+
+
+def _repeated_ranges(network: Network, old: Network, there: Index) -> Mask:
+    """(r,) True for ranges that are there already; InputError for one of the same time with another value."""
+    known = {row[:3]: row[3] for row in _range_rows(old, old.ranges.point)}
     marks = list[bool]()
     for point, image, time, value in _range_rows(network, there[network.ranges.point]):
-        before = known.get((point, network.images[image].name, time))
+        before = known.get((point, image, time))
         if before is not None and before != value:
-            where = f"laser shot {old.points.ids[point]}, image {network.images[image].name}"
+            where = f"laser shot {old.points.ids[point]}, image {image}"
             raise InputError(where, f"a range of {value:.3f} m, {before:.3f} m before", "one range")
         marks.append(before is not None)
     return np.array(marks, dtype=bool)
 
 
-def _range_rows(network: Network, points: np.ndarray) -> list[tuple[int, int, float, float]]:
-    ranges = network.ranges
-    columns = (points, ranges.image, ranges.times, ranges.values)
-    return list(zip(*(column.tolist() for column in columns), strict=True))
+def _range_rows(network: Network, points: Index) -> list[tuple[int, str, float, float]]:
+    """Point, name of the image, time and value of each range."""
+    ranges, names = network.ranges, [network.images[j].name for j in network.ranges.image.tolist()]
+    return list(zip(points.tolist(), names, ranges.times.tolist(), ranges.values.tolist(), strict=True))
 
 
 def _on_terrain(network: Network, store: ProjectStore) -> Network:

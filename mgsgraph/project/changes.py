@@ -24,19 +24,21 @@ from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
 
+Stages = Callable[[str], AbstractContextManager[None]]
+
 
 def is_solved(project: Project) -> bool:
     """Whether all images have an adjusted orientation, from which an incremental adjustment can go on."""
     store = project.store
     known = store.shared()
-    felt = {unknown for members in store.members() for unknown in members}
+    needed = {unknown for members in store.members() for unknown in members}
     adjusted = all(Unknown("image", name) in known or store.image(name).held for name in store.image_names())
-    return adjusted and felt.issubset(known)
+    return adjusted and needed.issubset(known)
 
 
 def _incremental(project: Project) -> IncrementalAdjustment:
     """From the state that the project holds; points are always eliminated there, to the same result."""
-    return IncrementalAdjustment(replace(project.settings.solver_settings, form="bundle"), project.store)
+    return IncrementalAdjustment(replace(project.settings.solver.settings, form="bundle"), project.store)
 
 
 def add(project: Project, addition: Addition) -> Impact | None:
@@ -75,9 +77,9 @@ def remove(project: Project, images: Sequence[str]) -> Impact | None:
     return impact
 
 
-def check(project: Project, progress: Progress = lambda _: None) -> Closing:
+def check(project: Project) -> Closing:
     """The closing check against batch, without products; batch's result is taken over where it is needed."""
-    closing, solution = _incremental(project).close(project.name, progress)
+    closing, solution = _incremental(project).close(project.name)
     project.record("check", f"{len(solution.network.images)} images", _closing_facts(closing))
     project.record_batch(solution)
     return closing
@@ -91,19 +93,19 @@ def _closing_facts(closing: Closing | None) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedProject:
-    """What `solve` has done."""
+    """Result of `solve`."""
 
     solution: Solution
-    """Of batch over everything."""
+    """Batch solution of all images."""
     closing: Closing | None
     """How far the incremental result was off; None where there was none."""
     folder: Path
-    """Of the products."""
+    """Folder of the products."""
 
 
 def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> SolvedProject:
     """Adjust everything by batch, compare it with the incremental result, and keep its products."""
-    name, settings, store = project.name, project.settings.solver_settings, project.store
+    name, settings, store = project.name, project.settings.solver.settings, project.store
     closing: Closing | None = None
     if not store.members():
         found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"
@@ -125,7 +127,7 @@ def put_in(store: ProjectStore, addition: Addition) -> None:
     require_one_body(store, [one.known for one in addition.images])
     for one in addition.images:
         store.put_image(one.known)
-    network = None if addition.network is None else store.own(addition.network)
+    network = None if addition.network is None else store.with_known_grids(addition.network)
     _put_waiting(store, *with_addition(store, network))
 
 
@@ -160,14 +162,11 @@ def _note(project: Project, verb: str, what: str, summary: dict[str, Any], impac
     project.record_incremental(impact.converged, message)
 
 
-Stages = Callable[[str], AbstractContextManager[None]]
-
-
 class NewProject(NamedTuple):
     """A project that has been made."""
 
     words: str
-    """What is in it."""
+    """Contents of the project, in words."""
     waits: bool
     """Whether its images wait for tie points."""
 
@@ -229,8 +228,7 @@ def take_ties(project: Project, network: Path) -> str:
 def _put(project: Project, verb: str, what: str, images: list[NewImage], network: Network | None) -> str:
     """Put images and measures in, and note it; what they are."""
     put_in(project.store, Addition(tuple(images), network))
-    for one in images:
-        project.add_sources(one.known.image.name, one.files, one.picture)
+    _note_sources(project, images)
     points, rays, ranges = (
         (0, 0, 0) if network is None else (len(network.points), network.rays.point.size, network.ranges.point.size)
     )

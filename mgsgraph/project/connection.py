@@ -17,7 +17,7 @@ FILE = "project.sqlite"
 """Name of the file in a project's folder."""
 WRITER = "project.writer"
 """Who is changing the project, for the message to whom comes second; without meaning when nobody has the lock."""
-_READ_PATIENCE, _COMMIT_PATIENCE = 5_000, 60_000
+_READ_TIMEOUT, _COMMIT_TIMEOUT = 5_000, 60_000
 """ms that a reader waits for a commit, and a commit for readers."""
 _DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_FORMAT")
 _ELSEWHERE = "take a copy of the project's folder back; the results in its folder solutions are files of their own"
@@ -138,7 +138,7 @@ def _opened(path: Path, write: bool, folder: Path) -> sqlite3.Connection:
         _set_up(connection, write)
         connection.execute("BEGIN IMMEDIATE" if write else "BEGIN")
         connection.execute("SELECT count(*) FROM sqlite_master")  # a deferred transaction begins with its first reading
-        connection.execute(f"PRAGMA busy_timeout = {_COMMIT_PATIENCE if write else _READ_PATIENCE}")
+        connection.execute(f"PRAGMA busy_timeout = {_COMMIT_TIMEOUT if write else _READ_TIMEOUT}")
     except BaseException:
         connection.close()
         raise
@@ -146,7 +146,7 @@ def _opened(path: Path, write: bool, folder: Path) -> sqlite3.Connection:
 
 
 def _set_up(connection: sqlite3.Connection, write: bool) -> None:
-    connection.execute(f"PRAGMA busy_timeout = {0 if write else _READ_PATIENCE}")
+    connection.execute(f"PRAGMA busy_timeout = {0 if write else _READ_TIMEOUT}")
     if write:
         connection.execute("PRAGMA journal_mode = DELETE")
         connection.execute("PRAGMA synchronous = FULL")

@@ -7,7 +7,7 @@ import shutil
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -33,23 +33,23 @@ class Change:
     """One step of a project's history."""
 
     number: int
-    """From 1 on."""
+    """Number, from 1 on."""
     at: str
     """UTC, ISO 8601."""
     verb: str
     """init, match, add, remove, solve or check."""
     what: str
-    """In a few words."""
+    """What was changed, in a few words."""
     summary: Mapping[str, Any]
     """Numbers, with units in their names."""
 
 
 @dataclass(frozen=True, slots=True)
 class SolutionRow:
-    """What is remembered of a solution."""
+    """Record of a solution."""
 
     number: int
-    """From 1 on."""
+    """Number, from 1 on."""
     change: int
     """Number of the last change that it knows of."""
     at: str
@@ -59,17 +59,17 @@ class SolutionRow:
     converged: bool
     """Whether the adjustment came to rest."""
     message: str
-    """Why it stopped."""
+    """Reason why the adjustment ended."""
     cost: float | None
     """Half the weighted sum of squares; None where nothing is known of it."""
     sigma0: float | None
     """Of unit weight; None without redundancy."""
     degrees_of_freedom: int | None
-    """Redundancy."""
+    """Degrees of freedom."""
     images: int
-    """How many."""
+    """Number of images."""
     points: int
-    """How many."""
+    """Number of points."""
     folder: str | None
     """Of its products, in the project's folder."""
 
@@ -139,7 +139,7 @@ class Project:
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the project."""
         return self._fact("name")
 
     @property
@@ -187,7 +187,7 @@ class Project:
     # --- history
 
     def record(self, verb: str, what: str, summary: Mapping[str, Any]) -> int:
-        """Note a change; its number."""
+        """Record a change; its number."""
         row = (_now(), verb, what, json.dumps(summary, ensure_ascii=False))
         found = self._connection.execute("INSERT INTO change (at, verb, what, summary) VALUES (?, ?, ?, ?)", row)
         return int(found.lastrowid or 0)
@@ -210,15 +210,14 @@ class Project:
 
     def _last(self, condition: str, *values: object) -> SolutionRow | None:
         """The latest solution for which a condition of ours holds."""
+        columns = [field.name for field in fields(SolutionRow)]
         row = self._connection.execute(
-            "SELECT number, change, at, kind, converged, message, cost, sigma0, degrees_of_freedom, images, points, "
-            f"folder FROM solution WHERE {condition} ORDER BY number DESC LIMIT 1",
-            values,
+            f"SELECT {', '.join(columns)} FROM solution WHERE {condition} ORDER BY number DESC LIMIT 1", values
         ).fetchone()
         if row is None:
             return None
-        number, change, at, found, converged, *rest = row
-        return SolutionRow(number, change, at, found, bool(converged), *rest)
+        found = dict(zip(columns, row, strict=True))
+        return SolutionRow(**found | {"converged": bool(found["converged"])})
 
     def record_incremental(self, converged: bool, message: str) -> int:
         """Note that the state is adjusted as far as the last change; the solution's number."""

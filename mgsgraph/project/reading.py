@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.posterior import Posterior
@@ -24,13 +25,14 @@ from mgsgraph.reports.archive import ARCHIVE, read_solution
 _OWN_CASE = Path("inputs", "case.toml")
 """Where a demonstration's results hold their case."""
 _NETWORK = "network.pvl"
+_Values = Mapping[Unknown, Array]
 
 
 class Results(NamedTuple):
     """Results, and where they come from."""
 
     folder: Path
-    """Of the results (or their archive)."""
+    """Folder of the results (or their archive)."""
     case: Path | None = None
     """The case, where it is known and still there."""
     ties: Path | None = None
@@ -79,9 +81,6 @@ def _case_of_all(project: Project) -> Path | None:
     return case if names == set(project.store.image_names()) else None
 
 
-_Values = Mapping[Unknown, Array]
-
-
 def read_state(path: Path) -> tuple[str, NetworkState, str]:
     """Name and state of what was adjusted: a folder of results (or the archive in it), or a project's folder; and a
     warning where the adjustment has not converged, else an empty one.
@@ -94,8 +93,10 @@ def read_state(path: Path) -> tuple[str, NetworkState, str]:
     if _is_project(path):
         with open_project(path) as opened:
             network, values, places = _state(opened, str(path))
-            settings = opened.settings.solver_settings
-            return opened.name, network_state(network, settings, values, places, *_taking_part(network, places)), ""
+            there, kept = np.isfinite(places[:, 0]), unmarked(network)
+            rays, ranges = kept.rays & there[network.rays.point], kept.ranges & there[network.ranges.point]
+            settings = opened.settings.solver.settings
+            return opened.name, network_state(network, settings, values, places, rays, ranges), ""
     solution = read_solution(path)
     return solution.name, state_of_solution(solution), _warning(solution)
 
@@ -106,7 +107,7 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
         with open_project(path) as opened:
             network, values, places = _state(opened, str(path))
             every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
-            return opened.name, Posterior(at_values(network, opened.settings.solver_settings, every, places)), ""
+            return opened.name, Posterior(at_values(network, opened.settings.solver.settings, every, places)), ""
     solution = read_solution(path)
     return solution.name, Posterior.of(solution), _warning(solution)
 
@@ -131,16 +132,8 @@ def _state(project: Project, where: str) -> tuple[Network, _Values, Array]:
     """Everything as one network, its shared unknowns, and the places (n, 3) in m of its points."""
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph solve {where}")
-    adjustment = IncrementalAdjustment(project.settings.solver_settings, project.store)
+    adjustment = IncrementalAdjustment(project.settings.solver.settings, project.store)
     network = adjustment.network
     names, found, _ = adjustment.points()
     place = dict(zip(names, found, strict=True))
     return network, adjustment.values, np.array([place[name] for name in network.points.ids]).reshape(-1, 3)
-
-
-def _taking_part(network: Network, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rays and ranges that were not rejected, of points that have a place."""
-    there, rays, ranges = np.isfinite(places[:, 0]), network.rays, network.ranges
-    assert rays.rejected is not None
-    assert ranges.rejected is not None
-    return ~rays.rejected & there[rays.point], ~ranges.rejected & there[ranges.point]

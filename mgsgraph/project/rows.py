@@ -15,9 +15,6 @@ _CHUNK = 20_000
 _SIZE = 72
 """bytes of a 3 x 3 matrix."""
 _ZERO, _NAN = np.zeros(9).tobytes(), np.full(9, np.nan).tobytes()
-_PUT_POINT = f"INSERT INTO point VALUES ({', '.join('?' * 18)})"
-_PUT_RAY = "INSERT INTO ray VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
-_PUT_RANGE = "INSERT INTO range VALUES (?, ?, ?, ?, ?, ?, ?)"
 _RENEW_POINT = (
     "UPDATE point SET adjusted_x = ?, adjusted_y = ?, adjusted_z = ?, sigma_x = ?, sigma_y = ?, sigma_z = ?, "
     "adjusted_covariance = ? WHERE id = ?"
@@ -30,9 +27,9 @@ class Run(NamedTuple):
     """Rows without a gap in their numbers."""
 
     first: int
-    """Number of the first."""
+    """Number of the first row."""
     size: int
-    """How many."""
+    """Number of rows."""
 
     @property
     def limits(self) -> tuple[int, int]:
@@ -51,57 +48,56 @@ def put_points(
     places and covariances.
     """
     points, (places, covariances) = network.points, adjusted
-    run = Run(_next(connection, "point"), len(points))
-    profile: list[int | None] = [None] * run.size
+    count = len(points)
+    profile: list[int | None] = [None] * count
     if network.shifts is not None:
         known = (*profiles, None)  # -1, no profile, is the last one
         profile = [known[p] for p in network.shifts.profile.tolist()]
-    surface: list[float | None] = [None] * run.size
+    surface: list[float | None] = [None] * count
     if network.surface is not None:
         surface = network.surface.sigmas.tolist()
-    sigmas = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
-    rows = zip(
-        range(run.first, run.first + run.size), points.ids, [bundle] * run.size,
-        points.classes.tolist(), points.kinds.tolist(),
+    return _put(
+        connection, "point", points.ids, [bundle] * count, points.classes.tolist(), points.kinds.tolist(),
         *points.places.T.tolist(), _blobs(points.covariances, _ZERO), profile, surface,
-        *places.T.tolist(), *sigmas.T.tolist(), _blobs(covariances, _NAN), strict=True,
+        *_adjusted_columns(places, covariances),
     )  # fmt: skip
-    connection.executemany(_PUT_POINT, rows)
-    return run
 
 
 def put_rays(connection: sqlite3.Connection, network: Network, first_point: int, images: Index) -> Run:
     """Write the rays of a bundle; `images` are the numbers of the network's images in their table."""
     rays = network.rays
-    run = Run(_next(connection, "ray"), rays.point.size)
-    rows = zip(
-        range(run.first, run.first + run.size), (rays.point + first_point).tolist(), images[rays.image].tolist(),
-        *rays.places.T.tolist(), *rays.sigmas.T.tolist(), _marks(rays.back_projected, run), _marks(rays.rejected, run),
-        strict=True,
+    return _put(
+        connection, "ray", (rays.point + first_point).tolist(), images[rays.image].tolist(), *rays.places.T.tolist(),
+        *rays.sigmas.T.tolist(), _marks(rays.back_projected, rays.point), _marks(rays.rejected, rays.point),
     )  # fmt: skip
-    connection.executemany(_PUT_RAY, rows)
-    return run
 
 
 def put_ranges(connection: sqlite3.Connection, network: Network, first_point: int, images: Index) -> Run:
     """Write the ranges of a bundle."""
     ranges = network.ranges
-    run = Run(_next(connection, "range"), ranges.point.size)
-    rows = zip(
-        range(run.first, run.first + run.size), (ranges.point + first_point).tolist(), images[ranges.image].tolist(),
-        ranges.times.tolist(), ranges.values.tolist(), ranges.sigmas.tolist(), _marks(ranges.rejected, run),
-        strict=True,
+    return _put(
+        connection, "range", (ranges.point + first_point).tolist(), images[ranges.image].tolist(),
+        ranges.times.tolist(), ranges.values.tolist(), ranges.sigmas.tolist(), _marks(ranges.rejected, ranges.point),
     )  # fmt: skip
-    connection.executemany(_PUT_RANGE, rows)
+
+
+def _put(connection: sqlite3.Connection, table: str, *columns: Sequence[object]) -> Run:
+    """Write rows with the next numbers of a table; `columns` in its order, without the number."""
+    first = int(connection.execute(f"SELECT coalesce(max(id), 0) + 1 FROM {table}").fetchone()[0])
+    run = Run(first, len(columns[0]))
+    rows = zip(range(run.first, run.first + run.size), *columns, strict=True)
+    connection.executemany(f"INSERT INTO {table} VALUES ({', '.join('?' * (1 + len(columns)))})", rows)
     return run
 
 
-def _marks(marks: Mask | None, run: Run) -> list[int]:
-    return [0] * run.size if marks is None else marks.astype(int).tolist()
+def _adjusted_columns(places: Array, covariances: Array) -> list[list[Any]]:
+    """Adjusted position, its sigmas, and its covariance: seven columns of points."""
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+    return [*places.T.tolist(), *sigmas.T.tolist(), _blobs(covariances, _NAN)]
 
 
-def _next(connection: sqlite3.Connection, table: str) -> int:
-    return int(connection.execute(f"SELECT coalesce(max(id), 0) + 1 FROM {table}").fetchone()[0])
+def _marks(marks: Mask | None, like: Index) -> list[int]:
+    return [0] * like.size if marks is None else marks.astype(int).tolist()
 
 
 def _blobs(matrices: Array, usual: bytes) -> list[bytes | None]:
@@ -113,16 +109,12 @@ def _blobs(matrices: Array, usual: bytes) -> list[bytes | None]:
 
 def renew_points(connection: sqlite3.Connection, run: Run, places: Array, covariances: Array) -> None:
     """Write where the points of a run are now."""
-    sigmas = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
-    rows = zip(
-        *places.T.tolist(), *sigmas.T.tolist(), _blobs(covariances, _NAN), range(run.first, run.first + run.size),
-        strict=True,
-    )  # fmt: skip
+    rows = zip(*_adjusted_columns(places, covariances), range(run.first, run.first + run.size), strict=True)
     connection.executemany(_RENEW_POINT, rows)
 
 
 class StoredPoints(NamedTuple):
-    """Points as they were written."""
+    """Points as they are stored."""
 
     numbers: Index
     """(n,) in their table."""

@@ -6,7 +6,6 @@ from typing import Any
 
 import msgspec
 
-from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import CaseInput, OrientationInput, Sigma, SolverInput, SpiceInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.io.decoding import read_table, validated
@@ -26,7 +25,7 @@ class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ProjectSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Settings of a project: the tables of a case file that don't speak of single files."""
+    """Settings of a project: the tables of a case file that are not about single files."""
 
     orientation: OrientationInput = OrientationInput()
     """Nominal orientation and a-priori sigmas of images that are added."""
@@ -36,11 +35,6 @@ class ProjectSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigmas where the files have none."""
     solver: SolverInput = SolverInput()
     """Choices of the solver."""
-
-    @property
-    def solver_settings(self) -> SolverSettings:
-        """The solver's choices as the adjustment takes them."""
-        return SolverSettings(**{name: getattr(self.solver, name) for name in self.solver.__struct_fields__})
 
 
 class _File(ProjectSettings, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -64,7 +58,7 @@ def read_settings(path: Path) -> tuple[str, ProjectSettings]:
 
 
 def settings_of_case(path: Path) -> ProjectSettings:
-    """The same of a case file; sigmas of measures are those of its first group of each kind."""
+    """Settings of a case file; sigmas of measures are those of its first group of each kind."""
     case: CaseInput = decode(path)
     usual = MeasuresInput()
     measures = MeasuresInput(

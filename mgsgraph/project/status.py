@@ -116,5 +116,5 @@ def _change(change: Change) -> str:
     ]
     if "largest_difference_sigmas" in found:
         facts.append(f"largest difference to batch {found['largest_difference_sigmas']:.2g} sigmas")
-    told = f" ({', '.join(facts)})" if facts else ""
-    return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{told}"
+    noted = f" ({', '.join(facts)})" if facts else ""
+    return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{noted}"

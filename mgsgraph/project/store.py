@@ -60,7 +60,7 @@ class ProjectStore:
         return [name for (name,) in self._ask("SELECT name FROM image ORDER BY id")]
 
     def image(self, name: str) -> KnownImage:
-        """One of them."""
+        """An image by its name."""
         if name not in self._images:
             (record,) = self._one("SELECT record FROM image WHERE name = ?", name)
             self._images[name] = unpack(record, KnownImage, f"{self._where}, image {name}")
@@ -111,7 +111,7 @@ class ProjectStore:
     # --- bundles
 
     def members(self) -> list[Members]:
-        """All bundles."""
+        """Members of all bundles."""
         return [_members(text) for (text,) in self._ask("SELECT members FROM bundle ORDER BY id")]
 
     def reduced(self) -> dict[Members, ReducedSystem]:
@@ -125,7 +125,7 @@ class ProjectStore:
             found[members] = _reduced(members if own == text else _members(own), *rest)
         return found
 
-    def homes(self, ids: Iterable[str]) -> dict[str, Members]:
+    def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
         """For those of the points that are there: their bundle."""
         rows = self._ask(
             "SELECT point.name, bundle.id, bundle.members FROM json_each(?) AS wanted "
@@ -264,12 +264,12 @@ class ProjectStore:
         found = self._ask("SELECT min(areoid) FROM bundle")
         return None if found[0][0] is None else self._grid(found[0][0])
 
-    def own(self, network: Network) -> Network:
-        """The same network with this store's own grids in place of equal ones, by which parts know one another."""
+    def with_known_grids(self, network: Network) -> Network:
+        """The network with this store's terrain grids in place of equal ones: parts of one network share one grid."""
         surface, areoid = network.surface, network.areoid
         if surface is not None:
             surface = replace(surface, grid=self._equal(surface.grid))
-            if (own := self.terrain) is not None and own[0] is not surface.grid:
+            if (known := self.terrain) is not None and known[0] is not surface.grid:
                 found = "a terrain model that is not the project's, or another part of it"
                 remedy = "leave [terrain] out: the project's serves its ties, too, as far as it reaches"
                 raise InputError(surface.grid.source, found, "the project's own", remedy)

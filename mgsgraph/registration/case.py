@@ -2,7 +2,6 @@
 them, before an adjustment and after it; and the same in words.
 """
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -24,7 +23,7 @@ from mgsgraph.registration.footprints import (
     footprints_in_images,
 )
 from mgsgraph.ties import TiePoints
-from mgsgraph.wording import listed, many
+from mgsgraph.wording import listed, many, root_mean_square
 
 _FEWEST_TIES = 3
 """Common tie points without which two images can't be compared."""
@@ -277,8 +276,3 @@ def five_steps_difference(found: Registration, image: int) -> Array:
 def _short(value: float, sign: str = "-") -> str:
     """One decimal, two below 1."""
     return f"{value:{sign}.{2 if abs(value) < 1.0 else 1}f}"
-
-
-def root_mean_square(values: Array) -> float:
-    """Root mean square about zero."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

@@ -83,9 +83,8 @@ def registration_offsets(solution: Solution, image: int, most: int | None = None
     with np.errstate(invalid="ignore"):
         inside = np.all((after >= 0.0) & (after <= [picture.lines, picture.samples]), axis=1)
     kept = np.flatnonzero(inside | ~np.isnan(measured[:, 0]))
-    found = MeasuredFootprints(image, laser[kept], measured[kept], before[kept], after[kept])
-    by_line = kept[np.argsort(found.lines, kind="stable")]
-    return MeasuredFootprints(image, laser[by_line], measured[by_line], before[by_line], after[by_line])
+    kept = kept[np.argsort(np.where(np.isnan(measured[:, 0]), after[:, 0], measured[:, 0])[kept], kind="stable")]
+    return MeasuredFootprints(image, laser[kept], measured[kept], before[kept], after[kept])
 
 
 def registration_discrepancy(

@@ -21,10 +21,10 @@ from mgsgraph.registration.case import (
     ProfileRegistration,
     five_steps_difference,
     registration_statements,
-    root_mean_square,
 )
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.units import DEG, ISIS_OFFSET
+from mgsgraph.wording import root_mean_square
 
 FORMAT = 1
 """Version of registration.json's layout."""
@@ -54,7 +54,7 @@ def write_registration(registration: CaseRegistration, folder: str | Path, figur
 
 
 def write_registration_into(registration: CaseRegistration, folder: Path, figures: bool = True) -> list[str]:
-    """The same into a folder that exists, file by file."""
+    """Write tables and figures into a folder that exists, file by file."""
     write_json(folder / REGISTRATION, registration_json(registration))
     registration_table(registration).write_csv(folder / "registration.csv")
     discrepancy_table(registration).write_csv(folder / "discrepancy.csv")

@@ -12,8 +12,8 @@ from mgsgraph.analysis.estimates import (
     ErrorEllipsoid,
     Estimate,
     PixelEstimate,
-    PlaceEstimate,
     PoseEstimate,
+    PositionEstimate,
     Quantity,
 )
 from mgsgraph.analysis.posterior import Pixel, Posterior
@@ -95,8 +95,8 @@ def _quantities(posterior: Posterior, asked: Questions) -> Iterator[Quantity]:
         yield posterior.of_intersection(asked.pixels)
 
 
-def _place(found: PlaceEstimate, probability: float, what: str) -> Answer:
-    longitude, latitude, radius = planetocentric(found.place)
+def _place(found: PositionEstimate, probability: float, what: str) -> Answer:
+    longitude, latitude, radius = planetocentric(found.position)
     ellipsoid, local = found.ellipsoid(probability), np.sqrt(np.diagonal(found.east_north_up))
     title = "Newly intersected place" if what == "intersection" else f"Point {found.name}"
     missed = "" if found.misfit is None else f"\n  the rays miss each other by {found.misfit:.2g} of their sigmas"
@@ -108,7 +108,7 @@ def _place(found: PlaceEstimate, probability: float, what: str) -> Answer:
         f"  {100.0 * probability:g} % error ellipsoid: {_axes(ellipsoid)}{missed}"
     )
     return Answer(text, {
-        "question": what, "point": found.name, "place_m": found.place.tolist(),
+        "question": what, "point": found.name, "place_m": found.position.tolist(),
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
         "covariance_m2": found.covariance.tolist(), "covariance_east_north_up_m2": found.east_north_up.tolist(),
         "misfit_sigmas": found.misfit, "ellipsoid": {
@@ -185,12 +185,12 @@ def _pixel(found: PixelEstimate) -> Answer:
     line, sample = found.sigmas
     rho = found.covariance[0, 1] / (line * sample) if line * sample > 0.0 else 0.0
     text = (
-        f"Point {found.point} in image {found.image}: line {found.place[0]:.2f}, sigma {line:.4g} px; sample "
-        f"{found.place[1]:.2f}, sigma {sample:.4g} px; correlation {rho:.3f} (of the place itself, without the noise "
+        f"Point {found.point} in image {found.image}: line {found.pixel[0]:.2f}, sigma {line:.4g} px; sample "
+        f"{found.pixel[1]:.2f}, sigma {sample:.4g} px; correlation {rho:.3f} (of the place itself, without the noise "
         "of a measure; the first pixel's centre is at 0.5)"
     )
     return Answer(text, {
-        "question": "projection", "point": found.point, "image": found.image, "line_sample_px": found.place.tolist(),
+        "question": "projection", "point": found.point, "image": found.image, "line_sample_px": found.pixel.tolist(),
         "covariance_px2": found.covariance.tolist(),
     })  # fmt: skip
 

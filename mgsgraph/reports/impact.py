@@ -1,16 +1,10 @@
-"""The impact of a change as a table: every point that moved, or that is new."""
+"""The impact of a change as a CSV file: every point that moved, or that is new."""
 
 from pathlib import Path
-
-import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.incremental.impact import Impact
 from mgsgraph.io.files import beside, fresh_file
-from mgsgraph.output.table import Column, Table
-
-_AXES = ("x", "y", "z")
-
 
 _FIRST = "point,new,move_x_m,"
 """How every such table begins."""
@@ -48,14 +42,5 @@ def write_impact(impact: Impact, path: Path) -> None:
 
     Raises InputError if the file can't be written.
     """
-    points = impact.points
-    table = Table("impact", "Points that moved", (
-        Column("point", points.ids),
-        Column("new", np.asarray(points.new, dtype=np.bool_)),
-        Column("move_{}", points.moves, "m", "after minus before, body-fixed", _AXES),
-        Column("move_sigmas", points.in_sigmas),
-        Column("sigma_before_{}", points.sigmas_before, "m", "for sigma0 = 1", _AXES),
-        Column("sigma_{}", points.sigmas_after, "m", "for sigma0 = 1", _AXES),
-    ))  # fmt: skip
     with fresh_file(path, _WRITABLE) as aside:
-        table.write_csv(aside)
+        impact.points_table().write_csv(aside)

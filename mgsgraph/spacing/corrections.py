@@ -1,5 +1,5 @@
-"""The corrections of a strip over time in the terms of its flight: along, across, radial; roll, pitch, yaw; with what
-their errors are made of.
+"""Correction series of strips over time in the axes of the flight (along, across, radial; roll, pitch, yaw), with the
+parts of their errors.
 
 Of the estimate x of the nodes the posterior covariance is C = (L + P)^-1, L being what the data say of them and P the
 prior. Were there nothing to correct, x would still not be zero: the noise of the data puts C L C = C - C P C into it.
@@ -77,11 +77,11 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
 
     Parameters
     ----------
-    solution : Solution
-    strip : int
     factor : float, optional
         Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
     """
+    from scipy.linalg import block_diag  # slow to import
+
     factor = ray_scatter(solution).factor if factor is None else factor
     one = solution.network.strips[strip]
     count = len(one.nodes)
@@ -97,7 +97,7 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
     times = one.nodes.inner
     to_values, _ = one.nodes.dense(times, one.nodes.epoch)
     turns = strip_turns(solution.network, strip, times + one.nodes.epoch, solution.settings.angles)
-    turn = _block_diagonal(turns) @ np.kron(to_values, np.eye(6))
+    turn = block_diag(*turns) @ np.kron(to_values, np.eye(6))
     # of a spline the coefficients at the outer nodes have no values; the rest stands for the whole
     back = np.linalg.pinv(turn)
     wander = _wander(one)
@@ -136,13 +136,6 @@ def _prior_information(strip: Strip) -> Array:
             for w, right in zip(factor.unknowns, factor.blocks, strict=True):
                 found[ends[v] : ends[v + 1], ends[w] : ends[w + 1]] += left.T @ right
     return found
-
-
-def _block_diagonal(blocks: Array) -> Array:
-    count = blocks.shape[0]
-    found = np.zeros((count, 6, count, 6))
-    found[np.arange(count), :, np.arange(count), :] = blocks
-    return found.reshape(6 * count, 6 * count)
 
 
 def _wander(strip: Strip) -> Array | None:

@@ -16,12 +16,10 @@ through nodes that are less even swing between them. Splines are even, and are h
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.passes import Selection
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
@@ -29,7 +27,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
-from mgsgraph.network.support import LEAST, StripRays, felt, require_supported, strip_rays, telling
+from mgsgraph.network.support import LEAST, StripRays, require_supported, strip_rays, support_of, useful_rays
 from mgsgraph.spacing.choice import require_respaceable, with_nodes
 from mgsgraph.spacing.rays import ray_scatter
 
@@ -57,7 +55,9 @@ class ResidualPattern:
         """(k - 1,) intervals whose pattern is none of noise, at a level for all `intervals` of a network together, and
         of `worth` sigmas of a ray at least.
         """
-        limit = np.array([critical_chi_square(level / intervals, int(n)) for n in self.freedom])
+        from scipy.stats import chi2  # slow to import
+
+        limit = np.where(self.freedom > 0, chi2.isf(level / intervals, np.maximum(self.freedom, 1)), np.inf)
         return np.asarray((self.squares > limit) & (self.size >= worth))
 
 
@@ -104,7 +104,6 @@ def densify(
     least: int = LEAST,
     most: int = 6,
     left_in: Selection | None = None,
-    progress: Callable[[Iteration], None] = lambda _: None,
 ) -> Densified:
     """Adjust a network, give it nodes where residuals ask for them, and again, until none asks or none can be given.
 
@@ -112,7 +111,6 @@ def densify(
     ----------
     network : Network
         With strips of few nodes.
-    settings : SolverSettings
     level : float
         Share of networks without any pattern in which an interval asks all the same.
     worth : float
@@ -123,8 +121,6 @@ def densify(
         Adjustments at the most.
     left_in : Selection, optional
         Rays and ranges that take part; all when absent. Not together with a blunder limit.
-    progress : callable
-        Called with every iteration.
     """
     require_respaceable(network)
     for name, value, high in (("level", level, 0.5), ("worth", worth, math.inf)):
@@ -133,7 +129,7 @@ def densify(
     require_supported(network, least, None if left_in is None else left_in.rays)
     rounds = list[Round]()
     while True:
-        solution = adjust_network(network, settings, f"round {len(rounds) + 1}", progress, left_in=left_in)
+        solution = adjust_network(network, settings, f"round {len(rounds) + 1}", left_in=left_in)
         closer, this = _closer(solution, level, worth, least)
         rounds.append(this)
         if not sum(this.asked):
@@ -153,10 +149,10 @@ def _closer(solution: Solution, level: float, worth: float, least: int) -> tuple
     nodes, asked, refused = list[OrientationImages](), list[int](), list[int]()
     for k, strip in enumerate(strips):
         asking = pattern(solution, k, factor).asking(level, worth, total)
-        rays = telling(solution.network, k, solution.rays_used)
+        rays = useful_rays(solution.network, k, solution.rays_used)
 
         def supported(other: OrientationImages, rays: StripRays = rays) -> Mask:
-            return ~felt(other, rays, least).weak
+            return ~support_of(other, rays, least).weak
 
         closer, denied = halved(strip.nodes, asking, supported)
         nodes.append(closer)
@@ -211,8 +207,6 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Resi
 
     Parameters
     ----------
-    solution : Solution
-    strip : int
     factor : float, optional
         Times their stated sigmas that rays scatter; taken from the solution's residuals when absent.
     """
@@ -248,13 +242,3 @@ def pattern(solution: Solution, strip: int, factor: float | None = None) -> Resi
     rays = np.bincount(interval, minlength=squares.size)
     size = np.sqrt(np.maximum(squares - freedom, 0.0) / np.maximum(_PATTERNS * rays, 1))
     return ResidualPattern(squares, freedom, size)
-
-
-def critical_chi_square(level: float, freedom: int) -> float:
-    """What chi-square exceeds with probability `level`, by Wilson & Hilferty's cube root (1931): to 2 % from 6 degrees
-    of freedom on; infinite for none.
-    """
-    if freedom < 1:
-        return math.inf
-    step = 2.0 / (9.0 * freedom)
-    return freedom * (1.0 - step + NormalDist().inv_cdf(1.0 - level) * math.sqrt(step)) ** 3

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.adjustment.passes import Selection
+from mgsgraph.adjustment.passes import Selection, unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen_index
@@ -29,6 +29,12 @@ from mgsgraph.ties import PointKind
 
 _RAYS = 3
 """Of a point of which one may be held out."""
+_TOGETHER = 3
+"""Rays of a line, one after the other, that share a mean."""
+_FEWEST = 30.0
+"""Redundancy below which the stated sigmas are taken at their word."""
+_SURE, _LEAST = 3.0, 0.03
+"""Standard errors, and share, by which a factor that is worth a word is off 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,25 +53,13 @@ class HeldOut:
 
     def taken(self, network: Network) -> Mask:
         """(rays,) those that take part: neither held out nor marked as blunders."""
-        taken = _good(network).copy()
+        taken = unmarked(network).rays
         taken[self.rays] = False
         return taken
 
     def left_in(self, network: Network) -> Selection:
         """What takes part in an adjustment."""
         return replace(unmarked(network), rays=self.taken(network))
-
-
-def unmarked(network: Network) -> Selection:
-    """All that is not marked as blunders."""
-    marks = network.ranges.rejected
-    ranges = np.ones(network.ranges.point.size, dtype=bool) if marks is None else ~marks
-    return Selection(_good(network), ranges, network.undetermined.copy())
-
-
-def _good(network: Network) -> Mask:
-    marks = network.rays.rejected
-    return np.ones(network.rays.point.size, dtype=bool) if marks is None else ~marks
 
 
 def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOut:
@@ -77,11 +71,10 @@ def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOu
         With strips.
     share : float
         Of the points with three rays or more; of each of them one ray, of a strip's image, is held out.
-    rng : Generator
     """
     if not (np.isfinite(share) and 0.0 < share <= 1.0):
         raise InputError("rays held out", f"a share of {share}", "more than 0, and 1 at the most")
-    good, in_strip = _good(network), network.strip_of[network.rays.image] >= 0
+    good, in_strip = unmarked(network).rays, network.strip_of[network.rays.image] >= 0
     counts = np.bincount(network.rays.point, good, len(network.points))
     able = np.flatnonzero(good & in_strip & (counts[network.rays.point] >= _RAYS))
     shuffled = rng.permutation(able)
@@ -121,8 +114,6 @@ def whitening(network: Network, held: HeldOut, places: Array) -> Array:
 
     Parameters
     ----------
-    network : Network
-    held : HeldOut
     places : (n, 3)
         m, of the points, about.
     """
@@ -177,14 +168,6 @@ def point_covariances(matrices: Array) -> Array:
     good[good] = values[:, 0] > 1e-10
     found[good] = np.linalg.inv(matrices[good])
     return found
-
-
-_TOGETHER = 3
-"""Rays of a line, one after the other, that share a mean."""
-_FEWEST = 30.0
-"""Redundancy below which the stated sigmas are taken at their word."""
-_SURE, _LEAST = 3.0, 0.03
-"""Standard errors, and share, by which a factor that is worth a word is off 1."""
 
 
 @dataclass(frozen=True, slots=True)

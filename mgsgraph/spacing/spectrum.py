@@ -102,14 +102,14 @@ class Spectrum:
         return sorted(mine, key=lambda one: -one.amplitude)
 
 
-def spectra(series: CorrectionSeries, false_alarms: float = FALSE_ALARMS) -> list[Spectrum]:
+def spectra(series: CorrectionSeries) -> list[Spectrum]:
     """Spectrum of each of the six axes; of a vibration that shows in several, the peaks say to which it belongs.
 
     Rays hardly tell pitch from a motion along the track, nor roll from one across it: both explain them as well. The
     prior does: a vibration belongs to the axis where it is surest once the square of its amplitude in units of what
     the prior expects there is taken off.
     """
-    found = [spectrum(series, axis, false_alarms) for axis in range(len(AXES))]
+    found = [spectrum(series, axis) for axis in range(len(AXES))]
     resolution = 1.0 / float(np.ptp(series.times))
     known = dict(zip(AXES, series.known.tolist(), strict=True))
     every = [(peak, one.axis) for one in found for peak in one.peaks]

@@ -7,7 +7,6 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.two_steps import selection_of
 from mgsgraph.network import Network
-from mgsgraph.network.support import LEAST
 from mgsgraph.spacing.choice import Choice, adjust_unmarked, choose_spacing, respaced
 from mgsgraph.spacing.corrections import CorrectionSeries, correction_series
 from mgsgraph.spacing.densify import Densified, densify
@@ -53,7 +52,6 @@ def study_nodes(
     share: float = 0.2,
     seed: int = 0,
     closer: bool = False,
-    least: int = LEAST,
     progress: Callable[[int, int], None] = lambda _done, _most: None,
 ) -> NodeStudy:
     """Choose a spacing, adjust with it, look for vibrations, and for places that ask for closer nodes.
@@ -69,7 +67,7 @@ def study_nodes(
         Of the case.
     spacings : sequence of float
         s, candidates.
-    share, seed, least
+    share, seed
         See `choose_spacing`.
     closer : bool
         Whether to give nodes to the widest candidate that the rays support, where residuals ask for them.
@@ -77,7 +75,7 @@ def study_nodes(
         Called with the number of steps done, and of all.
     """
     steps = len(set(spacings)) + 2 + closer  # all rays with the closest nodes, and with those chosen
-    choice = choose_spacing(network, settings, spacings, share, seed, least, lambda done, _: progress(done, steps))
+    choice = choose_spacing(network, settings, spacings, share, seed, progress=lambda done, _: progress(done, steps))
     good = [one.spacing for one in choice.candidates if not one.refused]
     closest = replace(choice.closest_solution, name=name)
     progress(steps - 1 - closer, steps)
@@ -88,15 +86,15 @@ def study_nodes(
     found = tuple(StripSpectra(one, tuple(spectra(one))) for one in fine if one.times.size >= _FEWEST)
     corrections = tuple(fine) if own else tuple(correction_series(solution, k, factor) for k in strips)
     progress(steps - closer, steps)
-    densified = _densified(respaced(network, good[-1]), closest, least) if closer else None
+    densified = _densified(respaced(network, good[-1]), closest) if closer else None
     progress(steps, steps)
     return NodeStudy(name, choice, solution, corrections, found, densified)
 
 
-def _densified(network: Network, closest: Solution, least: int) -> Densified:
+def _densified(network: Network, closest: Solution) -> Densified:
     """Nodes where residuals ask for them, of the rays that the closest nodes left: jitter that wide ones can't follow
     is no blunder.
     """
     plain = replace(closest.settings, reject=0.0)
-    found = densify(network, plain, least=least, left_in=selection_of(network, closest))
+    found = densify(network, plain, left_in=selection_of(network, closest))
     return replace(found, solution=replace(found.solution, name=closest.name))

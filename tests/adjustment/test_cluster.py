@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, parse_cluster, workers
-from mgsgraph.adjustment.cluster.place import cores, threads_of_each
+from mgsgraph.adjustment.cluster.address import cores, threads_of_each
 from mgsgraph.errors import InputError, SolverError
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
@@ -104,6 +104,7 @@ def test_a_task_that_fails_is_told_and_the_others_go_on(two: Connection) -> None
     assert "'x'" in results[1].message
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_nothing(two: Connection) -> None:
     before = {worker.process for worker in two.workers}
     victim = min(before)
@@ -115,6 +116,7 @@ def test_a_killed_worker_loses_nothing(two: Connection) -> None:
     assert victim not in {worker.process for worker in two.workers}
 
 
+@pytest.mark.slow
 def test_a_task_that_brings_workers_down_is_lost(two: Connection) -> None:
     (lost,) = dict(two.each(os._exit, [7])).values()
     assert isinstance(lost, Lost)
@@ -122,6 +124,7 @@ def test_a_task_that_brings_workers_down_is_lost(two: Connection) -> None:
     assert dict(two.each(abs, [-1, -2])) == {0: 1, 1: 2}
 
 
+@pytest.mark.slow
 def test_a_memory_limit_that_is_exceeded_is_named_with_its_figures(two: Connection) -> None:
     two.require_memory(1e6, "a partition of 10 points", "")
     needed = 4.0 * distributed.system.MEMORY_LIMIT
@@ -151,6 +154,7 @@ class _Far:
         return {"tcp://far": self._answer}
 
 
+@pytest.mark.slow
 def test_nothing_is_left_behind() -> None:
     environment, handlers = dict(os.environ), {h: h.level for h in logging.getLogger("distributed").handlers}
     with open_cluster("local:1") as cluster:
@@ -277,14 +281,15 @@ def elsewhere(folder: Path) -> Iterator[_Elsewhere]:
             process.wait()
 
 
-def refusal(address: str, patience: float = 20.0) -> str:
+def refusal(address: str, timeout: float = 20.0) -> str:
     """What is said of a cluster that can't be used."""
-    with pytest.raises(InputError) as told, open_cluster(address, patience):
+    with pytest.raises(InputError) as told, open_cluster(address, timeout):
         pass
     assert "\n" not in str(told.value)
     return str(told.value)
 
 
+@pytest.mark.slow
 def test_workers_elsewhere(tmp_path: Path) -> None:
     with elsewhere(tmp_path) as there:
         there.worker()
@@ -294,6 +299,7 @@ def test_workers_elsewhere(tmp_path: Path) -> None:
         assert all(process.poll() is None for process in there.processes)  # not ours to stop
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("disguise", "memory", "said"),
     [
@@ -311,6 +317,7 @@ def test_a_worker_that_is_not_fit_is_named(disguise: str, memory: str, said: str
         assert said in message
 
 
+@pytest.mark.slow
 def test_a_scheduler_without_workers(tmp_path: Path) -> None:
     with elsewhere(tmp_path) as there:
         assert f"a scheduler without workers; start some (dask worker {there.address})" in refusal(there.address, 1.0)
@@ -333,6 +340,7 @@ def test_tls_without_certificates() -> None:
     assert "no certificates for tls" in refusal("tls://127.0.0.1:8786", 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("which", "said"), [(0, "the scheduler has gone"), (1, "no worker is left")])
 def test_a_cluster_that_goes_is_told(which: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "_RETURN", 2.0)

@@ -127,6 +127,7 @@ def test_a_network_of_few_pieces(two: Connection) -> None:
     assert_the_same(adjust_network(net, SolverSettings()), adjust_network(net, SolverSettings(), cluster=two))
 
 
+@pytest.mark.slow
 def test_workers_killed_in_mid_solve_lose_nothing(two: Connection) -> None:
     alone = adjust_network(many(), SolverSettings(reject=4.0))
     victims: list[int] = []
@@ -141,6 +142,7 @@ def test_workers_killed_in_mid_solve_lose_nothing(two: Connection) -> None:
     assert not {worker.process for worker in two.workers} & set(victims)
 
 
+@pytest.mark.slow
 def test_a_worker_killed_in_mid_sweep_is_told(two: Connection) -> None:
     deadline = time.monotonic() + 30.0
     while len(two.workers) < 2 and time.monotonic() < deadline:
@@ -200,12 +202,12 @@ class _Village:
     def require_memory(self, needed: float, what: str, remedy: str) -> None:
         connection.require_memory(self.workers, needed, what, self.where, remedy)
 
-    def patiently(self) -> Iterator[frozenset[str]]:
+    def until_workers_return(self) -> Iterator[frozenset[str]]:
         for _ in range(3):
             yield frozenset(self.memories)
         raise SolverError("too few")
 
-    def tell(self, function: Callable[[Any], None], item: Any) -> None:
+    def call_all(self, function: Callable[[Any], None], item: Any) -> None:
         pass
 
     def at_workers(

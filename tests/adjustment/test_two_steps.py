@@ -178,7 +178,9 @@ def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float
 
 def test_forward_intersection_carries_the_orientation_on() -> None:
     """Its covariance against places that are moved with each unknown, one after another."""
-    net = without_terrain(block().network)
+    small = BlockSettings(strips=2, length=60e3, points=80, spacing=20.0, matches=PointMatching(blunders=0.01))
+    drawn = simulate_hrsc_block(small, seed=4)
+    net = without_terrain(drawn.network)
     rays_alone = RaysAlone(net, SolverSettings(), everything(net))
     layout = lay_out(net, SolverSettings())
     places, covariances = rays_alone.nominal()
@@ -201,7 +203,7 @@ def test_forward_intersection_carries_the_orientation_on() -> None:
     size = np.sqrt(np.einsum("nii->ni", want))
     error = np.abs(covariances - want) / (size[:, :, None] * size[:, None, :])
     # the covariance is Gauss-Newton's, of wrong rays, too: it leaves the curvature times the residuals out
-    wrong = np.isin(np.arange(len(net.points)), net.rays.point[block().blunders])
+    wrong = np.isin(np.arange(len(net.points)), net.rays.point[drawn.blunders])
     assert error[~wrong].max() < 0.02
     assert np.median(error[~wrong]) < 1e-3
 

@@ -209,7 +209,7 @@ def test_planted_factors_are_found_within_their_uncertainty(truth: dict[str, flo
         assert one.judgement is Judgement.JUDGED
         assert abs(one.deviation(factor)) < 2.6
         assert one.sigma < 0.25 * one.factor
-        assert one.honest is bool(factor == 1.0), one.verdict()
+        assert one.consistent is bool(factor == 1.0), one.verdict()
     again = components_of(found.solution)
     for one in again.groups[:4]:
         assert one.factor == pytest.approx(1.0, abs=0.011)
@@ -223,7 +223,7 @@ def test_what_can_t_be_judged_keeps_its_sigmas_and_is_named() -> None:
     one = found.components["ranges"]
     assert one.judgement in (Judgement.FEW, Judgement.INSEPARABLE)
     assert np.isnan(one.factor)
-    assert one.honest is None
+    assert one.consistent is None
     assert np.array_equal(found.network.ranges.sigmas, net.ranges.sigmas)
     assert "ranges: can't be" in found.words()
     with pytest.raises(InputError, match="no such group; expected one of tie image points"):
@@ -251,7 +251,7 @@ def test_residuals_that_are_none_are_held_not_chased_to_zero() -> None:
     assert found.components["tie image points"].judgement is Judgement.ZERO
     assert found.components["tie image points"].factor == pytest.approx(0.02)
     assert "residuals too small for any sigma" in found.words()
-    assert found.components["laser image points"].honest
+    assert found.components["laser image points"].consistent
 
 
 def component(factor: float, degrees: float) -> Component:
@@ -361,7 +361,7 @@ def test_a_group_whose_estimate_runs_away_keeps_its_sigmas() -> None:
         assert one.judgement in (Judgement.LOST, Judgement.INSEPARABLE, Judgement.FEW)
     assert "can't be judged, the estimate runs away" in found.words()
     assert np.array_equal(found.network.priors[0].sigmas, net.priors[0].sigmas)
-    assert found.components["laser image points"].honest
+    assert found.components["laser image points"].consistent
 
 
 def test_quantile_sheet_shows_each_group_with_its_band() -> None:

@@ -122,7 +122,7 @@ def test_points_are_those_of_the_solution(name: str) -> None:
     posterior = Posterior.of(solution)
     for i in np.flatnonzero(solution.determined):
         found = posterior.point(solution.network.points.ids[i])
-        assert np.array_equal(found.place, solution.places[i])
+        assert np.array_equal(found.position, solution.places[i])
         # not the same linearisation: the last inner step, of less than a thousandth of a sigma, lies between the two
         assert np.abs(found.covariance - solution.covariances[i]).max() <= 1e-5 * max(found.covariance.max(), 1e-9)
 
@@ -225,7 +225,7 @@ def test_projections_with_shared_unknowns_are_those_of_the_rows() -> None:
     right = np.sqrt(1.0 - found.measures.redundancy[rows]) * rays.sigmas[mine]
     projection = posterior.projection(point, image)
     assert np.allclose(projection.sigmas, right, rtol=1e-4)
-    assert np.allclose(rays.places[mine] - projection.place, solution.residuals[mine], atol=1e-3)
+    assert np.allclose(rays.places[mine] - projection.pixel, solution.residuals[mine], atol=1e-3)
 
 
 @pytest.mark.parametrize("line", ["predicted", "measured"])
@@ -238,14 +238,14 @@ def test_projections_are_of_places_in_every_form_of_the_model(line: Line, angles
     quantity = posterior.of_projection(name, image)
     ground, picture, correction = posterior.of_point(name), net.images[1], posterior.correction(1)
     _, by_point = picture.ground_to_image(ground.values[None], correction)
-    assert np.allclose(next(iter(quantity.own.values())), by_point[0] @ next(iter(ground.own.values())), rtol=1e-5)
+    assert np.allclose(next(iter(quantity.noise.values())), by_point[0] @ next(iter(ground.noise.values())), rtol=1e-5)
 
 
 def test_projections_into_a_held_image_have_the_points_covariance_alone() -> None:
     posterior = Posterior.of(solved("one held"))
     name, picture = posterior.network.points.ids[0], posterior.network.images[0]
     point = posterior.point(name)
-    _, by_point = picture.ground_to_image(point.place[None])
+    _, by_point = picture.ground_to_image(point.position[None])
     right = by_point[0] @ point.covariance @ by_point[0].T
     assert_alike(posterior.projection(name, picture.name).covariance, right, 1e-5)
 
@@ -298,7 +298,7 @@ def test_projections_have_the_dense_covariance(name: str) -> None:
         [(project(row) - project(-row)) / (2 * s) for row, s in zip(np.diag(steps), steps, strict=True)], axis=1
     )
     found = posterior.projection(point, picture.name)
-    assert np.allclose(found.place, project(np.zeros(steps.size)))
+    assert np.allclose(found.pixel, project(np.zeros(steps.size)))
     assert_alike(found.covariance, whole.of(jacobian, whole.columns(point), whole.shared[image]), 1e-5)
 
 
@@ -322,7 +322,7 @@ def test_a_new_intersection_has_the_noise_of_its_rays_and_of_the_orientation() -
     carried = np.linalg.solve(normal, by_point.T @ by_shared)
     own = np.concatenate([np.arange(whole.shared[v].start, whole.shared[v].stop) for v in rows.variables])
     right = np.linalg.inv(normal) + carried @ whole.covariance[np.ix_(own, own)] @ carried.T
-    assert np.linalg.norm(found.place - solution.places[i]) < 3.0 * np.sqrt(np.trace(found.covariance))
+    assert np.linalg.norm(found.position - solution.places[i]) < 3.0 * np.sqrt(np.trace(found.covariance))
     assert_alike(found.covariance, right, 1e-5)
 
 
@@ -337,7 +337,7 @@ def test_many_intersections_are_single_ones() -> None:
         one = posterior.intersection(
             [Pixel(solution.network.images[rays.image[k]].name, *rays.places[k].tolist(), sigma=1.5) for k in mine]
         )
-        assert np.allclose(places[i], one.place, atol=1e-3)
+        assert np.allclose(places[i], one.position, atol=1e-3)
         assert_alike(covariances[i], one.covariance, 1e-6)
 
 

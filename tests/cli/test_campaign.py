@@ -77,6 +77,7 @@ def test_typing_errors_show_the_way() -> None:
     assert "--out" in run("campaign", "x.toml").stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [(), ("--cluster", "local:2")])
 def test_an_interrupt_leaves_the_record_true(place: tuple[str, ...], sites: Path, tmp_path: Path) -> None:
     if place:

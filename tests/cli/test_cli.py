@@ -86,6 +86,7 @@ def test_check_names_weak_spots(case_file: Path) -> None:
     assert "only the a-priori sigmas of the orientation hold the block" in done.stdout
 
 
+@pytest.mark.slow
 def test_demo_against_truth(tmp_path: Path) -> None:
     done = run("demo", "--out", tmp_path / "demo", "--no-figures")
     assert done.returncode == 0, done.stderr

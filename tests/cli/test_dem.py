@@ -59,6 +59,7 @@ def out(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_the_model_is_true_within_its_sigmas(out: Path) -> None:
     """The whole road, on pictures: the issue's bound is an rms of 1.5 times what is stated."""
     assert {path.name for path in out.iterdir()} == {

@@ -10,6 +10,8 @@ from commands import refused, run, run_afresh
 
 from mgsgraph.demo.demonstration import STAGES
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:

@@ -19,6 +19,8 @@ from mgsgraph.simulation.sites import SITE_NAMES
 ALONG = {"gusev": -229.0, "isidis": 225.0}
 """m, second image against the first (Table 5): the nadir image is the first at Gusev and the second at Isidis."""
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module", params=SITE_NAMES)
 def demo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Demonstration:

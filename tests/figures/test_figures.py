@@ -209,24 +209,22 @@ def test_enlarged_marks_stay_near_their_place(solution: Solution) -> None:
 # --- files
 
 
-def test_files_of_the_pair(solution: Solution, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    settings = dict(mpl.rcParams)
+def test_files_of_the_pair_whatever_the_users_style(
+    solution: Solution, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings, first, again = dict(mpl.rcParams), tmp_path / "new" / "folder", tmp_path / "again"
     with caplog.at_level(logging.WARNING):
-        names = write_figures(solution, tmp_path / "new")
-    require_files(tmp_path / "new", names)
+        names = write_figures(solution, first)
+    require_files(first, names)
     assert {Path(name).stem for name in names} == {"residuals", "orientation", "registration", "map", "connectivity"}
     assert not caplog.records  # matplotlib complains by log, too
     assert dict(mpl.rcParams) == settings
-
-
-def test_the_same_solution_gives_the_same_bytes_whatever_the_users_style(solution: Solution, tmp_path: Path) -> None:
-    names = write_figures(solution, tmp_path / "a")
     with mpl.rc_context({"font.size": 20.0, "axes.facecolor": "black", "svg.fonttype": "none", "text.usetex": False}):
-        assert write_figures(solution, tmp_path / "b") == names
+        assert write_figures(solution, again) == names
         assert mpl.rcParams["font.size"] == 20.0
     for name in names:
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
-    assert b"<dc:date>" not in (tmp_path / "a" / "map.svg").read_bytes()
+        assert (first / name).read_bytes() == (again / name).read_bytes(), name
+    assert b"<dc:date>" not in (first / "map.svg").read_bytes()
 
 
 def test_without_laser_there_is_no_registration(case_file: Path, tmp_path: Path) -> None:

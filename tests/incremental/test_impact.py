@@ -154,7 +154,7 @@ def test_it_can_be_read() -> None:
     adjustment = grown(made, 3)
     impact = take(adjustment, made, 3)
     assert repr(impact).startswith("Impact(add FAN/3: 4 images reached, ")
-    table = impact.table().splitlines()
+    table = impact.table().text(units=True)
     assert table[0].split()[:2] == ["image", "moved"]
     assert table[2].split()[:2] == ["FAN/3", "new"]
     assert len(table) == 2 + len(impact.images.names)

@@ -163,6 +163,7 @@ def assert_equal(one: Matches, other: Matches) -> None:
     assert one.losses == other.losses
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("many_tiles")
 def test_workers_and_interruptions_change_nothing() -> None:
     scene, told = matched.scene(), list[tuple[str, int, int]]()

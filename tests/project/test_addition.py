@@ -48,7 +48,7 @@ def test_of_a_whole_network_only_what_is_new_remains(store: ProjectStore) -> Non
     left = _unknown_alone(net, store)
     assert left is not None
     new = next(j for j, image in enumerate(left.images) if image.name == "SIM/B")
-    known = np.array([name in store.homes(net.points.ids) for name in left.points.ids])
+    known = np.array([name in store.bundles_of(net.points.ids) for name in left.points.ids])
     assert np.all((left.rays.image == new) | ~known[left.rays.point])
     assert left.rays.point.size + before == net.rays.point.size
     assert np.all(left.points.kinds[known] == PointKind.FREE)
@@ -79,7 +79,7 @@ def test_a_measure_that_contradicts_is_not_dropped(store: ProjectStore) -> None:
     assert left is not None
     assert left.rays.point.size == net.rays.point.size
     with pytest.raises(InputError, match="measured there before"):
-        joined([store.network(), store.own(left)])
+        joined([store.network(), store.with_known_grids(left)])
 
 
 def test_new_ties_lie_on_the_terrain_model_of_the_project(store: ProjectStore) -> None:

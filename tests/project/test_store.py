@@ -154,7 +154,7 @@ def test_equal_grids_are_one(store: ProjectStore) -> None:
     copy = replace(net, surface=replace(net.surface, grid=replace(net.surface.grid)))
     with pytest.raises(ValueError, match="terrain model"):
         joined([part(net, np.arange(3)), part(copy, np.arange(3, 6))])
-    own = store.own(copy)
+    own = store.with_known_grids(copy)
     assert own.surface is not None
     assert store.terrain is not None
     assert own.surface.grid is store.terrain[0]

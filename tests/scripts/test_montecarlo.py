@@ -153,6 +153,7 @@ def test_the_same_seed_gives_the_same_and_others_differ() -> None:
         assert not np.array_equal(one.squares[kind], other.squares[kind])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_block")
 def test_a_gross_fault_shows_in_few_seeds_and_honesty_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sigmas of all measures told a third of what they are."""

@@ -23,13 +23,13 @@ from mgsgraph.network.support import (
     strip_rays,
     support,
     supported_spacing,
-    telling,
+    useful_rays,
 )
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_points import PointMatching
 from mgsgraph.simulation.strip_truth import Jitter
 from mgsgraph.spacing.choice import choose_spacing, error_of_mean, respaced, with_nodes
-from mgsgraph.spacing.densify import critical_chi_square, densify, halved, pattern
+from mgsgraph.spacing.densify import ResidualPattern, densify, halved, pattern
 from mgsgraph.spacing.rays import hold_out, misfits, whitening
 from mgsgraph.units import MGON
 
@@ -62,7 +62,7 @@ def test_spacing_that_is_said_to_be_supported_is() -> None:
     require_supported(net)
     with pytest.raises(InputError, match=r"nodes closer than the data supports: of 1704 nodes.*what they support"):
         require_supported(respaced(net, 0.05))
-    rays = telling(net, 0)
+    rays = useful_rays(net, 0)
     spacing = supported_spacing(respaced(net, 0.05).strips[0].nodes, rays)
     assert 0.05 < spacing < 8.0
     require_supported(respaced(net, spacing))
@@ -277,7 +277,9 @@ def test_nothing_to_choose_from(spacings: list[float], words: str) -> None:
 @pytest.mark.parametrize("freedom", [6, 8, 12, 24])
 @pytest.mark.parametrize("level", [0.05, 0.01, 1e-4])
 def test_critical_values_are_those_of_chi_square(freedom: int, level: float) -> None:
-    assert critical_chi_square(level, freedom) == pytest.approx(chi2.isf(level, freedom), rel=0.02)
+    squares = chi2.isf(level / 3, freedom) * np.array([1.0 - 1e-9, 1.0 + 1e-9, np.inf])
+    found = ResidualPattern(squares, np.array([freedom, freedom, 0]), np.ones(3))
+    assert found.asking(level, 0.1, 3).tolist() == [False, True, False]
 
 
 def test_residuals_of_a_calm_flight_ask_for_nothing() -> None:
