@@ -201,8 +201,7 @@ def status(project: Path) -> None:
 def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
     """Sentences, the images reached, the points that moved most (all of them in a CSV file), the closing check."""
     print_sentences(impact.sentences())
-    click.echo("
-".join(impact.tables_text()))
+    click.echo("\n".join(impact.tables_text()))
     if table is not None:
         from mgsgraph.reports.impact import write_impact
 
