@@ -208,7 +208,7 @@ def _joined(
     if links is None:
         links = _coarse_links(scene, pair, settings, step, levels, radius)
         store.keep(name, saved(links))
-    return _corrected(scene, pair, links, step, radius, np.random.default_rng([settings.seed, *pair[:2]]))
+    return corrected_scene(scene, pair, links, step, radius, np.random.default_rng([settings.seed, *pair[:2]]))
 
 
 def _coarse_links(
@@ -233,9 +233,10 @@ def _share_needed(found: Displacements, tolerance: float, height_sigma: float, r
     return _CHANCE * chance / (1.0 + (_CHANCE - 1.0) * chance)
 
 
-def _corrected(
+def corrected_scene(
     scene: Scene, pair: Pair, links: Links, step: float, radius: float, rng: np.random.Generator
 ) -> tuple[Scene, Agreement]:
+    """The scene with the second picture of the pair corrected to agree with the first, and how far the links agree."""
     first, second = (scene.pictures[j] for j in pair[:2])
     points = [scene.ground.points(links.plane[links.links[:, k]]) for k in (0, 1)]
     places = first.places(points[0]), second.places(points[1])
