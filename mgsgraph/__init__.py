@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from mgsgraph.errors import MgsgraphError as MgsgraphError
     from mgsgraph.export.exchange import convert as convert
     from mgsgraph.export.exchange_setting import ExchangeSetting as ExchangeSetting
-    from mgsgraph.export.export import export_solution as export_solution
+    from mgsgraph.export.solution_export import export_solution as export_solution
     from mgsgraph.fetch.archives import Archives as Archives
-    from mgsgraph.fetch.fetch import fetch_images as fetch_images
+    from mgsgraph.fetch.folder import fetch_images as fetch_images
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
     from mgsgraph.incremental.impact import Impact as Impact
@@ -49,9 +49,9 @@ _HOME = {
     "Case": "mgsgraph.case.reading",
     "convert": "mgsgraph.export.exchange",
     "DemSettings": "mgsgraph.dem.model",
-    "export_solution": "mgsgraph.export.export",
+    "export_solution": "mgsgraph.export.solution_export",
     "ExchangeSetting": "mgsgraph.export.exchange_setting",
-    "fetch_images": "mgsgraph.fetch.fetch",
+    "fetch_images": "mgsgraph.fetch.folder",
     "Impact": "mgsgraph.incremental.impact",
     "IncrementalAdjustment": "mgsgraph.incremental.incremental",
     "InputError": "mgsgraph.errors",

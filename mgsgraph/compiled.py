@@ -77,7 +77,7 @@ def cached_kernel(function: Function, **options: Any) -> Function:
     from numba import njit
     from numba.core.caching import FunctionCache
 
-    class Cache(FunctionCache):  # type: ignore[misc]
+    class Cache(FunctionCache):
         def _index_key(self, signature: Any, codegen: Any) -> Any:
             return *super()._index_key(signature, codegen), digest
 

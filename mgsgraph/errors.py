@@ -64,7 +64,7 @@ class PointBehindCamera(InputError):
 
 
 class WeakNetwork(MgsgraphError, ArithmeticError):
-    """A network with directions that nothing determines: its datum, or orientation that no measure tells.
+    """A network with directions that nothing determines: its datum, or orientation that no measurement determines.
 
     Parameters
     ----------

@@ -1,7 +1,8 @@
-"""Words and numbers of reports: counts with their nouns, lists of names, aligned cells."""
+"""Words and numbers of reports: counts with their nouns, lists of names, aligned cells, root mean squares."""
 
 import math
 from collections.abc import Sequence
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,3 +59,14 @@ def short(name: str, width: int) -> str:
         return name
     tail = (width - 3) // 2
     return f"{name[: width - 3 - tail]}...{name[-tail:]}"
+
+
+@overload
+def root_mean_square(values: Array) -> float: ...
+@overload
+def root_mean_square(values: Array, axis: int) -> Array: ...
+def root_mean_square(values: Array, axis: int | None = None) -> Any:
+    """Root mean square, about zero, of all values or along an axis; NaN is no value, and the result of none."""
+    count = np.count_nonzero(~np.isnan(values), axis=axis)
+    found = np.where(count > 0, np.sqrt(np.nansum(values**2, axis=axis) / np.maximum(count, 1)), np.nan)
+    return float(found) if axis is None else found

@@ -53,9 +53,9 @@ def kept(strip: SimulatedStrip, folder: Path) -> None:
     network = observed(known, [strip.ties, *strip.lasers], noise.tie, noise.shot_image)
     if network is None:
         raise SolverError("a strip without observations")
-    solution = adjust_network(network, settings.solver_settings)
+    solution = adjust_network(network, settings.solver.settings)
     with Project.create(folder, "strip", settings) as project:
-        IncrementalAdjustment(settings.solver_settings, project.store).adopt(solution)
+        IncrementalAdjustment(settings.solver.settings, project.store).adopt(solution)
         project.record("solve", f"{len(network.images)} images", {})
         project.record_batch(solution)
 
@@ -87,7 +87,7 @@ def tree(project: Path) -> float:
     """Seconds to grow the tree from what a project holds."""
     begin = time.perf_counter()
     with open_project(project) as opened:
-        IncrementalAdjustment(opened.settings.solver_settings, opened.store)
+        IncrementalAdjustment(opened.settings.solver.settings, opened.store)
     return time.perf_counter() - begin
 
 

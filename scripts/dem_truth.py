@@ -32,6 +32,7 @@ from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
+from mgsgraph.wording import root_mean_square as rms
 
 PAGE = "dem_truth.md"
 CHECK_EVERY = 3
@@ -141,11 +142,6 @@ def without_orientation(dem: Dem, site: SimulatedSite, posts: Array, heights: Ar
         shift -= found[6:].reshape(2, 3).T
         left = off - surface @ found[:6]
     return left
-
-
-def rms(values: Array) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 if __name__ == "__main__":

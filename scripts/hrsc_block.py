@@ -32,6 +32,7 @@ from mgsgraph.network import Network
 from mgsgraph.reports.two_steps import write_two_steps
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.units import KM, MGON
+from mgsgraph.wording import root_mean_square
 
 PAGE, PICTURE = "hrsc_block.md", "hrsc_block.png"
 ATTITUDE = np.array([4, 3, 5])
@@ -96,7 +97,7 @@ def one_seed(settings: BlockSettings, seed: int) -> Row:
         points.append(float(nees((one.places - block.true_points)[known], one.covariances[known]).mean()) / 3.0)
     true = np.concatenate([block.true_nodes(k) for k in range(len(block.network.strips))])
     errors = [np.zeros_like(true), *(np.concatenate(one.nodes) for one in (steps.free, steps.fitted))]
-    attitude = np.array([np.sqrt(np.mean((found - true)[:, ATTITUDE] ** 2, axis=0)) for found in errors])
+    attitude = np.array([root_mean_square((found - true)[:, ATTITUDE], 0) for found in errors])
     joints = (steps.rays_alone.joint, steps.free.joint_covariance, steps.fitted.joint_covariance)
     networks = (steps.free.network, steps.free.network, steps.fitted.network)
     stated = np.array([_stated(network, joint) for network, joint in zip(networks, joints, strict=True)])
@@ -113,7 +114,7 @@ def _stated(network: Network, joint: JointCovariance | None) -> Array:
         for strip, first in network.numbered_strips
     ])  # fmt: skip
     columns = joint.square_root.first[variables][:, None] + ATTITUDE
-    return np.asarray(np.sqrt(np.mean(joint.sigmas[columns] ** 2, axis=0)))
+    return root_mean_square(joint.sigmas[columns], 0)
 
 
 def _of_nodes(block: SimulatedBlock, solution: Solution) -> list[float]:
@@ -144,7 +145,7 @@ def merit_table(rows: list[Row]) -> list[str]:
                 for ones in ([row.stated for row in rows], [row.attitude for row in rows])
             )
             for what, of_seeds in (("sigma", stated), ("error", errors)):
-                whole = np.sqrt(np.mean(of_seeds**2, axis=0))[None]
+                whole = root_mean_square(of_seeds, 0)[None]
                 cells.append([f"{what} of {axis} at the nodes, rms, {unit}", *_stages(whole)])
     cells.append(["rms of heights above the terrain, m",
                   *_stages(np.array([row.merit.whole.heights.rms for row in rows]))])  # fmt: skip

@@ -39,6 +39,7 @@ from mgsgraph.matching.matches import Matches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.units import DEG
+from mgsgraph.wording import root_mean_square as rms
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 E02, M01 = "E0201461", "M0100115"
@@ -261,11 +262,6 @@ def by_parallax(off: Array, way: Array) -> Array:
     return np.column_stack([np.einsum("ni,ni->n", off, across), np.einsum("ni,ni->n", off, along)])
 
 
-def rms(values: Array) -> Array:
-    """Of columns."""
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
-
-
 def text(values: Array | float) -> str:
     """Numbers as text."""
     return " / ".join(f"{value:.2f}" for value in np.atleast_1d(values))
@@ -379,12 +375,12 @@ def page(found: Trial) -> str:
         WORDS,
         f"* Ties that both images have: {inside.size}; in the crop: {int(inside.sum())}.",
         "* Resection of M01 by those outside, rms across / along the parallax: "
-        f"{text(rms(before[~inside]))} px; those in the crop, with it: {text(rms(before[inside]))} px.",
+        f"{text(rms(before[~inside], 0))} px; those in the crop, with it: {text(rms(before[inside], 0))} px.",
         f"* Matches: {len(matches.ties.ids)} in {matches.cells[0]} of {matches.cells[1]} cells of {matches.cell:.0f} m "
         f"({steps}); {found.seconds:.1f} s.",
         f"* Their stated sigmas (px of M01, axes of the ellipse, median): {text(sigmas)}; correlation, median: "
-        f"{np.median(matches.correlation[others]):.3f}; coplanarity, rms: {text(rms(matches.misfit[others]))} m.",
-        f"* Agreement with the ties, rms across / along the parallax: {text(rms(parted))} px.", "",
+        f"{np.median(matches.correlation[others]):.3f}; coplanarity, rms: {text(rms(matches.misfit[others], 0))} m.",
+        f"* Agreement with the ties, rms across / along the parallax: {text(rms(parted, 0))} px.", "",
         *table(HEAD, rows), "", BELOW.format(near=NEAR, shift=100.0 * found.samples_per_metre),
     ])  # fmt: skip
 

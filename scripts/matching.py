@@ -32,6 +32,7 @@ from mgsgraph.registration.case import ProfileRegistration, register_case
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
+from mgsgraph.wording import root_mean_square
 
 PAGE = "matching_truth.md"
 BLUNDER = 1.0
@@ -141,7 +142,7 @@ def chained(path: Path, network: Path, site: SimulatedSite, matches: Matches) ->
     mine = np.array([row[name] for name in matches.ties.ids])
     off = second.places[mine] - ground_of(matches, site)
     sigmas = np.sqrt(np.diagonal(second.covariances[mine], axis1=1, axis2=2))
-    rms, scaled = (np.sqrt(np.nanmean(values**2, axis=0)) for values in (off, off / sigmas))
+    rms, scaled = (root_mean_square(values, 0) for values in (off, off / sigmas))
     registered = [register_case(case, solution) for case, solution in ((given, first), (matched, second))]
     return (
         number(apart(first, second)), number(second.sigma0), number(misregistration(registered[0].before)),
@@ -165,7 +166,7 @@ def misregistration(profiles: Sequence[ProfileRegistration]) -> float:
     """Root mean square over all footprints that two images see, m."""
     parts = [each.metres.ravel() for one in profiles for each in one.discrepancies]
     values = np.concatenate(parts) if parts else np.full(1, np.nan)
-    return float(np.sqrt(np.nanmean(values**2)))
+    return root_mean_square(values)
 
 
 def cells_of(row: Row) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from mgsgraph.spacing.densify import densify
 from mgsgraph.spacing.rays import hold_out, misfits, whitening
 from mgsgraph.spacing.spectrum import Peak, spectra
 from mgsgraph.units import MGON
+from mgsgraph.wording import root_mean_square
 
 SPACINGS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """s."""
@@ -92,7 +93,7 @@ def run(errors: TrajectoryErrors, jitter: Jitter | None, stated: float, seed: in
     fine = correction_series(adjust_network(respaced(net, SPACINGS[0]), plain), 0)
     found = [(spectrum.axis, peak) for spectrum in spectra(fine) for peak in spectrum.vibrations]
     nodes = sum(len(strip.nodes) for strip in closer.network.strips)
-    return Run(choice, nodes, float(np.sqrt(np.nanmean(white**2))), found)
+    return Run(choice, nodes, root_mean_square(white), found)
 
 
 def row(name: str, runs: list[Run]) -> list[str]:

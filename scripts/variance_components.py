@@ -31,6 +31,8 @@ from mgsgraph.simulation.strip import StripSettings, simulate_strip
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from redraw import redraw
 
+from mgsgraph.wording import root_mean_square
+
 FACTORS = (0.5, 2.0, 5.0)
 NOISE = NoiseSettings(tie=0.5, shot_image=1.0, range=10.0, ground=3.0)
 """Under which every group of the strip can be judged."""
@@ -117,7 +119,7 @@ def planted_table(names: tuple[str, ...], truths: list[np.ndarray], found: list[
             good = [(t, one) for t, one in mine if one.judgement is Judgement.JUDGED]
             plain, entangled = ([(t, one) for t, one in good if one.correlated is which] for which in (False, True))
             z = np.array([one.deviation(t) for t, one in entangled])
-            beside = f"{z.size}, {np.sqrt(np.mean(z**2)):.2f}" if z.size else "0"
+            beside = f"{z.size}, {root_mean_square(z):.2f}" if z.size else "0"
             what = f"{factors[0]:g}" if len(factors) == 1 else "all"
             lines.append(f"| {name} | {what} | {len(mine)} | {figures(plain)} | {beside} | {len(mine) - len(good)} |")
     every = [(t[g], one) for t, c in zip(truths, found, strict=True) for g, one in enumerate(c.groups)]
@@ -134,12 +136,12 @@ def figures(good: list) -> str:  # type: ignore[type-arg]
         return "- | - | - | - | - | -"
     z = np.array([one.deviation(truth) for truth, one in good])
     logs = np.array([np.log(one.factor / truth) for truth, one in good])
-    stated = np.sqrt(np.mean([(one.sigma / one.factor) ** 2 for _, one in good]))
+    stated = root_mean_square(np.array([one.sigma / one.factor for _, one in good]))
     low, high = np.sqrt(chi2.ppf([0.005, 0.995], n) / n)
     beyond, allowed = int(np.count_nonzero(np.abs(z) > Z99)), int(binom.ppf(0.99, n, 0.01))
     degrees = np.median([one.degrees for _, one in good])
     return (
-        f"{z.mean():.2f} (+-{Z99 / np.sqrt(n):.2f}) | {np.sqrt(np.mean(z**2)):.2f} ({low:.2f}-{high:.2f}) | "
+        f"{z.mean():.2f} (+-{Z99 / np.sqrt(n):.2f}) | {root_mean_square(z):.2f} ({low:.2f}-{high:.2f}) | "
         f"{beyond} ({allowed}) | {logs.std(ddof=1):.3f} | {stated:.3f} | {degrees:.0f}"
     )
 
@@ -167,7 +169,7 @@ def null_page(network: Network, grouping: Grouping, draws: int) -> str:
         one, p = found[0].groups[g], np.array(p_values)[:, g]
         z = np.array([c.groups[g].deviation(1.0) for c in found if c.groups[g].judgement is Judgement.JUDGED])
         z = z if z.size else np.array([np.nan])
-        page += f"| {name} | {one.rows} | {one.redundancy:.1f} | {z.mean():.2f} | {np.sqrt(np.mean(z**2)):.2f} | "
+        page += f"| {name} | {one.rows} | {one.redundancy:.1f} | {z.mean():.2f} | {root_mean_square(z):.2f} | "
         page += f"{100 * np.mean(p < 0.05):.0f}% |\n" if np.all(np.isfinite(p)) else "- |\n"
     return page
 

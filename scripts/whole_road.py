@@ -26,6 +26,8 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from archive_server import serving
 from simulated_archive import write_archive
 
+from mgsgraph.wording import root_mean_square as rms
+
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "whole_road.md"
 ROAD = (
     "fetch {images} --out DATA",
@@ -169,10 +171,6 @@ def laid_on(
         ]
         moved = moved + np.linalg.lstsq(np.column_stack([-slopes[0], -slopes[1], shape]), left, rcond=None)[0]
     return moved[:3], rms(left)
-
-
-def rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def table(steps: list[Step]) -> list[str]:

@@ -78,7 +78,7 @@ def _drawn_terrain(surface: Surface | None, rng: np.random.Generator) -> Array:
 
 def _drawn_corrections(network: Network, rng: np.random.Generator, angles: Angles) -> tuple[OrientationCorrection, ...]:
     """One for each image; the images of a strip have one in common."""
-    owner, adjusted = network.strip_of, network.own
+    owner, adjusted = network.strip_of, network.with_polynomial
     own = {
         j: _drawn_correction(network.priors[j].sigmas * adjusted[j], rng, angles)
         for j in np.flatnonzero(owner < 0).tolist()

@@ -3,6 +3,7 @@
 No block is left out: one in a language, or a page, that nothing here knows, fails.
 """
 
+import ast
 import re
 import shlex
 import textwrap
@@ -358,6 +359,22 @@ def test_modules_that_the_theory_names_are_there() -> None:
     for name in named:
         base = ROOT if name.startswith("factors/") else ROOT / "mgsgraph"
         assert (base / f"{name}.py").exists() or (base / name).is_dir(), name
+
+
+def test_the_theory_links_each_equation_to_functions_that_are_there() -> None:
+    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (?:\{eq\}`(\w+)` )?\| `([\w/]+)` \| (.+) \|$", text, re.MULTILINE)
+    assert {label for label, _, _ in rows if label} == set(re.findall(r"^\$\$ \((\w+)\)$", text, re.MULTILINE))
+    for _, file, functions in rows:
+        base = ROOT if file.startswith("factors/") else ROOT / "mgsgraph"
+        body = ast.parse((base / f"{file}.py").read_text(encoding="utf-8")).body
+        named = {node.name for node in body if isinstance(node, ast.FunctionDef)}
+        named |= {
+            f"{node.name}.{part.name}"
+            for node in body if isinstance(node, ast.ClassDef)
+            for part in node.body if isinstance(part, ast.FunctionDef)
+        }  # fmt: skip
+        assert set(re.findall(r"`([\w.]+)`", functions)) <= named, file
 
 
 def test_the_gallery_is_shown_whole() -> None:

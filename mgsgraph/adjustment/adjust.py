@@ -11,7 +11,6 @@ import numpy as np
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions, require_bundles
 from mgsgraph.adjustment.datum.datum import require_strength
-from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.shared import shared_values, shift_values, strip_values
@@ -24,6 +23,7 @@ from mgsgraph.adjustment.passes import (
     places_of_all,
     solve_in_passes,
     what_changes,
+    without_weak,
 )
 from mgsgraph.adjustment.posterior import (
     Residuals,
@@ -41,7 +41,7 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import FIXED, PRIOR
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.support import require_felt_nodes
+from mgsgraph.network.support import require_observed_nodes
 
 
 @dataclass(slots=True)
@@ -93,7 +93,7 @@ def adjust_network(
     WeakNetwork
         Nothing determines some direction of the orientation.
     InputError
-        Orientation images that hardly a ray feels, closer than the data supports.
+        Orientation images with too few rays near them, closer than the data supports.
         The explicit form, or one of GTSAM's optimisers, on a cluster; a partition that is too large for its worker.
     SolverError
         The cluster has gone.
@@ -101,8 +101,8 @@ def adjust_network(
     clock = _Clock()
     if cluster is not None:
         require_bundles(settings, cluster.where)
-    network.require_felt()
-    require_felt_nodes(network, None if left_in is None else left_in.rays)
+    network.require_observed()
+    require_observed_nodes(network, None if left_in is None else left_in.rays)
     layout = lay_out(network, settings)
     clock.stop("set up")
     with _sweeper(layout, cluster) as sweeper:
@@ -114,7 +114,7 @@ def adjust_network(
         nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places))
         clock.stop("residuals")
         solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
-        del before, layout, places  # the posterior needs the room
+        del before, layout, places  # the posterior needs the memory
         clock.stop("solve")
         return _posterior(settings, name, solved, nominal, clock, sweeper)
 
@@ -165,7 +165,7 @@ class Prediction:
 
 def predict(network: Network, settings: SolverSettings) -> Prediction:
     """Covariances that an adjustment of the network will have; raises what `adjust_network` raises before solving."""
-    network.require_felt()
+    network.require_observed()
     layout, selection, before = _nominal(lay_out(network, settings))
     rows, nominal = selection.rows(layout), np.zeros(layout.columns)
     joint = orientation_covariance(BundleGraph(layout, rows), before)
@@ -230,7 +230,7 @@ def _posterior(
     clock.stop("without laser")
     determined = layout.network_order(determined_points(rows))
     found = residuals(layout, orientation, solved.points, sweeper)
-    merit = fit(layout, rows, orientation, solved.points, found)
+    found_fit = fit(layout, rows, orientation, solved.points, found)
     if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
         found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
     found_before = nominal.residuals
@@ -247,7 +247,7 @@ def _posterior(
     shifts, lift = shift_values(network, layout.variables, orientation)
     coefficients = tuple(
         orientation[layout.columns_of(j)].reshape(-1, 6) if own else np.zeros_like(network.priors[j].sigmas)
-        for j, own in enumerate(network.own.tolist())
+        for j, own in enumerate(network.with_polynomial.tolist())
     )
     nodes, trends = strip_values(network, layout.variables, orientation)
     message = solved.outcome.message
@@ -265,7 +265,7 @@ def _posterior(
         history=solved.history,
         cost_initial=solved.cost_initial,
         cost_final=solved.outcome.cost_final,
-        fit=merit,
+        fit=found_fit,
         coefficients=coefficients,
         shifts=shifts,
         joint_covariance=joint,

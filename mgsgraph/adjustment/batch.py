@@ -146,39 +146,28 @@ def levenberg_marquardt(
         return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
     damping, rejected, before = _FIRST_DAMPING, 0, math.inf
     linear = problem.linear(state)
-    while len(history) < settings.max_iterations:
-        step = linear.step(damping)
-        if step is None:
-            damping *= _TIGHTEN**2
-            if damping > _MOST_DAMPING:
-                raise SolverError("the normal equations can't be solved at any damping; the network is too weak")
-            continue
-        predicted, length = linear.gain(step), math.sqrt(max(linear.slope(step), 0.0))
-        shorter = length <= _SHORTER * before
-        if linear.kept and not shorter:
-            linear = problem.linear(state)
-            continue
-        task = COSTS
-        if rejected == 0:
-            settled = shorter and damping <= _FIRST_DAMPING
-            task = GRADIENT if settled and _near(predicted, length, cost, settings) else SYSTEM
+    for number in range(1, settings.max_iterations + 1):
+        linear, step, damping = _solved(problem, state, linear, damping, _SHORTER * before)
+        predicted, length = linear.gain(step), _length(linear, step)
+        keep = rejected == 0 and damping <= _FIRST_DAMPING and length <= _SHORTER * before
+        keep = keep and _near(predicted, length, cost, settings)
         trial = problem.moved(state, step)
-        new = problem.cost(trial, task)
+        new = problem.cost(trial, COSTS if rejected else GRADIENT if keep else SYSTEM)
         accepted = _lower(problem, state, trial, cost, new)
-        now = Iteration(len(history) + 1, new, cost - new, predicted, length, damping, accepted)
+        now = Iteration(number, new, cost - new, predicted, length, damping, accepted)
         history.append(now)
         progress(now)
         last = length < settings.step_tolerance or min(predicted, abs(cost - new)) <= settings.cost_tolerance * cost
         if accepted:
-            state, cost = trial, new
+            state, cost, before = trial, new, length
         if last:
             return Outcome(state, initial, cost, True, _converged(now, settings), tuple(history))
-        if accepted and task == GRADIENT:
-            linear, before = problem.linear(state, linear), length
+        if accepted and keep:
+            linear = problem.linear(state, linear)
         elif accepted:
-            damping, rejected, before = max(damping * _EASE, _LEAST_DAMPING), 0, length
+            damping, rejected = max(damping * _EASE, _LEAST_DAMPING), 0
             linear = problem.linear(state)
-        elif linear.kept:
+        elif linear.kept:  # the fault may be the matrix's
             linear = problem.linear(state)
         else:
             rejected += 1
@@ -188,6 +177,26 @@ def levenberg_marquardt(
     limit = settings.max_iterations
     message = f"Stopped after {limit} iterations without converging; raise max_iterations or {_REMEDY}."
     return Outcome(state, initial, cost, False, message, tuple(history))
+
+
+def _solved(
+    problem: Problem[State], state: State, linear: LinearSystem[Any], damping: float, longest: float
+) -> tuple[LinearSystem[Any], Any, float]:
+    """A step, the linear system that it solves, and the least damping from `damping` on at which that can be solved.
+
+    A kept matrix is renewed where its step is longer than `longest` (posterior sigmas).
+    """
+    while (step := linear.step(damping)) is None or (linear.kept and _length(linear, step) > longest):
+        if step is not None:
+            linear = problem.linear(state)
+        elif (damping := damping * _TIGHTEN**2) > _MOST_DAMPING:
+            raise SolverError("the normal equations can't be solved at any damping; the network is too weak")
+    return linear, step, damping
+
+
+def _length(linear: LinearSystem[Any], step: Any) -> float:
+    """Length of a step in posterior sigmas."""
+    return math.sqrt(max(linear.slope(step), 0.0))
 
 
 def _near(predicted: float, length: float, cost: float, settings: SolverSettings) -> bool:

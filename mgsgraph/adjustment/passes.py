@@ -14,9 +14,10 @@ from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.errors import PointBehindCamera
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import OUT, Rows
+from mgsgraph.kernel.rows import BEHIND, OUT, WEAK, Rows
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network, PointClass
 from mgsgraph.ties import PointKind
@@ -256,3 +257,29 @@ def what_changes(settings: SolverSettings, network: Network) -> str:
 def determined_points(rows: Rows) -> Mask:
     """(n,) points that take part, layout order."""
     return np.asarray(rows.kind != OUT)
+
+
+def without_weak(layout: Layout, reduction: Reduction, selection: Selection) -> Selection:
+    """Leave out points that their rays don't determine; refuse points behind a camera."""
+    behind = np.flatnonzero(reduction.states == BEHIND)
+    if behind.size:
+        raise _behind(layout, int(behind[0]), reduction.points[behind[0]])
+    out = selection.out.copy()
+    out[layout.point_order[reduction.states == WEAK]] = True
+    return Selection(selection.rays, selection.ranges, out)
+
+
+def _behind(layout: Layout, index: int, point: Array) -> PointBehindCamera:
+    """The error for a point (index in the layout) that lies behind a camera: names point and image."""
+    network, i = layout.network, int(layout.point_order[index])
+    for k in np.flatnonzero(network.rays.point == i):
+        image = network.images[network.rays.image[k]]
+        pose = image.pose(network.rays.places[[k], 0])
+        if (pose.matrix[0] @ (point - pose.position[0]))[2] <= 0.0:
+            break
+    return PointBehindCamera(
+        f"point {network.points.ids[i]}, image {image.name}",
+        "the point lies behind the camera",
+        "a point before it",
+        "check the point's a-priori place, the measure and the image's orientation",
+    )

@@ -234,7 +234,8 @@ def orientation_profile(solution: Solution, image: int, places: int = 31) -> Ori
     correction, moments = solution.correction(image), picture.moments(lines)
     before, after = picture.pose(lines), picture.pose(lines, correction)
     covariance = np.stack([
-        _through(solution.joint_covariance, felt) for felt in designs(solution.network, image, correction.angles, lines)
+        _through(solution.joint_covariance, parts)
+        for parts in designs(solution.network, image, correction.angles, lines)
     ])  # fmt: skip
     turn = correction.axes(before, moments)
     about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)
@@ -255,10 +256,10 @@ def orientation_profile(solution: Solution, image: int, places: int = 31) -> Ori
     )
 
 
-def _through(joint: JointCovariance, felt: Mapping[int, Array]) -> Array:
+def _through(joint: JointCovariance, parts: Mapping[int, Array]) -> Array:
     """(6, 6) covariance of what follows from some variables, each with its matrix (6, width)."""
-    design = np.concatenate(list(felt.values()), axis=1)
-    return np.asarray(design @ joint.of(felt) @ design.T)
+    design = np.concatenate(list(parts.values()), axis=1)
+    return np.asarray(design @ joint.of(parts) @ design.T)
 
 
 def _root(covariance: Array) -> Array:

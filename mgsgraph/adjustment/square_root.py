@@ -287,8 +287,8 @@ def in_cliques(first: Index, width: Index, cliques: Sequence[Sequence[int]], row
 def _require_factors(linear: gtsam.GaussianFactorGraph, variable: Mapping[int, int]) -> None:
     """Raise unless there are factors on all of these keys, and on no others."""
     found = set(linear.keyVector())
-    if strangers := sorted(found - set(variable)):
-        raise ValueError(f"factors on the keys {strangers[:3]}, which belong to no adjusted variable")
+    if foreign := sorted(found - set(variable)):
+        raise ValueError(f"factors on the keys {foreign[:3]}, which belong to no adjusted variable")
     for key in sorted(set(variable) - found)[:1]:
         raise RuntimeError(f"Indeterminate linear system: no factor on variable {variable[key]}")
 

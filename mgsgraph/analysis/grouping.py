@@ -93,7 +93,7 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
     ground = np.full(n if np.any(network.points.covariances) else 0, GROUND_PRIORS)
     heights = np.full(0 if network.surface is None else n, HEIGHTS)
     labels = [of_ray.astype(str), np.full(network.ranges.point.size, RANGES), ground, heights]
-    own = network.own
+    own = network.with_polynomial
     labels += [part for j, part in enumerate(parts) if j >= own.size or own[j]]
     names = list(dict.fromkeys(name for part in labels for name in dict.fromkeys(part.tolist())))
     number = {name: g for g, name in enumerate(names)}

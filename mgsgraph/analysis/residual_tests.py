@@ -15,10 +15,10 @@ from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows
 from mgsgraph.analysis.linearised import Linearised, at_solution, prior_rows
-from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import reliability
+from mgsgraph.wording import root_mean_square
 
 ALPHA = 0.05
 """Probability of a false alarm of the tests."""
@@ -210,7 +210,7 @@ class ResidualStatistics:
         if self.values.size < 2:
             return math.nan
         away = self.values - self.mean
-        scale = math.sqrt(float(np.mean(away**2)))
+        scale = root_mean_square(away)
         return float(np.mean(away**order)) / scale**order if scale > 0.0 else math.nan
 
 

@@ -63,7 +63,7 @@ def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
     shared, values = solution.network.shared[k], solution.shared[k]
     factor = MRAD if shared.kind.unit == "rad" else 1.0
     sigmas = np.sqrt(np.diag(solution.shared_covariance(k)))
-    images = shared.images[solution.network.own[shared.images]]
+    images = shared.images[solution.network.with_polynomial[shared.images]]
     correlation, likeness, shares, together = _with_pitch(solution, k, images)
     found = []
     ground = np.array([_grounds(solution, shared, j) for j in images.tolist()]).reshape(images.size, shared.kind.width)

@@ -3,7 +3,6 @@
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +13,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.ties import PointKind
+from mgsgraph.wording import root_mean_square
 
 CLASSES = len(PointClass)
 PLACES = 31
@@ -27,7 +27,7 @@ def mean_and_rms(values: Array) -> tuple[Array, Array]:
     if values.shape[0] == 0:
         nothing = np.full(values.shape[1:], np.nan)
         return nothing, nothing
-    return values.mean(axis=0), np.sqrt(np.mean(values**2, axis=0))
+    return values.mean(axis=0), root_mean_square(values, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,11 +204,6 @@ def local_sigmas(covariances: Array, points: Array) -> Array:
 def sigmas_along(axes: Array, covariances: Array) -> Array:
     """(n, a) standard deviations along unit vectors (n, a, 3), of covariances (n, 3, 3)."""
     return np.asarray(np.sqrt(np.maximum(np.einsum("nai,nij,naj->na", axes, covariances, axes), 0.0)))
-
-
-def root_mean_square(values: Array) -> float:
-    """Root mean square about zero; NaN where there is nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
 
 def solution_connectivity(solution: Solution) -> Connectivity:

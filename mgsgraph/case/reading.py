@@ -96,7 +96,7 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     profiles = _add_laser(parts, wanted, path) if laser else ()
     if not parts.ids:
         raise InputError(str(path), "neither ties nor ground control nor laser", "at least one of them")
-    settings = SolverSettings(**{name: getattr(wanted.solver, name) for name in wanted.solver.__struct_fields__})
+    settings = wanted.solver.settings
     held = np.array([image.held for image in wanted.images])
     network = parts.network(priors, held, *_read_terrain(wanted, path, images), wanted.terrain)
     network = _with_strips(network, wanted, of_strips, path)
@@ -133,7 +133,7 @@ def _with_shared(network: Network, wanted: CaseInput, path: Path, laser: bool) -
         shared = tuple(one for one in shared if not one.kind.of_laser)
     with errors_from(str(path)):
         network = replace(network, shared=shared)
-        network.require_felt()
+        network.require_observed()
         return network
 
 

@@ -57,8 +57,6 @@ def read_scene(
     _require_sound(height, height_sigma)
     wanted = decode(path)
     names = [image.name for image in wanted.images]
-    for name in [name for k, name in enumerate(names) if name in names[:k]][:1]:
-        raise InputError(f"{path}, images", f"{name!r} twice", "each image once")
     if len(wanted.images) < 2:
         raise InputError(str(path), "one image", "two that overlap, at least")
     of_strips = members(wanted.strips, names, str(path))

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method
+from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -21,6 +21,7 @@ from mgsgraph.wording import listed
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Sigma = Annotated[float, msgspec.Meta(ge=1e-6, le=1e9)]
 """Standard deviations that mean something: a micropixel or a micrometre to a million kilometres."""
+_DEFAULTS = SolverSettings()
 
 
 class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -36,15 +37,18 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of the constant term along the body-fixed axes; inf for unknown."""
     angle_sigma_mrad: float | list[float] = 0.29
     """Sigma of the constant term about the camera axes (1 arcmin by default); inf for unknown."""
-    trend: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)] = (1.0, 0.1, 0.01)
-    """Factor of the constant term's sigma for each power of u, at u = 1; its last value serves higher powers."""
+    trend: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)] | None = None
+    """Factor of the constant term's sigma for each power of u, at u = 1; 1, 0.1, then 0.01 when absent."""
 
     def prior(self, where: str) -> OrientationPrior:
         """The sigmas, (degree + 1, 6), in m and rad; `where` names this table in errors."""
         position = _three_sigmas(self.position_sigma_m, f"{where}, position_sigma_m")
         angle = _three_sigmas(self.angle_sigma_mrad, f"{where}, angle_sigma_mrad") * MRAD
-        factors = [self.trend[min(k, len(self.trend) - 1)] for k in range(self.degree + 1)]
-        return OrientationPrior(np.outer(factors, np.concatenate([position, angle])))
+        factors = self.trend or (1.0, 0.1) + (0.01,) * self.degree
+        if len(factors) <= self.degree:
+            expected = f"{self.degree + 1}, one for each power from 0 to degree = {self.degree}"
+            raise InputError(f"{where}, trend", f"{len(factors)} factors", expected)
+        return OrientationPrior(np.outer(factors[: self.degree + 1], np.concatenate([position, angle])))
 
 
 def _three_sigmas(value: float | list[float], where: str) -> Array:
@@ -254,16 +258,21 @@ class SpiceInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Choices of the solver; see SolverSettings."""
+    """Choices of the solver; see SolverSettings, which has their meaning and their defaults."""
 
-    form: Form = "bundle"
-    method: Method = "levenberg-marquardt"
-    line: Line = "predicted"
-    angles: Angles = "camera"
-    loss: Loss = "none"
-    loss_width: Positive | None = None
-    reject: float = 0.0
-    max_iterations: Annotated[int, msgspec.Meta(ge=1)] = 50
+    form: Form = _DEFAULTS.form
+    method: Method = _DEFAULTS.method
+    line: Line = _DEFAULTS.line
+    angles: Angles = _DEFAULTS.angles
+    loss: Loss = _DEFAULTS.loss
+    loss_width: Positive | None = _DEFAULTS.loss_width
+    reject: float = _DEFAULTS.reject
+    max_iterations: Annotated[int, msgspec.Meta(ge=1)] = _DEFAULTS.max_iterations
+
+    @property
+    def settings(self) -> SolverSettings:
+        """The same as the adjustment takes them."""
+        return SolverSettings(**msgspec.structs.asdict(self))
 
 
 class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -331,4 +340,10 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 def decode(path: Path) -> CaseInput:
     """A case file's tables, validated; InputError with the path of what is wrong."""
-    return validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")
+    wanted = validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")
+    first = dict[str, int]()
+    for k, image in enumerate(wanted.images):
+        if first.setdefault(image.name, k) != k:
+            found = f"the name {image.name!r}, which images[{first[image.name]}] has, too"
+            raise InputError(f"{path}, images[{k}]", found, "each image once", "rename one of the two, or take it out")
+    return wanted

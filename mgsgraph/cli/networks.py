@@ -92,7 +92,7 @@ def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | No
     usgscsm. isis: control network with adjusted points, lidar data, jigsaw's tables. asp: matches, control points,
     cameras. gis: a GeoPackage, and with --raster a GeoTIFF.
     """
-    from mgsgraph.export.export import ExportSettings, export_solution
+    from mgsgraph.export.solution_export import ExportSettings, export_solution
     from mgsgraph.project.reading import results_of
 
     support = None

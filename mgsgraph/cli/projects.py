@@ -177,7 +177,7 @@ def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) ->
 
     with (
         open_project(project, write=True, thorough=True) as opened,
-        iteration_bar(verbose, opened.settings.solver_settings.max_iterations) as bar,
+        iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
     ):
         solved = solve_all(opened, figures=not no_figures, progress=bar)
     click.echo(summary_table(solved.solution))

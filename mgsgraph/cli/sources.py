@@ -8,7 +8,7 @@ import click
 from mgsgraph.cli.options import NO_FIGURES, PATH
 
 if TYPE_CHECKING:
-    from mgsgraph.fetch.fetch import Planned
+    from mgsgraph.fetch.folder import Planned
     from mgsgraph.matching.settings import MatchSettings
 
 
@@ -133,7 +133,7 @@ def fetch(
         raise click.UsageError("Missing option '--out'")
     from mgsgraph.cli.progress import byte_bar, passing_word
     from mgsgraph.fetch.archives import Archives
-    from mgsgraph.fetch.fetch import fetch_images, survey
+    from mgsgraph.fetch.folder import fetch_images, survey
 
     archives = Archives.chosen(mirror, mirrors)
     if out is None or dry_run:

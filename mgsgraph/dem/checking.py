@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.case.reading import read_mola, read_shots
 from mgsgraph.case.schema import CaseInput, MolaInput
 from mgsgraph.dem.gridding import HeightGrid
@@ -26,6 +25,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.wording import root_mean_square
 
 OUTSIDE = 3.0
 """Sigmas beyond which a difference is counted by itself."""
@@ -170,5 +170,3 @@ def check_merit(checks: HeightChecks, mine: Mask) -> dict[str, float]:
         "scatter_by_independent_sigma": root_mean_square((off - off.mean()) / checks.independent[mine]),
         "beyond_3_sigma": float(np.mean(np.abs(ratio) > OUTSIDE)),
     }
-
-

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.scene import GroundChart
@@ -115,12 +116,7 @@ def bilinear(values: Array, pixels: Array) -> Array:
     """(n, ...) values (rows, columns, ...) of posts read between them at pixels (n, 2), row and column; NaN outside and
     beside posts that are NaN.
     """
-    size = np.array(values.shape[:2])
-    inside = np.all((pixels >= 0.0) & (pixels <= size - 1.0), axis=1)
-    row, column = np.clip(np.floor(np.where(inside[:, None], pixels, 0.0)), 0, np.maximum(size - 2, 0)).astype(int).T
-    shape = (-1,) + (1,) * (values.ndim - 2)
-    s, e = (part.reshape(shape) for part in (pixels[:, 0] - row, pixels[:, 1] - column))
-    below, right = np.minimum(row + 1, size[0] - 1), np.minimum(column + 1, size[1] - 1)
-    upper = (1.0 - e) * values[row, column] + e * values[row, right]
-    lower = (1.0 - e) * values[below, column] + e * values[below, right]
-    return np.where(inside.reshape(shape), (1.0 - s) * upper + s * lower, np.nan)
+    inside = np.all((pixels >= 0.0) & (pixels <= np.array(values.shape[:2]) - 1.0), axis=1)
+    found = between_nodes(values, np.where(inside[:, None], pixels, 0.0))
+    found[~inside] = np.nan
+    return found

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.dem.checking import CheckProfile, HeightChecks, checked
 from mgsgraph.dem.gridding import HeightGrid, gridded
 from mgsgraph.dem.map import MapGrid
@@ -21,6 +20,7 @@ from mgsgraph.matching.coarse import pixel_on_ground
 from mgsgraph.matching.scene import Scene
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.units import KM
+from mgsgraph.wording import root_mean_square
 
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches

@@ -22,6 +22,7 @@ import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.network import ImageRays
@@ -167,21 +168,9 @@ class _Nodes(NamedTuple):
 
     def at(self, places: Array) -> Array:
         """(n, 3, 3) m^2, bilinear at places (n, 2) of the first image."""
-        (row, s), (column, e) = (
-            _between(nodes, one) for nodes, one in zip((self.lines, self.samples), places.T, strict=True)
-        )
-        corners = [
-            (weight[:, None, None], self.covariances[row + i, column + j])
-            for i, along in ((0, 1.0 - s), (1, s))
-            for j, weight in ((0, along * (1.0 - e)), (1, along * e))
-        ]
-        return np.asarray(sum(weight * corner for weight, corner in corners))
-
-
-def _between(nodes: Array, values: Array) -> tuple[Index, Array]:
-    """Number of the node before each of values (n,), and how far on the way to the next one, 0 .. 1."""
-    before = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
-    return before, np.clip((values - nodes[before]) / np.diff(nodes)[before], 0.0, 1.0)
+        axes = zip((self.lines, self.samples), places.T, strict=True)
+        at = np.column_stack([np.interp(values, nodes, np.arange(nodes.size)) for nodes, values in axes])
+        return between_nodes(self.covariances, at)
 
 
 def _orientation_nodes(posterior: Posterior, scene: Scene, one: "DenseMatches") -> _Nodes:

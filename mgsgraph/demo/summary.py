@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.statistics import PLACES, root_mean_square
+from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
 from mgsgraph.demo.demonstration import DRAWING, INPUTS, Demonstration, demonstrate, demonstrate_pair, true_points
 from mgsgraph.demo.simulate import PAIR
@@ -25,7 +25,7 @@ from mgsgraph.simulation.site import SimulatedImage, SimulationOptions
 from mgsgraph.simulation.terrain import grid_shift
 from mgsgraph.stages import Stages
 from mgsgraph.units import ARCMIN, ARCSEC
-from mgsgraph.wording import listed, many
+from mgsgraph.wording import listed, many, root_mean_square
 
 SUMMARY = "summary.json"
 """File of the demo's figures."""

@@ -24,6 +24,7 @@ from mgsgraph.registration.footprints import Misregistration, misregistration, o
 from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.simulation.site import SimulatedSite
+from mgsgraph.wording import root_mean_square
 
 
 def nees(errors: Array, covariances: Array) -> Array:
@@ -65,7 +66,7 @@ def pair_statements(solution: Solution, pair: SimulatedPair) -> list[str]:
 
 def rms_length(errors: Array) -> float:
     """Root mean square length, m."""
-    return float(np.sqrt(np.mean(np.einsum("ni,ni->n", errors, errors))))
+    return root_mean_square(np.linalg.norm(errors, axis=1))
 
 
 # --- places of footprints

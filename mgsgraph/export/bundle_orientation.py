@@ -43,7 +43,8 @@ class OrientationPolynomials(NamedTuple):
 def common_degree(solution: Solution) -> int:
     """Highest degree of the images' own polynomials; jigsaw's usual 2 where no image has any."""
     network = solution.network
-    return max((network.priors[j].degree for j in np.flatnonzero(network.own).tolist()), default=_USUAL_DEGREE)
+    images = np.flatnonzero(network.with_polynomial).tolist()
+    return max((network.priors[j].degree for j in images), default=_USUAL_DEGREE)
 
 
 def orientation_polynomials(solution: Solution, image: int, degree: int) -> OrientationPolynomials:
@@ -92,11 +93,11 @@ def _sigmas(
 ) -> tuple[Array, Array]:
     """A-priori and adjusted sigmas (6, d + 1) of the coefficients."""
     network, width = solution.network, solution.joint_covariance.square_root.width
-    felt = designs(network, image, solution.correction(image).angles, lines)
-    variables = sorted({variable for part in felt for variable in part})
+    effects = designs(network, image, solution.correction(image).angles, lines)
+    variables = sorted({variable for part in effects for variable in part})
     first = dict(zip(variables, np.cumsum([0, *(int(width[v]) for v in variables)]).tolist(), strict=False))
     design = np.zeros((lines.size, 6, sum(int(width[v]) for v in variables)))
-    for part, row in zip(felt, design, strict=True):
+    for part, row in zip(effects, design, strict=True):
         for variable, matrix in part.items():
             row[:, first[variable] : first[variable] + matrix.shape[1]] = matrix
     halves = [np.einsum("nij,njw->niw", turned[k], design[:, 3 * k : 3 * k + 3]) for k in range(2)]
@@ -104,7 +105,7 @@ def _sigmas(
     shape, rows = rows.shape[:2], rows.reshape(-1, design.shape[2])
     variance = np.einsum("rw,rw->r", rows @ solution.joint_covariance.of(variables), rows)
     prior = np.full(rows.shape[0], np.nan)
-    if network.own[image]:
+    if network.with_polynomial[image]:
         own = rows[:, first[image] : first[image] + int(width[image])]
         own = np.where(np.abs(own) > _NOTHING * np.abs(own).max(axis=1, keepdims=True), own, 0.0)
         counts, sigmas = own != 0.0, np.broadcast_to(network.priors[image].sigmas.ravel(), own.shape)

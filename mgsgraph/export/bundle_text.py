@@ -13,6 +13,7 @@ from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import PointClass
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM
+from mgsgraph.wording import root_mean_square
 
 _COORDINATES = ("LATITUDE", "LONGITUDE", "RADIUS")
 _LABELS = ("  X  ", "  Y  ", "  Z  ", " RA  ", "DEC  ", "TWI  ")
@@ -130,7 +131,7 @@ def _head(solution: Solution, tables: Tables, scaled: bool) -> list[str]:
 
 def _options(solution: Solution) -> list[str]:
     network, settings = solution.network, solution.settings
-    own = np.flatnonzero(network.own).tolist()
+    own = np.flatnonzero(network.with_polynomial).tolist()
     degree = max((network.priors[j].degree for j in own), default=None)
     solved = "ALL POLYNOMIAL COEFFICIENTS" if degree is not None and degree >= len(_SOLVED) else None
     none = "N/A (orientation images)" if network.strips else "NONE"
@@ -198,7 +199,7 @@ def _results(solution: Solution) -> list[str]:
         "Rejected Observations": 2 * int((~used).sum()),
         "Constrained Point Parameters": 3 * int(np.sum(network.points.kinds == PointKind.CONSTRAINED)),
         "Constrained Image Parameters": sum(
-            int(np.isfinite(network.priors[j].sigmas).sum()) for j in np.flatnonzero(network.own).tolist()
+            int(np.isfinite(network.priors[j].sigmas).sum()) for j in np.flatnonzero(network.with_polynomial).tolist()
         ),
         "Lidar Range Constraints": int(solution.ranges_used.sum()),
         "Unknowns": fit.unknowns,
@@ -239,7 +240,7 @@ def _image_measures(solution: Solution, tables: Tables) -> list[str]:
     rows = zip(names, tables.image_accepted.tolist(), tables.image_total.tolist(), tables.image_rms, strict=True)
     lines += [f"{name:{width}} {used:12d} {total:12d}     {_three(rms)} " for name, used, total, rms in rows]
     # jigsaw's total: of the images' root mean squares, whatever the number of their measures
-    every = np.sqrt(np.mean(tables.image_rms**2, axis=0))
+    every = root_mean_square(tables.image_rms, 0)
     return [*lines, "", f"{'Total RMS:':{width + 31}}{_three(every)}"]
 
 
@@ -271,7 +272,7 @@ def _uncertainties(solution: Solution, tables: Tables) -> list[str]:
             lines += [f"{what} Sigma {name}(m)                 N/A" for what in ("RMS", "MIN", "MAX")]
             continue
         values = tables.sigmas[mine, c]
-        lines.append(f"RMS Sigma {name}(m){np.sqrt(np.mean(values**2)):20.8f}")
+        lines.append(f"RMS Sigma {name}(m){root_mean_square(values):20.8f}")
         for what, k in (("MIN", values.argmin()), ("MAX", values.argmax())):
             lines.append(f"{what} Sigma {name}(m){values[k]:20.8f} at {solution.network.points.ids[mine[k]]}")
         lines.append("")

@@ -166,8 +166,8 @@ def lagrange(values: list[float], width: int, first: float, step: float, times: 
     nodes = np.asarray(values, dtype=np.float64).reshape(-1, width)
     where = (times - first) / step
     index = np.clip(np.nan_to_num(np.trunc(where)), 0, len(nodes) - 2).astype(int)
-    room = np.minimum(index, len(nodes) - 2 - index)
-    orders = np.minimum(2 * np.minimum(room, 3) + 2, highest)
+    beside = np.minimum(index, len(nodes) - 2 - index)
+    orders = np.minimum(2 * np.minimum(beside, 3) + 2, highest)
     result = np.empty((times.size, width))
     for order in np.unique(orders).tolist():
         mine = np.flatnonzero(orders == order)

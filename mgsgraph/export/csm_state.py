@@ -170,10 +170,10 @@ def _covariance(solution: Solution, image: int, tables: RefinedTables, scales: d
     count = max(_PLACES, 4 * correction.coefficients.shape[0])
     lines = np.linspace(0.0, float(picture.lines), count)
     moments = picture.moments(lines)
-    felt = np.einsum("nd,ck->ncdk", correction.basis(moments), np.eye(6)).reshape(count, 6, -1)
-    felt[:, 3:] = correction.axes(picture.pose(lines), moments) @ felt[:, 3:]
+    effects = np.einsum("nd,ck->ncdk", correction.basis(moments), np.eye(6)).reshape(count, 6, -1)
+    effects[:, 3:] = correction.axes(picture.pose(lines), moments) @ effects[:, 3:]
     design = _parameter_design(picture.pose(lines, correction).position, moments.times - tables.shift, tables, scales)
-    fitted = np.linalg.lstsq(design.reshape(6 * count, -1), felt.reshape(6 * count, -1))[0]
+    fitted = np.linalg.lstsq(design.reshape(6 * count, -1), effects.reshape(6 * count, -1))[0]
     result = np.zeros((PARAMETERS, PARAMETERS))
     result[:-1, :-1] = fitted @ solution.correction_covariance(image) @ fitted.T
     return np.asarray(0.5 * (result + result.T))

@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_losses import Format, losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.io.asp.gcp import ground_control_text, read_ground_control_network
-from mgsgraph.io.asp.match import Matches, joined, match_files, read_match, read_match_text
+from mgsgraph.io.asp.match import MatchFile, joined, match_files, read_match, read_match_text
 from mgsgraph.io.asp.match_names import images_of, prefix_of
 from mgsgraph.io.asp.nvm import half_sizes, nvm_files, read_nvm
 from mgsgraph.io.control.binary import binary_network
@@ -123,7 +123,7 @@ def _listed(paths: Paths) -> list[Path]:
     return found
 
 
-def _match(path: Path, form: Format, setting: ExchangeSetting) -> Matches:
+def _match(path: Path, form: Format, setting: ExchangeSetting) -> MatchFile:
     """One match file; its images by the names that are known, unless a prefix is."""
     if not os.path.exists(path):  # said before its name is taken apart, which may be a pattern that met nothing
         raise InputError(str(path), "no such file", remedy="check the path")

@@ -11,7 +11,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.io.asp.gcp import keeps_ids
 from mgsgraph.io.asp.match import one_sigma
 from mgsgraph.io.asp.match_names import stem
-from mgsgraph.io.asp.measures import Measures, measures_of, takes_part
+from mgsgraph.io.asp.measures import PixelMeasures, measures_of, takes_part
 from mgsgraph.io.control.pvl import LOG_NAMES
 from mgsgraph.io.control.record import (
     AprioriSource,
@@ -171,7 +171,7 @@ def _of_table(network: ControlNetwork) -> list[str]:
     ]
 
 
-def _of_matches(rows: Measures, form: Format) -> list[str]:
+def _of_matches(rows: PixelMeasures, form: Format) -> list[str]:
     sigmas, places = one_sigma(rows.sigmas), rows.places
     differ = np.ptp(rows.sigmas, axis=1) > 0.0
     lines = [
@@ -193,13 +193,13 @@ def _single(values: Array) -> Array:
     return values.astype(np.float32).astype(np.float64)
 
 
-def _unstated(rows: Measures) -> list[str]:
+def _unstated(rows: PixelMeasures) -> list[str]:
     missing = int(np.isnan(rows.sigmas).any(axis=1).sum())
     return _line("that {} has no sigma (1 px is written)" if missing == 1 else
                  "that {} have no sigma (1 px is written)", missing, "measure")  # fmt: skip
 
 
-def _of_nvm(rows: Measures) -> list[str]:
+def _of_nvm(rows: PixelMeasures) -> list[str]:
     points = rows.points
     apriori, adjusted = ([getattr(one, name) is not None for one in points] for name in ("apriori", "adjusted"))
     counts = Counter(zip(apriori, adjusted, strict=True))
@@ -213,7 +213,7 @@ def _of_nvm(rows: Measures) -> list[str]:
     ]
 
 
-def _of_control(rows: Measures) -> list[str]:
+def _of_control(rows: PixelMeasures) -> list[str]:
     fixed = sum(one.type == PointType.FIXED and bool(one.apriori_covariance) for one in rows.points)
     ids = 0 if keeps_ids(rows.points) else len(rows.points)
     return [

@@ -44,7 +44,7 @@ class Archives:
 
     @classmethod
     def read(cls, path: Path) -> "Archives":
-        """From a TOML file, ``kernels = "https://..."`` and so on; the public ones where it is silent.
+        """From a TOML file, ``kernels = "https://..."`` and so on; the public ones for keys that it lacks.
 
         Raises
         ------

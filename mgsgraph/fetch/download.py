@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import require_address
-from mgsgraph.fetch.part import Part, Source
+from mgsgraph.fetch.part import PartialFile, RemoteSource
 
 if TYPE_CHECKING:
     import requests
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Check = Callable[[Path], None]
 """Raises InputError when a file that has come is not what it should be."""
-Told = Callable[[int, int | None], None]
-"""Is told of bytes that are there and of all bytes, where they are known."""
+ByteProgress = Callable[[int, int | None], None]
+"""Called with the bytes that are there and all bytes, where these are known."""
 
 _ELSEWHERE = "try later, or another mirror"
 _PIECE = 1 << 16
@@ -55,7 +55,7 @@ class Stopped(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
+class RetryPolicy:
     """How long an archive is waited for; s."""
 
     tries: int = 6
@@ -80,10 +80,10 @@ class _Trouble(Exception):
 class Remote:
     """Archives over HTTP; may be used from several threads at once."""
 
-    def __init__(self, patience: Patience | None = None, say: Callable[[str], None] = lambda sentence: None) -> None:
-        """`say` is told, in a sentence, of every wait before something is tried again."""
+    def __init__(self, retry: RetryPolicy | None = None, say: Callable[[str], None] = lambda sentence: None) -> None:
+        """`say` is called, with a sentence, on every wait before something is tried again."""
         _require_requests()
-        self._patience = patience or Patience()
+        self._retry = retry or RetryPolicy()
         self._mine = threading.local()
         self._sessions: list[requests.Session] = []
         self._stop = threading.Event()
@@ -135,8 +135,9 @@ class Remote:
             return ""
 
     def download(
-        self, url: str, path: Path, check: Check, told: Told = lambda done, total: None, known: Source | None = None
-    ) -> Source | None:
+        self, url: str, path: Path, check: Check, progress: ByteProgress = lambda done, total: None,
+        known: RemoteSource | None = None,
+    ) -> RemoteSource | None:
         """Bring a file; it takes its place at `path` when it is whole and `check` has nothing against it.
 
         Parameters
@@ -146,9 +147,9 @@ class Remote:
             Where to; its folder is made. What has come lies beside it as NAME.part until it is whole.
         check : callable
             Looks at the whole NAME.part; what it raises ends the download, and the part is forgotten.
-        told : callable
-            Told of progress.
-        known : Source, optional
+        progress : callable
+            Called as bytes come.
+        known : RemoteSource, optional
             What is at `path` already: nothing is done where the archive says it is that still.
 
         Returns
@@ -163,8 +164,8 @@ class Remote:
         InputError
             Everything else, one line.
         """
-        part = Part(path, url)
-        source = self._persist(url, lambda: self._attempt(url, part, told, known), lambda: part.size)
+        part = PartialFile(path, url)
+        source = self._persist(url, lambda: self._attempt(url, part, progress, known), lambda: part.size)
         if source is None:
             return None
         try:
@@ -177,7 +178,9 @@ class Remote:
 
     # --- one try
 
-    def _attempt(self, url: str, part: Part, told: Told, known: Source | None) -> Source | None:
+    def _attempt(
+        self, url: str, part: PartialFile, progress: ByteProgress, known: RemoteSource | None
+    ) -> RemoteSource | None:
         if part.source is not None and part.source.total is not None and part.size >= part.source.total:
             if part.whole:
                 return part.source
@@ -194,12 +197,12 @@ class Remote:
             elif part.source is None or not part.source.same_content(said) or _first(answer) != part.size:
                 part.discard()
                 raise _Trouble("its content has changed while it was being fetched")
-            told(part.size, said.total)
+            progress(part.size, said.total)
             for piece in _pieces(answer):
                 if self._stop.is_set():
                     raise Stopped
                 part.add(piece)
-                told(part.size, said.total)
+                progress(part.size, said.total)
         if not part.whole:
             raise _Trouble(f"{part.size} bytes came of {said.total} that were announced")
         return said
@@ -209,10 +212,10 @@ class Remote:
         """The archive's answer, of a status that means content; all that can go wrong in words."""
         import requests
 
-        patience = self._patience
+        retry = self._retry
         try:
             with self._session().get(
-                url, headers=dict(headers), stream=True, timeout=(patience.connecting, patience.reading)
+                url, headers=dict(headers), stream=True, timeout=(retry.connecting, retry.reading)
             ) as answer:
                 _require_content(url, answer)
                 self._open.add(answer)
@@ -261,14 +264,14 @@ class Remote:
                 self._wait(url, trouble, failures)
 
     def _wait(self, url: str, trouble: _Trouble, failures: int) -> None:
-        patience = self._patience
+        retry = self._retry
         remedy = "the same command goes on where it was: try later, or another mirror"
-        if failures >= patience.tries:
+        if failures >= retry.tries:
             raise InputError(url, f"{trouble.found}, {failures} times in a row", remedy=remedy)
-        if trouble.after > patience.longest_wait:
+        if trouble.after > retry.longest_wait:
             raise InputError(url, f"{trouble.found}, and it asks to come back in {trouble.after:.0f} s", remedy=remedy)
-        seconds = max(trouble.after, patience.first_wait * 2.0 ** max(0, failures - 1))
-        seconds = min(seconds, patience.longest_wait)
+        seconds = max(trouble.after, retry.first_wait * 2.0 ** max(0, failures - 1))
+        seconds = min(seconds, retry.longest_wait)
         self._say(f"{url}: {trouble.found}; tried again in {seconds:.0f} s")
         if self._stop.wait(seconds):
             raise Stopped
@@ -298,14 +301,14 @@ def _require_content(url: str, answer: "requests.Response") -> None:
         raise InputError(url, f"sent as {answer.headers['Content-Encoding']}", "the file as it is", _ELSEWHERE)
 
 
-def _source(url: str, answer: "requests.Response") -> Source:
+def _source(url: str, answer: "requests.Response") -> RemoteSource:
     """What the answer says of the whole file."""
     headers = answer.headers
     length = headers.get("Content-Length", "")
     if answer.status_code == 206:  # bytes 10-99/100
         length = headers.get("Content-Range", "").rpartition("/")[2]
     total = int(length) if length.strip().isdecimal() else None
-    return Source(url, total, headers.get("ETag", ""), headers.get("Last-Modified", ""))
+    return RemoteSource(url, total, headers.get("ETag", ""), headers.get("Last-Modified", ""))
 
 
 def _pieces(answer: "requests.Response") -> Iterator[bytes]:
@@ -337,7 +340,7 @@ def _first(answer: "requests.Response") -> int | None:
     return int(start) if start.isdecimal() else None
 
 
-def _unless(known: Source | None) -> Mapping[str, str]:
+def _unless(known: RemoteSource | None) -> Mapping[str, str]:
     """Headers that ask for the file unless it is still what is known."""
     if known is None or not (known.etag or known.modified):
         return {}

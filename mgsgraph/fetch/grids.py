@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, cast, get_args
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
-from mgsgraph.fetch.needs import Wanted
+from mgsgraph.fetch.needs import WantedFile
 
 Terrain = Literal["4", "16", "128", "none"]
 """Pixels per degree."""
@@ -73,10 +73,10 @@ def topography(stem: str) -> str:
     return stem.replace("megr", "megt")
 
 
-def wanted_grids(grid: Grid, archives: Archives) -> tuple[Wanted, ...]:
+def wanted_grids(grid: Grid, archives: Archives) -> tuple[WantedFile, ...]:
     """Files of a grid with their labels."""
     return tuple(
-        Wanted(f"{archives.megdr}{name}{suffix}", f"megdr/{name.partition('/')[2]}{suffix}")
+        WantedFile(f"{archives.megdr}{name}{suffix}", f"megdr/{name.partition('/')[2]}{suffix}")
         for stem in grid.stems
         for name in (stem, topography(stem))
         for suffix in (".lbl", ".img")

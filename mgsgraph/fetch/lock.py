@@ -10,7 +10,7 @@ from typing import Any
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import require_address
 from mgsgraph.fetch.needs import ImageNeeds
-from mgsgraph.fetch.part import Source
+from mgsgraph.fetch.part import RemoteSource
 from mgsgraph.io.files import read_json, sha256_of, write_file
 from mgsgraph.wording import many, some
 
@@ -36,9 +36,9 @@ class LockedFile:
     """Last-Modified."""
 
     @property
-    def source(self) -> Source:
+    def source(self) -> RemoteSource:
         """What the archive said of it."""
-        return Source(self.url, self.size, self.etag, self.modified)
+        return RemoteSource(self.url, self.size, self.etag, self.modified)
 
     def differs(self, path: Path) -> str:
         """How what is at `path` differs from it, in words; empty for not at all."""
@@ -114,7 +114,7 @@ def _locked(name: str, entry: Mapping[str, Any]) -> LockedFile:
 
 
 def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Lock:
-    """Hold a folder against its lock; `progress` is told of bytes.
+    """Compare a folder with its lock; `progress` is called with bytes done and bytes in all.
 
     Returns
     -------

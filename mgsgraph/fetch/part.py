@@ -14,7 +14,7 @@ _SPARE = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class RemoteSource:
     """What an archive says of a file."""
 
     url: str
@@ -30,7 +30,7 @@ class Source:
         """By what If-Range knows the content again: a strong ETag, or the date; empty for neither."""
         return self.etag if self.etag and not self.etag.startswith("W/") else self.modified
 
-    def same_content(self, other: "Source") -> bool:
+    def same_content(self, other: "RemoteSource") -> bool:
         """Whether the other is the same content, as far as both say."""
         return all(
             not mine or not others or mine == others
@@ -38,7 +38,7 @@ class Source:
         )
 
 
-class Part:
+class PartialFile:
     """Grows to the file at `path`; what is there of an earlier attempt is taken up where the archive's content can be
     known again.
     """
@@ -46,12 +46,12 @@ class Part:
     def __init__(self, path: Path, url: str) -> None:
         self.path, self.file = path, path.with_name(f"{path.name}.part")
         self._said = path.with_name(f"{path.name}.part.json")
-        self.source: Source | None = None
+        self.source: RemoteSource | None = None
         self._take_up(url)
 
     def _take_up(self, url: str) -> None:
         try:
-            source = Source(**json.loads(self._said.read_text(encoding="utf-8")))
+            source = RemoteSource(**json.loads(self._said.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):  # no part, or one that says nothing
             return
         if source.url == url and self.size > 0:
@@ -76,7 +76,7 @@ class Part:
             return {}
         return {"Range": f"bytes={self.size}-", "If-Range": self.source.validator}
 
-    def begin(self, source: Source) -> None:
+    def begin(self, source: RemoteSource) -> None:
         """Begin anew: nothing is there."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.download import NotInArchive, Remote
-from mgsgraph.fetch.interval import Interval
+from mgsgraph.fetch.kernel_phases import Interval
 from mgsgraph.io.pedr import FRAME, HEADER_RECORDS
 from mgsgraph.io.pvl import flat_label
 

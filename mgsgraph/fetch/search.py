@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.download import NotInArchive
-from mgsgraph.fetch.index import IndexRow, read_index
-from mgsgraph.fetch.interval import Interval
-from mgsgraph.fetch.kernel_phases import find_kernels
-from mgsgraph.fetch.needs import ImageNeeds, Wanted, kernel_path
-from mgsgraph.fetch.product import ProductId
+from mgsgraph.fetch.kernel_phases import Interval, find_kernels
+from mgsgraph.fetch.needs import ImageNeeds, ProductId, WantedFile, kernel_path
 from mgsgraph.fetch.profiles import find_profile, orbit_at
-from mgsgraph.fetch.store import Store
-from mgsgraph.fetch.volumes import NAMES, find_image, volumes_listed
+from mgsgraph.fetch.store import DownloadFolder
+from mgsgraph.fetch.volumes import NAMES, IndexRow, find_image, read_index, volumes_listed
 from mgsgraph.io.pvl import Block, flat_label
 
 _LABEL = 8192
@@ -27,7 +24,7 @@ _FILE = re.compile(r"\w+(/\w+)*\.(imq|img)")
 class Search:
     """Looks images up; what it reads on the way stays in the store: index/ and the kernels' labels."""
 
-    def __init__(self, archives: Archives, store: Store, volumes: Sequence[str] = ()) -> None:
+    def __init__(self, archives: Archives, store: DownloadFolder, volumes: Sequence[str] = ()) -> None:
         """`volumes`: where to look, as mgsc_1068; everywhere when empty."""
         self._archives, self._store = archives, store
         self._volumes = tuple(volumes)
@@ -67,8 +64,8 @@ class Search:
         for name in NAMES:
             address, path = f"{self._archives.images}{volume}/index/{name}", f"index/{volume}"
             try:
-                label = self._store.get(Wanted(f"{address}.lbl", f"{path}.lbl"))
-                return read_index(self._store.get(Wanted(f"{address}.tab", f"{path}.tab")), label)
+                label = self._store.get(WantedFile(f"{address}.lbl", f"{path}.lbl"))
+                return read_index(self._store.get(WantedFile(f"{address}.tab", f"{path}.tab")), label)
             except NotInArchive:
                 continue
         return ()
@@ -87,7 +84,7 @@ class Search:
     def _cover(self, label: str) -> Interval | None:
         """What a kernel's label says that it covers; None without a label, or in one without times."""
         try:
-            path = self._store.get(Wanted(self._archives.kernels + label, kernel_path(label)))
+            path = self._store.get(WantedFile(self._archives.kernels + label, kernel_path(label)))
         except NotInArchive:
             return None
         return Interval.said_by(flat_label(path.read_text(encoding="latin-1"), str(path)))

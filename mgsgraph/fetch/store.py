@@ -1,4 +1,4 @@
-"""The folder that files are brought into, two at a time, each entered in its lock as soon as it is whole."""
+"""The folder that files are brought into, two at a time, each checked and entered in its lock once it is whole."""
 
 import threading
 from collections.abc import Callable, Iterable
@@ -7,18 +7,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.fetch.contents import require_content
 from mgsgraph.fetch.download import Remote
 from mgsgraph.fetch.lock import Lock, LockedFile
-from mgsgraph.fetch.needs import Wanted
+from mgsgraph.fetch.needs import WantedFile
 from mgsgraph.io.files import sha256_of
+from mgsgraph.io.image_label import read_label
+from mgsgraph.io.pedr import FRAME
 
 Progress = Callable[[int, int], None]
-"""Is told of bytes that have come and of all bytes that are known to come."""
+"""Called with the bytes that have come and all bytes that are known to come."""
 _AT_ONCE = 2
 
 
-class Store:
+class DownloadFolder:
     """A folder of ours, its lock, and the way to the archives."""
 
     def __init__(
@@ -38,7 +39,7 @@ class Store:
         """Of a file in the folder."""
         return self.lock.folder / name
 
-    def get(self, wanted: Wanted) -> Path:
+    def get(self, wanted: WantedFile) -> Path:
         """A file, brought unless it is there as locked (and, to update, still the archive's).
 
         Raises
@@ -60,7 +61,7 @@ class Store:
         self._asked.add(name)
         return path
 
-    def get_all(self, wanted: Iterable[Wanted]) -> None:
+    def get_all(self, wanted: Iterable[WantedFile]) -> None:
         """Several files, two at a time; the first error ends all, and what has come is kept."""
         with ThreadPoolExecutor(_AT_ONCE) as pool:
             waiting = [pool.submit(self.get, one) for one in wanted]
@@ -76,9 +77,9 @@ class Store:
     def mend(self) -> None:
         """Bring again what is locked, not whole, and was not asked for: indices and grids of earlier runs."""
         rest = [(name, file) for name, file in self.lock.files.items() if name not in self._asked]
-        self.get_all([Wanted(file.url, name) for name, file in rest if file.differs(self.path(name))])
+        self.get_all([WantedFile(file.url, name) for name, file in rest if file.differs(self.path(name))])
 
-    def _bring(self, wanted: Wanted, path: Path, locked: LockedFile | None, whole: bool) -> None:
+    def _bring(self, wanted: WantedFile, path: Path, locked: LockedFile | None, whole: bool) -> None:
         sums: list[str] = []
 
         def check(came: Path) -> None:
@@ -92,7 +93,7 @@ class Store:
 
         # another server's ETag and date say nothing of this one's file
         known = locked.source if locked is not None and whole and locked.url == wanted.url else None
-        came = self.remote.download(wanted.url, path, check, lambda *now: self._tell(wanted.path, *now), known)
+        came = self.remote.download(wanted.url, path, check, lambda *now: self._count(wanted.path, *now), known)
         if came is None:  # the archive still has what is here
             return
         size, now = path.stat().st_size, datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -103,7 +104,7 @@ class Store:
         if self._update and locked is not None and locked.sha256 != sums[0]:
             self._say(f"{wanted.path} has changed at the archive since {locked.fetched}")
 
-    def _tell(self, name: str, done: int, total: int | None) -> None:
+    def _count(self, name: str, done: int, total: int | None) -> None:
         with self._guard:
             self._bytes[name] = done, max(done, total or 0)
             self._progress(*map(sum, zip(*self._bytes.values(), strict=True)))
@@ -111,3 +112,53 @@ class Store:
     def _say(self, sentence: str) -> None:
         with self._guard:
             self.notes.append(sentence)
+
+
+_HEAD = 8192
+_RECORD = 1024
+"""bytes of a record of SPICE's binary kernels."""
+_BINARY = {".bsp": (b"DAF/SPK", b"NAIF/DAF"), ".bc": (b"DAF/CK", b"NAIF/DAF")}
+"""Beginnings of SPICE's binary kernels; NAIF/DAF is the older one."""
+_TEXT = (".tls", ".tsc", ".ti", ".tf", ".tpc")
+
+
+def require_content(path: Path, name: str) -> None:
+    """Raise InputError unless the file at `path` is what one called `name` has to be: a kernel, an image, a PEDR, a
+    label, a table or a grid.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    size, suffix = path.stat().st_size, Path(name).suffix.lower()
+    if head.lstrip()[:15].lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<head")):
+        raise InputError(name, "a web page instead of the file", _expected(suffix))
+    if size == 0:
+        raise InputError(name, "an empty file", _expected(suffix))
+    sound = True
+    if suffix in _BINARY:
+        sound = head.startswith(_BINARY[suffix]) and size % _RECORD == 0
+    elif suffix in _TEXT:
+        sound = b"\\begindata" in path.read_bytes()
+    elif suffix == ".b":
+        sound = b"PDS_VERSION_ID" in head and size % FRAME.itemsize == 0
+    elif suffix == ".lbl":
+        sound = b"PDS_VERSION_ID" in head
+    elif name.startswith("images/"):
+        _require_whole_image(path, name)
+    elif suffix == ".img":
+        sound = size % 2 == 0
+    if not sound:
+        raise InputError(name, f"{size} bytes that begin with {head[:16]!r}", _expected(suffix))
+
+
+def _expected(suffix: str) -> str:
+    if suffix in _BINARY or suffix in _TEXT:
+        return "a SPICE kernel, whole"
+    return {".b": "a PEDR file of whole frames", ".lbl": "a PDS3 label"}.get(suffix, "the file")
+
+
+def _require_whole_image(path: Path, name: str) -> None:
+    """A label at the head, and as many bytes as it says, at least."""
+    label = read_label(path)
+    said = label.count("RECORD_BYTES") * label.count("FILE_RECORDS")
+    if path.stat().st_size < said:  # longer ones are whole, too: some archives pad
+        raise InputError(name, f"{path.stat().st_size} bytes", f"{said} by its own label")

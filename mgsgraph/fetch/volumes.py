@@ -1,4 +1,4 @@
-"""In which of the archive's volumes an image is.
+"""In which of the archive's volumes an image is, by their indices: ASCII tables that PDS3 labels describe.
 
 Volumes are in the order of time, and so are ids: of the volumes that the archive's listing names (or, without one, of
 all numbers there may be) some ten indices tell, each of a few hundred kilobytes, which one it is. They stay in the
@@ -6,13 +6,78 @@ folder, for the next image.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from mgsgraph.errors import InputError
-from mgsgraph.fetch.index import IndexRow
-from mgsgraph.fetch.product import ProductId
+from mgsgraph.fetch.needs import ProductId
+from mgsgraph.io.files import read_bytes
+from mgsgraph.io.pvl import Block, Document, whole_label
 from mgsgraph.wording import some
+
+_COLUMNS = ("PRODUCT_ID", "FILE_SPECIFICATION_NAME", "INSTRUMENT_NAME")
+
+
+@dataclass(frozen=True, slots=True)
+class IndexRow:
+    """One image of a volume."""
+
+    product: ProductId
+    file: str
+    """Path below the volume, in small letters: m08060/m0806047.imq."""
+    instrument: str
+    """MOC-NA or MOC-WA."""
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the narrow angle took it."""
+        return not self.instrument.upper().endswith("WA")
+
+
+def read_index(table: Path, label: Path) -> tuple[IndexRow, ...]:
+    """Images of a volume in the table's order; those with ids of no mapping phase are left out.
+
+    Raises
+    ------
+    InputError
+        A label without one of the columns that are needed, or a row that is too short.
+    """
+    text = read_bytes(label).decode("latin-1").replace("\r\n", "\n")
+    places = {block.text("NAME").upper(): _bytes(block) for block in _columns(whole_label(Document(str(label), text)))}
+    for name in _COLUMNS:
+        if name not in places:
+            raise InputError(str(label), f"no column {name}", "the label of an image index")
+    return tuple(_rows(table, [places[name] for name in _COLUMNS]))
+
+
+def _columns(block: Block) -> Iterator[Block]:
+    for inner in block.blocks:
+        if inner.name == "column":
+            yield inner
+        yield from _columns(inner)
+
+
+def _bytes(column: Block) -> slice:
+    start = column.count("START_BYTE") - 1
+    return slice(start, start + column.count("BYTES"))
+
+
+def _rows(table: Path, places: list[slice]) -> Iterator[IndexRow]:
+    needed = max(place.stop for place in places)
+    for number, line in enumerate(read_bytes(table).decode("latin-1").split("\n"), 1):
+        if not line.strip("\0\x1a\r "):
+            continue
+        if len(line) < needed:
+            expected, remedy = f"at least {needed} by its label", "--update, or another mirror"
+            raise InputError(f"{table}, row {number}", f"{len(line)} bytes", expected, remedy)
+        product, file, instrument = (line[place].strip(' "') for place in places)
+        try:
+            yield IndexRow(ProductId.read(product), file.lower(), instrument)
+        except InputError:
+            continue  # calibration and the like
+
 
 NUMBERS = range(1001, 1601)
 """Of volumes, where the archive lists none: those of the mapping mission end at 1578 or a little later."""

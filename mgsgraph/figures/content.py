@@ -7,6 +7,7 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import PointClass
+from mgsgraph.wording import root_mean_square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +68,7 @@ def east_north(points: Array, centre: Array) -> Array:
 
 def rms(values: Array) -> float:
     """Root mean square of what is finite; NaN when nothing is."""
-    sound = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(sound**2))) if sound.size else float("nan")
+    return root_mean_square(values[np.isfinite(values)])
 
 
 def mean(values: Array) -> float:

@@ -14,6 +14,7 @@ from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.units import ARCSEC
+from mgsgraph.wording import root_mean_square
 
 if TYPE_CHECKING:
     from mgsgraph.geometry.image import PushbroomImage
@@ -182,11 +183,5 @@ def _misfit(image: "PushbroomImage", exchanged: "PushbroomImage", s: Array) -> M
     if not moved.size:
         moved = np.full((1, 2), np.nan)  # an image of the sky has no ground
 
-    def rms(values: Array) -> Array:
-        return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
-
-    def largest(values: Array) -> Array:
-        return np.asarray(np.abs(values).max(axis=0))
-
-    shift = after.position - before.position
-    return Misfit(rms(shift), largest(shift), rms(turned), largest(turned), rms(moved), largest(moved))
+    misfits = after.position - before.position, turned, moved
+    return Misfit(*(part for values in misfits for part in (root_mean_square(values, 0), np.abs(values).max(axis=0))))

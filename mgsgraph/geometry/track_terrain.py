@@ -22,6 +22,7 @@ from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.units import DEG, KM
+from mgsgraph.wording import root_mean_square
 
 LONGEST_EDGE = 5.0 * KM
 """m, above which an edge of a triangle makes it a hole: about the spacing of MOLA's tracks at the equator."""
@@ -136,7 +137,7 @@ def _roughness(places: Array, times: Array, track: Index) -> float:
     before, after = (np.linalg.norm(on_sphere[middle] - on_sphere[middle + k], axis=1) for k in (-1, 1))
     between = (radii[middle - 1] * after + radii[middle + 1] * before) / (before + after)
     missed = (radii[middle] - between) / np.minimum(before, after)
-    return float(np.sqrt(np.mean(missed**2)))
+    return root_mean_square(missed)
 
 
 def _near(places: Array, around: Array, margin: float) -> Mask:

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
-from mgsgraph.adjustment.passes import Selection, determined_points, unmarked
+from mgsgraph.adjustment.passes import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index

@@ -99,6 +99,11 @@ def beside(path: Path) -> Path:
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")
 
 
+def is_aside(name: str) -> bool:
+    """Whether a name is one of `beside`."""
+    return name.startswith(".") and name.endswith(".unfinished")
+
+
 @contextmanager
 def fresh_file(path: Path, expected: str = "", remedy: str = "") -> Iterator[Path]:
     """A path to write a file to; what is there takes its place at `path` when all went well.

@@ -97,7 +97,7 @@ def _beside(path: Path, name: str, root: Block) -> Path:
 
 
 def bytes_around(image: Block) -> tuple[int, int]:
-    """Bytes before and after each line's pixels, none where the label is silent."""
+    """Bytes before and after each line's pixels, none where the label has neither."""
     keys = ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES")
     prefix, suffix = (int(image.number(key, {"": 1.0})) if key in image else 0 for key in keys)
     if min(prefix, suffix) < 0:

@@ -36,7 +36,7 @@ _REMEDY = "run spiceinit on the cube before it is adjusted, with its tables atta
 
 
 @dataclass(frozen=True, slots=True)
-class _Table:
+class _CubeTable:
     """A binary table of a cube: where it is said, its label, and its numbers by field."""
 
     where: str
@@ -145,7 +145,7 @@ def _interior(instrument: Block) -> InteriorOrientation:
     )
 
 
-def _start(position: _Table, duration: float) -> float:
+def _start(position: _CubeTable, duration: float) -> float:
     """Time of the first line's edge, s TDB past J2000: StartTime is rounded, but positions are sampled from there."""
     times = position.times
     if abs(times[-1] - times[0] - duration) > _TIME_SLACK:
@@ -156,7 +156,7 @@ def _start(position: _Table, duration: float) -> float:
     return float(times[0])
 
 
-def _trajectory(tables: dict[str, _Table], epoch: float, apparent: bool) -> Trajectory:
+def _trajectory(tables: dict[str, _CubeTable], epoch: float, apparent: bool) -> Trajectory:
     seen = tables["InstrumentPosition"]
     position = PositionTable(seen.times - epoch, seen.stack(_PLACE) * KM, seen.stack(_VELOCITY) * KM)
     if not apparent:
@@ -170,7 +170,7 @@ def _trajectory(tables: dict[str, _Table], epoch: float, apparent: bool) -> Traj
     )
 
 
-def _attitude(table: _Table, epoch: float) -> AttitudeTable:
+def _attitude(table: _CubeTable, epoch: float) -> AttitudeTable:
     constant = np.eye(3)
     if "ConstantRotation" in table.label:
         constant = np.array(table.label.numbers("ConstantRotation", 9)).reshape(3, 3)
@@ -178,7 +178,7 @@ def _attitude(table: _Table, epoch: float) -> AttitudeTable:
         return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), constant)
 
 
-def _table(path: Path, root: Block, name: str) -> _Table:
+def _table(path: Path, root: Block, name: str) -> _CubeTable:
     """Read a table (ISIS TableField: fields of doubles, record after record)."""
     for label in root.blocks:
         if label.name == "table" and label.text("Name").lower() == name.lower():
@@ -202,4 +202,4 @@ def _table(path: Path, root: Block, name: str) -> _Table:
     numbers = np.frombuffer(raw, f"{order}f8").astype(np.float64).reshape(records, len(fields))
     if not np.isfinite(numbers).all():
         raise InputError(where, "values that are no numbers", "finite ones")
-    return _Table(where, label, {block.text("Name"): numbers[:, k] for k, block in enumerate(fields)})
+    return _CubeTable(where, label, {block.text("Name"): numbers[:, k] for k, block in enumerate(fields)})

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import spiceypy
@@ -12,6 +12,9 @@ from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 
+_BYTE_ORDERS: dict[bytes, Literal["little", "big"]] = {b"LTL-IEEE": "little", b"BIG-IEEE": "big"}
+_RECORD = 1024
+"""bytes of a record of SPICE's binary kernels."""
 _SHOWN = 4
 """Covered intervals that a message lists."""
 
@@ -77,12 +80,30 @@ def _require_kernel(path: Path) -> None:
     """Raise InputError unless the file is there and looks like a kernel: SPICE takes any file for a text kernel."""
     if not path.is_file():
         raise InputError(str(path), "a folder" if path.is_dir() else "no such file", "a SPICE kernel", "check the path")
+    _require_whole(path)
     with spice_words(str(path)):
         kind, _ = spiceypy.getfat(str(path))
     if kind == "XFR":
         raise InputError(str(path), "a transfer file", "a binary kernel", "convert it with NAIF's tobin")
     if kind not in ("DAF", "DAS") and b"\\begindata" not in path.read_bytes():
         raise InputError(str(path), "no SPICE kernel", "a binary kernel, or a text kernel with \\begindata")
+
+
+def _require_whole(path: Path) -> None:
+    """Raise InputError where a binary kernel ends before the first free double word of its file record (NAIF, DAF
+    required reading), behind which nothing is.
+    """
+    with path.open("rb") as file:
+        record = file.read(96)
+    order = _BYTE_ORDERS.get(record[88:96])
+    if not record.startswith((b"DAF/", b"NAIF/DAF")):
+        return
+    size, needed = path.stat().st_size, _RECORD
+    if order is not None:
+        needed = max(needed, 8 * (int.from_bytes(record[84:88], order) - 1))
+    if size < needed:
+        expected = f"{needed} at least by its own header"
+        raise InputError(str(path), f"{size} bytes", expected, "it is cut short: fetch it again")
 
 
 # --- what kernels cover

@@ -99,7 +99,7 @@ def _pool() -> _Pool:
 
 
 def _names() -> list[str]:
-    """Names of all pool variables, asked in pages: spiceypy takes long over much room."""
+    """Names of all pool variables, asked in pages: spiceypy is slow with large buffers."""
     names: list[str] = []
     while True:
         try:

@@ -1,7 +1,7 @@
 """MOLA gridded records (MEGDR), simple cylindrical, to a TerrainGrid: planetary radius, topography or areoid.
 
 A grid's place comes from its PDS3 label (``.lbl`` beside the ``.img``) or, without one, from its name
-``MEG{A,C,R,T}{latitude}{N,S}{longitude}{resolution}{version}.IMG``, which tells the upper left corner, and its size.
+``MEG{A,C,R,T}{latitude}{N,S}{longitude}{resolution}{version}.IMG``, which gives the upper left corner, and its size.
 Where posts lie follows MAP_RESOLUTION and the projection offsets (dsmap.cat: whole lines and samples are pixel centres,
 the first is 1); GDAL's georeferencing of these labels is one pixel off, and is not used.
 """
@@ -70,7 +70,7 @@ def read_megdr(
     Raises
     ------
     InputError
-        Where neither label nor name tell what the file is, the label is for another projection or sample type, or the
+        Where neither label nor name say what the file is, the label is for another projection or sample type, or the
         file's size is not what they say.
     """
     image, label = _files(path)
@@ -116,7 +116,7 @@ def _kind(name: str, where: str) -> TerrainKind:
 def _from_name(path: Path) -> _Layout:
     match = _NAME.fullmatch(path.name)
     if not match:
-        raise InputError(str(path), "a name that tells no place, and no label", _NAMES, "fetch its label, too")
+        raise InputError(str(path), "a name without position, and no label", _NAMES, "fetch its label, too")
     _, latitude, side, longitude, letter = match.groups()
     resolution = _RESOLUTIONS[letter.upper()]
     high, wide = _SHAPES[letter.upper()]

@@ -88,14 +88,14 @@ def read_pedr_text(
         raise InputError(str(path), "a header alone", "shots below it")
     wanted = _wanted(names, path)
     cut = _cut_csv if csv else _cut_table
-    table = _Table(path, np.array([number for number, _ in body]), cut(body, names, wanted, path))
+    table = _ShotTable(path, np.array([number for number, _ in body]), cut(body, names, wanted, path))
     letter = IAU2000_VERSION if csv and version is None else pedr_version(path, None, version)
     shots = _shots(table, clock_bias, leap_seconds)
     return in_iau2000(shots) if letter < IAU2000_VERSION else shots
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Table:
+class _ShotTable:
     """Columns of a text, by what they mean."""
 
     path: Path
@@ -201,7 +201,7 @@ def _cut_table(
     return {meaning: np.array([row[k] for row in rows]) for k, meaning in wanted.items()}
 
 
-def _shots(table: _Table, clock_bias: float, leap_seconds: Path | None) -> AltimeterShots:
+def _shots(table: _ShotTable, clock_bias: float, leap_seconds: Path | None) -> AltimeterShots:
     n = table.lines.size
     longitude = table.within("longitude", -360.0, 360.0) * DEG
     latitude = table.within("latitude", -90.0, 90.0) * DEG
@@ -233,7 +233,7 @@ def _shots(table: _Table, clock_bias: float, leap_seconds: Path | None) -> Altim
     )
 
 
-def _from_utc(table: _Table, leap_seconds: Path | None) -> Array:
+def _from_utc(table: _ShotTable, leap_seconds: Path | None) -> Array:
     """Times (n,) in s TDB past J2000 of the column UTC."""
     if leap_seconds is None:
         raise InputError(

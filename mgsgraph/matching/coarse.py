@@ -15,6 +15,7 @@ from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import Links, Store, features_on, links_on, load_links, saved, tiling, together
 from mgsgraph.stages import Progress
+from mgsgraph.wording import root_mean_square
 
 _COARSER = 4.0
 """How much coarser than the ground grid."""
@@ -252,7 +253,7 @@ def corrected_scene(
             f"at least {_LEAST}, and more than by chance",
             "widen the search (--search METRES) or refine the grid (--step), or give better orientation or heights",
         )
-    moved = float(np.sqrt(np.mean(np.sum((found.design[fits] @ step_taken) ** 2, axis=1))))
+    moved = root_mean_square(np.linalg.norm(found.design[fits] @ step_taken, axis=1))
     pictures = list(scene.pictures)
     pictures[pair.second] = replace(second, correction=corrected(second, step_taken.reshape(sigmas.shape) * sigmas))
     heights = found.of(fits).residuals(step_taken)[:, 1] / np.maximum(found.lean[fits], 1e-6)

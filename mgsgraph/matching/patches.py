@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.geometry.bilinear import refined
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.matching.opencv import opencv
 from mgsgraph.matching.scene import Ground, Picture
@@ -75,7 +76,7 @@ def ortho_patch(picture: Picture, ground: Ground, tile: Tile, levels: tuple[floa
     touched = np.all((nodes > -2.0 * NODE) & (nodes < size + 2.0 * NODE), axis=2)
     if not touched.any():
         return None
-    lines, samples = (_spread(nodes[:, :, k], tile) for k in (0, 1))
+    lines, samples = (refined(nodes[:, :, k], NODE)[: tile.rows, : tile.columns] for k in (0, 1))
     seen = (lines > 0.5) & (lines < size[0] - 0.5) & (samples > 0.5) & (samples < size[1] - 0.5)
     if not seen.any():
         return None
@@ -119,15 +120,6 @@ def blur_sigmas(nodes: Array) -> tuple[float, float]:
     lines, samples = np.hypot(*(np.median(one, axis=0) for one in seen)).tolist()
     sigmas = [_BLUR * float(np.sqrt(size**2 - 1.0)) if size > _SKIPS else 0.0 for size in (lines, samples)]
     return sigmas[0], sigmas[1]
-
-
-def _spread(nodes: Array, tile: Tile) -> Array:
-    """(rows, columns) bilinear between nodes."""
-    share = np.arange(NODE) / NODE
-    across = nodes[:, :-1, None] * (1.0 - share) + nodes[:, 1:, None] * share
-    wide = across.reshape(nodes.shape[0], -1)[:, : tile.columns]
-    down = wide[:-1, None, :] * (1.0 - share)[:, None] + wide[1:, None, :] * share[:, None]
-    return np.asarray(down.reshape(-1, tile.columns)[: tile.rows])
 
 
 # --- disparities

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
 from mgsgraph.matching.measuring import FINEST, half_window
@@ -151,7 +152,7 @@ def _start(
     nodes = [node_places(picture, view.ground, tile) for picture in view.pictures]
     here = np.column_stack([down, across]).astype(np.float64)
     there = here - np.column_stack([np.zeros(disparity.size), disparity])
-    first, second = _between(nodes[0], here), _between(nodes[1], there)
+    first, second = between_nodes(nodes[0], here / NODE), between_nodes(nodes[1], there / NODE)
     by_plane = [_by_plane(lattice, at, tile.step) for lattice, at in zip(nodes, (here, there), strict=True)]
     turn = np.zeros((disparity.size, 2, 2))
     slopes = np.clip([slope[down, across] for slope in _slopes(shift)], -_STEEPEST, _STEEPEST)
@@ -162,20 +163,11 @@ def _start(
     return _Start(*(column[good] for column in whole))
 
 
-def _between(nodes: Array, at: Array) -> Array:
-    """(n, 2) places at rows and columns (n, 2) of a tile, bilinear between its nodes."""
-    cell = np.clip(np.floor(at / NODE).astype(np.int64), 0, np.array(nodes.shape[:2]) - 2)
-    down, across = (at / NODE - cell).T[:, :, None]
-    i, j = cell.T
-    upper = (1.0 - across) * nodes[i, j] + across * nodes[i, j + 1]
-    lower = (1.0 - across) * nodes[i + 1, j] + across * nodes[i + 1, j + 1]
-    return np.asarray((1.0 - down) * upper + down * lower)
-
-
 def _by_plane(nodes: Array, at: Array, step: float) -> Array:
     """(n, 2, 2) d(line, sample) / d(x, y) in pixels per m there."""
     ways = 0.5 * NODE * np.eye(2)[::-1]
-    return np.stack([_between(nodes, at + way) - _between(nodes, at - way) for way in ways], axis=2) / (NODE * step)
+    moved = [between_nodes(nodes, (at + way) / NODE) - between_nodes(nodes, (at - way) / NODE) for way in ways]
+    return np.stack(moved, axis=2) / (NODE * step)
 
 
 def _slopes(shift: Array) -> tuple[Array, Array]:

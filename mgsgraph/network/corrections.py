@@ -36,15 +36,15 @@ def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, 
 def _of_polynomial(network: Network, image: int, angles: Angles) -> dict[int, Array]:
     """(6 d, width) of each variable, of the polynomials alone; none for an image of a strip that shares nothing."""
     picture, first = network.images[image], network.first_shared
-    felt = {
+    parts = {
         first + k: np.moveaxis(image_effect(picture, shared.kind, angles), 0, -1).reshape(-1, shared.kind.width)
         for k, shared in enumerate(network.shared)
         if shared.kind.moves_pose and shared.of(image)
     }
     own = 0 if network.strip_of[image] >= 0 else network.priors[image].sigmas.size
-    rows = max([own, *(int(part.shape[0]) for part in felt.values())])
+    rows = max([own, *(int(part.shape[0]) for part in parts.values())])
     every = {image: np.eye(rows, own)} if own else {}
-    return every | {v: np.pad(part, ((0, rows - part.shape[0]), (0, 0))) for v, part in felt.items()}
+    return every | {v: np.pad(part, ((0, rows - part.shape[0]), (0, 0))) for v, part in parts.items()}
 
 
 def _polynomial_rows(polynomials: dict[int, Array]) -> int:
@@ -68,8 +68,8 @@ def designs(network: Network, image: int, angles: Angles, lines: Array) -> list[
     if strip >= 0:
         start = int(network.first_of_strips[strip])
         first, values, _ = network.strips[strip].nodes.at(moments.times, moments.epoch)
-        for felt, node, weights in zip(found, (start + first).tolist(), values.tolist(), strict=True):
-            felt |= {node + k: weight * np.eye(6) for k, weight in enumerate(weights) if weight != 0.0}
+        for parts, node, weights in zip(found, (start + first).tolist(), values.tolist(), strict=True):
+            parts |= {node + k: weight * np.eye(6) for k, weight in enumerate(weights) if weight != 0.0}
     return found
 
 

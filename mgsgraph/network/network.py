@@ -35,7 +35,7 @@ class Network:
     priors: tuple[OrientationPrior, ...]
     """A-priori sigmas of each image's orientation corrections."""
     held: Mask
-    """(images,) True for an image whose orientation is not adjusted; none of a strip (`own`)."""
+    """(images,) True for an image whose orientation is not adjusted; none of a strip (`with_polynomial`)."""
     points: GroundPoints
     """Tie points, laser footprints, control points."""
     rays: ImageRays
@@ -151,18 +151,18 @@ class Network:
             where = f"laser shot {self.points.ids[self.ranges.point[worst]]}, image {self.images[j].name}"
             trajectory.require(self.ranges.times[[worst]] - trajectory.epoch, where)
 
-    def require_felt(self) -> None:
-        """Raise InputError unless some rows feel each shared unknown: before an adjustment that is to find them."""
+    def require_observed(self) -> None:
+        """Raise InputError unless some rows depend on each shared unknown; called before an adjustment."""
         for one in self.shared:
             where = f"shared unknown {one.name!r}"
             if one.kind is SharedKind.ALTIMETER_BORESIGHT:
-                rows, felt = "laser footprint with a range", self.beams(one)[0].size > 0
+                rows, observed = "laser footprint with a range", self.beams(one)[0].size > 0
             else:
                 rows = "range" if one.kind is SharedKind.RANGE_BIAS else "measured point"
-                felt = one.kind.felt_by_rays and bool(np.any(np.isin(self.rays.image, one.images)))
-                felt |= one.kind.felt_by_ranges and bool(np.any(np.isin(self.ranges.image, one.images)))
-            if not felt:
-                raise InputError(where, f"no {rows} of its images", "some that feel it", "take it out")
+                observed = one.kind.acts_on_rays and bool(np.any(np.isin(self.rays.image, one.images)))
+                observed |= one.kind.acts_on_ranges and bool(np.any(np.isin(self.ranges.image, one.images)))
+            if not observed:
+                raise InputError(where, f"no {rows} of its images", "some that depend on it", "take it out")
 
     def beams(self, shared: SharedUnknown) -> tuple[Index, Index]:
         """Constrained points whose footprint an altimeter's boresight moves, ascending, and the range of each: the
@@ -198,7 +198,7 @@ class Network:
         return [self.images[j] for j in self.strips[strip].images.tolist()]
 
     @property
-    def own(self) -> Mask:
+    def with_polynomial(self) -> Mask:
         """(images,) True for an image with orientation coefficients of its own: neither held nor of a strip."""
         return np.asarray(~self.held & (self.strip_of < 0))
 

@@ -1,4 +1,4 @@
-"""Networks taken apart into bundles (points that feel the same shared unknowns) and put together again."""
+"""Networks taken apart into bundles (points that depend on the same shared unknowns) and put together again."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -55,7 +55,7 @@ def image_columns(known: Sequence[KnownImage]) -> tuple[tuple[PushbroomImage, ..
 
 
 Members = tuple[Unknown, ...]
-"""The shared unknowns that points feel, in order: what tells one bundle from another. A held image has none."""
+"""The shared unknowns that points depend on, in order; they identify a bundle. A held image has none."""
 
 
 def unknowns(network: Network) -> Members:
@@ -86,7 +86,8 @@ def require_nothing_shared(network: Network) -> None:
 
 
 def part(network: Network, points: Index) -> Network:
-    """Some points (n,) of a network, in the order given, with their rows and with the images and shifts that they feel.
+    """Some points (n,) of a network, in the order given, with their rows and with the images and shifts that they
+    depend on.
 
     Without points, or without any of their rows in an image, there is no network: the points' images are its images.
     """
@@ -143,24 +144,24 @@ def _surface_of(network: Network, points: Index) -> Surface | None:
 def bundles(network: Network) -> dict[Members, Network]:
     """A network by bundle; points that no ray and no range holds are left out."""
     names = unknowns(network)
-    felt, owner, seen = _felt(network)
+    unknown, owner, seen = _unknowns_of_points(network)
     marks = np.random.default_rng(0).integers(0, 2**64, len(names), dtype=np.uint64)
     signature = np.zeros(len(network.points), dtype=np.uint64)
-    np.add.at(signature, owner, marks[felt])
+    np.add.at(signature, owner, marks[unknown])
     order = np.argsort(signature, kind="stable")
     order = order[seen[order]]
     edges = np.flatnonzero(np.diff(signature[order])) + 1
     first = np.searchsorted(owner, np.arange(len(network.points) + 1))
     found = dict[Members, Network]()
     for mine in np.split(order, edges) if order.size else []:
-        members = felt[first[mine[0]] : first[mine[0] + 1]]
+        members = unknown[first[mine[0]] : first[mine[0] + 1]]
         found[tuple(sorted(names[v] for v in members.tolist()))] = part(network, mine)
     return found
 
 
-def _felt(network: Network) -> tuple[Index, Index, Mask]:
-    """Which point feels which shared unknown: pairs (unknown, point), each once, by point; and (n,) whether a point has
-    a ray or a range.
+def _unknowns_of_points(network: Network) -> tuple[Index, Index, Mask]:
+    """Which point depends on which shared unknown: pairs (unknown, point), each once, by point; and (n,) whether a
+    point has a ray or a range.
     """
     m, count = len(network.images), network.first_shared
     pairs = [network.rays.point * count + network.rays.image, network.ranges.point * count + network.ranges.image]
@@ -172,9 +173,9 @@ def _felt(network: Network) -> tuple[Index, Index, Mask]:
         pairs.append(on * count + count - 1)
     seen = np.zeros(len(network.points), dtype=bool)
     seen[network.rays.point] = seen[network.ranges.point] = True
-    point, felt = np.divmod(np.unique(np.concatenate(pairs)), count)
-    free = np.append(~network.held, np.ones(count - m, dtype=bool))[felt]
-    return felt[free], point[free], seen
+    point, unknown = np.divmod(np.unique(np.concatenate(pairs)), count)
+    free = np.append(~network.held, np.ones(count - m, dtype=bool))[unknown]
+    return unknown[free], point[free], seen
 
 
 def joined(networks: Sequence[Network]) -> Network:

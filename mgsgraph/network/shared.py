@@ -62,18 +62,18 @@ class SharedKind(StrEnum):
         return self in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME, SharedKind.CAMERA_BORESIGHT)
 
     @property
-    def felt_by_rays(self) -> bool:
-        """Whether image rays feel it."""
+    def acts_on_rays(self) -> bool:
+        """Whether it acts on image rays."""
         return self.moves_pose or self is SharedKind.FOCAL_LENGTH
 
     @property
-    def felt_by_ranges(self) -> bool:
-        """Whether laser ranges feel it: they begin where the camera is, and know nothing of attitude."""
+    def acts_on_ranges(self) -> bool:
+        """Whether it acts on laser ranges: they begin where the camera is, and know nothing of attitude."""
         return self in (SharedKind.POSITION_TIME, SharedKind.RANGE_BIAS)
 
     @property
     def of_laser(self) -> bool:
-        """Whether only laser rows feel it."""
+        """Whether it acts on laser rows alone."""
         return self in (SharedKind.ALTIMETER_BORESIGHT, SharedKind.RANGE_BIAS)
 
     @property

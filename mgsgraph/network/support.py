@@ -1,6 +1,7 @@
-"""Whether the rays of a network support the orientation images of its strips: nodes that hardly a ray feels are named.
+"""Whether the rays of a network support the orientation images of its strips: nodes with too few rays near them are
+named.
 
-A node counts as felt by the rays near it: those up to the next node on either side (the next but one for a spline,
+A node is observed by the rays near it: those up to the next node on either side (the next but one for a spline,
 whose functions are wider). They must be of points that something else places, too (another ray, or an a-priori place):
 a lone ray tells nothing of orientation. And they must be of two lines at least, where two lines look for half of that
 time or longer: with one alone, position and pointing can't be told apart.
@@ -67,7 +68,7 @@ class Support:
     nodes: OrientationImages
     """They."""
     rays: Index
-    """(k,) rays near each node that tell something."""
+    """(k,) useful rays near each node."""
     lines: Index
     """(k,) lines that these are of."""
     looking: Index
@@ -84,22 +85,22 @@ class Support:
     @property
     def weak(self) -> Mask:
         """(k,) True for nodes that the rays don't support."""
-        return np.asarray(self.unfelt | (self.lines < np.minimum(self.looking, 2)))
+        return np.asarray(self.unobserved | (self.lines < np.minimum(self.looking, 2)))
 
     @property
-    def unfelt(self) -> Mask:
+    def unobserved(self) -> Mask:
         """(k,) True for nodes with too few rays near them, of however many lines."""
         return np.asarray(self.rays < self.least)
 
     @property
     def gaps(self) -> Index:
         """Nodes with too few rays between others that have them; all where none has."""
-        seen, weak = np.flatnonzero(~self.unfelt), np.flatnonzero(self.unfelt)
+        seen, weak = np.flatnonzero(~self.unobserved), np.flatnonzero(self.unobserved)
         return weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
 
 
 def support(network: Network, strip: int, least: int = LEAST, taken: Mask | None = None) -> Support:
-    """How many rays feel each node of a strip.
+    """How many rays observe each node of a strip.
 
     Parameters
     ----------
@@ -110,10 +111,10 @@ def support(network: Network, strip: int, least: int = LEAST, taken: Mask | None
     taken : (rays,), optional
         Those that take part; when absent all that are not marked as blunders.
     """
-    return felt(network.strips[strip].nodes, telling(network, strip, taken), least)
+    return support_of(network.strips[strip].nodes, useful_rays(network, strip, taken), least)
 
 
-def telling(network: Network, strip: int, taken: Mask | None = None) -> StripRays:
+def useful_rays(network: Network, strip: int, taken: Mask | None = None) -> StripRays:
     """Rays of a strip whose points something else places, too."""
     used = ~network.rays.rejected if taken is None and network.rays.rejected is not None else taken
     used = np.ones(network.rays.point.size, dtype=bool) if used is None else used
@@ -123,7 +124,7 @@ def telling(network: Network, strip: int, taken: Mask | None = None) -> StripRay
     return mine.only(used[mine.rays] & placed[network.rays.point[mine.rays]])
 
 
-def felt(nodes: OrientationImages, rays: StripRays, least: int = LEAST) -> Support:
+def support_of(nodes: OrientationImages, rays: StripRays, least: int = LEAST) -> Support:
     """The same for any nodes over rays of a strip."""
     reach = 1 if nodes.basis == "lagrange" else 2
     number, last = np.arange(len(nodes)), len(nodes) - 1
@@ -144,28 +145,28 @@ def supported_spacing(nodes: OrientationImages, rays: StripRays, least: int = LE
     intervals = max(round((stop - start) / float(np.diff(nodes.times).min())), SUPPORT - 1)
     while True:
         spacing = (stop - start) / intervals
-        if not np.any(felt(evenly_spaced(nodes.basis, nodes.epoch, (start, stop), spacing), rays, least).weak):
+        if not np.any(support_of(evenly_spaced(nodes.basis, nodes.epoch, (start, stop), spacing), rays, least).weak):
             return spacing
         if intervals == SUPPORT - 1:
             return float("inf")
         intervals = max(min(int(intervals * _COARSER), intervals - 1), SUPPORT - 1)
 
 
-def require_felt_nodes(network: Network, taken: Mask | None = None) -> None:
+def require_observed_nodes(network: Network, taken: Mask | None = None) -> None:
     """Raise InputError unless every node of every strip has some rays near it: the least that an adjustment needs.
 
     Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. And nodes before
     the first rays and after the last ones need none: there a strip follows its prior. `taken` as there, below.
     """
     for k in range(len(network.strips)):
-        rays = telling(network, k, taken)
-        found = felt(network.strips[k].nodes, rays)
+        rays = useful_rays(network, k, taken)
+        found = support_of(network.strips[k].nodes, rays)
         if found.gaps.size:
             raise unsupported(found, rays, found.gaps)
 
 
 def require_supported(network: Network, least: int = LEAST, taken: Mask | None = None) -> None:
-    """Raise InputError, naming the weak nodes, unless rays feel every node of every strip.
+    """Raise InputError, naming the weak nodes, unless rays observe every node of every strip.
 
     Parameters
     ----------
@@ -176,8 +177,8 @@ def require_supported(network: Network, least: int = LEAST, taken: Mask | None =
         Those that take part; when absent all that are not marked as blunders.
     """
     for k in range(len(network.strips)):
-        rays = telling(network, k, taken)
-        found = felt(network.strips[k].nodes, rays, least)
+        rays = useful_rays(network, k, taken)
+        found = support_of(network.strips[k].nodes, rays, least)
         if np.any(found.weak):
             raise unsupported(found, rays, np.flatnonzero(found.weak))
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import beside
+from mgsgraph.io.files import beside, is_aside
 
 PROGRAM = "mgsgraph"
 """What `program` in solution.json says; by it a folder is known as ours."""
@@ -118,6 +118,7 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
             if not first.is_dir():
                 found = f"can't be written ({first} is a file)"
                 raise InputError(shown, found, "a folder to make it in", "choose another --out")
+            _require_writable(first)
             return
         if not target.is_dir():
             raise InputError(shown, "exists and is a file", "a folder for the results", "choose another --out")
@@ -129,8 +130,16 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
         for other in _unrelated_files(target)[:1]:
             found = f"an earlier result that holds {other!r}, too, which would be lost"
             raise InputError(shown, found, remedy="move that away, or choose another --out")
+        _require_writable(target.parent)
     except OSError as error:
         raise _refusal(shown, error) from None
+
+
+def _require_writable(folder: Path) -> None:
+    """Raise OSError unless a folder can be made in it, which alone shows permissions, quotas and full disks."""
+    trial = beside(folder / "trial")
+    trial.mkdir()
+    trial.rmdir()
 
 
 def _warn_of_unrelated_files(folder: Path, record: str) -> None:
@@ -192,6 +201,7 @@ def _put_in_place(new: Path, target: Path) -> None:
 
 def _refusal(shown: str, error: OSError) -> InputError:
     reason = error.strerror or str(error)
-    inside = f" at {Path(os.fsdecode(error.filename)).name}" if isinstance(error.filename, str | bytes) else ""
+    name = Path(os.fsdecode(error.filename)).name if isinstance(error.filename, str | bytes) else ""
+    inside = f" at {name}" if name and not is_aside(name) else ""
     remedy = _REMEDIES.get(error.errno or 0, "choose another --out, where you may write")
     return InputError(shown, f"can't be written ({reason}{inside})", remedy=remedy)

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.datum.datum import require_strength
-from mgsgraph.adjustment.determined import without_weak
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.passes import Selection, determined_points, everything
+from mgsgraph.adjustment.passes import Selection, determined_points, everything, without_weak
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
 from mgsgraph.adjustment.settings import SolverSettings

@@ -36,7 +36,7 @@ def is_solved(project: Project) -> bool:
 
 def _incremental(project: Project) -> IncrementalAdjustment:
     """From the state that the project holds; points are always eliminated there, to the same result."""
-    return IncrementalAdjustment(replace(project.settings.solver_settings, form="bundle"), project.store)
+    return IncrementalAdjustment(replace(project.settings.solver.settings, form="bundle"), project.store)
 
 
 def add(project: Project, addition: Addition) -> Impact | None:
@@ -103,7 +103,7 @@ class SolvedProject:
 
 def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> SolvedProject:
     """Adjust everything by batch, compare it with the incremental result, and keep its products."""
-    name, settings, store = project.name, project.settings.solver_settings, project.store
+    name, settings, store = project.name, project.settings.solver.settings, project.store
     closing: Closing | None = None
     if not store.members():
         found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"

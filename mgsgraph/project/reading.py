@@ -97,7 +97,7 @@ def read_state(path: Path) -> tuple[str, NetworkState, str]:
             network, values, places = _state(opened, str(path))
             there, kept = np.isfinite(places[:, 0]), unmarked(network)
             rays, ranges = kept.rays & there[network.rays.point], kept.ranges & there[network.ranges.point]
-            settings = opened.settings.solver_settings
+            settings = opened.settings.solver.settings
             return opened.name, network_state(network, settings, values, places, rays, ranges), ""
     solution = read_solution(path)
     return solution.name, state_of_solution(solution), _warning(solution)
@@ -109,7 +109,7 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
         with open_project(path) as opened:
             network, values, places = _state(opened, str(path))
             every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
-            return opened.name, Posterior(at_values(network, opened.settings.solver_settings, every, places)), ""
+            return opened.name, Posterior(at_values(network, opened.settings.solver.settings, every, places)), ""
     solution = read_solution(path)
     return solution.name, Posterior.of(solution), _warning(solution)
 
@@ -134,7 +134,7 @@ def _state(project: Project, where: str) -> tuple[Network, _Values, Array]:
     """Everything as one network, its shared unknowns, and the places (n, 3) in m of its points."""
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph solve {where}")
-    adjustment = IncrementalAdjustment(project.settings.solver_settings, project.store)
+    adjustment = IncrementalAdjustment(project.settings.solver.settings, project.store)
     network = adjustment.network
     names, found, _ = adjustment.points()
     place = dict(zip(names, found, strict=True))

@@ -6,7 +6,6 @@ from typing import Any
 
 import msgspec
 
-from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import CaseInput, OrientationInput, Sigma, SolverInput, SpiceInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.io.decoding import read_table, validated
@@ -36,11 +35,6 @@ class ProjectSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigmas where the files have none."""
     solver: SolverInput = SolverInput()
     """Choices of the solver."""
-
-    @property
-    def solver_settings(self) -> SolverSettings:
-        """The solver's choices as the adjustment takes them."""
-        return SolverSettings(**{name: getattr(self.solver, name) for name in self.solver.__struct_fields__})
 
 
 class _File(ProjectSettings, forbid_unknown_fields=True, frozen=True, kw_only=True):

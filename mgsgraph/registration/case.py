@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
@@ -24,7 +23,7 @@ from mgsgraph.registration.footprints import (
     footprints_in_images,
 )
 from mgsgraph.ties import TiePoints
-from mgsgraph.wording import listed, many
+from mgsgraph.wording import listed, many, root_mean_square
 
 _FEWEST_TIES = 3
 """Common tie points without which two images can't be compared."""
@@ -277,4 +276,3 @@ def five_steps_difference(found: Registration, image: int) -> Array:
 def _short(value: float, sign: str = "-") -> str:
     """One decimal, two below 1."""
     return f"{value:{sign}.{2 if abs(value) < 1.0 else 1}f}"
-

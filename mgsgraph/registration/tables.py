@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.statistics import root_mean_square
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
@@ -25,6 +24,7 @@ from mgsgraph.registration.case import (
 )
 from mgsgraph.registration.footprints import Misregistration
 from mgsgraph.units import DEG, ISIS_OFFSET
+from mgsgraph.wording import root_mean_square
 
 FORMAT = 1
 """Version of registration.json's layout."""

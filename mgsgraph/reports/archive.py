@@ -76,7 +76,7 @@ def _require_shapes(solution: Solution) -> None:
     moves = [len(terms) for terms in network.shift_terms]
     of_strips = [size for strip in network.strips for size in strip.widths.tolist()]
     width = np.array([prior.sigmas.size for prior in network.priors] + moves + shared + of_strips)
-    adjusted = np.append(network.own, np.ones(shifts + len(shared) + len(of_strips), dtype=bool))
+    adjusted = np.append(network.with_polynomial, np.ones(shifts + len(shared) + len(of_strips), dtype=bool))
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     expected: dict[str, tuple[int, ...]] = {
         "shifts": (shifts, 2),

@@ -9,6 +9,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.terrain_control import Coverage, coverage
 from mgsgraph.units import MRAD
+from mgsgraph.wording import root_mean_square
 
 _LEVEL = ("east shift", "north shift")
 
@@ -60,8 +61,8 @@ def control_json(solution: Solution) -> dict[str, Any]:
         ],
         "surface": {
             "count": int(after.size),
-            "rms_height_before_m": _rms(before),
-            "rms_height_m": _rms(after),
+            "rms_height_before_m": root_mean_square(before),
+            "rms_height_m": root_mean_square(after),
             "mean_height_m": float(after.mean()) if after.size else None,
             "outside": covered.beside if covered else 0,
             "over_missing_posts": covered.over_holes if covered else 0,
@@ -117,8 +118,8 @@ def control_statements(solution: Solution) -> list[str]:
     before, after = surface_heights(solution)
     if after.size:
         sentences.append(
-            f"{after.size} tie points were held to the terrain model: rms height above it {_rms(before):.1f} m before, "
-            f"{_rms(after):.1f} m after."
+            f"{after.size} tie points were held to the terrain model: rms height above it "
+            f"{root_mean_square(before):.1f} m before, {root_mean_square(after):.1f} m after."
         )
     covered = terrain_coverage(solution)
     if covered is not None and covered.words:
@@ -135,7 +136,3 @@ def control_statements(solution: Solution) -> list[str]:
 def _back_projected(solution: Solution) -> int:
     flags = solution.network.rays.back_projected
     return int(np.count_nonzero(flags)) if flags is not None else 0
-
-
-def _rms(values: Array) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if values.size else None

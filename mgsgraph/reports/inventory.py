@@ -24,7 +24,7 @@ from mgsgraph.network.terrain_control import coverage
 from mgsgraph.reports.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
-from mgsgraph.wording import some, some_of
+from mgsgraph.wording import root_mean_square, some, some_of
 
 _FEW_POINTS = 6
 """Fewer points than this in an image leave its orientation to the prior."""
@@ -182,7 +182,7 @@ def _points(network: Network, prediction: Prediction) -> str:
         mine = np.isin(network.rays.point, members)
         if np.any(mine):
             misfit = prediction.residuals[mine]
-            rms = np.sqrt(np.nanmean(misfit**2, axis=0))
+            rms = root_mean_square(misfit, 0)
             lines.append(
                 f"    with the nominal orientation: image residuals {rms[0]:.2f} lines, {rms[1]:.2f} samples rms"
             )
@@ -191,7 +191,7 @@ def _points(network: Network, prediction: Prediction) -> str:
         lines.append(
             f"  {misfit.size} laser ranges of {network.ranges.values.min() / KM:.3f} .. "
             f"{network.ranges.values.max() / KM:.3f}"
-            f" km; measured minus nominal: mean {misfit.mean():+.3f} m, rms {np.sqrt(np.mean(misfit**2)):.3f} m"
+            f" km; measured minus nominal: mean {misfit.mean():+.3f} m, rms {root_mean_square(misfit):.3f} m"
         )
     else:
         lines.append("  no laser ranges")

@@ -12,7 +12,7 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.table import Column, Table, cut
 from mgsgraph.reports.page_tables import MOST_IMAGES
-from mgsgraph.wording import NAMED, many, some
+from mgsgraph.wording import NAMED, many, root_mean_square, some
 
 _MOST_POINTS = 200
 """Points listed, those that moved most."""
@@ -130,7 +130,7 @@ def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]
     shown = shared[:MOST_IMAGES]
     names = [solution.network.images[j].name for j, _ in shown]
     found = [orientation_difference(solution, j, earlier, i) for j, i in shown]
-    rms = np.array([np.sqrt(np.mean(moved**2, axis=0)) for moved, _ in found])
+    rms = np.array([root_mean_square(moved, 0) for moved, _ in found])
     with np.errstate(divide="ignore", invalid="ignore"):
         most = np.array([np.max(np.where(s > 0.0, np.abs(moved) / s, np.nan), axis=0) for moved, s in found])
     largest = np.nanmax(np.nan_to_num(most), axis=1)  # NaN of a held image
@@ -175,5 +175,5 @@ def _points(solution: Solution, earlier: Solution) -> tuple[list[str], Table]:
         Column("over σ", off[listed], page=".2f"),
     ), note + cut(here.size, len(listed), "those that moved most", "points.csv"))  # fmt: skip
     largest = f", by {np.nanmax(off):.2g} sigmas at the most" if np.any(np.isfinite(off)) else ""
-    rms = float(np.sqrt(np.mean(length**2)))
+    rms = root_mean_square(length)
     return [f"{counts}; they moved by {rms:.3g} m (rms), {length.max():.3g} m at the most{largest}."], table

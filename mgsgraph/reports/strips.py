@@ -144,7 +144,7 @@ def bare_nodes(network: Network) -> list[str]:
                 f"strip {strip.name}: fewer than {near.least} rays near {near.gaps.size} of its {len(strip.nodes)} "
                 "nodes, between others that have them: closer than the data supports, and refused by adjust"
             )
-        if outer := int(np.count_nonzero(near.unfelt)) - near.gaps.size:
+        if outer := int(np.count_nonzero(near.unobserved)) - near.gaps.size:
             found.append(
                 f"strip {strip.name}: no rays near {many(outer, 'node')} at its ends: there it follows its prior"
             )

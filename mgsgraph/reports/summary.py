@@ -142,7 +142,7 @@ def _datum(solution: Solution) -> list[str]:
 
 def _constant_sigmas(network: Network) -> Array:
     """(n, 6) m and rad, a-priori sigmas of the constant terms of images, and of strips in their middle."""
-    own = [network.priors[j].sigmas[0] for j in np.flatnonzero(network.own)]
+    own = [network.priors[j].sigmas[0] for j in np.flatnonzero(network.with_polynomial)]
     return np.array(own + [strip.prior.node_sigmas(np.zeros(len(strip.nodes)))[0] for strip in network.strips])
 
 

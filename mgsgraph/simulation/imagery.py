@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.bilinear import refined
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -120,9 +121,9 @@ def _ground_of_pixels(
 
     Found at nodes first; what relief does between them takes one more step at each pixel.
     """
-    of_nodes = _rise(terrain, [_between(layer, _FAR // _NODE) for layer in far], np.zeros(()), _STEPS)
-    sight = [_between(layer, _FAR)[:lines, :samples].astype(np.float32) for layer in far]
-    rise = _rise(terrain, sight, _between(of_nodes, _NODE)[:lines, :samples].astype(np.float32), 1)
+    of_nodes = _rise(terrain, [refined(layer, _FAR // _NODE) for layer in far], np.zeros(()), _STEPS)
+    sight = [refined(layer, _FAR)[:lines, :samples].astype(np.float32) for layer in far]
+    rise = _rise(terrain, sight, refined(of_nodes, _NODE)[:lines, :samples].astype(np.float32), 1)
     east, north, _, by_east, by_north = sight
     return east + rise * by_east, north + rise * by_north
 
@@ -140,15 +141,6 @@ def _rise(terrain: SiteTerrain, sight: Sequence[Float], start: Float, steps: int
         ground, slope_east, slope_north = terrain.local(east + rise * by_east, north + rise * by_north)
         rise += (ground - height - rise) / (1 - slope_east * by_east - slope_north * by_north)
     return rise
-
-
-def _between(nodes: Array, step: int) -> Array:
-    """Bilinear values ((rows - 1) step + 1, (columns - 1) step + 1) between nodes (rows, columns)."""
-    part = (np.arange(step) / step).astype(nodes.dtype)
-    across = nodes[:, :-1, None] + np.diff(nodes, axis=1)[:, :, None] * part
-    full = np.column_stack([across.reshape(nodes.shape[0], -1), nodes[:, -1]])
-    down = full[:-1, None, :] + np.diff(full, axis=0)[:, None, :] * part[:, None]
-    return np.concatenate([down.reshape(-1, full.shape[1]), full[-1:]])
 
 
 def local_sun(point: Array, terrain: SiteTerrain, sun_direction: Array) -> Array:

@@ -27,7 +27,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
-from mgsgraph.network.support import LEAST, StripRays, felt, require_supported, strip_rays, telling
+from mgsgraph.network.support import LEAST, StripRays, require_supported, strip_rays, support_of, useful_rays
 from mgsgraph.spacing.choice import require_respaceable, with_nodes
 from mgsgraph.spacing.rays import ray_scatter
 
@@ -149,10 +149,10 @@ def _closer(solution: Solution, level: float, worth: float, least: int) -> tuple
     nodes, asked, refused = list[OrientationImages](), list[int](), list[int]()
     for k, strip in enumerate(strips):
         asking = pattern(solution, k, factor).asking(level, worth, total)
-        rays = telling(solution.network, k, solution.rays_used)
+        rays = useful_rays(solution.network, k, solution.rays_used)
 
         def supported(other: OrientationImages, rays: StripRays = rays) -> Mask:
-            return ~felt(other, rays, least).weak
+            return ~support_of(other, rays, least).weak
 
         closer, denied = halved(strip.nodes, asking, supported)
         nodes.append(closer)

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mgsgraph.adjustment.cluster import Connection, Lost, connection, open_cluster, parse_cluster, workers
-from mgsgraph.adjustment.cluster.place import cores, threads_of_each
+from mgsgraph.adjustment.cluster.address import cores, threads_of_each
 from mgsgraph.errors import InputError, SolverError
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
@@ -281,9 +281,9 @@ def elsewhere(folder: Path) -> Iterator[_Elsewhere]:
             process.wait()
 
 
-def refusal(address: str, patience: float = 20.0) -> str:
+def refusal(address: str, timeout: float = 20.0) -> str:
     """What is said of a cluster that can't be used."""
-    with pytest.raises(InputError) as told, open_cluster(address, patience):
+    with pytest.raises(InputError) as told, open_cluster(address, timeout):
         pass
     assert "\n" not in str(told.value)
     return str(told.value)

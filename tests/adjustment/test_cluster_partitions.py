@@ -202,12 +202,12 @@ class _Village:
     def require_memory(self, needed: float, what: str, remedy: str) -> None:
         connection.require_memory(self.workers, needed, what, self.where, remedy)
 
-    def patiently(self) -> Iterator[frozenset[str]]:
+    def until_workers_return(self) -> Iterator[frozenset[str]]:
         for _ in range(3):
             yield frozenset(self.memories)
         raise SolverError("too few")
 
-    def tell(self, function: Callable[[Any], None], item: Any) -> None:
+    def call_all(self, function: Callable[[Any], None], item: Any) -> None:
         pass
 
     def at_workers(

@@ -12,8 +12,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.export import Target
-from mgsgraph.export import export as exports
-from mgsgraph.export.export import Exported, ExportSettings, export_solution, target_of
+from mgsgraph.export import solution_export as exports
+from mgsgraph.export.solution_export import Exported, ExportSettings, export_solution, target_of
 from mgsgraph.reports.results import write_results
 
 FINE = 0.01
@@ -54,8 +54,9 @@ def test_what_is_written_comes_back(target: Target, solution: Path, tmp_path: Pa
 def test_an_earlier_export_is_replaced_and_noted_beside_others(solution: Path, tmp_path: Path) -> None:
     for target in ("spice", "csm", "csm"):
         export_solution(solution, target, tmp_path / "out" / target)
-    export_solution(solution, "csm", tmp_path / "out" / "spice")
-    assert not list((tmp_path / "out" / "spice").glob("*.bsp"))
+    with pytest.raises(InputError, match=r"spice: an export to spice.*csm"):
+        export_solution(solution, "csm", tmp_path / "out" / "spice")
+    assert list((tmp_path / "out" / "spice").glob("*.bsp"))
     record = json.loads((solution / "solution.json").read_text())
     assert set(record["exports"]) == {"spice", "csm"}
     assert record["cost_final"] > 0.0
@@ -92,10 +93,10 @@ def test_a_solution_that_cannot_be_noted_in_is_exported(
         assert record.read_text() == damaged
     record.write_text(sound)
 
-    def refused(path: Path) -> None:
+    def refused(path: Path, content: str) -> None:
         raise InputError(str(path), "can't be written (Read-only file system)")
 
-    monkeypatch.setattr(exports, "fresh_file", refused)
+    monkeypatch.setattr(exports, "write_file", refused)
     assert not export_solution(solution, "isis", tmp_path / "out").noted
     assert record.read_text() == sound
 

@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch import part as parts
-from mgsgraph.fetch.contents import require_content
-from mgsgraph.fetch.download import NotInArchive, Patience, Remote
-from mgsgraph.fetch.part import Source
+from mgsgraph.fetch.download import NotInArchive, Remote, RetryPolicy
+from mgsgraph.fetch.part import RemoteSource
+from mgsgraph.fetch.store import require_content
 
 CONTENT = np.random.default_rng(1).bytes(200_000)
 NAME = "spk/big.img"
-QUICK = Patience(tries=4, first_wait=0.001, longest_wait=0.01, connecting=2.0, reading=2.0)
+QUICK = RetryPolicy(tries=4, first_wait=0.001, longest_wait=0.01, connecting=2.0, reading=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +48,11 @@ def nothing(path: Path) -> None:
     pass
 
 
-def bring(archive: Flaky, folder: Path, patience: Patience = QUICK, known: Source | None = None) -> Source | None:
+def bring(
+    archive: Flaky, folder: Path, retry: RetryPolicy = QUICK, known: RemoteSource | None = None
+) -> RemoteSource | None:
     """The one file to folder/big.img."""
-    remote = Remote(patience)
+    remote = Remote(retry)
     try:
         return remote.download(archive.url(NAME), folder / "big.img", nothing, known=known)
     finally:
@@ -114,7 +116,7 @@ def test_any_cuts_end_in_the_same_bytes(
     archive.faults[NAME].clear()
     archive.ranges, archive.validators = ranges, validators
     archive.faults[NAME] += [cut(after) for after in cuts]
-    bring(archive, folder, Patience(8, 0.0, 0.0, 2.0, 2.0))
+    bring(archive, folder, RetryPolicy(8, 0.0, 0.0, 2.0, 2.0))
     assert whole(folder)
 
 
@@ -189,7 +191,7 @@ def test_waits_grow(archive: Flaky, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(threading.Event, "wait", wait)
     archive.faults[NAME] += [status(503)] * 4 + [cut(1000), status(503), status(503, Retry_After="7")]
-    bring(archive, tmp_path, Patience(tries=9, first_wait=1.0, longest_wait=20.0))
+    bring(archive, tmp_path, RetryPolicy(tries=9, first_wait=1.0, longest_wait=20.0))
     # a byte more begins the count anew, and the server's own word counts
     assert [wait for wait in waits if wait >= 1.0] == [1.0, 2.0, 4.0, 8.0, 1.0, 1.0, 7.0]
 
@@ -259,7 +261,7 @@ def test_a_server_that_ignores_ranges(archive: Flaky, tmp_path: Path) -> None:
 def test_a_stalled_server(archive: Flaky, tmp_path: Path) -> None:
     over = threading.Event()
     archive.faults[NAME].append(stall(90_000, over))
-    bring(archive, tmp_path, Patience(3, 0.001, 0.01, 1.0, 0.2))
+    bring(archive, tmp_path, RetryPolicy(3, 0.001, 0.01, 1.0, 0.2))
     over.set()
     assert whole(tmp_path)
     assert archive.requests(NAME) == [None, "bytes=90000-"]
@@ -269,7 +271,7 @@ def test_a_server_that_stalls_for_ever(archive: Flaky, tmp_path: Path) -> None:
     over = threading.Event()
     archive.stays[NAME] = stall(0, over)
     with pytest.raises(InputError, match=r"big\.img") as error:
-        bring(archive, tmp_path, Patience(2, 0.001, 0.01, 1.0, 0.2))
+        bring(archive, tmp_path, RetryPolicy(2, 0.001, 0.01, 1.0, 0.2))
     over.set()
     assert re.search("nothing more came, 2 times", said(error))
 

@@ -19,14 +19,14 @@ from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.case_file import camera_focal_length
-from mgsgraph.fetch.download import Patience
-from mgsgraph.fetch.fetch import Fetched, fetch_images, survey
+from mgsgraph.fetch.download import RetryPolicy
+from mgsgraph.fetch.folder import Fetched, fetch_images, survey
 from mgsgraph.fetch.lock import Lock, verify
 from mgsgraph.io.files import claimed
 from mgsgraph.io.kernels import times_of_utc
 from mgsgraph.io.moc import read_moc
 
-QUICK = Patience(tries=3, first_wait=0.001, longest_wait=0.01, connecting=2.0, reading=2.0)
+QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=2.0, reading=2.0)
 ONE, OTHER, LATE = "M04/02852", "m0402856", "R10-00002"
 KERNELS = ("de405.bsp", "mgs_map2.bsp", "mgs_moc_v20.ti", "mgs_sc_map2.bc", "mgs_sclkscet_00061.tsc", "mgs_v10.tf",
            "naif0012.tls", "pck00009.tpc")  # fmt: skip
@@ -48,7 +48,7 @@ def archive(_server: Flaky) -> Flaky:
 
 
 def fetch(archive: Flaky, folder: Path, *images: str, **more: Any) -> Fetched:
-    return fetch_images(images or (ONE,), folder, archives=Archives.under(archive.address), patience=QUICK, **more)
+    return fetch_images(images or (ONE,), folder, archives=Archives.under(archive.address), retry=QUICK, **more)
 
 
 def files(folder: Path) -> set[str]:
@@ -81,7 +81,7 @@ def test_a_second_run_needs_no_network(archive: Flaky, tmp_path: Path) -> None:
     assert (again.brought, again.here) == ({}, len(first.brought))
     assert before == {name: (tmp_path / "d" / name).read_bytes() for name in files(tmp_path / "d")}
     nobody = Archives.under("http://127.0.0.1:1")
-    assert fetch_images([ONE], tmp_path / "d", archives=nobody, patience=QUICK).here == len(first.brought)
+    assert fetch_images([ONE], tmp_path / "d", archives=nobody, retry=QUICK).here == len(first.brought)
 
 
 def test_another_image_shares_what_it_can(archive: Flaky, tmp_path: Path) -> None:
@@ -230,7 +230,7 @@ def test_another_mirror_is_asked_for_its_own_content(archive: Flaky, tmp_path: P
     archive.files["copy/kernels/spk/de405.bsp"] = other = flaky_archive.daf("SPK", b"other planets")
     archive.stays["copy/kernels/spk/de405.bsp"] = same_as_ever
     mirror = Archives.under(f"{archive.address}/copy")
-    fetched = fetch_images([ONE], tmp_path / "d", archives=mirror, patience=QUICK, terrain="none", update=True)
+    fetched = fetch_images([ONE], tmp_path / "d", archives=mirror, retry=QUICK, terrain="none", update=True)
     assert (tmp_path / "d" / "kernels" / "de405.bsp").read_bytes() == other
     assert fetched.brought["kernels/de405.bsp"]
 
@@ -332,7 +332,7 @@ def test_a_case_that_the_user_has_changed_stays(archive: Flaky, tmp_path: Path) 
 
 def test_a_survey_writes_nothing(archive: Flaky, tmp_path: Path) -> None:
     where = Archives.under(archive.address)
-    plan = survey([ONE], tmp_path / "d", archives=where, patience=QUICK)
+    plan = survey([ONE], tmp_path / "d", archives=where, retry=QUICK)
     assert not (tmp_path / "d").exists()
     assert {one.path for one in plan if one.path.startswith("megdr")} == {
         f"megdr/meg{kind}90n000eb.{suffix}" for kind in "rt" for suffix in ("img", "lbl")
@@ -342,7 +342,7 @@ def test_a_survey_writes_nothing(archive: Flaky, tmp_path: Path) -> None:
     fetch(archive, tmp_path / "d")
     assert {one.path for one in plan} <= files(tmp_path / "d")
     archive.asked.clear()
-    assert all(one.here for one in survey([ONE], tmp_path / "d", archives=where, patience=QUICK))
+    assert all(one.here for one in survey([ONE], tmp_path / "d", archives=where, retry=QUICK))
     assert not archive.asked
 
 
@@ -383,7 +383,7 @@ def real_files(shared_data: Path) -> dict[str, bytes]:
 def test_real_kernels_give_the_geometry_that_isis_has(archive: Flaky, shared_data: Path, tmp_path: Path) -> None:
     archive.files = real_files(shared_data)
     fetched = mgsgraph.fetch_images(
-        [ONE], tmp_path / "d", archives=Archives.under(archive.address), terrain="128", patience=QUICK
+        [ONE], tmp_path / "d", archives=Archives.under(archive.address), terrain="128", retry=QUICK
     )
     assert not fetched.notes
     case, folder = decode(fetched.case), fetched.folder

@@ -11,12 +11,10 @@ from hypothesis import strategies as st
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import VARIABLE, Archives
 from mgsgraph.fetch.grids import grid_of, terrain_of, wanted_grids
-from mgsgraph.fetch.index import IndexRow, read_index
-from mgsgraph.fetch.interval import Interval, utc
-from mgsgraph.fetch.kernel_phases import find_kernels, phase_of
-from mgsgraph.fetch.product import ProductId, products_of
+from mgsgraph.fetch.kernel_phases import Interval, find_kernels, phase_of, utc
+from mgsgraph.fetch.needs import ProductId, products_of
 from mgsgraph.fetch.profiles import orbit_at
-from mgsgraph.fetch.volumes import find_image, volumes_listed
+from mgsgraph.fetch.volumes import IndexRow, find_image, read_index, volumes_listed
 from mgsgraph.io.megdr import read_megdr
 
 # --- names

@@ -49,7 +49,7 @@ def test_points_survive(
     tmp_path: Path, longitude: float, latitude: float, height: float, sigma: float, line: float, sample: float,
     fixed: bool,
 ) -> None:  # fmt: skip
-    """Measures bit for bit, sigmas to rounding, places to a hundredth of a micrometre."""
+    """PixelMeasures bit for bit, sigmas to rounding, places to a hundredth of a micrometre."""
     x, y, z = from_geodetic(np.array([longitude * DEG, latitude * DEG, height]), MARS).tolist()
     given = ControlPoint(
         "1",

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.asp.match import Matches, joined, match_files, read_match, read_match_text
+from mgsgraph.io.asp.match import MatchFile, joined, match_files, read_match, read_match_text
 from mgsgraph.io.asp.match_names import images_of
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 
@@ -94,10 +94,10 @@ def test_a_network_survives_its_match_files(tmp_path: Path, given: ControlNetwor
     assert back.contradictory == 0
 
 
-def pairs(names: tuple[str, str], *places: tuple[float, float]) -> Matches:
-    """Matches of places (k, k) and (m, m)."""
+def pairs(names: tuple[str, str], *places: tuple[float, float]) -> MatchFile:
+    """MatchFile of places (k, k) and (m, m)."""
     table = np.array([[[k, k] for k, _ in places], [[m, m] for _, m in places]], dtype=np.float64)
-    return Matches("+".join(names), names, table, np.ones((2, len(places))))
+    return MatchFile("+".join(names), names, table, np.ones((2, len(places))))
 
 
 def test_contradictory_tracks_are_dropped_as_the_pipeline_does() -> None:

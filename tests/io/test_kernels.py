@@ -248,7 +248,7 @@ def one_line(caught: pytest.ExceptionInfo[InputError]) -> str:
         ("notes.txt", b"nothing of SPICE", "notes.txt: no SPICE kernel"),
         ("picture.img", bytes(range(256)) * 8, "picture.img: no SPICE kernel"),
         ("moved.xsp", b"DAFETF NAIF DAF ENCODED TRANSFER FILE\n", "moved.xsp: a transfer file"),
-        ("cut.bsp", b"DAF/SPK " + bytes(200), "cut.bsp: SPICE says: "),
+        ("cut.bsp", b"DAF/SPK " + bytes(200), "cut.bsp: 208 bytes; expected 1024"),
         ("broken.tpc", b"KPL/PCK\n\\begindata\nA = ( 1, 'x' )\n", "broken.tpc: SPICE says: "),
         ("meta.tm", b"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( 'lost.bc' )\n", "meta.tm: the kernel 'lost.bc' that it"),
     ],
@@ -260,6 +260,17 @@ def test_a_kernel_that_is_none(tmp_path: Path, name: str, content: bytes | None,
         pass
     assert said in one_line(caught)
     assert contents()[0] == []
+
+
+@pytest.mark.parametrize("suffix", [".bsp", ".bc"])
+def test_a_kernel_cut_short_is_said_with_both_sizes(mgs_kernels: list[Path], tmp_path: Path, suffix: str) -> None:
+    whole = next(path for path in mgs_kernels if path.suffix == suffix).read_bytes()
+    cut = tmp_path / f"cut{suffix}"
+    cut.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError) as caught, loaded([cut]):
+        pass
+    assert f"cut{suffix}: {len(whole) // 2} bytes; expected " in one_line(caught)
+    assert len(whole) - 1024 < int(one_line(caught).split("expected ")[1].split()[0]) <= len(whole)
 
 
 def test_a_folder_is_no_kernel(tmp_path: Path) -> None:

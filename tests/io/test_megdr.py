@@ -107,7 +107,7 @@ def test_a_missing_keyword_a_short_file_a_strange_name(tmp_path: Path) -> None:
     (tmp_path / "megr90n000cb.lbl").write_text(label().replace("LINES = 720\r\n", ""))
     with pytest.raises(InputError, match="no LINES"):
         read_megdr(path)
-    with pytest.raises(InputError, match="a name that tells no place"):
+    with pytest.raises(InputError, match="a name without position"):
         read_megdr(image(tmp_path, "terrain.img", np.zeros((3, 3))))
     with pytest.raises(InputError, match="no such file"):
         read_megdr(tmp_path / "megt90n000cb.img")

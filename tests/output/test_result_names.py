@@ -1,11 +1,14 @@
 """Whatever a result holds, the next run may replace."""
 
 import ast
+import errno
+import os
 import re
 from pathlib import Path
 
 import pytest
 
+from mgsgraph.errors import InputError
 from mgsgraph.output import folders
 from mgsgraph.output.folders import FIGURES, TABLES, fresh_folder, require_replaceable
 
@@ -60,3 +63,17 @@ def write(out: Path, names: list[str]) -> None:
         for name in names:
             (folder / name).touch()
         (folder / "solution.json").write_text('{"program": "mgsgraph"}', encoding="utf-8")
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: str, mode: int = 0o777) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", path)
+
+    (tmp_path / "empty").mkdir()
+    monkeypatch.setattr(os, "mkdir", refuse)
+    for out in (tmp_path / "out", tmp_path / "deep" / "out", tmp_path / "empty"):
+        with pytest.raises(InputError) as caught:
+            require_replaceable(out)
+        assert str(caught.value).startswith(f"{out}: can't be written (Permission denied);")

@@ -64,7 +64,7 @@ def test_settings_come_back(tmp_path: Path) -> None:
         assert project.settings == settings
         assert project.settings.orientation == OrientationInput(position_sigma_m=[np.inf, 3.0, 1e-3])
         assert project.settings.spice == SpiceInput((str(tmp_path / "a.tm"),))
-        assert project.settings.solver_settings == SolverSettings(loss="huber")
+        assert project.settings.solver.settings == SolverSettings(loss="huber")
 
 
 @pytest.mark.parametrize(

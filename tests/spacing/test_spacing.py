@@ -23,7 +23,7 @@ from mgsgraph.network.support import (
     strip_rays,
     support,
     supported_spacing,
-    telling,
+    useful_rays,
 )
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_points import PointMatching
@@ -62,7 +62,7 @@ def test_spacing_that_is_said_to_be_supported_is() -> None:
     require_supported(net)
     with pytest.raises(InputError, match=r"nodes closer than the data supports: of 1704 nodes.*what they support"):
         require_supported(respaced(net, 0.05))
-    rays = telling(net, 0)
+    rays = useful_rays(net, 0)
     spacing = supported_spacing(respaced(net, 0.05).strips[0].nodes, rays)
     assert 0.05 < spacing < 8.0
     require_supported(respaced(net, spacing))

@@ -17,8 +17,8 @@ from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
-from mgsgraph.adjustment.cluster.interrupts import deaf_children, undisturbed
-from mgsgraph.adjustment.cluster.place import OPTION, ClusterPlace, parse_cluster, threads_of_each
+from mgsgraph.adjustment.cluster.address import OPTION, ClusterAddress, parse_cluster, threads_of_each
+from mgsgraph.adjustment.cluster.interrupts import children_without_interrupts, interrupts_deferred
 from mgsgraph.adjustment.cluster.workers import (
     GIGA,
     Worker,
@@ -29,7 +29,7 @@ from mgsgraph.adjustment.cluster.workers import (
 )
 from mgsgraph.errors import InputError, SolverError
 
-PATIENCE = 10.0
+TIMEOUT = 10.0
 """s after which a scheduler that doesn't answer, or has no worker, is given up."""
 LEAST_MEMORY = 0.4 * GIGA
 """bytes: a worker with Python, GTSAM, numba and the kernel takes 0.17 GB, drawing figures as much again."""
@@ -60,10 +60,10 @@ class Lost:
 class Connection:
     """An open cluster; made by `open_cluster`."""
 
-    def __init__(self, client: Any, where: str, patience: float) -> None:
+    def __init__(self, client: Any, where: str, timeout: float) -> None:
         self.client = client
         self.where = where
-        self._patience = patience
+        self._timeout = timeout
         self._limit = min((worker.memory_limit for worker in self.workers), default=0)
 
     @property
@@ -77,7 +77,7 @@ class Connection:
 
     def require_visible_file(self, path: Path) -> None:
         """Raise InputError where a worker does not see a file as it is here."""
-        require_visible_file(self.client, path, self.where, self._patience)
+        require_visible_file(self.client, path, self.where, self._timeout)
 
     def each(
         self, function: Callable[[_Item], _Result], items: Sequence[_Item]
@@ -181,13 +181,13 @@ class Connection:
             return None
         return _lost(answer) if isinstance(answer, Exception) else answer
 
-    def tell(self, function: Callable[[_Item], None], item: _Item) -> None:
+    def call_all(self, function: Callable[[_Item], None], item: _Item) -> None:
         """Call a function on every worker that is there; one that isn't need not know."""
         if self.client.status == "running":
             with suppress(OSError, ValueError, RuntimeError):
                 self.client.run(function, item, on_error="ignore")
 
-    def patiently(self) -> Iterator[frozenset[str]]:
+    def until_workers_return(self) -> Iterator[frozenset[str]]:
         """Addresses of the workers that are there, at least one, as often as it is asked; SolverError in the end."""
         until = time.monotonic() + _RETURN
         while True:
@@ -243,7 +243,7 @@ def _by_itself(function: Callable[[_Item], _Result], item: _Item) -> _Result:
 
 
 @contextmanager
-def open_cluster(text: str, patience: float = PATIENCE, most: int | None = None) -> Iterator[Connection]:
+def open_cluster(text: str, timeout: float = TIMEOUT, most: int | None = None) -> Iterator[Connection]:
     """A cluster whose workers are fit for the work.
 
     Parameters
@@ -272,17 +272,17 @@ def open_cluster(text: str, patience: float = PATIENCE, most: int | None = None)
         remedy = 'pip install "mgsgraph[cluster]", or leave it out'
         raise InputError(where, "dask.distributed is not installed", remedy=remedy)
     with ExitStack() as stack:
-        stack.enter_context(_silence())
+        stack.enter_context(_quiet_log())
         reach = _start if place.local else _reach
-        client = stack.enter_context(reach(place, where, patience))
+        client = stack.enter_context(reach(place, where, timeout))
         require_alike(client, where)
-        connection = Connection(client, where, patience)
+        connection = Connection(client, where, timeout)
         connection.require_memory(LEAST_MEMORY, "the program alone", "give the workers more memory (--memory-limit)")
         yield connection
 
 
 @contextmanager
-def _start(place: ClusterPlace, where: str, patience: float) -> Iterator[Any]:
+def _start(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
     """Worker processes of our own, which go when we go."""
     import distributed
 
@@ -299,7 +299,7 @@ def _start(place: ClusterPlace, where: str, patience: float) -> Iterator[Any]:
         stack.callback(_put_back, changed)
         scratch = stack.enter_context(TemporaryDirectory(prefix="mgsgraph-", ignore_cleanup_errors=True))
         try:
-            with undisturbed(), deaf_children():
+            with interrupts_deferred(), children_without_interrupts():
                 cluster = distributed.LocalCluster(
                     n_workers=place.workers,
                     threads_per_worker=1,  # one task at a time; the kernel has threads of its own
@@ -322,18 +322,18 @@ def _start(place: ClusterPlace, where: str, patience: float) -> Iterator[Any]:
 
 
 @contextmanager
-def _reach(place: ClusterPlace, where: str, patience: float) -> Iterator[Any]:
+def _reach(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
     """A client of a scheduler that somebody else has started and will stop."""
     import distributed
 
     if place.address.startswith("tls://") and not distributed.Security().get_connection_args("client")["ssl_context"]:
         remedy = "name them in dask's configuration (distributed.comm.tls), or take tcp://"
         raise InputError(where, "no certificates for tls", remedy=remedy)
-    client = _client(place.address, where, patience)
+    client = _client(place.address, where, timeout)
     with ExitStack() as stack:
         stack.callback(_close, client)
         try:
-            client.wait_for_workers(1, timeout=patience)
+            client.wait_for_workers(1, timeout=timeout)
         except distributed.TimeoutError:
             remedy = f"start some (dask worker {place.address})"
             raise InputError(where, "a scheduler without workers", remedy=remedy) from None
@@ -342,11 +342,11 @@ def _reach(place: ClusterPlace, where: str, patience: float) -> Iterator[Any]:
 
 def _close(what: Any) -> None:
     """Close a cluster or a client to the end, whatever signals come."""
-    with undisturbed():
+    with interrupts_deferred():
         what.close()
 
 
-def _client(address: str, where: str, patience: float) -> Any:
+def _client(address: str, where: str, timeout: float) -> Any:
     """A client, asked for in a thread: where something else than a scheduler answers dask waits for ever."""
     import distributed
 
@@ -355,13 +355,13 @@ def _client(address: str, where: str, patience: float) -> Any:
 
     def ask() -> None:
         try:
-            made.append(distributed.Client(address, timeout=patience, set_as_default=False))
+            made.append(distributed.Client(address, timeout=timeout, set_as_default=False))
         except Exception as error:  # told below; here nobody would hear it
             failures.append(error)
 
     asking = threading.Thread(target=ask, daemon=True)
     asking.start()
-    asking.join(patience + _GRACE)
+    asking.join(timeout + _GRACE)
     if made:
         return made[0]
     for error in failures:
@@ -370,11 +370,11 @@ def _client(address: str, where: str, patience: float) -> Any:
             remedy = "compare the versions of dask here and there"
             raise InputError(where, f"the scheduler can't be talked to ({said})", remedy=remedy)
     remedy = "start one (dask scheduler), or mend the address"
-    raise InputError(where, f"no scheduler answers there within {patience:g} s", remedy=remedy)
+    raise InputError(where, f"no scheduler answers there within {timeout:g} s", remedy=remedy)
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
+def _quiet_log() -> Iterator[None]:
     """Without dask's log on standard error: what matters reaches the user as an error in our words."""
     import distributed  # sets the log up
 

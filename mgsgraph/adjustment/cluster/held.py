@@ -19,7 +19,7 @@ from mgsgraph.kernel.rows import Groups, Model, Rows, Target
 from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RESIDUALS, SYSTEM, writable
 
 HOLD, PLACES = -1, -2
-"""Orders beside the kernel's sweeps: take a partition in; tell where the points of an earlier sweep ended."""
+"""Orders beside the kernel's sweeps: take a partition in; return where the points of an earlier sweep ended."""
 CHANGING = ("kind", "weight", "terrain_cell")
 """Fields of `Rows` that change between the passes of an adjustment."""
 NOT_HELD: tuple[()] = ()
@@ -40,7 +40,7 @@ class Source(NamedTuple):
     groups: Groups
     """The whole's groups."""
     target: Target
-    """Blocks of the pairs of variables that its points feel."""
+    """Blocks of the pairs of variables that its points depend on."""
     model: Model
     """The measurement model."""
 
@@ -72,7 +72,7 @@ class Order:
 
 
 @dataclass(slots=True, eq=False)
-class _Held:
+class _Partition:
     """A partition and what is known of its points."""
 
     source: Source
@@ -82,7 +82,7 @@ class _Held:
     """Places (n, 3) in m and states (n,) at which reductions ended, by their number."""
 
 
-_partitions: dict[str, _Held] = {}
+_partitions: dict[str, _Partition] = {}
 
 
 def carry_out(order: Order) -> Answer:
@@ -105,7 +105,7 @@ def carry_out(order: Order) -> Answer:
             _reduce(held, order)
         return held.ends[order.number]
     if order.task == HOLD:
-        return (np.array(weight_of(constants.rows)),)
+        return (np.array(size_of(constants.rows)),)
     assert points is not None
     if order.task == RESIDUALS:
         return (all_residuals(*constants, x, points),)
@@ -114,13 +114,13 @@ def carry_out(order: Order) -> Answer:
     return (point_covariances(*constants, x, order.joint, points),)
 
 
-def _find(order: Order) -> _Held | None:
+def _find(order: Order) -> _Partition | None:
     """The partition, brought up to date."""
     now = time.monotonic()
     if order.source is not None:
         for token in [token for token, held in _partitions.items() if now - held.used > _KEPT]:
             _partitions.pop(token, None)
-        _partitions[order.token] = _Held(Source(*map(_own_all, order.source)))
+        _partitions[order.token] = _Partition(Source(*map(_writable_record, order.source)))
     held = _partitions.get(order.token)
     if held is not None:
         held.used = now
@@ -130,7 +130,7 @@ def _find(order: Order) -> _Held | None:
     return held
 
 
-def _reduce(held: _Held, order: Order) -> Answer:
+def _reduce(held: _Partition, order: Order) -> Answer:
     """Solve and eliminate; where the points end is kept."""
     begin = order.points
     if order.after in held.ends:
@@ -147,11 +147,11 @@ def forget(tokens: list[str]) -> None:
         _partitions.pop(token, None)
 
 
-def weight_of(record: tuple[Any, ...]) -> int:
+def size_of(record: tuple[Any, ...]) -> int:
     """Bytes of a record's arrays."""
     return sum(values.nbytes for values in record if isinstance(values, np.ndarray))
 
 
-def _own_all(record: Any) -> Any:
+def _writable_record(record: Any) -> Any:
     """A record with arrays of its own."""
     return type(record)(*(writable(value) if isinstance(value, np.ndarray) else value for value in record))

@@ -9,7 +9,7 @@ from multiprocessing import resource_tracker
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def interrupts_deferred() -> Iterator[None]:
     """Ctrl-C and the request to end wait until this is over."""
     if threading.current_thread() is not threading.main_thread():  # signals don't reach other threads
         yield
@@ -27,7 +27,7 @@ def undisturbed() -> Iterator[None]:
 
 
 @contextmanager
-def deaf_children() -> Iterator[None]:
+def children_without_interrupts() -> Iterator[None]:
     """Ctrl-C in the terminal reaches this program, which then ends its workers, and not the workers themselves.
 
     A signal that is blocked stays blocked in all threads and processes that begin from here.

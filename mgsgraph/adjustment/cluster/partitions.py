@@ -29,7 +29,7 @@ from mgsgraph.adjustment.cluster.held import (
     Source,
     carry_out,
     forget,
-    weight_of,
+    size_of,
 )
 from mgsgraph.adjustment.cluster.workers import GIGA
 from mgsgraph.adjustment.graph.layout import Layout
@@ -149,10 +149,10 @@ class Partitions:
         """Make partitions of a layout's points."""
         cluster, self._layout = self._cluster, layout
         rows, workers = layout.rows, cluster.workers
-        common = weight_of(rows) - sum(
-            weight_of((values,)) for values in (rows.kind, rows.start, rows.data, rows.weight, rows.terrain_cell)
+        common = size_of(rows) - sum(
+            size_of((values,)) for values in (rows.kind, rows.start, rows.data, rows.weight, rows.terrain_cell)
         )
-        each = max(1, math.ceil((weight_of(rows) - common) / (_LARGEST * max(len(workers), 1))))
+        each = max(1, math.ceil((size_of(rows) - common) / (_LARGEST * max(len(workers), 1))))
         edges = even_parts(rows, each * max(len(workers), 1)).tolist()
         self._parts = [_part(layout, first, last, common) for first, last in pairwise(edges) if last > first]
         largest = max(self._parts, key=lambda part: part.size)
@@ -162,7 +162,7 @@ class Partitions:
     def _take(self, layout: Layout) -> None:
         """Go on with a layout made of the same network: one whose rays are laid out anew has partitions of its own."""
         if layout.patterns is not self._layout.patterns:
-            self._cluster.tell(forget, [part.token for part in self._parts])
+            self._cluster.call_all(forget, [part.token for part in self._parts])
             self._divide(layout)
 
     def __enter__(self) -> "Partitions":
@@ -172,7 +172,7 @@ class Partitions:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._cluster.tell(forget, [part.token for part in self._parts])
+        self._cluster.call_all(forget, [part.token for part in self._parts])
 
     # --- what a Sweeper does
 
@@ -281,8 +281,8 @@ class Partitions:
             )
 
     def _settle(self) -> None:
-        """See that every partition has a worker that is there and has room for it, the load spread evenly."""
-        for present in self._cluster.patiently():
+        """See that every partition has a worker that is there and has memory for it, the load spread evenly."""
+        for present in self._cluster.until_workers_return():
             load = Counter[str]()
             most = math.ceil(len(self._parts) / len(present))
             for part in self._parts:
@@ -295,16 +295,16 @@ class Partitions:
 
     def _place(self, homeless: list[_Part], load: Counter[str]) -> bool:
         """Give partitions to the workers with the least load; whether there is memory for all of them."""
-        room = {worker.address: worker.memory_limit or math.inf for worker in self._cluster.workers}
+        left = {worker.address: worker.memory_limit or math.inf for worker in self._cluster.workers}
         for part in self._parts:
-            room[part.owner] = room.get(part.owner, 0.0) - part.need
+            left[part.owner] = left.get(part.owner, 0.0) - part.need
         for part in homeless:
-            fit = [address for address in sorted(room) if address and room[address] >= LEAST_MEMORY + part.need]
+            fit = [address for address in sorted(left) if address and left[address] >= LEAST_MEMORY + part.need]
             if not fit:
                 return False
             part.owner = min(fit, key=lambda address: load[address])
             load[part.owner] += 1
-            room[part.owner] -= part.need
+            left[part.owner] -= part.need
         return True
 
 
@@ -324,7 +324,7 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
         slice(observation, observation + mine.weight.shape[1]),
         blocks,
         target,
-        weight_of(own) + common,
+        size_of(own) + common,
     )
 
 

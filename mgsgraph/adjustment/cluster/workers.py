@@ -109,8 +109,8 @@ def known_workers(client: Any) -> tuple[Worker, ...]:
         limit = dask_worker.memory_manager.memory_limit
         return socket.gethostname(), os.getpid(), dask_worker.state.nthreads, int(limit or 0)
 
-    told = client.run(facts, on_error="ignore")  # one that dies while it is asked is no worker any more
-    return tuple(Worker(address, *answer) for address, answer in sorted(told.items()))
+    answers = client.run(facts, on_error="ignore")  # one that dies while it is asked is no worker any more
+    return tuple(Worker(address, *answer) for address, answer in sorted(answers.items()))
 
 
 def require_memory(workers: tuple[Worker, ...], needed: float, what: str, where: str, remedy: str) -> None:
@@ -133,10 +133,10 @@ def require_memory(workers: tuple[Worker, ...], needed: float, what: str, where:
             raise InputError(f"{where}, {worker}", found, f"at least {needed / GIGA:.2f} GB for {what}", remedy)
 
 
-def require_visible_file(client: Any, path: Path, where: str, patience: float) -> None:
+def require_visible_file(client: Any, path: Path, where: str, timeout: float) -> None:
     """Raise InputError, naming the worker, where a file is not seen with the content that it has here.
 
-    Network file systems show a new file late: for `patience` s the workers are asked again.
+    Network file systems show a new file late: for `timeout` s the workers are asked again.
     """
 
     def seen(name: str) -> str:
@@ -149,10 +149,10 @@ def require_visible_file(client: Any, path: Path, where: str, patience: float) -
             return error.strerror or str(error)
 
     here = hashlib.sha256(path.read_bytes()).hexdigest()
-    deadline = time.monotonic() + patience
+    deadline = time.monotonic() + timeout
     while True:
-        told = sorted(client.run(seen, str(path.resolve()), on_error="ignore").items())
-        other = [(address, there) for address, there in told if there != here]
+        answers = sorted(client.run(seen, str(path.resolve()), on_error="ignore").items())
+        other = [(address, there) for address, there in answers if there != here]
         if not other:
             return
         if time.monotonic() > deadline:

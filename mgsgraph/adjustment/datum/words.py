@@ -65,15 +65,15 @@ def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) 
         groups.setdefault(term.what, []).append(term)
     whole = sorted(groups.values(), key=lambda group: -round(sum(term.share for term in group), 6))
     named: list[list[_Term]] = []
-    told = 0.0
+    explained = 0.0
     for group in whole[:_MOST]:
         share = sum(term.share for term in group)
-        if named and (share < _NAMED or told >= _ENOUGH):
+        if named and (share < _NAMED or explained >= _ENOUGH):
             break
-        told += share
+        explained += share
         named.append(group)
     text = ", with ".join(_group(group) for group in named)
-    together = f" ({'together ' if len(named) > 1 or len(named[0]) > 1 else ''}{100.0 * told:.0f} %)"
+    together = f" ({'together ' if len(named) > 1 or len(named[0]) > 1 else ''}{100.0 * explained:.0f} %)"
     if sigma is None:
         return text
     main = named[0][0]

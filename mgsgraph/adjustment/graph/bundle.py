@@ -151,9 +151,9 @@ class BundleGraph:
         flat = reduction.blocks + layout.prior_information if layout.prior_information.size else reduction.blocks
         for v, w, block in layout.blocks.each(flat, layout.variables.width):
             if v == w:
-                own = layout.columns_of(v)
+                columns = layout.columns_of(v)
                 graph.push_back(
-                    gtsam.HessianFactor(self._keys[v], block + np.diag(precision[own]), -gradient[own], 0.0)
+                    gtsam.HessianFactor(self._keys[v], block + np.diag(precision[columns]), -gradient[columns], 0.0)
                 )
             else:
                 graph.push_back(self._pair(v, w, block))

@@ -80,13 +80,13 @@ def explicit_graph(
 def _factor(layout: Layout, rows: Rows, i: int, pattern: int, j: int, weights: Array) -> gtsam.CustomFactor:
     """Factor of the j-th observation of a point (place in the layout)."""
     observation, network = layout.patterns.observations[pattern][j], layout.network
-    felt = observation.variables
+    variables = observation.variables
     label = f"point {network.points.ids[layout.point_order[i]]}"
     if observation.image >= 0:
         label += f", image {network.images[observation.image].name}"
     return observation_factor(
-        [variable_key(layout, v) for v in felt],
-        [int(layout.variables.width[v]) for v in felt],
+        [variable_key(layout, v) for v in variables],
+        [int(layout.variables.width[v]) for v in variables],
         rows.start[i] if rows.kind[i] == FIXED else point_key(i),
         one_observation(rows, layout.groups, i, j),
         layout.model,

@@ -11,8 +11,7 @@ from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows
-from mgsgraph.adjustment.graph.terms import Terms
-from mgsgraph.adjustment.graph.variables import Variables, make_variables
+from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
 from mgsgraph.geometry.orientation import Angles

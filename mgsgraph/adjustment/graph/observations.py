@@ -19,16 +19,18 @@ _ATTITUDES = {CAMERA: about_axes, OPK_PAPER: opk_paper, OPK_PEER: opk_peer}
 
 
 def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
-    """The measurement of a single observation (`kernel.rows.one_observation`), and what it feels of its columns."""
+    """The measurement of a single observation (`kernel.rows.one_observation`), and how its columns of unknowns act on
+    it.
+    """
     kind, width, terms = int(rows.observation_kind[0]), int(rows.observation_width[0]), int(rows.observation_terms[0])
     rates = terms if kind == IMAGE and model.line == PREDICTED else 0
     singles = int(rows.observation_shared[0])
     numbers, last = rows.data.tolist(), rows.data.size - singles * width
-    own = last - (min(terms, 1) if rows.observation_rate[0] else terms + rates)
-    basis, slopes = numbers[own : own + terms], numbers[own + terms : last] if rates else [0.0] * terms
+    end = last - (min(terms, 1) if rows.observation_rate[0] else terms + rates)
+    basis, slopes = numbers[end : end + terms], numbers[end + terms : last] if rates else [0.0] * terms
     if rows.observation_rate[0] and terms:
-        basis = [numbers[own] ** t for t in range(terms)]
-        slopes = [t * numbers[own] ** max(t - 1, 0) * float(rows.observation_rate[0]) for t in range(terms)]
+        basis = [numbers[end] ** t for t in range(terms)]
+        slopes = [t * numbers[end] ** max(t - 1, 0) * float(rows.observation_rate[0]) for t in range(terms)]
     columns = rows.entry_column[: terms + singles].tolist()
     correction = Correction(
         width,
@@ -39,16 +41,16 @@ def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
         tuple(columns[terms:]),
         tuple(tuple(numbers[last + e * width : last + (e + 1) * width]) for e in range(singles)),
     )
-    return _measurement(rows, model, kind, numbers[:own]), correction
+    return _measurement(rows, model, kind, numbers[:end]), correction
 
 
-def _measurement(rows: Rows, model: Model, kind: int, own: list[float]) -> Any:
+def _measurement(rows: Rows, model: Model, kind: int, constants: list[float]) -> Any:
     if kind == IMAGE:
-        return _image_ray(model, own, float(rows.observation_focal[0]))
+        return _image_ray(model, constants, float(rows.observation_focal[0]))
     if kind == RANGE:
-        return Range(own[3], tuple(own[:3]))
+        return Range(constants[3], tuple(constants[:3]))
     if kind == GROUND:
-        return GroundPrior(tuple(own[:3]), tuple(own[3:]))
+        return GroundPrior(tuple(constants[:3]), tuple(constants[3:]))
     (row, left, right), frame = rows.terrain_cell[0].tolist(), rows.terrain_frame.tolist()
     posts: Any = None
     if row >= 0:
@@ -56,10 +58,10 @@ def _measurement(rows: Rows, model: Model, kind: int, own: list[float]) -> Any:
     return SurfaceHeight(posts, (left, row), tuple(frame[:2]), tuple(frame[2:]))
 
 
-def _image_ray(model: Model, own: list[float], focal: float) -> ImageRay:
+def _image_ray(model: Model, constants: list[float], focal: float) -> ImageRay:
     """Constants in the order of `kernel.tile.load_observation`."""
     angles = 4 if model.angles == CAMERA else 3
-    centre, nominal, detector, rest = np.split(np.array(own), np.cumsum([3, angles, 2]))
+    centre, nominal, detector, rest = np.split(np.array(constants), np.cumsum([3, angles, 2]))
     nothing = (0.0, 0.0, 0.0)
     if model.line == PREDICTED:
         (velocity, angular_rate, slope, offset), scale = map(tuple, np.split(rest, [3, 6, 8])), None

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.sorting import by_point, counted, distinct, mix_rows, mix_values
-from mgsgraph.adjustment.graph.terms import Terms
-from mgsgraph.adjustment.graph.variables import Variables
+from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, SURFACE, Groups, Target, shapes
@@ -35,7 +34,7 @@ class Observation(NamedTuple):
 
     @property
     def variables(self) -> tuple[int, ...]:
-        """All variables that it feels, each once, in the order of its entries."""
+        """All variables that it depends on, each once, in the order of its entries."""
         return tuple(dict.fromkeys(variable for variable, _ in self.entries))
 
 
@@ -45,7 +44,7 @@ _Rows = tuple[Index, NDArray[np.int32], NDArray[np.int32]]
 
 @dataclass(frozen=True, eq=False)
 class Patterns:
-    """Points sorted by pattern, patterns by shape and then by the unknowns that they feel.
+    """Points sorted by pattern, patterns by shape and then by the unknowns that they depend on.
 
     n points, q patterns, m pieces, g groups, s observations of patterns, e entries of observations.
     """
@@ -67,7 +66,7 @@ class Patterns:
     image: Index
     """(s,) image that carries it; -1 for none."""
     node: Index
-    """(s,) first of the four nodes that it feels; -1 for an image without a strip, and for none."""
+    """(s,) first of the four nodes that it depends on; -1 for an image without a strip, and for none."""
     width: Index
     """(s,) components of its state."""
     terms: Index
@@ -128,8 +127,8 @@ def sort_points(network: Network, terms: Terms) -> tuple[Patterns, tuple[Index, 
     of_ranges = by_point(ranges.point, ranges.image, terms.of_ranges, n)
     moved, beams = _moved(network), _beams(network)
     signature = np.zeros(n, dtype=np.uint64)
-    mix_rows(signature, *of_rays[:2], rays.image, terms.of_rays, 1)
-    mix_rows(signature, *of_ranges[:2], ranges.image, terms.of_ranges, 2)
+    mix_rows(signature, of_rays[0], of_rays[1], rays.image, terms.of_rays, 1)
+    mix_rows(signature, of_ranges[0], of_ranges[1], ranges.image, terms.of_ranges, 2)
     on_surface = np.zeros(n, dtype=np.int64)
     if network.surface is not None:
         on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
@@ -181,14 +180,14 @@ def _beams(network: Network) -> list[Index]:
     found = []
     for k, shared in enumerate(network.shared):
         if shared.kind is SharedKind.ALTIMETER_BORESIGHT:
-            felt = np.full(len(network.points), -1, dtype=np.int64)
-            felt[network.beams(shared)[0]] = network.first_shared + k
-            found.append(felt)
+            affected = np.full(len(network.points), -1, dtype=np.int64)
+            affected[network.beams(shared)[0]] = network.first_shared + k
+            found.append(affected)
     return found
 
 
 class _PatternObservations:
-    """Observations of the patterns' example points, and the unknowns that they feel."""
+    """Observations of the patterns' example points, and the unknowns that they depend on."""
 
     def __init__(
         self, network: Network, terms: Terms, example: Index, of_rays: _Rows, of_ranges: _Rows, moved: Index,
@@ -213,9 +212,9 @@ class _PatternObservations:
             self.kind[at], self.image[at], self.node[at] = kind, table[rows[1][source]], node[rows[1][source]]
         ground, surface = begin[known, 2], begin[surfaces, 3]
         self.kind[ground], self.kind[surface] = GROUND, SURFACE
-        self._feel(network, terms, ground, surface, [felt[example[known]] for felt in (moved, *beams)])
+        self._add_unknowns(network, terms, ground, surface, [affected[example[known]] for affected in (moved, *beams)])
 
-    def _feel(self, network: Network, terms: Terms, ground: Index, surface: Index, moved: list[Index]) -> None:
+    def _add_unknowns(self, network: Network, terms: Terms, ground: Index, surface: Index, moved: list[Index]) -> None:
         """Numbers of terms and single columns, widths, and the entries."""
         carried = self.image >= 0
         self.terms = np.where(carried, terms.counts[self.image], 0)
@@ -237,12 +236,12 @@ class _PatternObservations:
         for k, shared in enumerate(network.shared):
             of_image = np.zeros(len(network.images) + 1, dtype=bool)  # the last one is that of no image
             of_image[shared.images] = True
-            felt = {IMAGE: shared.kind.felt_by_rays, RANGE: shared.kind.felt_by_ranges}
-            own = np.flatnonzero(of_image[self.image] & np.isin(self.kind, [kind for kind in felt if felt[kind]]))
-            number = np.full(own.size, network.first_shared + k)
-            _add_singles(observation, variable, inside, own, number, shared.kind.width)
+            kinds = [IMAGE] * shared.kind.acts_on_rays + [RANGE] * shared.kind.acts_on_ranges
+            mine = np.flatnonzero(of_image[self.image] & np.isin(self.kind, kinds))
+            number = np.full(mine.size, network.first_shared + k)
+            _add_singles(observation, variable, inside, mine, number, shared.kind.width)
             if not shared.kind.moves_pose:
-                self.width[own] = np.where(self.kind[own] == IMAGE, 7, 4)
+                self.width[mine] = np.where(self.kind[mine] == IMAGE, 7, 4)
         observations = np.concatenate(observation)
         order = np.argsort(observations, kind="stable")
         counts = np.bincount(observations, minlength=size)
@@ -260,39 +259,39 @@ def _within(counts: Index) -> Index:
 
 
 def _add_singles(
-    observation: list[Index], variable: list[Index], inside: list[Index], own: Index, felt: Index, columns: int
+    observation: list[Index], variable: list[Index], inside: list[Index], mine: Index, affected: Index, columns: int
 ) -> None:
-    """Entries of observations that feel all columns of a variable."""
-    observation.append(np.repeat(own, columns))
-    variable.append(np.repeat(felt, columns))
-    inside.append(np.tile(np.arange(columns), own.size))
+    """Entries of observations that depend on all columns of a variable."""
+    observation.append(np.repeat(mine, columns))
+    variable.append(np.repeat(affected, columns))
+    inside.append(np.tile(np.arange(columns), mine.size))
 
 
 def _groups(pattern: Index, variable: Index, patterns: int) -> tuple[Index, Index, Index, Index]:
-    """Sets of variables that patterns feel: of each entry its place among those of its group; first member of each
+    """Sets of variables that patterns depend on: of each entry its index among those of its group; first member of each
     group, and members; group of each pattern. Groups are in the order of their members.
     """
     many = int(variable.max(initial=0)) + 1
     unique, back = np.unique(pattern * many + variable, return_inverse=True)
-    owner, felt = unique // many, unique % many
+    owner, affected = unique // many, unique % many
     count = np.bincount(owner, minlength=patterns)
     begin = np.cumsum(count) - count
     table = np.full((patterns, int(count.max(initial=0)) + 1), -1, dtype=np.int64)
-    table[owner, np.arange(unique.size) - begin[owner]] = felt
+    table[owner, np.arange(unique.size) - begin[owner]] = affected
     sets, group = np.unique(table, axis=0, return_inverse=True)
     there = sets >= 0
     first = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
     return (np.arange(unique.size) - begin[owner])[back.reshape(-1)], first, sets[there], group.reshape(-1)
 
 
-def felt_by(network: Network, kind: int) -> list[list[int]]:
-    """Of each image the shared unknowns that its rays (IMAGE) or its ranges (RANGE) feel, ascending."""
-    felt: list[list[int]] = [[] for _ in network.images]
+def acting_on(network: Network, kind: int) -> list[list[int]]:
+    """Of each image the shared unknowns that its rays (IMAGE) or its ranges (RANGE) depend on, ascending."""
+    affected: list[list[int]] = [[] for _ in network.images]
     for k, shared in enumerate(network.shared):
-        if shared.kind.felt_by_rays if kind == IMAGE else shared.kind.felt_by_ranges:
+        if shared.kind.acts_on_rays if kind == IMAGE else shared.kind.acts_on_ranges:
             for j in shared.images.tolist():
-                felt[j].append(k)
-    return felt
+                affected[j].append(k)
+    return affected
 
 
 def make_groups(variables: Variables, first: Index, member: Index) -> Groups:

@@ -20,8 +20,7 @@ from mgsgraph.adjustment.graph.parallel import parallel
 from mgsgraph.adjustment.graph.patterns import Patterns
 from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.sorting import counted
-from mgsgraph.adjustment.graph.terms import Terms
-from mgsgraph.adjustment.graph.variables import Variables
+from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
@@ -164,7 +163,7 @@ def _make_store(patterns: Patterns, tables: Mapping[str, Index]) -> _Store:
 
 
 def _observation_tables(network: Network, model: Model, variables: Variables, patterns: Patterns) -> dict[str, Any]:
-    """What the patterns' observations are, and what they feel of the unknowns."""
+    """What the patterns' observations are, and how the unknowns act on them."""
     focal = np.array([image.interior.focal_length for image in network.images] + [0.0])
     rate = np.array([image.normalised_rate for image in network.images] + [0.0])
     rays, polynomial = patterns.kind == IMAGE, (patterns.image >= 0) & (patterns.node < 0)

@@ -1,9 +1,9 @@
-"""Directions of the network's shared unknowns in the states of the observations that feel them."""
+"""Directions of the network's shared unknowns in the states of the observations that depend on them."""
 
 import numpy as np
 
 from mgsgraph.adjustment.graph.angles import angles_of
-from mgsgraph.adjustment.graph.patterns import felt_by
+from mgsgraph.adjustment.graph.patterns import acting_on
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
@@ -17,7 +17,7 @@ class SharedEffects:
 
     def __init__(self, network: Network, model: Model) -> None:
         self._kinds = {
-            kind: [[network.shared[k].kind for k in mine] for mine in felt_by(network, kind)]
+            kind: [[network.shared[k].kind for k in mine] for mine in acting_on(network, kind)]
             for kind in (IMAGE, RANGE)
         }
         self._effects = {

@@ -1,9 +1,12 @@
-"""The unknowns that points share, in the order of the columns of one vector, and what is known of them beforehand."""
+"""The unknowns that points share, in the order of the columns of one vector, what is known of them beforehand, and the
+basis terms by which those of orientation act on image rays and laser ranges.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from mgsgraph.geometry.orientation_images import SUPPORT
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network
 
@@ -54,7 +57,7 @@ def make_variables(network: Network) -> Variables:
     sigmas += [part for strip in network.strips for part in strip.sigmas]
     angular += [part for strip in network.strips for part in strip.angular]
     width = np.array([part.size for part in sigmas], dtype=np.int64)
-    adjusted = np.concatenate([network.own, np.ones(len(sigmas) - len(network.images), dtype=bool)])
+    adjusted = np.concatenate([network.with_polynomial, np.ones(len(sigmas) - len(network.images), dtype=bool)])
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     kept = [part for part, taken in zip(sigmas, adjusted, strict=True) if taken]
     angular = [part for part, taken in zip(angular, adjusted, strict=True) if taken]
@@ -65,3 +68,48 @@ def make_variables(network: Network) -> Variables:
         np.concatenate(kept) if kept else np.zeros(0),
         np.concatenate(angular) if angular else np.zeros(0, dtype=bool),
     )
+
+
+class Terms:
+    """Terms of each ray and each range of a network: of its image's own polynomial, or of the four orientation images
+    of its strip around it. A term is six columns, one of each component.
+
+    `lines` (k,) are those about which rays are laid out.
+    """
+
+    def __init__(self, network: Network, variables: Variables, lines: Array) -> None:
+        self._network, self._strip = network, network.strip_of
+        own = [prior.degree + 1 for prior in network.priors]
+        self.counts = np.where(self._strip >= 0, SUPPORT, np.where(variables.first[: len(own)] < 0, 0, own))
+        """(images,) number of terms of each image's rays and ranges; none for one that is held."""
+        self._first_of_strips = network.first_of_strips
+        rays, ranges = network.rays, network.ranges
+        self.lines = lines
+        """(k,) line about which each ray is laid out."""
+        self.of_rays = np.full(rays.point.size, -1, dtype=np.int64)
+        """(k,) of each ray the first of its four nodes, counted in its strip; -1 for an image without a strip."""
+        self.of_ranges = np.full(ranges.point.size, -1, dtype=np.int64)
+        """(r,) the same of each range."""
+        for strip in network.strips:
+            for j in strip.images.tolist():
+                image = network.images[j]
+                mine = np.flatnonzero(rays.image == j)
+                times, _ = image.timing.at(self.lines[mine])
+                self.of_rays[mine] = strip.nodes.first_of_four(times, image.trajectory.epoch)
+                mine = np.flatnonzero(ranges.image == j)
+                self.of_ranges[mine] = strip.nodes.first_of_four(ranges.times[mine], 0.0)
+
+    def first_node(self, images: Index) -> Index:
+        """(n,) variable of the first node of each image's strip; of no meaning for one without."""
+        return self._first_of_strips[self._strip[images]]
+
+    def basis(self, image: int, lines: Array, node: Index, rates: bool) -> tuple[Array, Array]:
+        """What is stored of the basis at lines (n,): u (n, 1) of a polynomial, or values (n, terms) of nodes and, if
+        `rates`, their derivatives per line; the other one has no columns. `node` (n,) is `of_rays` or `of_ranges`.
+        """
+        nothing, moments = np.empty((lines.size, 0)), self._network.images[image].moments(lines)
+        if self._strip[image] < 0:
+            return (moments.u[:, None] if self.counts[image] else nothing), nothing
+        nodes = self._network.strips[self._strip[image]].nodes
+        values, slopes = nodes.around(node, moments.times, moments.epoch)
+        return nothing, np.hstack([values, slopes * moments.periods[:, None]]) if rates else values

@@ -11,19 +11,18 @@ doesn't say so and must not be given here. Ids are whole numbers to the pipeline
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, geodetic
-from mgsgraph.io.asp.measures import RENAME, UNSTATED_SIGMA, Measures, measures_of
-from mgsgraph.io.control.record import ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.io.control.ties import control_network
+from mgsgraph.io.asp.measures import RENAME, UNSTATED_SIGMA, PixelMeasures, candidate, measures_of
+from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, PointType
+from mgsgraph.io.control.ties import tie_points
 from mgsgraph.io.files import number_of, read_text
-from mgsgraph.ties import PointKind, TiePoints
-from mgsgraph.units import ASP_OFFSET, DEG
+from mgsgraph.ties import TiePoints
+from mgsgraph.units import DEG
 
 _FIXED_SIGMA = 1e-10
 """m; all three sigmas at this value mean a point that is held fixed (StereoPipeline, asp::FIXED_GCP_SIGMA)."""
@@ -38,21 +37,12 @@ _SEPARATOR = re.compile(r"[\s,]+")
 _POINT_FIELDS, _MEASURE_FIELDS = 7, 5
 
 
-@dataclass(slots=True, eq=False)
-class _Rows:
-    """Columns of a TiePoints while the file is read."""
-
-    lines: dict[str, int] = field(default_factory=dict)
-    """By point id, in the file's order: its line."""
-    places: list[tuple[float, float, float]] = field(default_factory=list)
-    sigmas: list[list[float]] = field(default_factory=list)
-    measure_point: list[int] = field(default_factory=list)
-    measure_image: list[str] = field(default_factory=list)
-    measures: list[tuple[float, float]] = field(default_factory=list)
-    measure_sigmas: list[tuple[float, float]] = field(default_factory=list)
-
-
 def read_ground_control(path: Path, ellipsoid: Ellipsoid) -> TiePoints:
+    """Read ground control points for an adjustment; see `read_ground_control_network`."""
+    return tie_points(read_ground_control_network(path, ellipsoid))
+
+
+def read_ground_control_network(path: Path, ellipsoid: Ellipsoid) -> ControlNetwork:
     """Read ground control points.
 
     Parameters
@@ -64,8 +54,8 @@ def read_ground_control(path: Path, ellipsoid: Ellipsoid) -> TiePoints:
 
     Returns
     -------
-    TiePoints
-        In the file's order, all CONSTRAINED but those whose three sigmas are 1e-10 m, which are FIXED.
+    ControlNetwork
+        In the file's order, all constrained but those whose three sigmas are 1e-10 m, which are fixed.
 
     Raises
     ------
@@ -73,63 +63,47 @@ def read_ground_control(path: Path, ellipsoid: Ellipsoid) -> TiePoints:
         With file, line and point: a wrong number of fields, a field that is no finite number, a sigma that is not
         positive, a latitude beyond a pole, an id twice, an image twice in a point, or no point at all.
     """
-    rows = _Rows()
+    points, lines = list[ControlPoint](), dict[str, int]()
     for number, line in enumerate(read_text(path).split("\n"), start=1):
         fields = [part for part in _SEPARATOR.split(_COMMENT.sub("", line)) if part]
-        if fields:
-            _add_point(rows, fields, number, f"{path}, line {number}")
-    if not rows.lines:
+        if not fields:
+            continue
+        where = f"{path}, line {number}, point {fields[0]}"
+        if lines.setdefault(fields[0], number) != number:
+            raise InputError(where, f"the id twice, first in line {lines[fields[0]]}", "each id once")
+        points.append(_point(fields, ellipsoid, where))
+    if not points:
         raise InputError(str(path), "no ground control point", "one per line: id latitude longitude height sigmas")
-    sigmas = np.array(rows.sigmas)
-    fixed = np.all(sigmas == _FIXED_SIGMA, axis=1)
-    variances = np.where(fixed[:, None], 0.0, sigmas**2)
-    return TiePoints(
-        source=str(path),
-        ids=tuple(rows.lines),
-        kinds=np.where(fixed, PointKind.FIXED, PointKind.CONSTRAINED),
-        places=from_geodetic(np.array(rows.places), ellipsoid),
-        covariances=variances[:, :, None] * np.eye(3),
-        measure_point=np.array(rows.measure_point, dtype=np.int64),
-        measure_image=tuple(rows.measure_image),
-        measures=np.array(rows.measures, dtype=np.float64).reshape(-1, 2) - ASP_OFFSET,
-        measure_sigmas=np.array(rows.measure_sigmas, dtype=np.float64).reshape(-1, 2),
-    )
+    return ControlNetwork("", "", tuple(points), source=str(path))
 
 
-def _add_point(rows: _Rows, fields: list[str], line: int, where: str) -> None:
-    name, where = fields[0], f"{where}, point {fields[0]}"
+def _point(fields: list[str], ellipsoid: Ellipsoid, where: str) -> ControlPoint:
     if len(fields) < _POINT_FIELDS or (len(fields) - _POINT_FIELDS) % _MEASURE_FIELDS:
         raise InputError(where, f"{len(fields)} fields", f"{_POINT_FIELDS}, and {_MEASURE_FIELDS} more for each image")
-    if name in rows.lines:
-        raise InputError(where, f"the id twice, first in line {rows.lines[name]}", "each id once")
-    names = ("latitude", "longitude", "height")
     latitude, longitude, height = (
-        number_of(text, f"{where}, {what}") for what, text in zip(names, fields[1:4], strict=True)
+        number_of(text, f"{where}, {what}")
+        for text, what in zip(fields[1:4], ("latitude", "longitude", "height"), strict=True)
     )
     if abs(latitude) > 90.0:
         raise InputError(f"{where}, latitude", f"{latitude:g} degrees", "-90 .. 90", "latitude comes before longitude")
-    rows.lines[name] = line
-    rows.places.append((longitude * DEG, latitude * DEG, height))
-    rows.sigmas.append([_positive(text, f"{where}, sigma") for text in fields[4:_POINT_FIELDS]])
-    images: set[str] = set()
+    sigmas = [_positive(text, f"{where}, sigma") for text in fields[4:_POINT_FIELDS]]
+    fixed = all(sigma == _FIXED_SIGMA for sigma in sigmas)
+    x, y, z = from_geodetic(np.array([longitude * DEG, latitude * DEG, height]), ellipsoid).tolist()
+    xx, yy, zz = (sigma**2 for sigma in sigmas)
+    measures = dict[str, ControlMeasure]()
     for start in range(_POINT_FIELDS, len(fields), _MEASURE_FIELDS):
-        images.add(_add_measure(rows, fields[start : start + _MEASURE_FIELDS], images, where))
-
-
-def _add_measure(rows: _Rows, fields: list[str], images: set[str], where: str) -> str:
-    """Append a measure of the last point; returns its image."""
-    image = fields[0]
-    where = f"{where}, image {image}"
-    if image in images:
-        raise InputError(where, "a second measure in this image", "one per point", "remove the worse one")
-    column, row = number_of(fields[1], f"{where}, column"), number_of(fields[2], f"{where}, row")
-    column_sigma = _positive(fields[3], f"{where}, column sigma")
-    row_sigma = _positive(fields[4], f"{where}, row sigma")
-    rows.measure_point.append(len(rows.lines) - 1)
-    rows.measure_image.append(image)
-    rows.measures.append((row, column))
-    rows.measure_sigmas.append((row_sigma, column_sigma))
-    return image
+        image, *texts = fields[start : start + _MEASURE_FIELDS]
+        here = f"{where}, image {image}"
+        if image in measures:
+            raise InputError(here, "a second measure in this image", "one per point", "remove the worse one")
+        column, row = (number_of(text, f"{here}, {what}") for text, what in zip(texts, ("column", "row"), strict=False))
+        column_sigma = _positive(texts[2], f"{here}, column sigma")
+        row_sigma = _positive(texts[3], f"{here}, row sigma")
+        measures[image] = candidate(image, row, column, row_sigma, column_sigma)
+    return ControlPoint(
+        id=fields[0], type=PointType.FIXED if fixed else PointType.CONSTRAINED, measures=tuple(measures.values()),
+        apriori=(x, y, z), apriori_covariance=() if fixed else (xx, 0.0, 0.0, yy, 0.0, zz),
+    )  # fmt: skip
 
 
 def _positive(text: str, where: str) -> float:
@@ -137,17 +111,6 @@ def _positive(text: str, where: str) -> float:
     if not 0.0 < value < _LARGEST:
         raise InputError(where, f"{value:g}", "a positive number below 1e100")
     return value
-
-
-def read_ground_control_network(path: Path, ellipsoid: Ellipsoid) -> ControlNetwork:
-    """Read ground control points as a network, with the same errors; see `read_ground_control`."""
-    points = read_ground_control(path, ellipsoid)
-    network = control_network(points, "", "", user_name="", measure_type=MeasureType.CANDIDATE)
-    unreferenced = tuple(
-        ControlPoint(one.id, one.type, one.measures, apriori=one.apriori, apriori_covariance=one.apriori_covariance)
-        for one in network.points
-    )
-    return ControlNetwork("", "", unreferenced, source=str(path))
 
 
 def keeps_ids(points: Sequence[ControlPoint]) -> bool:
@@ -202,7 +165,7 @@ def _ground_sigmas(point: ControlPoint, where: str) -> list[float]:
     return [math.sqrt(variance) for variance in variances]
 
 
-def _measure_texts(measures: Measures) -> list[list[str]]:
+def _measure_texts(measures: PixelMeasures) -> list[list[str]]:
     """Fields of the measures of each point."""
     texts = list[list[str]]([] for _ in measures.points)
     sigmas = np.where(np.isnan(measures.sigmas), UNSTATED_SIGMA, measures.sigmas)

@@ -25,9 +25,10 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.asp.match_names import match_path, require_distinct
-from mgsgraph.io.asp.measures import UNSTATED_SIGMA, Measures, candidate, measures_of
+from mgsgraph.io.asp.measures import UNSTATED_SIGMA, PixelMeasures, candidate, measures_of
 from mgsgraph.io.control.record import ControlNetwork, ControlPoint, PointType
 from mgsgraph.io.files import number_of, read_bytes, read_text
+from mgsgraph.wording import root_mean_square
 
 _COUNTS = np.dtype("<u8")
 
@@ -53,7 +54,7 @@ _LARGEST = 2.0**31 - 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matches:
+class MatchFile:
     """What a match file holds, but for how its places were found."""
 
     source: str
@@ -66,7 +67,7 @@ class Matches:
     """(2, n) pixels, of row and column alike; NaN where the file says 0 or less."""
 
 
-def read_match(path: Path, images: tuple[str, str]) -> Matches:
+def read_match(path: Path, images: tuple[str, str]) -> MatchFile:
     """Read a binary match file.
 
     Raises
@@ -118,7 +119,7 @@ def _even_records(data: bytes, count: int) -> np.ndarray | None:
     return records if np.all(records["descriptors"] == number) else None
 
 
-def read_match_text(path: Path, images: tuple[str, str]) -> Matches:
+def read_match_text(path: Path, images: tuple[str, str]) -> MatchFile:
     """Read a match file in text; the same errors, and for sigmas that are not positive, with the line."""
     rows, lines = list[list[float]](), list[int]()
     for number, line in enumerate(read_text(path).split("\n"), start=1):
@@ -139,11 +140,11 @@ def _numbers(fields: list[str], where: str) -> list[float]:
     return [number_of(text, where) for text in fields]
 
 
-def _checked(source: str, images: tuple[str, str], places: Array, sigmas: Array) -> Matches:
+def _checked(source: str, images: tuple[str, str], places: Array, sigmas: Array) -> MatchFile:
     fine = np.all(np.isfinite(places), axis=(0, 2)) & np.all(np.isfinite(sigmas), axis=0)
     for k in np.flatnonzero(~fine)[:1]:
         raise InputError(f"{source}, match {k + 1}", "a place or scale that is no finite number", "finite numbers")
-    return Matches(source, images, places, np.where(sigmas > 0.0, sigmas, np.nan))
+    return MatchFile(source, images, places, np.where(sigmas > 0.0, sigmas, np.nan))
 
 
 def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> dict[Path, bytes]:
@@ -180,7 +181,7 @@ def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> di
     return made
 
 
-def pairs_of(measures: Measures) -> Iterator[tuple[tuple[int, int], np.ndarray, np.ndarray]]:
+def pairs_of(measures: PixelMeasures) -> Iterator[tuple[tuple[int, int], np.ndarray, np.ndarray]]:
     """Every pair of images (i < j) with common points, and indices of their measures, point by point."""
     order = np.lexsort((measures.image, measures.point))
     point = measures.point[order]
@@ -200,10 +201,10 @@ def pairs_of(measures: Measures) -> Iterator[tuple[tuple[int, int], np.ndarray, 
 
 def one_sigma(sigmas: Array) -> Array:
     """(k,) the one sigma that a format holds for rows and columns (k, 2): their quadratic mean; 1 px for unknown."""
-    return np.where(np.isnan(sigmas).any(axis=1), UNSTATED_SIGMA, np.sqrt(np.mean(sigmas**2, axis=1)))
+    return np.where(np.isnan(sigmas).any(axis=1), UNSTATED_SIGMA, root_mean_square(sigmas, 1))
 
 
-def _binary(measures: Measures, one: np.ndarray, other: np.ndarray) -> bytes:
+def _binary(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
     chosen = np.concatenate([one, other])
     records = np.zeros(len(chosen), dtype=_RECORD)
     records["y"], records["x"] = measures.places[chosen].T
@@ -212,7 +213,7 @@ def _binary(measures: Measures, one: np.ndarray, other: np.ndarray) -> bytes:
     return np.array([len(one), len(other)], dtype=_COUNTS).tobytes() + records.tobytes()
 
 
-def _text(measures: Measures, one: np.ndarray, other: np.ndarray) -> bytes:
+def _text(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
     columns = [
         np.column_stack([measures.places[k][:, ::-1], one_sigma(measures.sigmas[k])]) for k in (one, other)
     ]  # fmt: skip
@@ -232,7 +233,7 @@ class Tracks:
     """Points that were dropped, having two places in one image."""
 
 
-def joined(files: Sequence[Matches]) -> Tracks:
+def joined(files: Sequence[MatchFile]) -> Tracks:
     """Make a network of match files.
 
     The sigma of a measure is that of the first file it is in. Raises InputError where nothing is left.

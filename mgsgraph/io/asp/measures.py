@@ -19,7 +19,7 @@ RENAME = "give it another name (--rename OLD=NEW)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measures:
+class PixelMeasures:
     """Those points of a network that a format takes, and their measures, point by point."""
 
     points: tuple[ControlPoint, ...]
@@ -41,7 +41,7 @@ def takes_part(point: ControlPoint, types: Collection[PointType]) -> bool:
     return point.type in types and not point.ignore
 
 
-def measures_of(network: ControlNetwork, types: Collection[PointType], least: int = 0) -> Measures:
+def measures_of(network: ControlNetwork, types: Collection[PointType], least: int = 0) -> PixelMeasures:
     """Points of these types with at least so many measures; those with Ignore = True are left out.
 
     Raises InputError for a measure without a place and for an image twice in a point.
@@ -59,7 +59,7 @@ def measures_of(network: ControlNetwork, types: Collection[PointType], least: in
             places.append((measure.line or 0.0, measure.sample or 0.0))
             sigmas.append((_known(measure.line_sigma), _known(measure.sample_sigma)))
         points.append(point)
-    return Measures(
+    return PixelMeasures(
         tuple(points), tuple(images), np.array(index, dtype=np.int64), np.array(image, dtype=np.int64),
         np.array(places, dtype=np.float64).reshape(-1, 2) - _FROM_ASP,
         np.array(sigmas, dtype=np.float64).reshape(-1, 2),

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.asp.measures import RENAME, Measures, candidate, measures_of
+from mgsgraph.io.asp.measures import RENAME, PixelMeasures, candidate, measures_of
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, PointType
 from mgsgraph.io.files import number_of, read_text
 
@@ -198,7 +198,7 @@ def nvm_files(network: ControlNetwork, path: Path, centres: Centres) -> dict[Pat
     return {path: text.encode(), offsets_path(path): offsets.encode()}
 
 
-def _point_lines(measures: Measures, centres: Centres) -> list[str]:
+def _point_lines(measures: PixelMeasures, centres: Centres) -> list[str]:
     centre = np.array([centres[name] for name in measures.images])
     shifted = (measures.places - centre[measures.image]).tolist()
     feature, seen = [0] * len(shifted), [0] * len(measures.images)

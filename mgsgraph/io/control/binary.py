@@ -198,7 +198,7 @@ def binary_network(network: ControlNetwork) -> bytes:
 def _label(network: ControlNetwork, header: int, points: int) -> bytes:
     """The label, padded to a multiple of 65536 bytes."""
     size, label = 0, b""
-    while len(label) >= size:  # a longer label moves what it tells the place of
+    while len(label) >= size:  # a longer label moves the bytes whose positions it gives
         size += _LABEL_BYTES
         label = _label_text(network, size, header, points).encode("utf-8")
     return label.ljust(size, b"\0")

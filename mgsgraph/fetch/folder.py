@@ -12,13 +12,12 @@ from typing import NamedTuple
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.case_file import CASE, META_KERNEL, camera_focal_length, case_text, meta_kernel
-from mgsgraph.fetch.download import Patience, Remote
+from mgsgraph.fetch.download import Remote, RetryPolicy
 from mgsgraph.fetch.grids import Grid, grid_of, terrain_of, wanted_grids
 from mgsgraph.fetch.lock import LOCK, Lock
-from mgsgraph.fetch.needs import ImageNeeds, wanted_files
-from mgsgraph.fetch.product import ProductId, products_of
+from mgsgraph.fetch.needs import ImageNeeds, ProductId, products_of, wanted_files
 from mgsgraph.fetch.search import Search
-from mgsgraph.fetch.store import Progress, Store
+from mgsgraph.fetch.store import DownloadFolder, Progress
 from mgsgraph.fetch.volumes import volumes_of
 from mgsgraph.io.files import claimed, read_bytes, write_file
 from mgsgraph.wording import many
@@ -95,7 +94,7 @@ def fetch_images(
     archives: Archives | None = None,
     volumes: Sequence[str] = (),
     update: bool = False,
-    patience: Patience | None = None,
+    retry: RetryPolicy | None = None,
     progress: Progress = lambda done, total: None,
     say: Callable[[str], None] = lambda sentence: None,
 ) -> Fetched:
@@ -115,12 +114,12 @@ def fetch_images(
         Where to look for the images, as mgsc_1068; everywhere when empty.
     update : bool
         Ask the archives for everything anew, and take what has changed.
-    patience : Patience, optional
+    retry : RetryPolicy, optional
         How long to wait for archives.
     progress : callable
-        Is told of bytes that have come and of all bytes known to come.
+        Called with the bytes that have come and all bytes known to come.
     say : callable
-        Is told, in a sentence, of every wait before an archive is asked again.
+        Called with a sentence on every wait before an archive is asked again.
 
     Raises
     ------
@@ -129,10 +128,10 @@ def fetch_images(
     """
     products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
     volumes, archives = volumes_of(volumes), archives or Archives()
-    with closing(Remote(patience, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
+    with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
         lock = Lock.read(folder)
         lock.write()
-        store = Store(lock, remote, update, progress)
+        store = DownloadFolder(lock, remote, update, progress)
         _find(products, lock, Search(archives, store, volumes), update)
         needs = tuple(lock.images.values())
         store.get_all(wanted_files(needs, archives))
@@ -161,7 +160,7 @@ def survey(
     terrain: str = "16",
     archives: Archives | None = None,
     volumes: Sequence[str] = (),
-    patience: Patience | None = None,
+    retry: RetryPolicy | None = None,
     progress: Progress = lambda done, total: None,
     say: Callable[[str], None] = lambda sentence: None,
 ) -> tuple[Planned, ...]:
@@ -171,9 +170,9 @@ def survey(
     products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
     volumes, archives = volumes_of(volumes), archives or Archives()
     kept = Lock.read(folder)
-    with TemporaryDirectory() as aside, closing(Remote(patience, say)) as remote:
+    with TemporaryDirectory() as aside, closing(Remote(retry, say)) as remote:
         lock = Lock(Path(aside), images=dict(kept.images))
-        _find(products, lock, Search(archives, Store(lock, remote, progress=progress), volumes), update=False)
+        _find(products, lock, Search(archives, DownloadFolder(lock, remote, progress=progress), volumes), update=False)
         wanted = [*wanted_files(lock.images.values(), archives)]
         if choice in ("4", "16"):
             wanted += wanted_grids(grid_of(choice), archives)

@@ -15,7 +15,7 @@ _MOST_WORKERS = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class ClusterPlace:
+class ClusterAddress:
     """Workers of our own on this machine, or the address of a scheduler."""
 
     text: str
@@ -31,7 +31,7 @@ class ClusterPlace:
         return not self.address
 
 
-def parse_cluster(text: str) -> ClusterPlace:
+def parse_cluster(text: str) -> ClusterAddress:
     """Understand what the user wrote after ``--cluster``.
 
     Parameters
@@ -49,9 +49,9 @@ def parse_cluster(text: str) -> ClusterPlace:
         workers = int(own[1]) if own[1] else cores()
         if not 1 <= workers <= _MOST_WORKERS:
             raise InputError(f"{OPTION} {text}", f"{workers} workers", f"1 to {_MOST_WORKERS}")
-        return ClusterPlace(text, workers=workers)
+        return ClusterAddress(text, workers=workers)
     if text.startswith(("tcp://", "tls://")) and _names_host_and_port(text):
-        return ClusterPlace(text, address=text)
+        return ClusterAddress(text, address=text)
     raise InputError(f"{OPTION} {text}", "no place for the work", _EXPECTED)
 
 

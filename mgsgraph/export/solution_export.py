@@ -91,7 +91,7 @@ def export_solution(
     target : Target or str
         spice, csm, isis, asp or gis.
     out : path
-        Absent, empty, or an earlier export, which is replaced.
+        Absent, empty, or an earlier export to the same target, which is replaced.
     settings : ExportSettings, optional
 
     Raises
@@ -103,6 +103,7 @@ def export_solution(
     path, out, settings = Path(path), Path(out), settings or ExportSettings()
     target = target_of(target)
     _require_heeded(target, settings)
+    _require_same_target(out, target)
     solution = read_solution(path)
     with fresh_folder(out, EXPORT) as aside, _called_as_asked(aside, out):
         written, compare = _WRITERS[target](solution, aside, settings)
@@ -117,6 +118,17 @@ def export_solution(
             )
         (aside / EXPORT).write_text(_text(_record(done, solution, settings)), encoding="utf-8", newline="\n")
     return done._replace(noted=_note(path, done))
+
+
+def _require_same_target(out: Path, target: Target) -> None:
+    """Raise InputError where the folder holds an export to another target."""
+    try:
+        earlier = json.loads((out / EXPORT).read_text(encoding="utf-8"))["target"]
+    except (OSError, ValueError, TypeError, KeyError):  # no export: `fresh_folder` says what is there
+        return
+    if earlier != target.value:
+        found = f"an export to {earlier}, which would be lost"
+        raise InputError(str(out), found, f"one to {target.value}, or none", "choose another --out")
 
 
 @contextmanager
