@@ -58,7 +58,7 @@ class Judgement(StrEnum):
     ZERO = "goes to zero"
     """Residuals so small that others' sigmas explain them; held."""
     UNBOUNDED = "goes to infinity"
-    """Held."""
+    """Factor held at its upper limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Component:
     """What the residuals say of the sigmas of one group."""
 
     name: str
-    """Of the group."""
+    """Name of the group."""
     judgement: Judgement
     """Whether what follows means anything."""
     rows: int
@@ -90,6 +90,11 @@ class Component:
     def sigma(self) -> float:
         """Standard deviation of `factor`."""
         return self.factor / math.sqrt(2.0 * self.degrees) if self.degrees > 0.0 else math.nan
+
+    @property
+    def foerstner(self) -> float:
+        """Square root of squares over redundancy: the factor if all other groups' sigmas are right."""
+        return math.sqrt(self.squares / self.redundancy) if self.redundancy > 0.0 else math.nan
 
     def interval(self, probability: float = SURE) -> tuple[float, float]:
         """Within which the factor lies, by the chi-square distribution; NaN where it can't be judged."""
@@ -119,7 +124,7 @@ class Component:
         return abs(self.correlation) > CORRELATED or bool(self.given)
 
     def verdict(self) -> str:
-        """One sentence."""
+        """Verdict on the sigmas of the group, in one sentence."""
         return f"{self.name}: {_VERDICTS[self.judgement](self)}"
 
 
@@ -214,9 +219,9 @@ class IteratedComponents:
     """A network whose sigmas agree with its residuals."""
 
     network: Network
-    """With the new sigmas."""
+    """The network with the new sigmas."""
     solution: Solution
-    """Its adjustment."""
+    """Adjustment with the new sigmas."""
     components: Components
     """Factors in total, new sigmas over stated ones."""
     converged: bool
@@ -225,7 +230,7 @@ class IteratedComponents:
     """(passes, g) factors in total with which each pass was adjusted."""
 
     def words(self) -> str:
-        """What came of it."""
+        """Verdicts of all groups, and whether the factors converged."""
         passes = len(self.history)
         end = f"Came to rest after {passes} passes." if self.converged else f"NOT at rest after {passes} passes."
         return f"{self.components.words()}\n{end}"

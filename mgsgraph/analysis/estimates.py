@@ -108,7 +108,7 @@ class Estimate:
         return correlation(self.covariance)
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """HTML for notebooks."""
         rows = [("", "value", "sigma", "unit")]
         rows += [
             (name, f"{value:.9g}", f"{sigma:.4g}", unit)
@@ -125,7 +125,7 @@ class ErrorEllipsoid:
     """Surface within which the truth lies with a probability, in the local frame east, north, up."""
 
     probability: float
-    """Of the truth inside it."""
+    """Probability that the truth lies inside."""
     semi_axes: Array
     """(3,) m, longest first."""
     directions: Array
@@ -163,7 +163,7 @@ class PositionEstimate:
     """Position of a ground point."""
 
     name: str
-    """Of the point."""
+    """Name of the point."""
     position: Array
     """(3,) m, body-fixed."""
     covariance: Array
@@ -187,7 +187,7 @@ class PositionEstimate:
         return error_ellipsoid(self.east_north_up, probability)
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """HTML for notebooks."""
         east, north, up = _roots(self.east_north_up)
         longitude, latitude, radius = planetocentric(self.position)
         rows = [

@@ -50,7 +50,7 @@ class RaysAlone:
         return prior_covariance(self._layout)
 
     def nominal(self) -> tuple[Array, Array]:
-        """Places (n, 3) in m with the nominal orientation, NaN for points that nothing determines, and covariances
+        """Positions (n, 3) in m with the nominal orientation, NaN for points that nothing determines, and covariances
         (n, 3, 3) in m^2 with the a-priori one, for sigma0 = 1; NaN there, and all where there is none.
         """
         orientation = np.zeros(self._layout.columns)
@@ -62,7 +62,7 @@ class RaysAlone:
         return self._whole(layout, points), self._whole(layout, covariances)
 
     def at(self, values: Sequence[Array]) -> tuple[Array, Array]:
-        """Places (n, 3) in m with given values of the shared unknowns, numbered as `Network` has them, and covariances
+        """Positions (n, 3), m, at given values of the shared unknowns, numbered as `Network` has them, and covariances
         (n, 3, 3) in m^2 as if these were true: of the rays' noise alone.
         """
         orientation = np.zeros(self._layout.columns)

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 DENSE = 2000
 """Shared unknowns up to which the last term is exact; beyond, it is estimated with random signs (Hutchinson 1990)."""
 _PROBES = 64
+CORRELATED = 0.5
+"""Correlation of two groups' squared factors from which on a verdict names the other group."""
+_HALF = 0.75
+"""By how much a variance factor changes when sigmas change by half."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +135,7 @@ class _Sums:
                 self.cross[g, k] += inner[g] @ inner[k] + 2.0 * np.vdot(carried[g], outer[k])
 
     def close(self) -> None:
-        """Put the gathered blocks away."""
+        """Add the gathered blocks to the sums."""
         if self._variables is None:
             return
         layout = self._at.layout
@@ -198,12 +202,6 @@ def _estimated_traces(normals: "list[csr_array]", joint: JointCovariance) -> Arr
     spread = root.back(signs)
     projected = [root.forward(normal @ spread) for normal in normals]
     return np.array([[np.sum(one * other) for other in projected] for one in projected]) / _PROBES
-
-
-CORRELATED = 0.5
-"""Correlation of two groups' squared factors from which on a verdict names the other group."""
-_HALF = 0.75
-"""By how much a variance factor changes when sigmas change by half."""
 
 
 def nearest(found: Redundancy, group: int) -> tuple[str, float]:

@@ -66,11 +66,11 @@ class Linearised:
     """A network where it is linearised, and the covariance of the unknowns that its points share."""
 
     layout: Layout
-    """All rows."""
+    """Layout of all rows."""
     settings: SolverSettings
-    """How they were laid out."""
+    """Settings of the layout."""
     rows: Rows
-    """Those that take part."""
+    """Rows that take part."""
     orientation: Array
     """(columns,) shared unknowns, m and rad."""
     points: Array
@@ -80,7 +80,7 @@ class Linearised:
 
     @property
     def network(self) -> Network:
-        """What was adjusted."""
+        """The network that was adjusted."""
         return self.layout.network
 
     @property
@@ -126,7 +126,7 @@ class Linearised:
     def asked(self, places: Array, rays: ImageRays, known: bool) -> Layout:
         """Layout of places (m, 3) in m that nobody has measured, on the same shared unknowns.
 
-        Rays of known places stand alone; the others' intersect in them.
+        Rays of known positions are rows without a point; those of unknown ones intersect in them.
         """
         network, m = self.network, places.shape[0]
         kinds, ids = np.full(m, PointKind.FIXED if known else PointKind.FREE), tuple(f"place {k}" for k in range(m))

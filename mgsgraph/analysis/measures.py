@@ -17,6 +17,13 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 
+UNCONTROLLED = 1e-6
+"""Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
+Small = NDArray[np.int8]
+Indices = NDArray[np.int32]
+_POWERS = ("constant", "linear", "quadratic", "cubic")
+_WIDEST = 3
+
 
 @dataclass(frozen=True, slots=True)
 class Levels:
@@ -74,13 +81,6 @@ class Levels:
         return float(ncx2.ppf(1.0 - self.power, dimensions, self.shift**2))
 
 
-UNCONTROLLED = 1e-6
-"""Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
-
-Small = NDArray[np.int8]
-Places = NDArray[np.int32]
-
-
 class MeasureKind(IntEnum):
     """Kind of a scalar measure."""
 
@@ -97,20 +97,20 @@ class MeasureKind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measures:
+class ScalarMeasures:
     """m scalar measures: what each is and how far it can be trusted."""
 
     kind: Small
     """(m,) MeasureKind."""
     component: Small
     """(m,) line 0, sample 1; x, y, z; of a prior, which of its variable's columns; else 0."""
-    row: Places
+    row: Indices
     """(m,) ray, range, point (a-priori place, height) of the network; of a prior, its column among the unknowns."""
-    point: Places
+    point: Indices
     """(m,) ground point; -1 for priors."""
-    image: Places
+    image: Indices
     """(m,) image; -1 for a-priori places, heights and priors that are no image's."""
-    observation: Places
+    observation: Indices
     """(m,) place among the layout's observations; -1 for priors."""
     sigma: Array
     """(m,) a-priori, px, m, rad or s."""
@@ -131,39 +131,39 @@ class Measures:
     dimensions: Small
     """(m,) how many of its dimensions something controls."""
 
-    def part(self, first: int, last: int) -> "Measures":
+    def part(self, first: int, last: int) -> "ScalarMeasures":
         """Some of them, as views."""
-        return Measures(*(getattr(self, name)[first:last] for name in self.__slots__))
+        return ScalarMeasures(*(getattr(self, name)[first:last] for name in self.__slots__))
 
     def say(
         self,
         kind: MeasureKind,
         component: Small | Index,
-        row: Index | Places,
+        row: Index | Indices,
         point: Index | int,
         image: Index | int,
-        observation: Index | Places | int,
+        observation: Index | Indices | int,
     ) -> None:
         """Write kind, component, row, point, image and observation of all of them."""
         self.kind[:], self.component[:], self.row[:] = kind, component, row
         self.point[:], self.image[:], self.observation[:] = point, image, observation
 
 
-def empty_measures(size: int) -> Measures:
+def empty_measures(size: int) -> ScalarMeasures:
     """So many measures, to be filled in."""
     types = [np.int8] * 2 + [np.int32] * 4 + [np.float64] * 8 + [np.int8]
     arrays: list[Any] = [np.empty(size, dtype=kind) for kind in types]
-    return Measures(*arrays)
+    return ScalarMeasures(*arrays)
 
 
 def judge_scalars(
-    out: Measures, sigma: Array, misfit: Array, share: Array, effect: Array, root: Array | None, levels: Levels
+    out: ScalarMeasures, sigma: Array, misfit: Array, share: Array, effect: Array, root: Array | None, levels: Levels
 ) -> None:
     """Fill in measures that are independent of each other; `joint` too, as if each stood alone.
 
     Parameters
     ----------
-    out : Measures
+    out : ScalarMeasures
         Where to.
     sigma : (m,)
         A-priori, in the unit.
@@ -243,12 +243,12 @@ def pair_tests(misfit: Array, share: Array, between: Array, root: Array | None) 
     return test, dimensions
 
 
-def judge_places(out: Measures, covariance: Array, numbers: Array, levels: Levels) -> float:
+def judge_ground_priors(out: ScalarMeasures, covariance: Array, numbers: Array, levels: Levels) -> float:
     """Fill in a-priori places: back from the whitened rows U v, U'U = P, to the body's axes; their sum of squares.
 
     Parameters
     ----------
-    out : Measures
+    out : ScalarMeasures
         Three for each of g points.
     covariance : (g, 3, 3)
         Of the places, m^2.
@@ -313,17 +313,15 @@ def _diagonal(matrices: Array) -> Array:
     return np.diagonal(matrices, axis1=1, axis2=2)
 
 
-_POWERS = ("constant", "linear", "quadratic", "cubic")
 _WHAT = {
     MeasureKind.RAY: ("line", "sample"),
     MeasureKind.RANGE: ("range",),
     MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
     MeasureKind.HEIGHT: ("height above the terrain",),
 }
-_WIDEST = 3
 
 
-def names_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
+def names_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[str]:
     """What each of the chosen measures (k,) is, in words."""
     network, kind = layout.network, measures.kind[chosen]
     heads = [""] * (_WIDEST * len(MeasureKind))
@@ -339,7 +337,7 @@ def names_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
     return [heads[h] + (ids[i] if i >= 0 else "") + images[j] for h, i, j in rows]
 
 
-def units_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
+def units_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[str]:
     """Unit of each of the chosen measures (k,): px, m, rad or s."""
     kind = measures.kind[chosen]
     units = ["px" if one else "m" for one in (kind == MeasureKind.RAY).tolist()]
@@ -349,7 +347,7 @@ def units_of(layout: Layout, measures: Measures, chosen: Index) -> list[str]:
     return units
 
 
-def _priors(layout: Layout, columns: Places) -> list[tuple[str, str]]:
+def _priors(layout: Layout, columns: Indices) -> list[tuple[str, str]]:
     """Name and unit of the a-priori values of some columns (k,) of the shared unknowns."""
     adjusted = np.array(layout.variables.adjusted(), dtype=np.int64)
     first = layout.variables.first[adjusted]

@@ -54,7 +54,7 @@ class Pixel:
     sample: float
     """Sample coordinate."""
     sigma: float = 1.0
-    """Sigma of either, pixels."""
+    """px, of line and sample."""
 
 
 class Posterior:
@@ -166,7 +166,7 @@ class Posterior:
         return self._of_crossing(*self._crossing(pixels, name), name)
 
     def intersections(self, rays: ImageRays) -> tuple[Array, Array]:
-        """Places (m, 3) in m and covariances (m, 3, 3) in m^2 of many new points; NaN where their rays don't meet.
+        """Positions (m, 3) in m and covariances (m, 3, 3) in m^2 of many new points; NaN where their rays don't meet.
 
         Parameters
         ----------
@@ -269,7 +269,7 @@ class Posterior:
         return dict(zip(variables, np.split(columns, np.cumsum(width)[:-1], axis=1), strict=True))
 
     def _meet(self, layout: Layout) -> tuple[Array, Mask]:
-        """Places (m, 3), layout order, at which new rays meet, and which of them do."""
+        """Positions (m, 3), layout order, at which new rays meet, and which of them do."""
         target, orientation = layout.blocks.target, self.linearised.orientation
         found = reduce(layout.rows, layout.groups, target, layout.model, orientation, COSTS)
         return found.points, (found.states == GOOD) & (layout.rows.kind != OUT)

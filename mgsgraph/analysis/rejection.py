@@ -31,13 +31,13 @@ class Removal:
     names: tuple[str, ...]
     """Names of these observations, for reports."""
     point: int
-    """Network point that they belong to."""
+    """Network point of the observations."""
     test: float
     """Joint test of the first when it went, chi-square (divided by sigma0 squared where `Levels.scaled` says so)."""
     dimensions: int
-    """Its dimensions."""
+    """Dimensions of the test."""
     critical: float
-    """Its critical value."""
+    """Critical value of the test."""
     adjustment: int
     """Number of the adjustment after which it went, from 1."""
 
@@ -119,12 +119,12 @@ class ObservationIndex:
     def of(self, point: int) -> dict[ObservationKey, int]:
         """Observations of a network point, and the index of each in those of its pattern (`PointRows.observation`)."""
         rows, patterns = self._at.rows, self._at.layout.patterns
-        place = int(patterns.point_place[point])
-        pattern, first, count, _, observation = rows.piece[patterns.piece_of(place)].tolist()
+        number = int(patterns.point_place[point])
+        pattern, first, count, _, observation = rows.piece[patterns.piece_of(number)].tolist()
         found: dict[ObservationKey, int] = {}
         for kind, index, places in self._measured:
             for k in index.of(point).tolist():
-                found[kind, k] = (int(places[k]) - observation - (place - first)) // count
+                found[kind, k] = (int(places[k]) - observation - (number - first)) // count
         for slot, k in enumerate(range(rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1])):
             if rows.observation_kind[k] == GROUND:
                 found[MeasureKind.GROUND, point] = slot
@@ -217,7 +217,7 @@ def _agrees(
 
 
 def _chosen_rows(rows: PointRows, chosen: Mask) -> PointRows:
-    """Some of a point's rows."""
+    """Chosen rows of a point."""
     return replace(
         rows,
         residuals=rows.residuals[:, chosen],

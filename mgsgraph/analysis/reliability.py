@@ -3,7 +3,7 @@
 Of every scalar measure that takes part: its redundancy number r (what of an error in it shows in its own residual), the
 w-test of its residual, the minimal detectable blunder, and what a blunder of that size, unnoticed, does to its point
 and to any result (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Rejected rows don't take part. With a robust loss
-a row of weight p keeps its own sigma in its test, while the others speak with their weights: the test is that of the
+a row of weight p keeps its own sigma in its test, while the others keep their weights: the test is that of the
 residual against what the others predict. One without weight doesn't take part.
 """
 
@@ -20,13 +20,13 @@ from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import Linearised, PriorRows, at_solution, prior_rows
 from mgsgraph.analysis.measures import (
+    Indices,
     Levels,
     MeasureKind,
-    Measures,
-    Places,
+    ScalarMeasures,
     Small,
     empty_measures,
-    judge_places,
+    judge_ground_priors,
     judge_scalars,
     names_of,
     pair_tests,
@@ -47,7 +47,7 @@ _MISFIT, _SHARE, _EFFECT, _BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
 """Columns of the kernel's numbers of the first two rows of observations (t, 8), side by side, lest each look-up cost
 several: whitened residuals; diagonal of H; m that an error of one sigma moves the point; H between the two rows."""
 _EXACT = 1e-12
-"""Residual in sigmas without a robust weight to speak of."""
+"""Residual in sigmas below which its robust weight is taken as one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,11 +55,11 @@ class Reliability:
     """Reliability of an adjustment: `measures`, in the order of kinds, and within these of the network's rows."""
 
     at: Linearised
-    """What was asked about."""
+    """The linearised network."""
     levels: Levels
-    """Sizes of the tests."""
-    measures: Measures
-    """All that take part."""
+    """Significance and power of the tests."""
+    measures: ScalarMeasures
+    """All measures that take part."""
     critical: float
     """Modulus that a good measure's test exceeds with probability alpha."""
     sigma0: float
@@ -115,7 +115,7 @@ class Reliability:
         return units_of(self.at.layout, self.measures, measures)
 
     def names(self, measures: Index) -> list[str]:
-        """What many measures (k,) are."""
+        """Names of many measures (k,)."""
         return names_of(self.at.layout, self.measures, measures)
 
     def __repr__(self) -> str:
@@ -137,7 +137,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     """
     at, levels = (of if isinstance(of, Linearised) else at_solution(of)), levels or Levels()
     points = np.flatnonzero(at.layout.network_order(at.rows.kind) == PRIOR)
-    places = _ground_places(at, points)
+    places = _ground_indices(at, points)
     numbers, ground = _swept(at, places)
     roots = _robust_roots(at, numbers)
     used, shots, heights = _taking_part(at, roots)
@@ -150,7 +150,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     squares += _ranges(ranges, at, numbers, shots, roots, levels)
     thrice = np.repeat(points, 3)
     apriori.say(MeasureKind.GROUND, np.tile(np.arange(3), points.size), thrice, thrice, -1, np.repeat(places, 3))
-    squares += judge_places(apriori, at.network.points.covariances[points], ground, levels)
+    squares += judge_ground_priors(apriori, at.network.points.covariances[points], ground, levels)
     squares += _heights(surface, at, numbers, heights, levels) + _priors(priors, at, known, levels)
     degrees = float(out.redundancy.sum())
     sigma0 = float(np.sqrt(squares / degrees)) if degrees > 0.0 else float("nan")
@@ -174,14 +174,14 @@ def _taking_part(at: Linearised, roots: tuple[Array, Array] | None) -> tuple[Mas
     return used, shots, np.flatnonzero(there & _used(at, places.heights, places.on_terrain, None))
 
 
-def _ground_places(at: Linearised, points: Index) -> Index:
+def _ground_indices(at: Linearised, points: Index) -> Index:
     """(g,) places among all observations of the a-priori places of network points."""
-    rows, place = at.rows, at.layout.patterns.point_place
+    rows, index_of = at.rows, at.layout.patterns.point_place
     of_pattern = np.full(rows.pattern_group.size, -1)
     own = np.flatnonzero(rows.observation_kind == GROUND)
     pattern = np.searchsorted(rows.pattern_observation, own, side="right") - 1
     of_pattern[pattern] = own - rows.pattern_observation[pattern]
-    inside = place[points]
+    inside = index_of[points]
     pattern, first, count, _, observation = rows.piece[at.layout.patterns.piece_of(inside)].T
     return np.asarray(observation + of_pattern[pattern] * count + inside - first, dtype=np.int64)
 
@@ -236,9 +236,9 @@ def _robust_roots(at: Linearised, numbers: Array) -> tuple[Array, Array] | None:
 
 
 def _rays(
-    out: Measures, at: Linearised, numbers: Array, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
+    out: ScalarMeasures, at: Linearised, numbers: Array, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
 ) -> list[float]:
-    """Fill in the rays; sums of squares."""
+    """Fill in the rays; their sums of squares, part by part."""
     rays, places = at.network.rays, at.layout.places.rays
     edges = [*range(0, used.size, _RAYS), used.size]
     counts = [int(np.count_nonzero(used[a:b])) for a, b in pairwise(edges)]
@@ -249,10 +249,10 @@ def _rays(
         chosen: slice | Index = slice(first, last)
         if begins[last] - begins[first] < 2 * number.size:
             number, chosen = number[used[first:last]], np.flatnonzero(used[first:last]) + first
-        place, root = places[chosen], None if roots is None else roots[0][chosen]
-        found, mine = numbers[place], out.part(begins[first], begins[last])
+        index, root = places[chosen], None if roots is None else roots[0][chosen]
+        found, mine = numbers[index], out.part(begins[first], begins[last])
         point, image = np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
-        mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(place, 2))
+        mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(index, 2))
         misfit, share, effect = (found[:, columns].ravel() for columns in (_MISFIT, _SHARE, _EFFECT))
         twice = None if root is None else np.repeat(root, 2)
         judge_scalars(mine, rays.sigmas[chosen].ravel(), misfit, share, effect, twice, levels)
@@ -264,7 +264,7 @@ def _rays(
 
 
 def _ranges(
-    out: Measures, at: Linearised, numbers: Array, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
+    out: ScalarMeasures, at: Linearised, numbers: Array, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
 ) -> float:
     """Fill in the ranges; their sum of squares."""
     ranges, index = at.network.ranges, at.layout.places.ranges[shots]
@@ -275,7 +275,7 @@ def _ranges(
     return float(misfit @ misfit)
 
 
-def _heights(out: Measures, at: Linearised, numbers: Array, chosen: Index, levels: Levels) -> float:
+def _heights(out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index, levels: Levels) -> float:
     """Fill in the heights above the terrain; their sum of squares."""
     if at.network.surface is None:
         return 0.0
@@ -287,7 +287,7 @@ def _heights(out: Measures, at: Linearised, numbers: Array, chosen: Index, level
     return float(misfit @ misfit)
 
 
-def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> float:
+def _priors(out: ScalarMeasures, at: Linearised, known: PriorRows, levels: Levels) -> float:
     """Fill in a-priori values of the shared unknowns, all of them zero; their sum of squares."""
     about = known.about
     variables = at.layout.variables
@@ -299,7 +299,7 @@ def _priors(out: Measures, at: Linearised, known: PriorRows, levels: Levels) -> 
     return float(known.misfit @ known.misfit)
 
 
-def _used(at: Linearised, places: Index | Places, points: Index, root: Array | None) -> Mask:
+def _used(at: Linearised, places: Index | Indices, points: Index, root: Array | None) -> Mask:
     """Which observations take part, by their places and points."""
     used = (at.rows.weight[0, places] > 0.0) & (at.layout.network_order(at.rows.kind)[points] != OUT)
     return np.asarray(used if root is None else used & (root > 0.0))

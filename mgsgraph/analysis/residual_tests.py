@@ -31,7 +31,7 @@ _CONTROLLED = 1e-3
 _FEWEST = 5.0
 """Independent residuals without which no test is made."""
 _MARKS = 200
-"""Places of a quantile plot."""
+"""Points of a quantile plot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +47,9 @@ class ChiSquareTest:
     smaller: float
     """Of so small a one, or a smaller one."""
     bounds: tuple[float, float]
-    """Two-sided, at alpha."""
+    """Two-sided bounds of `squares`, at alpha."""
     upper_bound: float
-    """One-sided, at alpha."""
+    """One-sided upper bound of `squares`, at alpha."""
 
     @property
     def two_sided(self) -> float:
@@ -62,7 +62,7 @@ class ChiSquareTest:
         return self.two_sided >= self.alpha
 
     def words(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         low, high = self.bounds
         found, advice = "passed", ""
         if not self.passed:
@@ -112,7 +112,7 @@ class ResidualStatistics:
     """Normalised residuals of one group."""
 
     name: str
-    """Of the group."""
+    """Name of the group."""
     values: Array
     """(n,) sorted; of rows with a redundancy number of at least 0.001."""
     uncontrolled: int
@@ -122,12 +122,12 @@ class ResidualStatistics:
 
     @property
     def mean(self) -> float:
-        """0 is promised."""
+        """Mean; 0 is expected."""
         return float(self.values.mean()) if self.values.size else math.nan
 
     @property
     def rms(self) -> float:
-        """1 is promised."""
+        """Root mean square; 1 is expected."""
         return root_mean_square(self.values)
 
     @property
@@ -192,7 +192,7 @@ class ResidualStatistics:
         return QuantilePlot(ndtri(share), self.values[ranks], ndtri(low), ndtri(high))
 
     def words(self) -> str:
-        """One sentence."""
+        """The result in one sentence."""
         if not self.values.size:
             return f"{self.name}: no residual that anything controls"
         pairs = zip(self.beyond, PROMISED, strict=True)

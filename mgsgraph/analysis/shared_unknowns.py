@@ -35,7 +35,7 @@ class SharedEstimate:
     unit: str
     """s, mrad or m."""
     value: float
-    """In that unit."""
+    """Estimated value, in that unit."""
     sigma: float
     """Its standard deviation, for sigma0 = 1."""
     prior_sigma: float
@@ -43,9 +43,9 @@ class SharedEstimate:
     image: str
     """Image whose constant pitch (`pitch_axis`) it is most like; empty where all are held."""
     correlation: float
-    """With that pitch."""
+    """Correlation with that pitch."""
     likeness: float
-    """With that pitch, 0 to 1."""
+    """Likeness with that pitch, 0 to 1."""
     together: float
     """Likeness with the best mixture of constant pitches of all its images, 0 to 1."""
     mixture: tuple[str, ...]

@@ -51,7 +51,7 @@ class Snooping:
     """The last adjustment; its network lacks the a-priori places and heights that were taken out, and marks the rays
     and ranges, as `rays_rejected` and `ranges_rejected` do."""
     reliability: Reliability
-    """Of the measures that are left."""
+    """Reliability of the measures that are left."""
     removals: tuple[Removal, ...]
     """What stays out, in the order in which it went."""
     readmitted: tuple[Removal, ...]
@@ -59,7 +59,7 @@ class Snooping:
     taken: Taken
     """Marks of what stays out; `taken.marked(network)` is the network with its rays and ranges marked as rejected."""
     adjustments: int
-    """How many there were."""
+    """Number of adjustments."""
     complete: bool
     """False where more tests exceed their critical value than might be taken out (`most`)."""
 
@@ -133,7 +133,7 @@ def snoop(
 
 
 class _Search:
-    """One search, and where it stands."""
+    """One search for blunders and its state."""
 
     def __init__(
         self, network: Network, settings: SolverSettings, levels: Levels, most: int, name: str, progress: Progress
@@ -146,7 +146,7 @@ class _Search:
 
     @property
     def scale(self) -> float:
-        """What tests are divided by."""
+        """Sigma0 by which tests are divided, or 1."""
         return self.found.sigma0 if self._levels.scaled else 1.0
 
     def critical(self, dimensions: int) -> float:
@@ -167,7 +167,7 @@ class _Search:
             self.adjust()
 
     def adjust(self) -> None:
-        """Adjust what is left."""
+        """Adjust the observations that are left."""
         left = self.taken.marked(self._network)
         self.solution = adjust_network(left, self._settings, self._name, left_in=selection(left, self.taken))
         self.at = at_solution(self.solution)
@@ -212,7 +212,7 @@ def _candidate(found: Reliability, index: ObservationIndex, point: int, scale: f
 
 
 def _name(at: Linearised, kind: MeasureKind, row: int) -> str:
-    """A whole observation in words."""
+    """Name of a whole observation."""
     network = at.network
     if kind is MeasureKind.RAY:
         of, image = network.points.ids[network.rays.point[row]], network.images[network.rays.image[row]].name

@@ -116,11 +116,11 @@ class PointStatistics:
     """Ground points of one class; sigmas and corrections are of those that were adjusted (fixed ones have none)."""
 
     count: int
-    """All points of the class."""
+    """Number of points of the class."""
     rejected: int
     """Points without a place, or none of whose rays took part."""
     adjusted: int
-    """Points with an adjusted place."""
+    """Number of points with an adjusted position."""
     mean_sigma: Array
     """(3,) m, in x, y, z, for sigma0 = 1."""
     mean_correction: Array
@@ -165,9 +165,9 @@ class RangeStatistics:
     """Laser ranges; residuals, measured minus predicted, of those that took part."""
 
     count: int
-    """All ranges."""
+    """Number of all ranges."""
     used: int
-    """Ranges that took part."""
+    """Number of ranges that took part."""
     mean: float
     """m."""
     rms: float

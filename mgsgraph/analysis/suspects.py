@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.analysis.linearised import Linearised, PointRows
-from mgsgraph.analysis.measures import MeasureKind, Places
+from mgsgraph.analysis.measures import Indices, MeasureKind
 from mgsgraph.analysis.reliability import Reliability
 from mgsgraph.geometry.records import Array, Index
 
@@ -85,7 +85,7 @@ class PointIndex:
         Number of points.
     """
 
-    def __init__(self, points: Index | Places, count: int) -> None:
+    def __init__(self, points: Index | Indices, count: int) -> None:
         self._order = np.argsort(points, kind="stable")
         self._first = np.searchsorted(points[self._order], np.arange(count + 1))
 
@@ -121,9 +121,9 @@ def combinations(found: Reliability, measures: Index, rows: PointRows) -> Array:
     """
     table, at = found.measures, found.at
     point = int(table.point[measures[0]])
-    place = int(at.layout.patterns.point_place[point])
-    _, first, count, _, observation = at.rows.piece[at.layout.patterns.piece_of(place)].tolist()
-    slot = (table.observation[measures] - observation - (place - first)) // count
+    index = int(at.layout.patterns.point_place[point])
+    _, first, count, _, observation = at.rows.piece[at.layout.patterns.piece_of(index)].tolist()
+    slot = (table.observation[measures] - observation - (index - first)) // count
     chosen = np.zeros((rows.row.size, measures.size))
     for q, k in enumerate(measures.tolist()):
         here = np.flatnonzero(rows.observation == slot[q])

@@ -77,10 +77,10 @@ class GroupStatistics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoStepStatistics:
-    """All of an adjustment in two steps."""
+    """Statistics of an adjustment in two steps."""
 
     steps: TwoSteps
-    """What was adjusted."""
+    """The adjustment."""
     whole: GroupStatistics
     """All strips together; each point counts once, in the axes of the first strip that sees it."""
     groups: tuple[GroupStatistics, ...]

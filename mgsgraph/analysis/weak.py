@@ -57,7 +57,7 @@ class WeakDirection:
     """A direction of the shared unknowns of which little was learnt."""
 
     ratio: float
-    """Its sigma over the a-priori one."""
+    """Ratio of its sigma to the a-priori one."""
     sigma: float
     """m or rad, how far one sigma moves the axis of its main part."""
     unit: str

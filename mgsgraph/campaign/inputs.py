@@ -14,6 +14,8 @@ SUFFIX = ".toml"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
 _JOINT = "-"
+_BESIDE = (".lbl", ".img", ".imq", ".cub")
+"""Endings of files that belong together: a label, and the pixels or posts that it describes."""
 
 
 def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:
@@ -92,10 +94,6 @@ def _parts(case: Path) -> tuple[str, ...]:
     return parts if case.stem == _PLAIN and parts else (*parts, case.stem)
 
 
-_BESIDE = (".lbl", ".img", ".imq", ".cub")
-"""Endings of files that belong together: a label, and the pixels or posts that it describes."""
-
-
 def checksums(case: Path) -> dict[str, str | None]:
     """SHA-256 of a case file and of every file that it names, by path as the case writes it; None for what can't be
     read. Of a case file that can't be understood there is only its own.
@@ -123,9 +121,10 @@ def _named(wanted: CaseInput) -> Iterator[str]:
     if wanted.ground_control is not None:
         yield wanted.ground_control.file
     yield from (group.file for group in wanted.laser_groups)
-    for profile in wanted.mola:
-        yield profile.pedr
-        yield from (name for name in (profile.leap_seconds,) if name is not None)
+    yield from (profile.pedr for profile in wanted.mola)
+    yield from (cloud.file for cloud in wanted.altimetry)
+    leap_seconds = [*(entry.leap_seconds for entry in wanted.mola), *(entry.leap_seconds for entry in wanted.altimetry)]
+    yield from (name for name in leap_seconds if name is not None)
     if wanted.terrain is not None:
         terrain = wanted.terrain
         for several in (terrain.radius, terrain.tracks):

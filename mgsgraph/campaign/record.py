@@ -18,6 +18,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.io.files import claim
 
 Status = Literal["done", "not converged", "failed"]
+RECORD = "campaign.jsonl"
+"""Name of the file in the folder of the results."""
+_HEAD = {"program": "mgsgraph", "record": "campaign", "format": 1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +58,9 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     status: Status
     """not converged: results are written; failed: there are none of this run."""
     message: str
-    """Why it stopped, in words."""
+    """Reason why the adjustment ended."""
     seconds: float
-    """Wall time on the worker."""
+    """s, wall time on the worker."""
     converged: bool
     sigma0: float | None
     """A-posteriori standard deviation of unit weight; None where there is none."""
@@ -68,7 +71,7 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     checksums: dict[str, str | None]
     """SHA-256 of the case file and of its inputs, by path as the case writes it."""
     overrides: Overrides = msgspec.field(name="wishes")
-    """What overruled the case file."""
+    """Options that overruled the case file."""
     version: str
     """Version of this program."""
     machine: str
@@ -76,10 +79,6 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     finished: str
     """UTC, ISO 8601."""
 
-
-RECORD = "campaign.jsonl"
-"""Name of the file in the folder of the results."""
-_HEAD = {"program": "mgsgraph", "record": "campaign", "format": 1}
 
 class Record:
     """An open record; made by `open_record`.

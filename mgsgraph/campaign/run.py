@@ -28,21 +28,28 @@ from mgsgraph.output.folders import RECORD as RESULT
 from mgsgraph.output.folders import require_replaceable
 from mgsgraph.reports.results import write_results
 
+Progress = Callable[[int, int, CampaignEntry | None], None]
+"""Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
+_WIDTH = 110
+"""columns of the table."""
+_NAME = 32
+"""columns of a case's name at most."""
+
 
 @dataclass(frozen=True, slots=True)
 class CaseTask:
-    """A case to be done."""
+    """A case that is to be adjusted."""
 
     case: Path
     """Its file, absolute: the same on all machines."""
     name: str
-    """What the record calls it."""
+    """Name of the case in the record."""
     out: Path
     """Folder of the campaign's results, absolute."""
     folder: str
     """Name of the folder in it for this case."""
     overrides: Overrides
-    """What overrules the case file."""
+    """Options that overrule the case file."""
     base: Path
     """Working directory, from which SPICE looks for what a meta-kernel lists."""
 
@@ -104,8 +111,6 @@ def _entry(task: CaseTask, sums: dict[str, str | None], seconds: float, outcome:
     )
 
 
-Progress = Callable[[int, int, CampaignEntry | None], None]
-"""Called with the number of cases that are over, of all that are due, and the one just over (None at first)."""
 _Each = Callable[[Callable[[CaseTask], CampaignEntry], Sequence[CaseTask]], Iterator[tuple[int, CampaignEntry | Lost]]]
 
 
@@ -119,7 +124,7 @@ class Campaign:
     """`CampaignEntry.case` of those that were left as an earlier run had ended them."""
 
     def count(self, status: str) -> int:
-        """How many cases ended so."""
+        """Number of cases with a status."""
         return sum(entry.status == status for entry in self.entries)
 
     @property
@@ -221,12 +226,6 @@ def _sweep(out: Path, tasks: Sequence[CaseTask]) -> None:
         match = re.fullmatch(r"\.(.+)\.[0-9a-f]{8}\.unfinished", path.name)
         if match and match[1] in names:
             shutil.rmtree(path, ignore_errors=True)
-
-
-_WIDTH = 110
-"""columns of the table."""
-_NAME = 32
-"""columns of a case's name at most."""
 
 
 def summary(campaign: Campaign) -> str:

@@ -18,11 +18,12 @@ from mgsgraph.case.assembly import Parts
 from mgsgraph.case.groups import merged, with_sigmas
 from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
-from mgsgraph.case.schema import CaseInput, ImageInput, MolaInput, TerrainInput, TiesInput, decode
+from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, MolaInput, TerrainInput, TiesInput, decode
 from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import read_terrain_model
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
+from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
 from mgsgraph.geometry.records import Array
@@ -81,6 +82,8 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     wanted = decode(path)
     if ties is not None:
         wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
+    if wanted.altimetry:
+        raise InputError(f"{path}, altimetry", "a table that the adjustment doesn't take yet", remedy="leave it out")
     folder = path.parent
     orientations = wanted.orientations
     of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
@@ -191,6 +194,21 @@ def read_mola(entry: MolaInput, folder: Path) -> AltimeterShots:
     """Shots of a profile as a case states it."""
     leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
     return read_shots(folder / entry.pedr, entry.clock_bias_s, entry.version, leap_seconds)
+
+
+def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> AltimetryCloud:
+    """Ground returns of all profiles of a file as a case states it, in the images or not."""
+    from mgsgraph.io.altimetry_cloud import read_altimetry_cloud
+
+    path = folder / entry.file
+    leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
+    cloud = read_altimetry_cloud(path, body, entry.version, leap_seconds)
+    if entry.footprint_m is not None:
+        return replace(cloud, footprint=entry.footprint_m)
+    if np.isnan(cloud.footprint):
+        found, expected = "shots of an unknown altimeter", "the diameter of its spots on the ground"
+        raise InputError(str(path), found, expected, "give footprint_m in [[altimetry]]")
+    return cloud
 
 
 def read_shots(

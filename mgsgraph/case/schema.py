@@ -158,6 +158,29 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Leap seconds kernel, for tables with UTC alone."""
 
 
+class AltimetryInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Laser altimetry as control for the relief that the images show: ground returns in profiles, without an image."""
+
+    file: str
+    """LOLA RDR (binary, or CSV of the Orbital Data Explorer), PEDR (binary or text), or a CSV whose header names
+    columns and units: longitude_deg, latitude_deg (planetocentric) with radius_m, radius_km or height_m; or x_m, y_m,
+    z_m; optional id, profile or orbit, time_s or utc."""
+    sigma_m: tuple[Sigma, Sigma] = (10.0, 1.0)
+    """Sigma of each shot, horizontal in each direction and vertical, without what its profile has in common."""
+    shift_sigma_m: tuple[Sigma, Sigma, Sigma] = (100.0, 100.0, 10.0)
+    """Sigma of each profile's common error east, north and up, which becomes an unknown."""
+    drift_sigma_m: Sigma | None = None
+    """Sigma of each profile's drift: the height at its ends, linear along the track; absent: none."""
+    footprint_m: Positive | None = None
+    """Diameter of the laser's spot on the ground; when absent 168 for MOLA and 5 for LOLA."""
+    margin_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 500.0
+    """Shots are taken that lie in an image or so many pixels beside it."""
+    version: str | None = None
+    """PEDR version letter, where the file's name doesn't say."""
+    leap_seconds: str | None = None
+    """Leap seconds kernel, for files with UTC alone."""
+
+
 class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A terrain model: control for the tie points, and where their heights above the areoid come from."""
 
@@ -294,6 +317,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false: none."""
     mola: tuple[MolaInput, ...] = ()
     """Laser profiles of MOLA."""
+    altimetry: tuple[AltimetryInput, ...] = ()
+    """Laser altimetry that lies on the relief."""
     terrain: TerrainInput | None = None
     """Terrain model."""
     shared: tuple[SharedInput, ...] = ()

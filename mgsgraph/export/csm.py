@@ -6,7 +6,6 @@ where there are any, or else the body's axes as they are in the image's middle.
 """
 
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.files import read_json, write_files
+from mgsgraph.io.files import file_stem, read_json, write_files
 from mgsgraph.io.isd import (
     J2000,
     MODEL,
@@ -97,7 +96,7 @@ def write_csm(
 def file_stems(solution: Solution) -> list[str]:
     """A file name for each image, without its end."""
     names = [image.name for image in solution.network.images]
-    stems = [re.sub(r"[^A-Za-z0-9.-]+", "_", name).lstrip(".") or "_" for name in names]
+    stems = [file_stem(name).lstrip(".") or "_" for name in names]
     folded = [stem.casefold() for stem in stems]
     for j, stem in enumerate(folded):
         if stem in folded[:j]:

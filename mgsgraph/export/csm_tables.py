@@ -16,7 +16,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.trajectory import AttitudeTable, Pose
+from mgsgraph.geometry.trajectory import AttitudeTable, Pose, PositionTable
 
 POSITION_TOLERANCE, ATTITUDE_TOLERANCE = 2e-4, 7e-4
 """Pixels by which interpolation may be off, of positions and of attitudes."""
@@ -156,17 +156,19 @@ def _interpolation_errors(
     """
     nodes = pose_at(image, correction, times)
     quaternions, step = rotation.continuous(rotation.from_matrix(nodes.matrix)), float(times[1] - times[0])
+    cubic = PositionTable(times, nodes.position, nodes.velocity)
+    uniform = AttitudeTable(times, quaternions, np.eye(3))
     position = attitude = 0.0
     inner = slice(_BEYOND - 1, times.size - _BEYOND)
     for share in _BETWEEN:
-        true = pose_at(image, correction, times[inner] + share * step)
-        weights = _eight_weights(share)
-        place = _windows(nodes.position) @ weights
-        position = max(position, _largest(place - true.position))
-        position = max(position, _largest(_cubic(nodes, step, share)[inner] - true.position))
-        lagrange, even = _windows(quaternions) @ weights, _even_turn(quaternions, share)[inner]
-        for turned in (lagrange, even):
-            attitude = max(attitude, _largest(_apart(turned, true.matrix)))
+        between, weights = times[inner] + share * step, _eight_weights(share)
+        true = pose_at(image, correction, between)
+        for place in (_windows(nodes.position) @ weights, cubic.at(between)[0]):
+            position = max(position, _largest(place - true.position))
+        lagrange = _windows(quaternions) @ weights
+        lagrange /= np.linalg.norm(lagrange, axis=1)[:, None]
+        for matrix in (rotation.to_matrix(lagrange), uniform.at(between)[0]):
+            attitude = max(attitude, _largest(rotation.logarithm(matrix @ np.swapaxes(true.matrix, 1, 2))))
     return position, attitude
 
 
@@ -179,29 +181,6 @@ def _eight_weights(share: float) -> Array:
 def _windows(values: Array) -> Array:
     """(n - 7, c, 8) of values (n, c)."""
     return np.lib.stride_tricks.sliding_window_view(values, 8, axis=0)
-
-
-def _cubic(nodes: Pose, step: float, share: float) -> Array:
-    """(n - 1, 3) m, Hermite's cubic at a share of each interval."""
-    p0, p1, v0, v1 = nodes.position[:-1], nodes.position[1:], nodes.velocity[:-1] * step, nodes.velocity[1:] * step
-    c2, c3 = 3.0 * (p1 - p0) - 2.0 * v0 - v1, 2.0 * (p0 - p1) + v0 + v1
-    return np.asarray(p0 + share * (v0 + share * (c2 + share * c3)))
-
-
-def _even_turn(quaternions: Array, share: float) -> Array:
-    """(n - 1, 4) quaternions on the great arc at a share of each interval."""
-    half = np.arccos(np.clip(np.einsum("ni,ni->n", quaternions[:-1], quaternions[1:]), -1.0, 1.0))[:, None]
-    small = half < 1e-7
-    safe = np.where(small, 1.0, half)
-    first = np.where(small, 1.0 - share, np.sin((1.0 - share) * safe) / np.sin(safe))
-    last = np.where(small, share, np.sin(share * safe) / np.sin(safe))
-    return np.asarray(first * quaternions[:-1] + last * quaternions[1:])
-
-
-def _apart(quaternions: Array, matrices: Array) -> Array:
-    """(n, 3) rad between attitudes as interpolated (n, 4), of any length, and as they are (n, 3, 3)."""
-    unit = quaternions / np.linalg.norm(quaternions, axis=1)[:, None]
-    return rotation.logarithm(rotation.to_matrix(unit) @ np.swapaxes(matrices, 1, 2))
 
 
 def _largest(vectors: Array) -> float:

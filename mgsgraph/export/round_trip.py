@@ -32,17 +32,27 @@ def reprojection(solution: Solution) -> Reprojection:
     Those of undetermined points are left out, and those which the adjusted orientation no longer sees near its image
     (`PushbroomImage.ground_to_image` gives NaN).
     """
-    rays = solution.network.rays
-    points = solution.places[rays.point]
-    places, times = np.full((rays.point.size, 2), np.nan), np.full(rays.point.size, np.nan)
-    for j in range(len(solution.network.images)):
-        image = solution.image(j)
-        mine = np.flatnonzero((rays.image == j) & solution.determined[rays.point])
-        places[mine], _ = image.ground_to_image(points[mine], solution.correction(j), rays.places[mine, 0])
+    rays, images = solution.network.rays, solution.network.images
+    places, points = _predicted(solution), solution.places[rays.point]
+    times = np.full(rays.point.size, np.nan)
+    for j, image in enumerate(images):
+        mine = rays.image == j
         times[mine] = image.timing.at(places[mine, 0])[0] + image.trajectory.epoch
     seen = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(points).all(axis=1))
-    names = [solution.network.images[j].name for j in rays.image[seen].tolist()]
+    names = [images[j].name for j in rays.image[seen].tolist()]
     return Reprojection(tuple(names), points[seen], places[seen], times[seen])
+
+
+def _predicted(solution: Solution) -> Array:
+    """(k, 2) line and sample where the adjusted orientation sees each measure's adjusted point; NaN where the point is
+    not determined, or not seen near the image.
+    """
+    rays, predicted = solution.network.rays, np.full((solution.network.rays.point.size, 2), np.nan)
+    for j in np.unique(rays.image).tolist():
+        mine = np.flatnonzero((rays.image == j) & solution.determined[rays.point])
+        points, start = solution.places[rays.point[mine]], rays.places[mine, 0]
+        predicted[mine], _ = solution.image(j).ground_to_image(points, solution.correction(j), start)
+    return predicted
 
 
 def images_of(wanted: Reprojection) -> dict[str, Index]:
@@ -68,13 +78,8 @@ class MeasuredPlaces(NamedTuple):
 
 def measured_places(solution: Solution) -> MeasuredPlaces:
     """Measures of a solution; where their points are seen is computed anew, not from residuals."""
-    rays, names = solution.network.rays, [image.name for image in solution.network.images]
+    rays, points = solution.network.rays, solution.network.points
     kept = np.flatnonzero(solution.determined[rays.point])
-    point, image, points = rays.point[kept], rays.image[kept], solution.places[rays.point[kept]]
-    predicted = np.full((kept.size, 2), np.nan)
-    for j in np.unique(image).tolist():
-        mine = image == j
-        start = rays.places[kept[mine], 0]
-        predicted[mine], _ = solution.image(j).ground_to_image(points[mine], solution.correction(j), start)
-    ids = tuple(solution.network.points.ids[i] for i in point.tolist())
-    return MeasuredPlaces(ids, tuple(names[j] for j in image.tolist()), rays.places[kept], predicted, points)
+    ids = tuple(points.ids[i] for i in rays.point[kept].tolist())
+    names = tuple(solution.network.images[j].name for j in rays.image[kept].tolist())
+    return MeasuredPlaces(ids, names, rays.places[kept], _predicted(solution)[kept], solution.places[rays.point[kept]])

@@ -202,6 +202,58 @@ class AltimeterShots:
         return f"AltimeterShots({self.times.size} shots, {int(self.ground.sum())} on the ground, {orbits} orbits)"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AltimetryCloud:
+    """Ground returns of a laser altimeter, profile by profile, struct of arrays: control that needs no image."""
+
+    source: str
+    """File they come from, for messages."""
+    ids: tuple[str, ...]
+    """(n) names, each once."""
+    points: Array
+    """(n, 3) m, body-fixed."""
+    times: Array
+    """(n,) s TDB past J2000, in which shots of a profile follow one another; NaN where unknown: then in the file's
+    order."""
+    profiles: tuple[str, ...]
+    """(p) names, each once: shots of one crossing, which have their errors of place in common."""
+    profile: Index
+    """(n,) index of the profile."""
+    footprint: float = float("nan")
+    """m, diameter of the laser's spot on the ground; NaN where unknown."""
+
+    def __post_init__(self) -> None:
+        n = len(self.ids)
+        require_unique(self.ids, self.source)
+        require_unique(self.profiles, f"{self.source}, profiles")
+        times = _with_gaps(self.times, f"{self.source}, times", (n,))
+        profile = frozen_index(self.profile, f"{self.source}, profile", n, len(self.profiles))
+        order = np.argsort(profile, kind="stable")
+        back = (np.diff(times[order]) < 0.0) & (np.diff(profile[order]) == 0)
+        for k in np.flatnonzero(back)[:1]:
+            shot, name = self.ids[order[k + 1]], self.profiles[profile[order[k]]]
+            raise InputError(f"{self.source}, profile {name}", f"shot {shot} before its time", "shots in order of time")
+        if self.footprint <= 0.0:
+            raise InputError(f"{self.source}, footprint", f"{self.footprint} m", "a positive diameter")
+        points = frozen(self.points, f"{self.source}, points", (n, 3))
+        assign(self, points=points, times=times, profile=profile)
+
+    def chosen(self, which: Mask) -> "AltimetryCloud":
+        """The shots of a mask (n,), and of the profiles those that still have any."""
+        kept, profile = np.unique(self.profile[which], return_inverse=True)
+        return replace(
+            self,
+            ids=tuple(self.ids[k] for k in np.flatnonzero(which)),
+            points=self.points[which],
+            times=self.times[which],
+            profiles=tuple(self.profiles[k] for k in kept),
+            profile=profile,
+        )
+
+    def __repr__(self) -> str:
+        return f"AltimetryCloud({len(self.ids)} shots, {len(self.profiles)} profiles, from {self.source})"
+
+
 def _with_gaps(value: Array, where: str, shape: tuple[int, ...]) -> Array:
     """Copy to a read-only float64 array of a shape, in which NaN stands for what is not known."""
     array = np.array(value, dtype=np.float64)

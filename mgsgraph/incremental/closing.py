@@ -22,11 +22,11 @@ class Closing:
     """Largest differences between the incremental result and batch, in sigmas of batch."""
 
     unknown: Unknown
-    """The one that lies farthest off."""
+    """Unknown with the largest difference."""
     orientation: float
     """Largest difference of a coefficient or shift, in its sigma."""
     point: str
-    """The point that lies farthest off."""
+    """Point with the largest difference."""
     points: float
     """Largest difference of a coordinate, in its sigma."""
     adopted: bool
@@ -41,15 +41,15 @@ class Closing:
 
     @property
     def close(self) -> bool:
-        """Whether all lay within `CLOSE`."""
+        """Whether all differences are within `CLOSE`."""
         return self.worst <= CLOSE
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """HTML for notebooks."""
         return card("Closing check", [self.sentence()])
 
     def sentence(self) -> str:
-        """What was found."""
+        """The result in one sentence."""
         if not self.converged:
             return "Closing check against batch: batch did not converge; the incremental result was kept."
         verdict = "the same" if self.close else f"farther apart than {CLOSE:g} sigmas"

@@ -44,14 +44,14 @@ class _Kept(Generic[_Laid]):
         self._all: OrderedDict[Members, tuple[int, _Laid]] = OrderedDict()
 
     def get(self, members: Members) -> _Laid | None:
-        """What was kept for a bundle."""
+        """The entry of a bundle; None where there is none."""
         if members not in self._all:
             return None
         self._all.move_to_end(members)
         return self._all[members][1]
 
     def put(self, members: Members, size: int, laid: _Laid) -> None:
-        """Keep it."""
+        """Keep an entry of a size."""
         self.drop(members)
         self._all[members] = size, laid
         self._size += size
@@ -60,7 +60,7 @@ class _Kept(Generic[_Laid]):
             self._size -= count
 
     def drop(self, members: Members) -> None:
-        """Forget it."""
+        """Remove the entry of a bundle."""
         if members in self._all:
             self._size -= self._all.pop(members)[0]
 
@@ -98,7 +98,7 @@ class Engine:
 
     @contextmanager
     def all_or_nothing(self) -> Iterator[None]:
-        """Whatever fails within, the engine stands as it did."""
+        """Restore the engine's state when anything within fails."""
         before = dict(self.shared), dict(self.systems)
         try:
             yield

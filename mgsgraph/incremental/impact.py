@@ -67,7 +67,7 @@ class Impact:
     """What adding or removing images has done to the rest."""
 
     verb: str
-    """What was done: add or remove."""
+    """add or remove."""
     subjects: tuple[str, ...]
     """Images added or removed."""
     images: MovedImages
@@ -85,11 +85,11 @@ class Impact:
     updates: int
     """How often iSAM2's tree was changed until everything lay within its slack."""
     systems: int
-    """Reduced systems that were made."""
+    """Number of reduced systems that were made."""
     converged: bool
-    """Whether it came to rest."""
+    """Whether the adjustment converged."""
     seconds: float = float("nan")
-    """Wall time of all of it."""
+    """s, wall time of the whole change."""
 
     def __repr__(self) -> str:
         moved = int(np.count_nonzero(~self.points.new))
@@ -103,7 +103,7 @@ class Impact:
         return replace(self, seconds=seconds)
 
     def sentences(self) -> list[str]:
-        """What a reader should know first."""
+        """The main results, in sentences."""
         said = list[str]()
         if self.unconnected:
             names = ", ".join(self.unconnected)
@@ -194,7 +194,7 @@ class Impact:
         return lines
 
     def _repr_html_(self) -> str:
-        """For notebooks."""
+        """HTML for notebooks."""
         table = self.table().take(np.arange(min(SHOWN, len(self.images.names))))
         heads = [[name for name, _ in table.headings], [unit for _, unit in table.headings]]
         return card(repr(self), self.sentences(), [*heads, *table.rows], head=2)

@@ -61,7 +61,7 @@ class IncrementalAdjustment:
 
     @classmethod
     def of(cls, solution: Solution, store: StateStore | None = None) -> "IncrementalAdjustment":
-        """Go on from a batch solution."""
+        """An incremental adjustment that begins with a batch solution."""
         found = cls(solution.settings, store)
         found.adopt(solution)
         return found

@@ -106,18 +106,18 @@ class Shared:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
-    """How a change came to rest."""
+    """Result of a change."""
 
     bundles: dict[Members, Bundle]
     """Bundles changed, made anew or reached, with their points where they are now."""
     reached: dict[Members, Array]
     """Joint covariance (d, d) of the unknowns of those that a noticeable change reached, as in their reduced system."""
     updates: int
-    """How often the tree was changed."""
+    """Number of updates of the tree."""
     systems: int
-    """Reduced systems that were made."""
+    """Number of reduced systems that were made."""
     converged: bool
-    """Whether it came to rest."""
+    """Whether the adjustment converged."""
 
 
 class StateStore(Protocol):
@@ -157,7 +157,7 @@ class StateStore(Protocol):
         """Add unknowns or replace their values."""
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
-        """Take unknowns out."""
+        """Remove unknowns."""
 
     def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
         """Take bundles out and put others in, none of which is there."""
@@ -232,7 +232,7 @@ class InMemory:
         self._images[known.image.name] = known
 
     def drop_image(self, name: str) -> None:
-        """Take an image out."""
+        """Remove an image."""
         del self._images[name]
 
     def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
@@ -240,7 +240,7 @@ class InMemory:
         self._shared |= shared
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
-        """Take unknowns out."""
+        """Remove unknowns."""
         for unknown in unknowns:
             del self._shared[unknown]
 

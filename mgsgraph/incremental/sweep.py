@@ -23,7 +23,7 @@ for the errors of bundles add up."""
 _ROBUST_SHARE = 0.01
 """Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
 _PROBES = 48
-"""Points that stand for all of a bundle: their moves are polynomials of the line, of low degree."""
+"""Points that represent all of a bundle: their moves are polynomials of the line, of low degree."""
 
 
 def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array) -> float:

@@ -94,6 +94,11 @@ def number_of(text: str, where: str) -> float:
 # --- writing
 
 
+def file_stem(name: str) -> str:
+    """An image's name (or any other) as part of a file's: all but letters, digits, dots and hyphens are underscores."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", name)
+
+
 def beside(path: Path) -> Path:
     """A name in the same folder under which something is made before it takes its place."""
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.unfinished")

@@ -103,8 +103,8 @@ class _DetectorPixel(msgspec.Struct):
 
 
 class _Coefficients(msgspec.Struct):
-    coefficients: list[Number] = []
-    """Of powers of mm."""
+    coefficients: float | list[Number] = []
+    """Of powers of mm; ISIS writes a single one as a number."""
 
 
 class SupportData(msgspec.Struct, omit_defaults=True, kw_only=True):
@@ -210,7 +210,29 @@ def _timing(isd: SupportData, source: str) -> LineTiming:
             f"{source}, line_scan_rate", f"times from {table[0, 1]:.3f} s on, since J2000",
             "seconds from center_ephemeris_time", "take center_ephemeris_time off them",
         )  # fmt: skip
+    table = _isis_line_times(table, isd)
     return LineTiming(table[:, 0] - ISIS_OFFSET, table[:, 1], table[:, 2])
+
+
+def _isis_line_times(table: Array, isd: SupportData) -> Array:
+    """line_scan_rate (n, 3) with the corrections that ISIS's camera of LROC-NAC makes, where the file lacks them.
+
+    ISIS's own support data have the times of the label, while its keywords state a preroll in lines and an error of
+    the line period (ISIS LroNarrowAngleCamera). Its tables begin with the corrected first line, and so betray that the
+    correction is still to be made; ALE's times hold it.
+    """
+    stated = [
+        [value for key, value in isd.naif_keywords.items() if key.endswith(name) and isinstance(value, int | float)]
+        for name in ("_ADDITIONAL_PREROLL", "_MULTIPLI_LINE_ERROR", "_ADDITIVE_LINE_ERROR")
+    ]
+    if len(table) != 1 or any(len(values) != 1 for values in stated):
+        return table
+    (preroll,), (factor,), (addend,) = stated
+    line, start, period = table[0]
+    period = period * (1.0 + factor) + addend
+    start += preroll * period
+    first = isd.instrument_pointing.ephemeris_times[0] - isd.center_ephemeris_time
+    return np.array([[line, start, period]]) if abs(first - start) < period else table
 
 
 def _interior(isd: SupportData, source: str) -> InteriorOrientation:
@@ -235,11 +257,12 @@ def _distortion(models: dict[str, _Coefficients], where: str) -> Distortion:
     wanted = {"lrolrocnac": 1, "radial": 3}.get(name.lower())
     if wanted is None:
         raise InputError(where, f"the model {name!r}", "lrolrocnac, radial, or none at all")
-    if len(model.coefficients) != wanted:
-        raise InputError(f"{where}.{name}.coefficients", f"{len(model.coefficients)} numbers", f"{wanted}")
+    coefficients = model.coefficients if isinstance(model.coefficients, list) else [model.coefficients]
+    if len(coefficients) != wanted or not np.all(np.isfinite(coefficients)):
+        raise InputError(f"{where}.{name}.coefficients", f"{coefficients}"[:60], f"{wanted} finite numbers")
     if wanted == 1:
-        return LrocNacDistortion(model.coefficients[0] / MM**2)
-    k0, k1, k2 = model.coefficients
+        return LrocNacDistortion(coefficients[0] / MM**2)
+    k0, k1, k2 = coefficients
     return RadialDistortion(k0, k1 / MM**2, k2 / MM**4)
 
 

@@ -81,7 +81,7 @@ def read_pedr_text(
     if header is None:
         raise InputError(str(path), "an empty file", "a header and shots")
     csv = "," in lines[header]
-    names = [_plain(name) for name in (lines[header].split(",") if csv else lines[header].split())]
+    names = [plain_name(name) for name in (lines[header].split(",") if csv else lines[header].split())]
     first = header + 1 + (not csv and len(lines) > header + 1 and set(lines[header + 1]) <= set("-. "))
     body = [(k + 1, line.rstrip()) for k, line in enumerate(lines[first:], first) if line.strip()]
     if not body:
@@ -135,7 +135,8 @@ class _ShotTable:
         return values
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
+    """The letters and digits of a column's name, in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 

@@ -1,7 +1,7 @@
 """Candidates: images, laser profiles and control points that might be observed, with the measures that they would get.
 
-The measures are projections of planned places where the network stands, so that the geometry, which is all that a
-covariance needs, is that of real ones. Their residuals are zero.
+The measures are projections of planned positions with the network's adjusted orientation, so that the geometry, which
+is all that a covariance needs, is that of real ones. Their residuals are zero.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ Kind = Literal["image", "profile", "control point"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """Something that might be observed."""
+    """An image, laser profile or control point that might be observed."""
 
     name: str
     """Of the image, the profile or the control point."""
@@ -32,7 +32,7 @@ class Candidate:
     addition: Network | None
     """The measures it would bring, points at their planned places; None where there are none."""
     reason: str = ""
-    """Why it brings none."""
+    """Reason why it brings no measures."""
     images: tuple[str, ...] = ()
     """Images of the network in which it would be measured, or whose trajectory carries it."""
     overlap: float = float("nan")

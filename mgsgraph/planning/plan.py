@@ -27,7 +27,7 @@ class Evaluation:
     name: str
     """Of the candidate; several are joined by plus signs."""
     kind: Kind | Literal["several"]
-    """What it is."""
+    """Kind of the candidate."""
     before: Sigmas
     """Of the targets, m."""
     after: Sigmas
@@ -38,7 +38,7 @@ class Evaluation:
     rays: int
     """Image coordinates (pairs of line and sample) that would have to be measured."""
     ranges: int
-    """Laser ranges."""
+    """Number of laser ranges."""
     images: tuple[str, ...] = ()
     """Images of the network that it touches."""
     overlap: float = float("nan")
@@ -48,7 +48,7 @@ class Evaluation:
 
     @property
     def measures(self) -> int:
-        """Image coordinates and ranges."""
+        """Number of image coordinates and ranges."""
         return self.rays + self.ranges
 
     @property
@@ -59,16 +59,16 @@ class Evaluation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What to observe next."""
+    """Ranking of candidates, and those chosen."""
 
     name: str
-    """Of the network."""
+    """Name of the network."""
     targets: Targets
-    """Whose sigmas count."""
+    """Points and images whose sigmas count."""
     criterion: Criterion
-    """How they make one figure."""
+    """Whether their mean sigma counts, or the largest one."""
     now: Sigmas
-    """Of the targets as the network stands, m."""
+    """Sigmas of the targets in the present network, m."""
     ranking: tuple[Evaluation, ...]
     """Every candidate by itself, best first; worthless ones last, with the reason."""
     chosen: tuple[Evaluation, ...]

@@ -32,7 +32,7 @@ class NetworkState:
     settings: SolverSettings
     """Measurement model and loss."""
     values: Mapping[Unknown, Array]
-    """Shared unknowns (d,), m and rad; those that are missing stand at zero."""
+    """Shared unknowns (d,), m and rad; those that are missing are zero."""
     places: Array
     """(n, 3) m, of the points."""
 
@@ -101,7 +101,7 @@ class ReducedNetwork:
     Parameters
     ----------
     values : mapping
-        Shared unknowns; those that are missing stand at zero.
+        Shared unknowns; those that are missing are zero.
     places : (n, 3)
         m, where the points are.
     """
@@ -165,7 +165,7 @@ class ReducedNetwork:
 
 
 class CurrentState(ReducedNetwork):
-    """A whole network linearised where it stands, with the joint covariance of its shared unknowns.
+    """A whole network linearised at its state, with the joint covariance of its shared unknowns.
 
     Raises WeakNetwork where nothing determines some direction of the orientation.
     """

@@ -31,7 +31,7 @@ class Targets:
     images: tuple[str, ...]
     """Names of images: what counts is the place of the ground under the image's middle line, on the ellipsoid."""
     wanted: tuple[str, ...]
-    """As they were asked for."""
+    """Targets as they were requested."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -56,11 +56,11 @@ class Sigmas:
     total: float
     """Root of the trace of the covariance."""
     east: float
-    """Eastward."""
+    """Sigma eastward."""
     north: float
-    """Northward."""
+    """Sigma northward."""
     up: float
-    """Upward."""
+    """Sigma upward."""
     worst: str
     """The target whose total is largest."""
 
@@ -103,7 +103,7 @@ def targets_of(state: NetworkState, wanted: Sequence[str]) -> Targets:
 
 
 class TargetSigmas:
-    """Sigmas of targets in a network as it stands, and after an update."""
+    """Sigmas of targets in the present network, and after an update."""
 
     def __init__(self, present: CurrentState, targets: Targets) -> None:
         self.present, self.targets = present, targets
@@ -121,7 +121,7 @@ class TargetSigmas:
         self._axes = east_north_up(np.concatenate([present.state.places[self._index], under]))
 
     def before(self) -> Array:
-        """(t, 4) m: total, east, north, up of every target as it stands."""
+        """(t, 4) m: total, east, north, up of every target in the present network."""
         flat = self.present.layout.blocks.filled(self.present.joint)
         numbers = [self.present.names.index(Unknown("image", name)) for name in self.targets.images]
         return self._sigmas(self._of_points(flat), [self.present.joint.block(v, v) for v in numbers])

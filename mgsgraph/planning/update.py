@@ -30,7 +30,7 @@ class AddedInformation:
     touched: tuple[Unknown, ...]
     """Unknowns of the present network that feel them."""
     new: tuple[Unknown, ...]
-    """Unknowns that they bring."""
+    """New unknowns that come with the measures."""
     root: Array
     """(d, d) L on the touched unknowns, per m and rad."""
     conditional: Array
@@ -41,10 +41,10 @@ class AddedInformation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Update:
-    """Planned measures over a network as it stands."""
+    """Planned measures added to the present network."""
 
     present: CurrentState
-    """The network as it is."""
+    """The present network."""
     added: AddedInformation
     """Information that the measures add."""
     downdate: Array
@@ -101,7 +101,7 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
     Parameters
     ----------
     present : CurrentState
-        The network as it stands.
+        The network before the measures.
     additions : sequence of Network
         Measures of new points, with their planned places, and of points known already, by their ids; on images known
         already and new ones. At least one.
@@ -135,7 +135,7 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
 
 
 def updated(present: CurrentState, adds: AddedInformation) -> Update:
-    """What added information does to the joint covariance of a network as it stands."""
+    """What added information does to the joint covariance of the present network."""
     touched, root = adds.touched, adds.root
     spread = present.covariance_with(touched) @ root if touched else np.zeros((present.layout.columns, 0))
     inner = np.eye(root.shape[1]) + root.T @ spread[present.columns(touched)]

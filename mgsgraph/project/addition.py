@@ -35,7 +35,7 @@ class NewImage:
     """An image that is to be added."""
 
     known: KnownImage
-    """What the adjustment needs of it."""
+    """Geometry, prior and whether it is held."""
     files: tuple[Path, ...]
     """Files that it comes from."""
     picture: Path | None = None
@@ -47,7 +47,7 @@ class Addition:
     """Images and measures that are to be added in one change."""
 
     images: tuple[NewImage, ...]
-    """New ones."""
+    """New images."""
     network: Network | None
     """All measures, with the images (new and known) that they name, and all new images; None without any measure."""
     files: tuple[Path, ...] = ()

@@ -24,6 +24,8 @@ from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
 
+Stages = Callable[[str], AbstractContextManager[None]]
+
 
 def is_solved(project: Project) -> bool:
     """Whether all images have an adjusted orientation, from which an incremental adjustment can go on."""
@@ -91,14 +93,14 @@ def _closing_facts(closing: Closing | None) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedProject:
-    """What `solve` has done."""
+    """Result of `solve`."""
 
     solution: Solution
-    """Of batch over everything."""
+    """Batch solution of all images."""
     closing: Closing | None
     """How far the incremental result was off; None where there was none."""
     folder: Path
-    """Of the products."""
+    """Folder of the products."""
 
 
 def solve(project: Project, figures: bool = True, progress: Progress = lambda _: None) -> SolvedProject:
@@ -160,14 +162,11 @@ def _note(project: Project, verb: str, what: str, summary: dict[str, Any], impac
     project.record_incremental(impact.converged, message)
 
 
-Stages = Callable[[str], AbstractContextManager[None]]
-
-
 class NewProject(NamedTuple):
     """A project that has been made."""
 
     words: str
-    """What is in it."""
+    """Contents of the project, in words."""
     waits: bool
     """Whether its images wait for tie points."""
 

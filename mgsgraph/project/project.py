@@ -33,23 +33,23 @@ class Change:
     """One step of a project's history."""
 
     number: int
-    """From 1 on."""
+    """Number, from 1 on."""
     at: str
     """UTC, ISO 8601."""
     verb: str
     """init, match, add, remove, solve or check."""
     what: str
-    """In a few words."""
+    """What was changed, in a few words."""
     summary: Mapping[str, Any]
     """Numbers, with units in their names."""
 
 
 @dataclass(frozen=True, slots=True)
 class SolutionRow:
-    """What is remembered of a solution."""
+    """Record of a solution."""
 
     number: int
-    """From 1 on."""
+    """Number, from 1 on."""
     change: int
     """Number of the last change that it knows of."""
     at: str
@@ -59,13 +59,13 @@ class SolutionRow:
     converged: bool
     """Whether the adjustment came to rest."""
     message: str
-    """Why it stopped."""
+    """Reason why the adjustment ended."""
     cost: float | None
     """Half the weighted sum of squares; None where nothing is known of it."""
     sigma0: float | None
     """Of unit weight; None without redundancy."""
     degrees_of_freedom: int | None
-    """Redundancy."""
+    """Degrees of freedom."""
     images: int
     """Number of images."""
     points: int
@@ -139,7 +139,7 @@ class Project:
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the project."""
         return self._fact("name")
 
     @property
@@ -187,7 +187,7 @@ class Project:
     # --- history
 
     def record(self, verb: str, what: str, summary: Mapping[str, Any]) -> int:
-        """Note a change; its number."""
+        """Record a change; its number."""
         row = (_now(), verb, what, json.dumps(summary, ensure_ascii=False))
         found = self._connection.execute("INSERT INTO change (at, verb, what, summary) VALUES (?, ?, ?, ?)", row)
         return int(found.lastrowid or 0)

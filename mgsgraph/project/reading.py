@@ -25,13 +25,14 @@ from mgsgraph.reports.archive import ARCHIVE, read_solution
 _OWN_CASE = Path("inputs", "case.toml")
 """Where a demonstration's results hold their case."""
 _NETWORK = "network.pvl"
+_Values = Mapping[Unknown, Array]
 
 
 class Results(NamedTuple):
     """Results, and where they come from."""
 
     folder: Path
-    """Of the results (or their archive)."""
+    """Folder of the results (or their archive)."""
     case: Path | None = None
     """The case, where it is known and still there."""
     ties: Path | None = None
@@ -78,9 +79,6 @@ def _case_of_all(project: Project) -> Path | None:
         return None
     names = {image.name for image in decode(case).images}
     return case if names == set(project.store.image_names()) else None
-
-
-_Values = Mapping[Unknown, Array]
 
 
 def read_state(path: Path) -> tuple[str, NetworkState, str]:

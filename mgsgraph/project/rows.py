@@ -27,7 +27,7 @@ class Run(NamedTuple):
     """Rows without a gap in their numbers."""
 
     first: int
-    """Number of the first."""
+    """Number of the first row."""
     size: int
     """Number of rows."""
 
@@ -114,7 +114,7 @@ def renew_points(connection: sqlite3.Connection, run: Run, places: Array, covari
 
 
 class StoredPoints(NamedTuple):
-    """Points as they were written."""
+    """Points as they are stored."""
 
     numbers: Index
     """(n,) in their table."""

@@ -25,7 +25,7 @@ class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ProjectSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Settings of a project: the tables of a case file that don't speak of single files."""
+    """Settings of a project: the tables of a case file that are not about single files."""
 
     orientation: OrientationInput = OrientationInput()
     """Nominal orientation and a-priori sigmas of images that are added."""

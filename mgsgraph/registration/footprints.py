@@ -167,9 +167,42 @@ def footprints_in_images(
     return Registration(tuple(images), shots, places, linear, inside, simultaneous)
 
 
-def _within(image: PushbroomImage, places: Array) -> Mask:
+def points_in_images(
+    images: Sequence[PushbroomImage],
+    points: Array,
+    margin: float = 0.0,
+    corrections: Corrections | None = None,
+) -> Mask:
+    """Which ground points are in which images.
+
+    Parameters
+    ----------
+    images : sequence of PushbroomImage
+        All of them.
+    points : (n, 3)
+        m, body-fixed.
+    margin : float
+        pixels by which a point may lie outside of an image.
+    corrections : sequence, optional
+        Of the images' orientation; none when absent.
+
+    Returns
+    -------
+    (m, n)
+        True where a point's pixel lies in the image or its margin.
+    """
+    inside = np.zeros((len(images), points.shape[0]), dtype=bool)
+    for j, (image, correction) in enumerate(zip(images, corrections or [None] * len(images), strict=True)):
+        near = _visible(image, points, correction)
+        if near.size:
+            inside[j, near] = _within(image, image.ground_to_image(points[near], correction)[0], margin)
+    return inside
+
+
+def _within(image: PushbroomImage, places: Array, margin: float = 0.0) -> Mask:
     with np.errstate(invalid="ignore"):
-        inside: Mask = np.all((places >= 0.0) & (places <= [image.lines, image.samples]), axis=-1)
+        size = np.array([image.lines, image.samples])
+        inside: Mask = np.all((places >= -margin) & (places <= size + margin), axis=-1)
     return inside
 
 

@@ -3,7 +3,6 @@
 The GeoTIFF has four bands in metres, on the body's sphere, planetocentric degrees.
 """
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,7 +15,7 @@ from mgsgraph.adjustment.datum.frames import FLIGHT_NAMES
 from mgsgraph.analysis.overlap_sigmas import BANDS, SigmaGrid, sigma_grid
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.io.files import fresh_file
+from mgsgraph.io.files import file_stem, fresh_file
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.output.geotiff import geotiff
 from mgsgraph.output.table import Column, Table
@@ -57,7 +56,7 @@ class Section:
 
 def _file_of(posterior: Posterior, image: str) -> str:
     """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
-    plainly = re.sub(r"[^A-Za-z0-9.-]+", "_", image)
+    plainly = file_stem(image)
     return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.image_number(image) + 1}"
 
 

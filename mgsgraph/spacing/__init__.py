@@ -1,1 +1,1 @@
-"""How close orientation images should stand: what the rays support, what rays held out say, and what vibrates."""
+"""Spacing of orientation images: what the rays support, what rays held out say, and what vibrates."""

@@ -25,6 +25,13 @@ from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.support import LEAST, require_supported
 from mgsgraph.spacing.rays import HeldOut, Scatter, hold_out, misfits, ray_scatter, whitening
 
+_STRETCHES = 10
+"""Stretches of time that a strip has at least, whose sums count as independent."""
+_BLUNDER = 6.0
+"""Robust standard deviations beyond which a ray held out is a blunder, if it is so for every candidate."""
+_MEDIAN = 1.1774100225154747
+"""Median norm of two standard normal numbers."""
+
 
 def respaced(network: Network, spacing: float) -> Network:
     """A network whose strips all have even nodes at a spacing of at most `spacing` s, over the same time."""
@@ -52,14 +59,6 @@ def require_respaceable(network: Network) -> None:
         if not isinstance(strip.prior, NodePrior):
             found = "a joint prior of just its nodes"
             raise InputError(f"strip {strip.name!r}", found, "one of any nodes (bias, drift and sigmas)")
-
-
-_STRETCHES = 10
-"""Stretches of time that a strip has at least, whose sums count as independent."""
-_BLUNDER = 6.0
-"""Robust standard deviations beyond which a ray held out is a blunder, if it is so for every candidate."""
-_MEDIAN = 1.1774100225154747
-"""Median norm of two standard normal numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,9 +203,7 @@ def choose_spacing(
         progress(done + 1, len(tried) + 1)
         trials.append(_trial(spacing, replace(clean, strips=one.strips), plain, held, least))
     progress(len(tried) + 1, len(tried) + 1)
-    judged = _judged(clean, trials, held)
-    candidates = tuple(_candidate(trial, squares) for trial, squares in zip(trials, judged.squares, strict=True))
-    return _choice(network, candidates, judged, closest, whole)
+    return _choice(network, _judged(clean, trials, held), closest, whole)
 
 
 def adjust_unmarked(network: Network, settings: SolverSettings, name: str) -> Solution:
@@ -265,12 +262,14 @@ def _trial(spacing: float, network: Network, settings: SolverSettings, held: Hel
 class _Judged(NamedTuple):
     """Whitened misfits of the rays held out, trial by trial."""
 
-    squares: list[Array]
-    """Of each trial, (h,) half the squared norms of whitened misfits; empty where it was refused."""
+    candidates: tuple[SpacingCandidate, ...]
+    """One for each trial."""
     stretch: Index
-    """(h,)"""
+    """(h,) stretch of time of each ray that is judged."""
     blunders: int
+    """Number of rays that no candidate can predict."""
     unjudged: int
+    """Number of rays whose points nothing else determines well enough."""
 
 
 def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> _Judged:
@@ -290,9 +289,10 @@ def _judged(network: Network, trials: Sequence[_Trial], held: HeldOut) -> _Judge
     robust = np.sqrt(2.0 * np.median(squares[:, judged], axis=1)) / _MEDIAN
     blunder = judged & np.all(np.sqrt(2.0 * squares) > _BLUNDER * robust[:, None], axis=0)
     kept = judged & ~blunder
-    by_trial = [squares[good.index(k), kept] if k in good else np.zeros(0) for k in range(len(trials))]
-    unjudged = int(np.count_nonzero(~judged))
-    return _Judged(by_trial, _stretches(trials, held)[kept], int(np.count_nonzero(blunder)), unjudged)
+    of_trial = {k: row[kept] for k, row in zip(good, squares, strict=True)}
+    candidates = tuple(_candidate(trial, of_trial.get(k, np.zeros(0))) for k, trial in enumerate(trials))
+    blunders, unjudged = int(np.count_nonzero(blunder)), int(np.count_nonzero(~judged))
+    return _Judged(candidates, _stretches(trials, held)[kept], blunders, unjudged)
 
 
 def _candidate(trial: _Trial, squares: Array) -> SpacingCandidate:
@@ -316,9 +316,8 @@ def _stretches(trials: Sequence[_Trial], held: HeldOut) -> Index:
     return found
 
 
-def _choice(
-    network: Network, candidates: tuple[SpacingCandidate, ...], judged: _Judged, closest: int, whole: Solution
-) -> Choice:
+def _choice(network: Network, judged: _Judged, closest: int, whole: Solution) -> Choice:
+    candidates = judged.candidates
     good = [k for k, one in enumerate(candidates) if not one.refused]
     best = min(good, key=lambda k: candidates[k].rms)
     worse, errors, rms_errors = (np.full(len(candidates), np.nan) for _ in range(3))

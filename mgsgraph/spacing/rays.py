@@ -29,6 +29,12 @@ from mgsgraph.ties import PointKind
 
 _RAYS = 3
 """Of a point of which one may be held out."""
+_TOGETHER = 3
+"""Rays of a line, one after the other, that share a mean."""
+_FEWEST = 30.0
+"""Redundancy below which the stated sigmas are taken at their word."""
+_SURE, _LEAST = 3.0, 0.03
+"""Standard errors, and share, by which a factor that is worth a word is off 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,14 +168,6 @@ def point_covariances(matrices: Array) -> Array:
     good[good] = values[:, 0] > 1e-10
     found[good] = np.linalg.inv(matrices[good])
     return found
-
-
-_TOGETHER = 3
-"""Rays of a line, one after the other, that share a mean."""
-_FEWEST = 30.0
-"""Redundancy below which the stated sigmas are taken at their word."""
-_SURE, _LEAST = 3.0, 0.03
-"""Standard errors, and share, by which a factor that is worth a word is off 1."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -202,7 +202,7 @@ def test_what_was_over_when_the_cluster_went_is_recorded(
         yield each
 
     with monkeypatch.context() as patched:
-        patched.setattr("mgsgraph.campaign.run._hands", hands)
+        patched.setattr("mgsgraph.campaign.run._workers", hands)
         with pytest.raises(SolverError, match="has gone"):
             run()
     done, now = run()

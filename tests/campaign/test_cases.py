@@ -94,6 +94,9 @@ file = "lidar.json"
 [[mola]]
 pedr = "ap.csv"
 leap_seconds = "naif.tls"
+[[altimetry]]
+file = "cloud.csv"
+leap_seconds = "leap.tls"
 [terrain]
 radius = "megr.img"
 topography = "megt.lbl"
@@ -108,7 +111,7 @@ def everything(tmp_path: Path) -> Path:
     case = tmp_path / "case.toml"
     case.write_text(EVERYTHING, encoding="utf-8")
     for name in ("a.json", "b.lbl", "B.IMG", "net.pvl", "points.gcp", "lidar.json", "ap.csv", "naif.tls", "megr.img",
-                 "megr.lbl", "megt.lbl", "megt.img"):  # fmt: skip
+                 "megr.lbl", "megt.lbl", "megt.img", "cloud.csv", "leap.tls"):  # fmt: skip
         (tmp_path / name).write_text(name, encoding="utf-8")
     for name in ("own.tm", "common.tm"):
         (tmp_path / name).write_text(META, encoding="utf-8")
@@ -145,8 +148,8 @@ def test_no_path_of_the_schema_is_forgotten() -> None:
                 texts.add(f"{struct.__name__}.{name}")
 
     gather(CaseInput)
-    no_paths = {"CaseInput.name", "ImageInput.name", "MolaInput.image", "MolaInput.version", "TerrainInput.version",
-                "NodesInput.times_utc", "StripInput.name", "StripInput.images"}  # fmt: skip
+    no_paths = {"CaseInput.name", "ImageInput.name", "MolaInput.image", "MolaInput.version", "AltimetryInput.version",
+                "TerrainInput.version", "NodesInput.times_utc", "StripInput.name", "StripInput.images"}  # fmt: skip
     source = Path(sys.modules["mgsgraph.campaign.inputs"].__file__ or "").read_text(encoding="utf-8")
     assert texts >= no_paths
     for name in texts - no_paths:

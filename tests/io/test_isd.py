@@ -178,3 +178,54 @@ def test_what_is_ambiguous_is_refused(folder: Path, tmp_path: Path, fault: str) 
     with pytest.raises(ValueError, match=r"edited\.isd") as caught:
         with_edits(folder, tmp_path / "edited.isd", **edits)
     assert said in str(caught.value)
+
+
+HADLEY = ("LRO/1/269182000:51104/NACL", "LRO/1/269182000:51104/NACR")
+
+
+@pytest.fixture(scope="module")
+def hadley(shared_data: Path) -> dict[str, PushbroomImage]:
+    """Two images of one moment, side by side, whose support data are by ISIS."""
+    folder = shared_data / "lro_nac_hadley"
+    return {name: read_isd(folder / f"observationImage{name[-1]}.isd", name) for name in HADLEY}
+
+
+def test_line_times_by_isis_get_their_preroll(hadley: dict[str, PushbroomImage]) -> None:
+    """Its own tables begin with the corrected first line and end with the last one."""
+    for image in hadley.values():
+        times, periods = image.timing.at(np.array([0.0, image.lines]))
+
+        np.testing.assert_allclose(times, image.trajectory.coverage, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(periods, 0.986133e-3 * 1.0045, rtol=1e-12)
+
+
+def test_a_coefficient_by_isis_is_a_number(hadley: dict[str, PushbroomImage]) -> None:
+    left, right = hadley.values()
+
+    assert left.interior.distortion == LrocNacDistortion(pytest.approx(1.81e-5 * 1e6))
+    assert right.interior.distortion == LrocNacDistortion(pytest.approx(1.83e-5 * 1e6))
+
+
+def test_images_side_by_side_meet_at_their_tie_points(shared_data: Path, hadley: dict[str, PushbroomImage]) -> None:
+    """46 points of ISIS's control network: pixels of about a metre."""
+    network = read_control_network(shared_data / "lro_nac_hadley" / "observationPair.net")
+    names = np.array(network.measure_image)
+    origins, directions = np.empty((2, names.size, 3))
+    for name, image in hadley.items():
+        its = names == name
+        origins[its], directions[its] = image.sightlines(*network.measures[its].T)
+    points, _, _ = intersect_rays(origins, directions, network.measure_point, len(network.ids))
+    beside = np.cross(directions, points[network.measure_point] - origins)
+    distances = np.linalg.norm(beside, axis=1) / np.linalg.norm(directions, axis=1)
+
+    assert len(network.ids) == 46
+    assert np.median(distances) < 0.5
+    assert distances.max() < 1.0
+
+
+def test_times_that_hold_the_preroll_are_left_alone(folder: Path, images: dict[str, PushbroomImage]) -> None:
+    isd = json.loads((folder / "lidarObservationImage1.isd").read_text())
+    start = isd["line_scan_rate"][0][1]
+
+    assert isd["naif_keywords"]["INS-85600_ADDITIONAL_PREROLL"] == 1024
+    np.testing.assert_array_equal(images[NAMES[0]].timing.start_times, [start])

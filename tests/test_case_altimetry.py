@@ -1,0 +1,81 @@
+"""Laser altimetry in a case file: its keys, and the shots that it names."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mgsgraph
+from mgsgraph.case.reading import read_altimetry
+from mgsgraph.case.schema import AltimetryInput, decode
+from mgsgraph.errors import InputError
+from mgsgraph.simulation.mars import MARS
+
+TABLE = """
+[[altimetry]]
+file = "cloud.csv"
+sigma_m = [5.0, 0.5]
+shift_sigma_m = [20.0, 30.0, 2.0]
+drift_sigma_m = 1.5
+footprint_m = 12.0
+margin_px = 20.0
+"""
+SHOTS = "longitude_deg,latitude_deg,height_m,orbit\n175.5,-14.5,-1900.0,3\n175.5,-14.6,-1910.0,3\n"
+
+
+def case_with(case_file: Path, table: str) -> Path:
+    case_file.write_text(case_file.read_text(encoding="utf-8") + table, encoding="utf-8")
+    return case_file
+
+
+def test_keys_of_a_table(case_file: Path) -> None:
+    (entry,) = decode(case_with(case_file, TABLE)).altimetry
+
+    assert entry.sigma_m == (5.0, 0.5)
+    assert entry.shift_sigma_m == (20.0, 30.0, 2.0)
+    assert (entry.drift_sigma_m, entry.footprint_m, entry.margin_px) == (1.5, 12.0, 20.0)
+
+
+def test_shots_that_a_table_names(tmp_path: Path) -> None:
+    (tmp_path / "cloud.csv").write_text(SHOTS, encoding="utf-8")
+    cloud = read_altimetry(AltimetryInput("cloud.csv", footprint_m=12.0), tmp_path, MARS)
+
+    assert (len(cloud.ids), cloud.profiles, cloud.footprint) == (2, ("3",), 12.0)
+    with pytest.raises(InputError, match=r"cloud\.csv.*footprint_m"):
+        read_altimetry(AltimetryInput("cloud.csv"), tmp_path, MARS)
+
+
+def test_the_size_of_spots_goes_by_the_altimeter(shared_data: Path) -> None:
+    entry = AltimetryInput("mola_pedr_ode/insight_topography.csv")
+    cloud = read_altimetry(entry, shared_data, MARS)
+
+    assert cloud.footprint == 168.0
+    assert np.unique(cloud.profile).size == len(cloud.profiles)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ('file = "cloud.csv"', "", "altimetry"),
+        ("[5.0, 0.5]", "[5.0]", "altimetry[0].sigma_m"),
+        ("[5.0, 0.5]", "5.0", "altimetry[0].sigma_m"),
+        ("[20.0, 30.0, 2.0]", "[20.0, 30.0, 0.0]", "altimetry[0].shift_sigma_m"),
+        ("[20.0, 30.0, 2.0]", "[20.0, 30.0, nan]", "altimetry[0].shift_sigma_m"),
+        ("drift_sigma_m = 1.5", "drift_sigma_m = -1.5", "altimetry[0].drift_sigma_m"),
+        ("footprint_m = 12.0", "footprint_m = 0.0", "altimetry[0].footprint_m"),
+        ("margin_px = 20.0", "margin_px = -1", "altimetry[0].margin_px"),
+        ("margin_px = 20.0", "margin = 20.0", "'margin'"),
+    ],
+)
+def test_wrong_keys_are_said_in_one_line(case_file: Path, old: str, new: str, place: str) -> None:
+    with pytest.raises(InputError) as caught:
+        decode(case_with(case_file, TABLE.replace(old, new)))
+    message = str(caught.value)
+    assert message.startswith(str(case_file))
+    assert place in message
+    assert "\n" not in message
+
+
+def test_an_adjustment_refuses_what_it_would_leave_out(case_file: Path) -> None:
+    with pytest.raises(InputError, match="altimetry"):
+        mgsgraph.read_case(case_with(case_file, TABLE))
