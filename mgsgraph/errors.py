@@ -46,6 +46,12 @@ def errors_from(*sources: str) -> Iterator[None]:
         raise
 
 
+def require(good: object, where: str, found: str, expected: str = "", remedy: str = "") -> None:
+    """Raise InputError unless `good`."""
+    if not good:
+        raise InputError(where, found, expected, remedy)
+
+
 class EphemerisGap(InputError):
     """A time at which no position or attitude is known; carries the covered interval in seconds TDB past J2000."""
 

@@ -95,7 +95,8 @@ def compare(adjustment: IncrementalAdjustment) -> tuple[float, float, float]:
 
 def equality(images: int, ties: int, seed: int) -> list[str]:
     """The first table."""
-    strip, adjustment, found = simulate_strip(StripSettings(images, ties), seed), IncrementalAdjustment(), []
+    strip = simulate_strip(StripSettings(images=images, ties=ties), seed)
+    adjustment, found = IncrementalAdjustment(), []
     for k in range(images):
         show(f"equality: image {k + 1} of {images}")
         added = add(adjustment, strip, k)
@@ -118,7 +119,7 @@ def equality(images: int, ties: int, seed: int) -> list[str]:
 
 def cost(sizes: list[int], ties: int, seed: int) -> list[str]:
     """The second table."""
-    strip, adjustment = simulate_strip(StripSettings(max(sizes), ties), seed), IncrementalAdjustment()
+    strip, adjustment = simulate_strip(StripSettings(images=max(sizes), ties=ties), seed), IncrementalAdjustment()
     added, rows, first = list[Added](), list[list[str]](), 0.0
     for k in range(max(sizes)):
         show(f"cost: image {k + 1} of {max(sizes)}")

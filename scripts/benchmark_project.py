@@ -114,7 +114,7 @@ def measured(strip: SimulatedStrip, images: int, repeats: int, work: Path) -> li
 
 def page(chosen: Namespace) -> str:
     """A row for each number of images."""
-    strip, rows, first = simulate_strip(StripSettings(max(chosen.images) + 1, chosen.ties)), [], 0.0
+    strip, rows, first = simulate_strip(StripSettings(images=max(chosen.images) + 1, ties=chosen.ties)), [], 0.0
     for images in chosen.images:
         with tempfile.TemporaryDirectory() as folder:
             work = Path(folder) / "work"

@@ -13,6 +13,8 @@ import resource
 import sys
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +24,7 @@ from study import DOCS, at_least, command, machine, number, show, table, write_p
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.reading import read_case
 from mgsgraph.case.scene import read_scene
-from mgsgraph.dem.checking import check_merit
+from mgsgraph.dem.checking import check_figures
 from mgsgraph.dem.model import Dem
 from mgsgraph.dem.production import make_dem
 from mgsgraph.geometry.body import planetocentric
@@ -54,7 +56,7 @@ HEAD = (
 )  # fmt: skip
 
 
-class Merit(NamedTuple):
+class HeightErrors(NamedTuple):
     """Errors of a terrain model's heights."""
 
     rms: float
@@ -98,25 +100,25 @@ def one(name: str, seed: int) -> tuple[str, ...]:
         begun = time.perf_counter()
         dem = make_dem(solution, case, folder / "dem")
         seconds = time.perf_counter() - begun
-    merit, shots = of_heights(dem, site), check_merit(dem.checks, np.ones(len(dem.checks), dtype=bool))
-    matched, posts = (sum(column) for column in zip(*dem.matches, strict=True))
+    errors, shots = of_heights(dem, site), check_figures(dem.checks, np.ones(len(dem.checks), dtype=bool))
+    matched, posts = (sum(getattr(one, name) for one in dem.pairs) for name in ("matched", "posts"))
     sigmas = (np.nanmedian(band) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation))
     return (
         name, str(seed), str(int(np.isfinite(dem.heights).sum())), f"{100.0 * matched / posts:.1f} %",
-        *(number(float(sigma)) for sigma in sigmas), number(merit.rms), number(merit.mean), number(merit.by_sigma),
-        number(merit.fine), f"{100.0 * merit.beyond:.2f} %", str(len(dem.checks)), number(shots["rms_m"]),
+        *(number(float(sigma)) for sigma in sigmas), number(errors.rms), number(errors.mean), number(errors.by_sigma),
+        number(errors.fine), f"{100.0 * errors.beyond:.2f} %", str(len(dem.checks)), number(shots["rms_m"]),
         number(shots["rms_by_sigma"]), number(seconds),
     )  # fmt: skip
 
 
-def of_heights(dem: Dem, site: SimulatedSite) -> Merit:
+def of_heights(dem: Dem, site: SimulatedSite) -> HeightErrors:
     """Against the true ground under the posts."""
     there = np.isfinite(dem.model.heights)
     posts, heights = dem.model.map.posts()[there.ravel()], dem.model.heights[there]
     off = heights - truth(dem, site, posts)
     sigmas, matching = dem.model.sigmas[there], dem.model.matching[there]
     fine = without_orientation(dem, site, posts, heights)
-    return Merit(
+    return HeightErrors(
         rms(off), float(off.mean()), rms(off / sigmas), rms(fine / matching), float(np.mean(np.abs(off / sigmas) > 3.0))
     )
 
@@ -134,14 +136,27 @@ def without_orientation(dem: Dem, site: SimulatedSite, posts: Array, heights: Ar
     x, y = ((posts - posts.mean(axis=0)) / np.ptp(posts, axis=0)).T
     powers = np.column_stack([np.ones_like(y), y, y * y])
     surface = np.column_stack([powers, x, x * y, x * x])
-    shift, left = np.zeros((3, 2)), np.zeros_like(heights)
+    return laid_on(partial(truth, dem, site), lambda _: slopes, posts, heights, powers, surface)[2]
+
+
+def laid_on(
+    truth: Callable[[Array], Array], slopes: Callable[[Array], Array], plane: Array, heights: Array, shift: Array,
+    surface: Array,
+) -> tuple[Array, Array, Array]:
+    """Lay heights (n,) in m at positions (n, 2) in m on the true ground, by least squares.
+
+    `truth` gives heights (n,) and `slopes` (n, 2) at positions; `shift` (n, s) and `surface` (n, k) are the columns of
+    a horizontal and of a vertical displacement. Returns the coefficients (s, 2) and (k,) of both, and the errors (n,)
+    in m that they leave.
+    """
+    moved, level, off = np.zeros((shift.shape[1], 2)), np.zeros(surface.shape[1]), heights
     for _ in range(_ROUNDS):
-        off = heights - truth(dem, site, posts - powers @ shift)
-        design = np.column_stack([surface, *(powers * slope[:, None] for slope in slopes.T)])
-        found = np.linalg.lstsq(design, off)[0]
-        shift -= found[6:].reshape(2, 3).T
-        left = off - surface @ found[:6]
-    return left
+        there = plane - shift @ moved
+        off = heights - truth(there)
+        design = np.column_stack([surface, *(-shift * slope[:, None] for slope in slopes(there).T)])
+        level, more = np.split(np.linalg.lstsq(design, off)[0], [surface.shape[1]])
+        moved = moved + more.reshape(2, -1).T
+    return moved, level, off - surface @ level
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import dem_truth
 import numpy as np
 
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
@@ -41,8 +42,8 @@ ROAD = (
 """The commands; `fetch` has the mirror's address besides."""
 _BANDS = (1, 2, 3)
 """Of dem.tif: height, its sigma, the share of matching in it, m."""
-_SAMPLE, _NEAR, _STEPS = 20_000, 20.0, 4
-"""Posts by which a terrain model is laid on the truth, m between which slopes are taken, and steps of it."""
+_SAMPLE, _NEAR = 20_000, 20.0
+"""Posts by which a terrain model is laid on the truth, and m between which slopes are taken."""
 
 
 class Step(NamedTuple):
@@ -128,7 +129,7 @@ def step(command: str, more: list[str], folder: Path) -> Step:
 
 
 def judge(path: Path, site: SimulatedSite) -> Judged:
-    """Heights of a terrain model above its sphere against the true ground at the same places."""
+    """Heights of a terrain model above its sphere against the true ground at the same positions."""
     import rasterio
     from rasterio.warp import transform
 
@@ -161,16 +162,15 @@ def laid_on(
     """
     along, across = y / np.abs(y).max(), x / np.abs(x).max()
     shape = np.column_stack([np.ones_like(x), along, across, along**2, along * across])
-    moved, left = np.zeros(2 + shape.shape[1]), heights
-    for _ in range(_STEPS):
-        east, north = x - moved[0], y - moved[1]
-        left = heights - shape @ moved[2:] - truth(east, north)
-        slopes = [
-            (truth(east + a, north + b) - truth(east - a, north - b)) / (2.0 * _NEAR)
-            for a, b in ((_NEAR, 0.0), (0.0, _NEAR))
-        ]
-        moved = moved + np.linalg.lstsq(np.column_stack([-slopes[0], -slopes[1], shape]), left, rcond=None)[0]
-    return moved[:3], rms(left)
+
+    def slopes(plane: np.ndarray) -> np.ndarray:
+        ways = [(plane + step, plane - step) for step in _NEAR * np.eye(2)]
+        return np.column_stack([(truth(*ahead.T) - truth(*behind.T)) / (2.0 * _NEAR) for ahead, behind in ways])
+
+    moved, level, left = dem_truth.laid_on(
+        lambda plane: truth(*plane.T), slopes, np.column_stack([x, y]), heights, np.ones((x.size, 1)), shape
+    )
+    return np.array([*moved[0], level[0]]), rms(left)
 
 
 def table(steps: list[Step]) -> list[str]:

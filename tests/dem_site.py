@@ -106,7 +106,7 @@ def matched(rng: np.random.Generator | None, first: int = 0, of: Scene | None = 
     """Matches of the true ground with noise; of one picture with the other, none of them outside."""
     one, other = ((of or scene()).pictures[j] for j in (first, 1 - first))
     points = ground(one, anchors())
-    places = other.places(points)
+    places = other.project(points)
     inside = np.all((places > 0.5) & (places < np.array([other.image.lines, other.image.samples]) - 0.5), axis=1)
     noise = np.zeros((inside.sum(), 2)) if rng is None else rng.multivariate_normal(np.zeros(2), NOISE, inside.sum())
     covariances = np.broadcast_to(NOISE, (inside.sum(), 2, 2))

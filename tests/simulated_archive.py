@@ -26,7 +26,6 @@ from mgsgraph.simulation.mgs_files import (
     kernel_segment,
     label_time,
     pedr_file,
-    pedr_frames,
     write_moc_image,
 )
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr, write_pedr
@@ -242,7 +241,7 @@ END
 
 def _write_profile(image: SimulatedImage, folder: Path) -> None:
     name = pedr_file(image)
-    start, frames = datetime.fromisoformat(image.settings.start), pedr_frames(image)
+    start, frames = datetime.fromisoformat(image.settings.start), image.profile
     first, last = (
         label_time(start + timedelta(seconds=float(time) - ephemeris_time(image.settings.start)))
         for time in frames.times[[0, -1]]

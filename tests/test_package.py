@@ -56,7 +56,7 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.graph.prior",
-        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.track_terrain", "mgsgraph.matching",
+        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.track_terrain", "mgsgraph.matching", "mgsgraph.dem",
         "mgsgraph.spacing",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),

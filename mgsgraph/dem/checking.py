@@ -6,8 +6,8 @@ that was kept out is moved by it too, and the shift's covariance counts. What is
     sigma^2 = sigma of the model^2 + sigma of the shot^2 + g' (sigma of the shot^2 I + covariance of the shift) g
 
 with the slope g of the model: a horizontal error is a height error on a slope. (The model's own sigma is that of its
-height at a fixed place, and holds its horizontal part already. That the shift and the orientation were found together,
-and are correlated, is left out: on slopes of a few degrees it is nothing beside the rest.)
+height at a fixed position, and holds its horizontal part already. That the shift and the orientation were found
+together, and are correlated, is left out: on slopes of a few degrees it is nothing beside the rest.)
 """
 
 from collections.abc import Collection, Sequence
@@ -36,7 +36,7 @@ class CheckProfile:
     """Shots of one file that took no part, and what is known of them."""
 
     name: str
-    """Of the file."""
+    """Name of the file."""
     shots: AltimeterShots
     """Ground returns that the adjustment has not used."""
     sigma: float
@@ -59,7 +59,7 @@ class HeightChecks:
     """(n,) which of them."""
     ids: tuple[str, ...]
     """(n) names of the shots."""
-    places: Array
+    positions: Array
     """(n, 3) m, body-fixed, of the footprints, shifted."""
     plane: Array
     """(n, 2) m, the same on the map."""
@@ -79,23 +79,11 @@ class HeightChecks:
 def check_profiles(
     posterior: Posterior, case: CaseInput, path: Path, more: Sequence[Path] = ()
 ) -> tuple[CheckProfile, ...]:
-    """Shots of a case's profiles, and of other files, that took no part in the adjustment.
+    """Shots of a case's [[mola]] profiles, and of more PEDR files or tables, that took no part in the adjustment; shots
+    are known by their names.
 
-    Parameters
-    ----------
-    posterior : Posterior
-        Of the adjustment; shots are known by their names.
-    case : CaseInput
-        Whose [[mola]] profiles are read.
-    path : Path
-        Its file.
-    more : sequence of Path
-        Other PEDR files or tables. Their sigmas are the largest that the case states for a profile.
-
-    Raises
-    ------
-    InputError
-        Where a file can't be read.
+    `path` is the case's file; the sigmas of further files are the largest that the case states for a profile.
+    InputError where a file can't be read.
     """
     used = set(posterior.network.points.ids)
     entries = [(entry, read_mola(entry, path.parent)) for entry in case.mola]
@@ -131,34 +119,32 @@ def checked(model: HeightGrid, profiles: Sequence[CheckProfile]) -> HeightChecks
     columns = [np.concatenate(column) for column in zip(*(arrays for _, arrays in parts), strict=True)] or [
         np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 2)), *(np.zeros(0) for _ in range(4))
     ]  # fmt: skip
-    profile, places, plane, heights, differences, sigmas, independent = columns
-    return HeightChecks(
-        tuple(one.name for one in profiles), profile, ids, places, plane, heights, differences, sigmas, independent
-    )
+    profile, *others = columns
+    return HeightChecks(tuple(one.name for one in profiles), profile, ids, *others)
 
 
 def _differences(model: HeightGrid, one: CheckProfile, number: int) -> tuple[list[str], tuple[Array, ...]]:
     """Names of the shots on the model, and the columns of `HeightChecks` from `profile` on."""
     given = one.shots.footprints
-    places = given + np.einsum("k,nkj->nj", one.shift, east_north(given))
-    plane = model.map.chart.plane(places)
+    positions = given + np.einsum("k,nkj->nj", one.shift, east_north(given))
+    plane = model.map.chart.plane(positions)
     pixels = model.map.pixels(plane)
     heights = bilinear(model.heights, pixels)
-    on = np.isfinite(heights) & (np.einsum("ni,i->n", places, model.map.chart.axes[2]) > 0.0)  # not the far side
-    pixels, heights, places, plane = pixels[on], heights[on], places[on], plane[on]
+    on = np.isfinite(heights) & (np.einsum("ni,i->n", positions, model.map.chart.axes[2]) > 0.0)  # not the far side
+    pixels, heights, positions, plane = pixels[on], heights[on], positions[on], plane[on]
     slopes = np.nan_to_num(bilinear(model.slopes, pixels))
     planimetric = np.einsum("ni,ij,nj->n", slopes, one.sigma**2 * np.eye(2) + one.shift_covariance, slopes)
     matching, orientation = (bilinear(band, pixels) for band in (model.matching, model.orientation))
     independent = matching**2 + one.sigma**2 + planimetric
-    differences = heights - (np.linalg.norm(places, axis=1) - model.map.radius)
+    differences = heights - (np.linalg.norm(positions, axis=1) - model.map.radius)
     ids = np.array(one.shots.ids, dtype=object)[on].tolist()
     return ids, (
-        np.full(len(ids), number), places, plane, heights, differences, np.sqrt(independent + orientation**2),
+        np.full(len(ids), number), positions, plane, heights, differences, np.sqrt(independent + orientation**2),
         np.sqrt(independent),
     )  # fmt: skip
 
 
-def check_merit(checks: HeightChecks, mine: Mask) -> dict[str, float]:
+def check_figures(checks: HeightChecks, mine: Mask) -> dict[str, float]:
     """Number of some shots, and mean, rms (m), rms over stated sigma and share beyond three of their differences."""
     off, ratio = checks.differences[mine], checks.differences[mine] / checks.sigmas[mine]
     return {

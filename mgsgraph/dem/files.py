@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.dem.checking import HeightChecks, check_merit
+from mgsgraph.dem.checking import HeightChecks, check_figures
 from mgsgraph.dem.gridding import HeightGrid
 from mgsgraph.dem.map import MapGrid
 from mgsgraph.dem.model import Dem, DemSettings, ortho_grid
@@ -56,10 +56,10 @@ def dem_statements(dem: Dem) -> list[str]:
     """What the terrain model is and how good, in sentences."""
     grid, there = dem.model.map, np.isfinite(dem.heights)
     found = [
-        f"{dem.images[i]} and {dem.images[j]}: {matched} of {posts} posts every {dem.spacing:.3g} m matched "
-        f"({100.0 * matched / max(posts, 1):.0f} %); their rays miss each other by {miss:.2g} m (rms), "
-        f"{_explained(miss, sigma)}."
-        for (i, j), (matched, posts), (miss, sigma) in zip(dem.pairs, dem.matches, dem.misses, strict=True)
+        f"{' and '.join(one.images)}: {one.matched} of {one.posts} posts every {dem.spacing:.3g} m matched "
+        f"({100.0 * one.matched / max(one.posts, 1):.0f} %); their rays miss each other by {one.miss:.2g} m (rms), "
+        f"{_explained(one.miss, one.miss_sigma)}."
+        for one in dem.pairs
     ]
     low, high = (float(value) for value in (np.nanmin(dem.heights), np.nanmax(dem.heights)))
     found.append(
@@ -100,10 +100,10 @@ def _check_statements(dem: Dem) -> list[str]:
 
 
 def _compared(checks: HeightChecks, mine: Mask) -> str:
-    merit = check_merit(checks, mine)
+    off = check_figures(checks, mine)
     return (
-        f"model minus shot {merit['mean_m']:+.2g} m on the average, {merit['rms_m']:.3g} m rms, "
-        f"{merit['rms_by_sigma']:.2f} times what is stated; {100.0 * merit['beyond_3_sigma']:.1f} % beyond three sigmas"
+        f"model minus shot {off['mean_m']:+.2g} m on the average, {off['rms_m']:.3g} m rms, "
+        f"{off['rms_by_sigma']:.2f} times what is stated; {100.0 * off['beyond_3_sigma']:.1f} % beyond three sigmas"
     )
 
 
@@ -126,10 +126,10 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
         },
         "pairs": [
             {
-                "images": [dem.images[i], dem.images[j]], "matches": matched, "posts": posts, "rays_miss_m": miss,
-                "rays_miss_by_matching_m": sigma,
+                "images": list(one.images), "matches": one.matched, "posts": one.posts, "rays_miss_m": one.miss,
+                "rays_miss_by_matching_m": one.miss_sigma,
             }
-            for (i, j), (matched, posts), (miss, sigma) in zip(dem.pairs, dem.matches, dem.misses, strict=True)
+            for one in dem.pairs
         ],
         "coordinate_system": grid.crs,
         "heights_above": dem.reference,
@@ -148,11 +148,11 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
                 "profile": one.name, "offered": one.shots.times.size, "ground_sigma_m": one.sigma,
                 "shift_adjusted": one.adjusted, "shift_m": one.shift,
                 "shift_sigma_m": np.sqrt(np.diag(one.shift_covariance)),
-                **(check_merit(checks, mine) if np.any(mine := checks.profile == k) else {"shots": 0}),
+                **(check_figures(checks, mine) if np.any(mine := checks.profile == k) else {"shots": 0}),
             }
             for k, one in enumerate(dem.profiles)
         ],
-        "all_checks": check_merit(checks, np.ones(len(checks), dtype=bool)) if len(checks) else {"shots": 0},
+        "all_checks": check_figures(checks, np.ones(len(checks), dtype=bool)) if len(checks) else {"shots": 0},
         "statements": dem_statements(dem),
     }  # fmt: skip
 
@@ -160,7 +160,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
 def shots_table(dem: Dem) -> Table:
     """One row per check shot."""
     checks = dem.checks
-    longitude, latitude, radius = planetocentric(checks.places).T
+    longitude, latitude, radius = planetocentric(checks.positions).T
     return Table("shots", "Check shots", (
         Column("profile", picked(checks.profiles, checks.profile)),
         Column("shot", checks.ids),
@@ -179,19 +179,7 @@ def shots_table(dem: Dem) -> Table:
 
 
 def write_model(model: HeightGrid, heights: Array, reference: str, tags: Mapping[str, str], path: Path) -> None:
-    """Write dem.tif.
-
-    Parameters
-    ----------
-    model : HeightGrid
-    heights : (rows, columns)
-        m, above `reference`.
-    reference : str
-        What the heights are above.
-    tags : mapping
-        More about it.
-    path : Path
-    """
+    """Write dem.tif: `heights` (rows, columns) in m above `reference`, the model's sigmas and counts, and more tags."""
     counts = np.where(np.isfinite(heights), model.counts, np.nan)
     bands = (heights, model.sigmas, model.matching, model.orientation, counts)
     with _on(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:

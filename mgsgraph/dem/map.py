@@ -1,7 +1,7 @@
 """The map of a terrain model: Lambert's equal-area plane about its middle, north up, and regular posts on it.
 
 It is PROJ's `+proj=laea` on the IAU's sphere of the body with planetocentric latitudes, as `matching.chart` lays out
-(Snyder 1987, p. 182): no zones, poles like any place, metres true to 1e-4 within a hundred kilometres.
+(Snyder 1987, p. 182): no zones, poles like any other point, metres true to 1e-4 within a hundred kilometres.
 """
 
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from mgsgraph.matching.scene import GroundChart
 from mgsgraph.units import DEG
 
 MOST_POSTS = 50_000_000
-"""Of a terrain model: 0.2 GB for each band."""
+"""Posts of a terrain model: 0.2 GB for each band."""
 MOST_PIXELS = 1_000_000_000
-"""Of an ortho image."""
+"""Pixels of an ortho image."""
 _DIGITS = 6
 """Of the middle's longitude and latitude, degrees, so that the coordinate system is written as it is."""
 
@@ -65,8 +65,8 @@ class MapGrid:
     @property
     def chart(self) -> GroundChart:
         """The plane, x eastward and y northward in its middle."""
-        place = from_planetocentric(np.array([[self.longitude * DEG, self.latitude * DEG, 1.0]]))
-        return GroundChart(east_north_up(place)[0], self.radius)
+        middle = from_planetocentric(np.array([[self.longitude * DEG, self.latitude * DEG, 1.0]]))
+        return GroundChart(east_north_up(middle)[0], self.radius)
 
     @property
     def crs(self) -> str:
@@ -77,7 +77,7 @@ class MapGrid:
         )
 
     def resampled(self, post: float) -> "MapGrid":
-        """The same ground with other posts; InputError where there would be too many."""
+        """Other posts on the same ground; InputError where there would be too many."""
         rows, columns = (max(1, round(count * self.post / post)) for count in (self.rows, self.columns))
         _require_few(rows, columns, post, MOST_PIXELS, "ortho image", "--ortho-pixel")
         return MapGrid(
@@ -91,11 +91,11 @@ class MapGrid:
         return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
     def pixels(self, plane: Array) -> Array:
-        """(n, 2) row and column of places (n, 2) in m, the first post at (0, 0)."""
+        """(n, 2) row and column of positions (n, 2) in m, the first post at (0, 0)."""
         return np.column_stack([(self.north - plane[:, 1]) / self.post, (plane[:, 0] - self.west) / self.post]) - 0.5
 
     def points(self, plane: Array, heights: Array) -> Array:
-        """(n, 3) m, body-fixed, at heights (n,) in m above the sphere over places (n, 2)."""
+        """(n, 3) m, body-fixed, at heights (n,) in m above the sphere over positions (n, 2)."""
         return np.asarray(self.chart.directions(plane) * (self.radius + heights)[:, None])
 
     def frames(self, points: Array) -> Array:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -13,10 +13,9 @@ from mgsgraph.dem.checking import CheckProfile, HeightChecks, checked
 from mgsgraph.dem.gridding import HeightGrid, gridded
 from mgsgraph.dem.map import MapGrid
 from mgsgraph.dem.points import intersected
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_heights
-from mgsgraph.matching.coarse import pixel_on_ground
 from mgsgraph.matching.scene import Scene
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.units import KM
@@ -49,10 +48,25 @@ class DemSettings:
     def __post_init__(self) -> None:
         for name in ("post", "spacing", "ortho_pixel"):
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"terrain model, {name.replace('_', ' ')}", f"{value} m", "a positive number")
-        if self.heights not in get_args(Heights):
-            raise InputError("terrain model, heights", repr(self.heights), " or ".join(get_args(Heights)))
+            good = value is None or 0.0 < value < np.inf
+            require(good, f"terrain model, {name.replace('_', ' ')}", f"{value} m", "a positive number")
+        known = get_args(Heights)
+        require(self.heights in known, "terrain model, heights", repr(self.heights), " or ".join(known))
+
+
+class MatchedPair(NamedTuple):
+    """How densely, and how well, two images were matched."""
+
+    images: tuple[str, str]
+    """Names of both."""
+    matched: int
+    """Posts with a match."""
+    posts: int
+    """Posts on ground that both images show."""
+    miss: float
+    """m rms, by which the rays of a match pass each other."""
+    miss_sigma: float
+    """m rms, what matching explains of that."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,12 +85,8 @@ class Dem:
     """(rows, columns) m above `reference`."""
     reference: str
     """What the heights are above, in words."""
-    pairs: tuple[tuple[int, int], ...]
-    """Pictures of each pair that was matched."""
-    matches: tuple[tuple[int, int], ...]
-    """Of each pair the matches, and the posts where one was sought."""
-    misses: tuple[tuple[float, float], ...]
-    """m rms, of each pair, by which rays of a match pass each other, and what matching explains of it."""
+    pairs: tuple[MatchedPair, ...]
+    """Pairs of images that were matched."""
     spacing: float
     """m between matches."""
     window: float
@@ -109,25 +119,26 @@ def dem_of(
     progress("intersecting", 0, 1)
     points = intersected(posterior, scene, matches)
     spacing = max(one.spacing for one in matches)
-    grid = MapGrid.around(points.places, scene.ground.body, settings.post or spacing)
+    grid = MapGrid.around(points.positions, scene.ground.body, settings.post or spacing)
     related = replace(points, pair=_kin([(one.first, one.second) for one in matches])[points.pair])
     model = gridded(related, grid, spacing, window, workers, progress)
     heights, reference = model.heights, f"a sphere of {grid.radius / KM:.3f} km"
     areoid = posterior.network.areoid
     if settings.heights == "areoid" and areoid is not None:
         heights, reference = _above_areoid(model, areoid), "the areoid"
-    misses = [
-        (root_mean_square(points.misses[mine]), root_mean_square(points.miss_sigmas[mine]))
-        for k in range(len(matches))
-        for mine in [points.pair == k]
-    ]
-    counts = [(len(one.anchors), one.posts) for one in matches]
-    largest = max(matches, key=lambda one: len(one.anchors))
-    return Dem(
-        name, tuple(picture.image.name for picture in scene.pictures), largest.first, model, heights, reference,
-        tuple((one.first, one.second) for one in matches), tuple(counts), tuple(misses), spacing, window,
-        checked(model, profiles), tuple(profiles),
+    names = tuple(picture.image.name for picture in scene.pictures)
+    pairs = tuple(
+        MatchedPair(
+            (names[one.first], names[one.second]), len(one.anchors), one.posts,
+            *(root_mean_square(misses[points.pair == k]) for misses in (points.misses, points.miss_sigmas)),
+        )
+        for k, one in enumerate(matches)
     )  # fmt: skip
+    ortho = max(matches, key=lambda one: len(one.anchors)).first
+    checks = checked(model, profiles)
+    return Dem(
+        name, names, ortho, model, heights, reference, pairs, spacing, window, checks, tuple(profiles)
+    )
 
 
 def _kin(pairs: Sequence[tuple[int, int]]) -> Index:
@@ -143,8 +154,7 @@ def ortho_grid(dem: Dem, scene: Scene, settings: DemSettings) -> MapGrid:
     """The pixels of the ortho image: over the terrain model, as large as the image's own where nothing is asked for."""
     pixel = settings.ortho_pixel
     if pixel is None:
-        own = pixel_on_ground(scene.ground, scene.pictures[dem.ortho])
-        pixel = float(np.sqrt(abs(np.linalg.det(own))))
+        pixel = float(scene.pixel_sizes[dem.ortho])
     return dem.model.map.resampled(pixel)
 
 

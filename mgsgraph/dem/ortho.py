@@ -29,7 +29,7 @@ class _ModelGround(Ground):
     """(rows, columns) m above the map's sphere, without holes."""
 
     def points(self, plane: Array) -> Array:
-        """(n, 3) m, body-fixed, at places (n, 2) of the map."""
+        """(n, 3) m, body-fixed, at positions (n, 2) of the map."""
         size = np.array(self.filled.shape) - 1.0
         return self.map.points(plane, bilinear(self.filled, np.clip(self.map.pixels(plane), 0.0, size)))
 
@@ -38,31 +38,16 @@ def ortho_tiles(
     picture: Picture, model: HeightGrid, ground: Ground, grid: MapGrid,
     progress: Progress = no_progress,
 ) -> Iterator[tuple[int, int, NDArray[np.uint8]]]:
-    """A picture on the posts of a map, tile after tile.
+    """A picture, with its adjusted orientation, on the pixels of a map, tile after tile.
 
-    Parameters
-    ----------
-    picture : Picture
-        With its adjusted orientation.
-    model : HeightGrid
-        The terrain.
-    ground : Ground
-        As it was known beforehand; of the same body.
-    grid : MapGrid
-        The pixels wanted, of the same projection as the model's map.
-
-    Yields
-    ------
-    row, column : int
-        First ones of the tile.
-    grey : (rows, columns)
-        1 .. 255 between the picture's levels; 0 where the model has no height or the picture no pixel.
+    `ground` is that known beforehand, of the same body, and `grid` of the same projection as the model's map. Yields
+    the first row and column of a tile and its grey values (rows, columns): 1 .. 255 between the picture's levels, 0
+    where the model has no height or the picture no pixel.
     """
     over = _ModelGround(
         grid.chart, ground.body, ground.height, ground.height_sigma, map=model.map, filled=_filled(model.heights)
     )
     there = np.isfinite(model.heights)
-    levels = picture.levels
     corners = [(row, column) for row in range(0, grid.rows, _SIDE) for column in range(0, grid.columns, _SIDE)]
     for k, (row, column) in enumerate(corners):
         rows, columns = min(_SIDE, grid.rows - row), min(_SIDE, grid.columns - column)
@@ -72,7 +57,7 @@ def ortho_tiles(
         )  # fmt: skip
         inside = _nearest(there, model.map, part)
         west, south = part.west + 0.5 * grid.post, part.north - (rows - 0.5) * grid.post
-        patch = ortho_patch(picture, over, Tile(k, west, south, grid.post, rows, columns, 0), levels)
+        patch = ortho_patch(picture, over, Tile(k, west, south, grid.post, rows, columns, 0))
         progress("ortho image", k + 1, len(corners))
         if patch is not None and np.any(inside):
             shown = (patch.valid[::-1] > 0) & inside

@@ -1,13 +1,13 @@
 """Dense matches intersected: ground points, and the two parts of their covariance.
 
 A match says where a pixel of the first image lies in the second, and all its error is between the two. So the point is
-on the pixel's own ray P = O + t u, where the ray (X, D) of the place found passes it: with n = u x D and m = D x n
+on the pixel's own ray P = O + t u, where the ray (X, D) of the pixel found passes it: with n = u x D and m = D x n
 
     t = (X - O) m / u m,        dt/d(line, sample) = m dX/d(line, sample) / u m,
 
 dX being how the second ray moves at the point. The matching error, a covariance C of two numbers, is then a length
-along u of variance (dt) C (dt)': a covariance of rank one, and a height error at a map place that is level only where
-the ground is (`height_variance`).
+along u of variance (dt) C (dt)': a covariance of rank one, and a height error at a map position that is level only
+where the ground is.
 
 The orientation's part is the same for neighbours and changes slowly along the images: it is taken from the posterior
 at nodes, of rays of which the second alone is uncertain, alike on the ground, and is bilinear between them (which keeps
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _AT_ONCE = 1 << 16
 """Matches that are intersected at a time."""
 _LEAST_ANGLE = 1e-3
-"""rad between two rays below which a place along them means nothing."""
+"""rad between two rays below which a position along them means nothing."""
 _LINES_PER_NODE, _LEAST_NODES, _NODES_ACROSS = 128, 9, 5
 """Of the orientation's covariance: lines between nodes, nodes along an image at least, and across it."""
 _SURE, _UNSURE = 1e-5, 1e-2
@@ -44,7 +44,7 @@ _SURE, _UNSURE = 1e-5, 1e-2
 class DensePoints:
     """Ground points of dense matches, body-fixed."""
 
-    places: Array
+    positions: Array
     """(n, 3) m."""
     matching: Array
     """(n, 3) m, one sigma of matching along the first image's ray: its covariance is the outer product of this."""
@@ -69,36 +69,23 @@ class DensePoints:
 class _Crossed(NamedTuple):
     """Rays of n matches where they meet."""
 
-    places: Array
+    positions: Array
     """(n, 3) m."""
     along: Array
     """(n, 3) unit, of the first ray."""
-    by_place: Array
+    by_pixel: Array
     """(n, 2) m along it per pixel of the second's line and sample."""
     misses: Array
     """(n,) m."""
-    miss_by_place: Array
+    miss_by_pixel: Array
     """(n, 2) m of them per pixel of the second's line and sample."""
     good: Array
     """(n,) whether they meet, before both cameras."""
 
 
 def intersected(posterior: Posterior, scene: Scene, matches: Sequence["DenseMatches"]) -> DensePoints:
-    """Intersect dense matches.
-
-    Parameters
-    ----------
-    posterior : Posterior
-        Of the adjustment.
-    scene : Scene
-        Its pictures are the posterior's images as adjusted (`scene.adjusted_scene`).
-    matches : sequence of DenseMatches
-        Of pairs of its pictures. Those whose rays don't meet are left out.
-
-    Raises
-    ------
-    InputError
-        Where none is left.
+    """Intersect dense matches of pairs of a scene's pictures, which are the posterior's images as adjusted
+    (`production.adjusted_scene`). Those whose rays don't meet are left out; InputError where none is left.
     """
     parts = [
         _of_pair(posterior, scene, one, k, slice(begin, begin + _AT_ONCE), nodes)
@@ -109,10 +96,9 @@ def intersected(posterior: Posterior, scene: Scene, matches: Sequence["DenseMatc
     ]
     joined = [np.concatenate(part) for part in zip(*parts, strict=True)]
     if not joined or not len(joined[0]):
-        names = ", ".join(picture.image.name for picture in scene.pictures[:4])
         found = "no matches, or rays that are all but parallel" if joined else "no matches"
         raise InputError(
-            f"images {names}", f"{found}: nothing to make a terrain model from",
+            scene.where, f"{found}: nothing to make a terrain model from",
             "images that overlap and look from different sides",
         )  # fmt: skip
     return DensePoints(*joined)
@@ -123,21 +109,21 @@ def _of_pair(
 ) -> tuple[Array, Array, Array, Index, Array, Array]:
     """The record's arrays for some matches of a pair."""
     first, second = (scene.pictures[j] for j in (one.first, one.second))
-    met = _crossed(first, second, one.anchors[some], one.places[some])
+    met = _crossed(first, second, one.anchors[some], one.pixels[some])
     variance, of_miss = (
-        np.einsum("ni,nij,nj->n", rows, one.covariances[some], rows) for rows in (met.by_place, met.miss_by_place)
+        np.einsum("ni,nij,nj->n", rows, one.covariances[some], rows) for rows in (met.by_pixel, met.miss_by_pixel)
     )
     good = met.good & np.isfinite(variance) & (variance > 0.0)
     orientation = nodes.at(one.anchors[some][good])
     matching = met.along[good] * np.sqrt(variance[good])[:, None]
     pair = np.full(int(good.sum()), number)
-    return met.places[good], matching, orientation, pair, met.misses[good], np.sqrt(of_miss[good])
+    return met.positions[good], matching, orientation, pair, met.misses[good], np.sqrt(of_miss[good])
 
 
-def _crossed(first: Picture, second: Picture, anchors: Array, places: Array) -> _Crossed:
+def _crossed(first: Picture, second: Picture, anchors: Array, pixels: Array) -> _Crossed:
     origin, along = first.image.sightlines(anchors[:, 0], anchors[:, 1], first.correction)
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    other, direction, d_other, d_direction = second.image.rays(places[:, 0], places[:, 1], second.correction)
+    other, direction, d_other, d_direction = second.image.rays(pixels[:, 0], pixels[:, 1], second.correction)
     common = np.cross(along, direction)
     across = np.cross(direction, common)
     slant = np.einsum("ni,ni->n", along, across)
@@ -148,27 +134,27 @@ def _crossed(first: Picture, second: Picture, anchors: Array, places: Array) -> 
         point = origin + distance[:, None] * along
         second_distance = np.einsum("ni,ni->n", point - other, direction) / length**2
         moves = d_other + second_distance[:, None, None] * d_direction
-        by_place = np.einsum("ni,nij->nj", across, moves) / slant[:, None]
+        by_pixel = np.einsum("ni,nij->nj", across, moves) / slant[:, None]
         unit = common / (sine * length)[:, None]
         misses = np.einsum("ni,ni->n", point - other, unit)
-        miss_by_place = -np.einsum("ni,nij->nj", unit, moves)
+        miss_by_pixel = -np.einsum("ni,nij->nj", unit, moves)
     good = (sine > np.sin(_LEAST_ANGLE)) & (distance > 0.0) & (second_distance > 0.0)
-    return _Crossed(point, along, by_place, misses, miss_by_place, good)
+    return _Crossed(point, along, by_pixel, misses, miss_by_pixel, good)
 
 
 class _Nodes(NamedTuple):
     """The orientation's covariance of points at nodes of the first image."""
 
     lines: Array
-    """(k,) increasing."""
+    """(k,) evenly spaced, increasing."""
     samples: Array
-    """(l,) increasing."""
+    """(l,) evenly spaced, increasing."""
     covariances: Array
     """(k, l, 3, 3) m^2."""
 
-    def at(self, places: Array) -> Array:
-        """(n, 3, 3) m^2, bilinear at places (n, 2) of the first image."""
-        axes = zip((self.lines, self.samples), places.T, strict=True)
+    def at(self, pixels: Array) -> Array:
+        """(n, 3, 3) m^2, bilinear at lines and samples (n, 2) of the first image."""
+        axes = zip((self.lines, self.samples), pixels.T, strict=True)
         at = np.column_stack([np.interp(values, nodes, np.arange(nodes.size)) for nodes, values in axes])
         return between_nodes(self.covariances, at)
 
@@ -184,7 +170,7 @@ def _orientation_nodes(posterior: Posterior, scene: Scene, one: "DenseMatches") 
     points = scene.ground.meet(*first.image.sightlines(anchors[:, 0], anchors[:, 1], first.correction))
     rays = [
         (anchors, _SURE / _pixel_sizes(first, scene.ground, anchors)),
-        ((places := second.places(points)), _UNSURE / _pixel_sizes(second, scene.ground, places)),
+        ((pixels := second.project(points)), _UNSURE / _pixel_sizes(second, scene.ground, pixels)),
     ]
     number, count = [posterior.image_number(picture.image.name) for picture in (first, second)], len(anchors)
     both = [np.stack(part, axis=1).reshape(-1, 2) for part in zip(*rays, strict=True)]
@@ -196,24 +182,8 @@ def _orientation_nodes(posterior: Posterior, scene: Scene, one: "DenseMatches") 
     return _Nodes(lines, samples, found)
 
 
-def _pixel_sizes(picture: Picture, ground: Ground, places: Array) -> Array:
-    """(n, 2) m on the ground of a step of one line and of one sample from places (n, 2)."""
-    here = picture.on_chart(ground, places)
-    sizes = [np.linalg.norm(picture.on_chart(ground, places + step) - here, axis=1) for step in np.eye(2)]
+def _pixel_sizes(picture: Picture, ground: Ground, pixels: Array) -> Array:
+    """(n, 2) m on the ground of a step of one line and of one sample from lines and samples (n, 2)."""
+    here = picture.on_chart(ground, pixels)
+    sizes = [np.linalg.norm(picture.on_chart(ground, pixels + step) - here, axis=1) for step in np.eye(2)]
     return np.stack(sizes, axis=1)
-
-
-def height_variance(covariances: Array, slopes: Array) -> Array:
-    """(n,) m^2, variance of the height at a fixed map place: v' C v with v = (-slope east, -slope north, 1).
-
-    A horizontal error of a point on sloping ground is a height error where it is said to be.
-
-    Parameters
-    ----------
-    covariances : (n, 3, 3)
-        m^2, along east, north and up.
-    slopes : (n, 2)
-        m per m, eastward and northward.
-    """
-    v = np.column_stack([-slopes, np.ones(len(slopes))])
-    return np.asarray(np.einsum("ni,nij,nj->n", v, covariances, v))

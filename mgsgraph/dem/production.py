@@ -16,7 +16,6 @@ from mgsgraph.dem.files import write_dem
 from mgsgraph.dem.model import Dem, DemSettings, dem_of, require_reference
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.matching.coarse import grid_step
 from mgsgraph.matching.scene import Scene
 from mgsgraph.output.folders import DEM, fresh_folder, require_replaceable
 from mgsgraph.stages import Progress, no_progress
@@ -98,7 +97,7 @@ def _matched(
     from mgsgraph.matching.dense import DenseSettings, dense_matches  # OpenCV and numba take their time to load
 
     choices = DenseSettings(spacing=settings.spacing)
-    return dense_matches(scene, choices, workers, progress), (2 * choices.half_window + 1) * grid_step(scene)
+    return dense_matches(scene, choices, workers, progress), (2 * choices.half_window + 1) * scene.step
 
 
 def adjusted_names(

@@ -49,7 +49,7 @@ class _Given(NamedTuple):
 
 
 class _Near(NamedTuple):
-    """Points near a post, and what is made of them; room for as many as any post has."""
+    """Points near a post, and what is made of them; arrays for as many as any post has."""
 
     x: Array
     """posts eastward from the post."""
@@ -58,11 +58,11 @@ class _Near(NamedTuple):
     h: Array
     """m above any level."""
     sigma: Array
-    """m, of the height by matching; of that at a fixed place with its sign, when the plane's slopes are known."""
+    """m, of the height by matching; of that at a fixed position with its sign, when the plane's slopes are known."""
     base: Array
     """Weight by distance and sigma."""
     w: Array
-    """The same, where the point agrees with the others; 0 where it doesn't count."""
+    """That weight, where the point agrees with the others; 0 where it doesn't count."""
     left: Array
     """m, absolute residual."""
     share: Array
@@ -113,7 +113,7 @@ def _most(given: _Given, first_row: int, last_row: int) -> int:
 
 
 @compiled
-def _room(n: int) -> _Near:
+def _empty(n: int) -> _Near:
     real = np.empty((9, n))
     return _Near(
         real[0], real[1], real[2], real[3], real[4], real[5], real[6], real[7], real[8],
@@ -249,7 +249,7 @@ def _solved(near: _Near, i: int) -> tuple[float, float, float]:
 
 @compiled
 def _by_orientation(given: _Given, near: _Near, i: int) -> float:
-    """m, sigma of a point's height at a fixed place by the orientation."""
+    """m, sigma of a point's height at a fixed position by the orientation."""
     covariance, east, north = given.orientation[near.which[i]], near.plane[1], near.plane[2]
     variance = covariance[2, 2] - 2.0 * (east * covariance[0, 2] + north * covariance[1, 2])
     variance += east * east * covariance[0, 0] + north * north * covariance[1, 1]
@@ -336,7 +336,7 @@ def surface(
         Filled; left as it is where there is no height.
     """
     given = _Given(columns, first, points, spread, orientation, pair, reach, window)
-    near = _room(_most(given, first_row, last_row))
+    near = _empty(_most(given, first_row, last_row))
     for row in range(first_row, last_row):
         for column in range(columns):
             n = _gather(given, row, column, near)

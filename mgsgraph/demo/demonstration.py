@@ -8,7 +8,7 @@ from pathlib import Path
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.demo.simulate import simulated_files
-from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, against_truth, true_places_of
+from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, against_truth, true_shots
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.simulation.files import write_pair, write_site
@@ -119,10 +119,10 @@ def _named_from(case: Case, folder: Path) -> Case:
 
 
 def true_points(demo: Demonstration) -> dict[str, Array]:
-    """True place (3,) in m, body-fixed, of each ground point of the network by its id."""
+    """True position (3,) in m, body-fixed, of each ground point of the network by its id."""
     simulated = demo.simulated
     ties = dict(zip(simulated.ties.ids, simulated.true_ties, strict=True))
-    known = true_places_of(simulated)
+    known = true_shots(simulated)
     shots = {
         f"{registered.name}:{name}": known[name][0]
         for registered, profile in zip(demo.registration.before, demo.case.profiles, strict=True)

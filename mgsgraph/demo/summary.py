@@ -11,7 +11,7 @@ from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
 from mgsgraph.demo.demonstration import DRAWING, INPUTS, Demonstration, demonstrate, demonstrate_pair, true_points
 from mgsgraph.demo.simulate import PAIR
-from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, nees, pair_statements, rms_length
+from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, pair_statements, point_errors, point_statements
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
@@ -77,7 +77,7 @@ def demo_statements(demo: Demonstration) -> list[str]:
         *([_agreement(truth.between)] if truth.between else []),
         *(_of_image(image.name, truth) for image in demo.solution.network.images),
         *_shifts(demo),
-        *(_points(demo, point_class) for point_class in (PointClass.TIE, PointClass.LASER)),
+        *point_statements(demo.solution, true_points(demo)),
         *([_in_short(truth)] if truth.between else []),
     ]
 
@@ -120,7 +120,7 @@ def _after(pairs: Sequence[BeforeAfter]) -> str:
 
 
 def _agreement(pairs: Sequence[BeforeAfter]) -> str:
-    """The same at the true ground points, where no relief disturbs."""
+    """How far the images agree at the true ground points, where no relief disturbs."""
     before, after = [pair.before for pair in pairs], [pair.after for pair in pairs]
     predicted = _pooled(after, "pixel_sigmas").mean(axis=0)
     return (
@@ -133,7 +133,7 @@ def _agreement(pairs: Sequence[BeforeAfter]) -> str:
 def _of_image(name: str, truth: AgainstTruth) -> str:
     """What the orientation of one image is off, by itself and with the footprints' own errors."""
     pairs = [pair for pair in truth.orientation if pair.after.image == name]
-    own = [pair for pair in truth.footprints if pair.after.image == name]
+    shots = [pair for pair in truth.footprints if pair.after.image == name]
     if not pairs:
         return f"Truth, {name}: it sees no footprint."
     before, after = [pair.before for pair in pairs], [pair.after for pair in pairs]
@@ -142,9 +142,9 @@ def _of_image(name: str, truth: AgainstTruth) -> str:
         f"Truth, {name} by itself: its orientation misplaced the ground by {_mean(before, 0)} m along and "
         f"{_mean(before, 1)} m across the flight, and now does by {_mean(after, 0)} and {_mean(after, 1)} m (mean; "
         f"predicted sigma {predicted[0]:.0f} and {predicted[1]:.0f} m: what both images share, tie points don't see). "
-        f"{_sigmas_off(pairs)} With their own errors, footprints fell {_mean([one.before for one in own], 0)} and "
-        f"{_mean([one.before for one in own], 1)} m beside their place in it, and now fall "
-        f"{_mean([one.after for one in own], 0)} and {_mean([one.after for one in own], 1)} m beside it."
+        f"{_sigmas_off(pairs)} With their own errors, footprints fell {_mean([one.before for one in shots], 0)} and "
+        f"{_mean([one.before for one in shots], 1)} m beside their place in it, and now fall "
+        f"{_mean([one.after for one in shots], 0)} and {_mean([one.after for one in shots], 1)} m beside it."
     )
 
 
@@ -194,28 +194,6 @@ def _shift_truths(demo: Demonstration) -> list[tuple[str, Array, Array, Array]]:
         (name, true[name], solution.shifts[p], np.sqrt(np.diagonal(solution.shift_covariance(p))))
         for p, name in enumerate(solution.network.shift_names)
     ]
-
-
-def _points(demo: Demonstration, point_class: PointClass) -> str:
-    found = _point_errors(demo, point_class)
-    return (
-        f"Truth, {point_class.name.lower()} points: error {found['rms_before_m']:.1f} m rms before, "
-        f"{found['rms_after_m']:.1f} m after; mean NEES per degree of freedom {found['nees_per_freedom']:.2f} (1 if "
-        "the stated sigmas are honest; all points share one orientation, so one draw scatters)."
-    )
-
-
-def _point_errors(demo: Demonstration, point_class: PointClass) -> dict[str, float]:
-    """Errors of a class of points against the truth; of points that have a place."""
-    solution, truth = demo.solution, true_points(demo)
-    members = solution.members(point_class)
-    true = np.array([truth[solution.network.points.ids[i]] for i in members])
-    before, after = solution.places_before[members] - true, solution.places[members] - true
-    return {
-        "rms_before_m": rms_length(before),
-        "rms_after_m": rms_length(after),
-        "nees_per_freedom": float(nees(after, solution.covariances[members]).mean() / 3.0),
-    }
 
 
 def _footprints(found: Sequence[Misregistration]) -> str:
@@ -272,8 +250,9 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
             for name, true, found, sigma in _shift_truths(demo)
         ],
         "points": {
-            point_class.name.lower(): _point_errors(demo, point_class)
-            for point_class in (PointClass.TIE, PointClass.LASER)
+            one.name.lower(): dict(zip(("rms_before_m", "rms_after_m", "nees_per_freedom"), errors, strict=True))
+            for one in (PointClass.TIE, PointClass.LASER)
+            if (errors := point_errors(solution, true_points(demo), one))
         },
         "seconds": demo.stages.seconds,
         "statements": demo_statements(demo),

@@ -3,10 +3,12 @@ that only a simulation knows, with the sigmas that the law of error propagation 
 
 Turning the camera by w about its own axes moves the image of a point P like moving P by M' (r x w), where r = M (P - C)
 is its ray in the camera; moving the camera by dC, like moving P by -dC. So everything follows from the derivative of
-the image place by the ground point, at the basis values of the line where the point is seen.
+the image point by the ground point, at the basis values of the line where the point is seen.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,36 +34,52 @@ def nees(errors: Array, covariances: Array) -> Array:
     return np.asarray(np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]))
 
 
+class PointErrors(NamedTuple):
+    """Errors of a class of points against the truth."""
+
+    rms_before: float
+    """m, of the a-priori positions."""
+    rms_after: float
+    """m, of the adjusted ones."""
+    nees: float
+    """Mean normalised estimation error squared per degree of freedom; 1 where the stated sigmas are honest."""
+
+
+def point_errors(solution: Solution, truth: Mapping[str, Array], point_class: PointClass) -> PointErrors | None:
+    """Errors of the points of a class, by their true positions (3,) in m; None where there are none."""
+    members = solution.members(point_class)
+    if members.size == 0:
+        return None
+    true = np.array([truth[solution.network.points.ids[i]] for i in members])
+    before, after = solution.places_before[members] - true, solution.places[members] - true
+    mean = float(nees(after, solution.covariances[members]).mean() / 3.0)
+    return PointErrors(rms_length(before), rms_length(after), mean)
+
+
+def point_statements(solution: Solution, truth: Mapping[str, Array]) -> list[str]:
+    """A sentence with the errors of tie points, and one with those of laser points."""
+    classes = (PointClass.TIE, PointClass.LASER)
+    found = [(one.name.lower(), errors) for one in classes if (errors := point_errors(solution, truth, one))]
+    return [
+        f"Truth, {name} points: error {errors.rms_before:.1f} m rms before, {errors.rms_after:.1f} m after; mean NEES "
+        f"per degree of freedom {errors.nees:.2f} (1 if the stated sigmas are honest; all points share one "
+        "orientation, so one draw scatters)."
+        for name, errors in found
+    ]
+
+
 def pair_statements(solution: Solution, pair: SimulatedPair) -> list[str]:
     """Sentences with the true errors of points and orientation before and after the adjustment."""
     truth = dict(zip(pair.ties.ids, pair.true_ties, strict=True)) | dict(
         zip(pair.laser.ids, pair.true_footprints, strict=True)
     )
-    true_places = np.array([truth[name] for name in solution.network.points.ids])
-    sentences = []
-    for point_class in (PointClass.TIE, PointClass.LASER):
-        members = solution.members(point_class)
-        if members.size == 0:
-            continue
-        after, before = (places[members] - true_places[members] for places in (solution.places, solution.places_before))
-        mean = nees(after, solution.covariances[members]).mean() / 3.0
-        sentences.append(
-            f"Truth, {point_class.name.lower()} points: error {rms_length(before):.1f} m rms before, "
-            f"{rms_length(after):.1f} m after; "
-            f"mean NEES per degree of freedom {mean:.2f} (1 if the stated sigmas are honest; "
-            "all points share one orientation, so one draw scatters)."
-        )
-    errors = np.concatenate(
-        [
-            (estimate - true.coefficients).ravel()
-            for estimate, true in zip(solution.coefficients, pair.true_corrections, strict=True)
-        ]
-    )
+    estimates = zip(solution.coefficients, pair.true_corrections, strict=True)
+    errors = np.concatenate([(estimate - true.coefficients).ravel() for estimate, true in estimates])
     whitened = nees(errors[None], solution.joint_covariance.of(range(len(solution.coefficients)))[None])[0]
-    sentences.append(
-        f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size})."
-    )
-    return sentences
+    return [
+        *point_statements(solution, truth),
+        f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size}).",
+    ]
 
 
 def rms_length(errors: Array) -> float:
@@ -69,7 +87,7 @@ def rms_length(errors: Array) -> float:
     return root_mean_square(np.linalg.norm(errors, axis=1))
 
 
-# --- places of footprints
+# --- footprints in images
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +112,8 @@ class AgainstTruth:
     """Misregistrations as only a simulation knows them."""
 
     between: tuple[BeforeAfter, ...]
-    """Of the true ground under each profile that both images see: error of its place in the second image minus that in
-    the first, carried over level ground. What both images share cancels. Sigmas from the joint covariance."""
+    """Of the true ground under each profile that both images see: error of its image point in the second image minus
+    that in the first, carried over level ground. What both images share cancels. Sigmas from the joint covariance."""
     orientation: tuple[BeforeAfter, ...]
     """Of the true ground under each profile in each image; it is the orientation alone that is off."""
     footprints: tuple[BeforeAfter, ...]
@@ -106,18 +124,18 @@ class AgainstTruth:
 def against_truth(
     simulated: SimulatedSite, case: Case, solution: Solution, registration: CaseRegistration
 ) -> AgainstTruth:
-    """Compare places of footprints, and of the true ground under them, with their true places in the images."""
+    """Compare the image points of footprints, and of the true ground under them, with their true ones."""
     between, orientation, footprints = list[BeforeAfter](), list[BeforeAfter](), list[BeforeAfter]()
-    known, images = true_places_of(simulated), solution.network.images
+    known, images = true_shots(simulated), solution.network.images
     for shots, registered in zip(case.profiles, registration.after, strict=True):
         rows = [known[name] for name in shots.ids]
-        points, places = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
-        seen = np.stack([_inside(image, places[:, j]) for j, image in enumerate(images)])
+        points, pixels = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+        seen = np.stack([_inside(image, pixels[:, j]) for j, image in enumerate(images)])
         for j, image in enumerate(images):
             if not np.any(seen[j]):
                 continue
             adjusted, correction = solution.image(j), solution.correction(j)
-            inside = np.where(seen[j, :, None], places[:, j], np.nan)
+            inside = np.where(seen[j, :, None], pixels[:, j], np.nan)
             orientation.append(BeforeAfter(
                 registered.name,
                 misregistration(image, shots, inside, None, points),
@@ -130,47 +148,49 @@ def against_truth(
             ))
         both = np.flatnonzero(np.all(seen, axis=0))
         if both.size:
-            between.append(_between(registered.name, shots, both, points[both], places[both], solution))
+            between.append(_between(registered.name, shots, both, points[both], pixels[both], solution))
     return AgainstTruth(tuple(between), tuple(orientation), tuple(footprints))
 
 
-def true_places_of(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
-    """True ground point (3,) and places (2, 2) in both images, of each shot by its name."""
+def true_shots(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:
+    """True ground point (3,) and pixels (2, 2) in both images, of each shot by its name."""
     return {
-        name: (point, places)
+        name: (point, pixels)
         for image in simulated.images
-        for name, point, places in zip(
-            shot_names(image), image.profile.true_footprints, image.profile.true_places, strict=True
+        for name, point, pixels in zip(
+            shot_names(image), image.profile.true_footprints, image.profile.true_pixels, strict=True
         )
     }
 
 
-def _inside(image: PushbroomImage, places: Array) -> Mask:
+def _inside(image: PushbroomImage, pixels: Array) -> Mask:
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.all((places >= 0.0) & (places <= [image.lines, image.samples]), axis=1))
+        return np.asarray(np.all((pixels >= 0.0) & (pixels <= [image.lines, image.samples]), axis=1))
 
 
 def _predicted(found: Misregistration, points: Array, solution: Solution, image: int) -> Misregistration:
-    """The same with the sigmas that the orientation's covariance predicts for the places of the points (n, 3)."""
+    """A misregistration with the sigmas that the orientation's covariance predicts for the pixels of the points (n,
+    3).
+    """
     picture, correction = solution.image(image), solution.correction(image)
-    places, jacobian = place_jacobian(picture, points[found.shots], correction)
+    pixels, jacobian = pixel_jacobian(picture, points[found.shots], correction)
     return _with_sigmas(found, jacobian, solution.correction_covariance(image), on_ground(
-        picture, places, points[found.shots], correction
+        picture, pixels, points[found.shots], correction
     ))
 
 
 def _between(
-    profile: str, shots: AltimeterShots, which: Index, points: Array, places: Array, solution: Solution
+    profile: str, shots: AltimeterShots, which: Index, points: Array, pixels: Array, solution: Solution
 ) -> BeforeAfter:
-    """Of the true points (k, 3) and places (k, 2, 2) under the shots `which` (k,), which both images see."""
+    """Of the true points (k, 3) and pixels (k, 2, 2) under the shots `which` (k,), which both images see."""
     first, second = solution.network.images
     corrections = (solution.correction(0), solution.correction(1))
     unseen = np.zeros((which.size, 2))
 
     def contradiction(pair: tuple[OrientationCorrection, ...]) -> tuple[Misregistration, Array, Array]:
-        off, jacobian, metres = contradiction_at((first, second), pair, points, places)
+        off, jacobian, metres = contradiction_at((first, second), pair, points, pixels)
         return Misregistration(
-            second.name, first.name, which, places[:, 1, 0], off, unseen,
+            second.name, first.name, which, pixels[:, 1, 0], off, unseen,
             np.einsum("nij,nj->ni", metres, off), unseen, shots.spacing,
         ), jacobian, metres
 
@@ -184,60 +204,47 @@ def contradiction_at(
     pair: tuple[PushbroomImage, PushbroomImage],
     corrections: tuple[OrientationCorrection, ...],
     points: Array,
-    places: Array,
+    pixels: Array,
 ) -> tuple[Array, Array, Array]:
-    """Error of the points' places in the second image minus that in the first, carried over ground of the points'
+    """Error of the points' pixels in the second image minus that in the first, carried over ground of the points'
     heights (n, 2), in pixels of the second; how that follows the coefficients of both; and metres per pixel (n, 2, 2).
     """
     (first, second), height = pair, geodetic(points, pair[0].body)[:, 2]
-    here, by_first = place_jacobian(first, points, corrections[0])
-    there, by_second = place_jacobian(second, points, corrections[1])
+    here, by_first = pixel_jacobian(first, points, corrections[0])
+    there, by_second = pixel_jacobian(second, points, corrections[1])
     _, to_ground = first.image_to_ground(here[:, 0], here[:, 1], height, corrections[0])
     _, to_image = second.ground_to_image(points, corrections[1])
     carried = to_image @ to_ground
-    off = there - places[:, 1] - np.einsum("nij,nj->ni", carried, here - places[:, 0])
+    off = there - pixels[:, 1] - np.einsum("nij,nj->ni", carried, here - pixels[:, 0])
     jacobian = np.concatenate([-carried @ by_first, by_second], axis=2)
     return off, jacobian, on_ground(second, there, points, corrections[1])
 
 
 def _with_sigmas(found: Misregistration, jacobian: Array, covariance: Array, metres: Array) -> Misregistration:
-    """The same with sigmas by the law of error propagation, in pixels and, by metres per pixel (n, 2, 2), in metres."""
+    """A misregistration with sigmas by the law of error propagation, in pixels and, by metres per pixel (n, 2, 2), in
+    metres.
+    """
     return replace(
         found, pixel_sigmas=propagated(jacobian, covariance), metre_sigmas=propagated(metres @ jacobian, covariance)
     )
 
 
-# --- sigmas of image places
+# --- sigmas of image points
 
 
-def place_jacobian(image: PushbroomImage, points: Array, correction: OrientationCorrection) -> tuple[Array, Array]:
-    """Image places of ground points, and how they follow the orientation coefficients.
-
-    Parameters
-    ----------
-    image : PushbroomImage
-        With its nominal orientation.
-    points : (n, 3)
-        m, body-fixed.
-    correction : OrientationCorrection
-        Of the nominal orientation; m coefficients (6-vectors).
-
-    Returns
-    -------
-    places : (n, 2)
-        line and sample; NaN where unseen.
-    jacobian : (n, 2, 6 m)
-        pixels per m and per rad, in the order of `coefficients.ravel()`.
+def pixel_jacobian(image: PushbroomImage, points: Array, correction: OrientationCorrection) -> tuple[Array, Array]:
+    """Lines and samples (n, 2) of ground points (n, 3) in m, body-fixed, NaN where unseen, and their derivatives (n, 2,
+    6 m) by the m orientation coefficients, in pixels per m and per rad and in the order of `coefficients.ravel()`.
     """
-    places, by_point = image.ground_to_image(points, correction)
-    lines = np.nan_to_num(places[:, 0])  # the Jacobian of an unseen point is NaN by `by_point`
+    pixels, by_point = image.ground_to_image(points, correction)
+    lines = np.nan_to_num(pixels[:, 0])  # the Jacobian of an unseen point is NaN by `by_point`
     moments = image.moments(lines)
     pose = image.pose(lines, correction)
     ray = np.einsum("nij,nj->ni", pose.matrix, points - pose.position)
     turned = np.swapaxes(pose.matrix, 1, 2) @ rotation.skew(ray) @ correction.axes(image.pose(lines), moments)
     moved = np.concatenate([np.broadcast_to(-np.eye(3), turned.shape), turned], axis=2)
     jacobian = np.einsum("nk,nij->nikj", correction.basis(moments), by_point @ moved)
-    return places, jacobian.reshape(points.shape[0], 2, -1)
+    return pixels, jacobian.reshape(points.shape[0], 2, -1)
 
 
 def propagated(jacobian: Array, covariance: Array) -> Array:

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from mgsgraph.dem.checking import check_merit
+from mgsgraph.dem.checking import check_figures
 from mgsgraph.dem.model import Dem
 from mgsgraph.figures.sheet import AFTER, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.geometry.records import Array
@@ -151,8 +151,8 @@ def _caption(dem: Dem) -> str:
     )
     if not len(checks):
         return f"{text}. No laser shot that took no part in the adjustment lies on it."
-    merit = check_merit(checks, np.ones(len(checks), dtype=bool))
+    off = check_figures(checks, np.ones(len(checks), dtype=bool))
     return (
-        f"{text}. {many(len(checks), 'laser shot')} that took no part: model minus shot {number(merit['mean_m'])} m on "
-        f"the average, {number(merit['rms_m'])} m rms, {number(merit['rms_by_sigma'], 2)} times what is stated."
+        f"{text}. {many(len(checks), 'laser shot')} that took no part: model minus shot {number(off['mean_m'])} m on "
+        f"the average, {number(off['rms_m'])} m rms, {number(off['rms_by_sigma'], 2)} times what is stated."
     )

@@ -22,6 +22,11 @@ class Ellipsoid:
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise InputError(f"ellipsoid, {name} radius", f"{getattr(self, name)} m", "a positive number")
 
+    def radius(self, directions: Array) -> Array:
+        """Radius (n,) in m towards unit vectors (n, 3) from the centre, body-fixed."""
+        a, b = self.equatorial, self.polar
+        return np.asarray(a * b / np.hypot(b * np.hypot(directions[:, 0], directions[:, 1]), a * directions[:, 2]))
+
 
 _RADII = {"MARS": 3396.19e3, "MOON": 1737.4e3, "MERCURY": 2440.53e3, "VENUS": 6051.8e3, "EARTH": 6378.14e3}
 """m, equatorial (IAU 2015)."""

@@ -15,13 +15,13 @@ _DEGREE = 2
 _ROUGH = 0.75
 """pixels of the ground grid, sigma of a match in the first look."""
 _LIMIT = 4.0
-"""Robust standard deviations of coplanarity residuals within which a match is kept; at least"""
+"""Robust standard deviations of coplanarity residuals within which a match is kept."""
 _LEAST_LIMIT = 0.3
-"""pixels of the ground grid."""
+"""pixels of the ground grid, within which it is kept in any case."""
 _HEIGHT_LIMIT = 6.0
-"""The same of heights against neighbours'; at least"""
+"""Robust standard deviations of heights against neighbours' within which a match is kept."""
 _LEAST_HEIGHT_LIMIT = 1.5
-"""pixels of displacement."""
+"""pixels of displacement by height, within which it is kept in any case."""
 _NEIGHBOURS = 8
 _UNKNOWN = 1e4
 """m, unit of a position of which nothing is known beforehand."""
@@ -30,8 +30,8 @@ _FEWEST = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Verdict:
-    """What was found about n measures."""
+class MeasureChecks:
+    """Whether n measures are consistent with one another."""
 
     coplanar: Mask
     """(n,) the rays meet, under one correction of the picture's orientation."""
@@ -41,19 +41,19 @@ class Verdict:
     """(n,) m on the ground, the coplanarity residual that remains; NaN where it wasn't asked."""
 
 
-def verdict(scene: Scene, found: Measured, step: float, seed: int) -> Verdict:
+def checked_measures(scene: Scene, found: Measured, step: float, seed: int) -> MeasureChecks:
     """Check measures, pair of pictures by pair; `step` is the pixel of the ground grid in m."""
     n = found.track.size
     coplanar, steady, misfit = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, np.nan)
     for _, _, mine in by_pair(found.first, found.other):
         coplanar[mine], steady[mine], misfit[mine] = _of_pair(scene, found.some(mine), step, seed)
-    return Verdict(coplanar, steady, misfit)
+    return MeasureChecks(coplanar, steady, misfit)
 
 
 def _of_pair(scene: Scene, found: Measured, step: float, seed: int) -> tuple[Mask, Mask, Array]:
     first, second = (scene.pictures[int(j[0])] for j in (found.first, found.other))
     sigmas = units_between(first, second, _DEGREE, _UNKNOWN)
-    apart = displacements(first, second, (found.anchors, found.places), scene.ground, sigmas)
+    apart = displacements(first, second, (found.anchors, found.pixels), scene.ground, sigmas)
     rng = np.random.default_rng(seed)
     taken, fits = consensus(apart, _ROUGH * step, scene.ground.height_sigma, rng)
     across, along = apart.residuals(taken).T
@@ -82,21 +82,13 @@ def _like_neighbours(plane: Array, along: Array, step: float) -> Mask:
 
 
 def cell_numbers(plane: Array, cell: float) -> Index:
-    """(n,) one number for the square cell of `cell` m in which each place (n, 2) of the chart lies."""
+    """(n,) one number for the square cell of `cell` m in which each position (n, 2) of the chart lies."""
     row, column = np.floor(plane / cell).astype(np.int64).T
     return np.asarray(row * np.int64(1 << 31) + column)
 
 
 def spread(cells: Index, pairs: Index, quality: Array, most: int) -> Mask:
-    """(n,) the best `most` of each cell and pair.
-
-    Parameters
-    ----------
-    cells, pairs : (n,)
-        Cell and pair of each.
-    quality : (n,)
-        The smaller, the better.
-    """
+    """(n,) which are the best `most` of their cell and pair (n,): those whose `quality` (n,) is smallest."""
     order = np.lexsort([quality, pairs, cells])
     new = np.ones(order.size, dtype=bool)
     new[1:] = (np.diff(cells[order]) != 0) | (np.diff(pairs[order]) != 0)

@@ -57,7 +57,7 @@ class ChipFrames:
     step: Array
     """(k, 2, 2) d(line, sample) / d(row, column) of the chip; NaN where a ray misses the body."""
     skew: Array
-    """(n,) m, rms distance of the rays, nominal orientation, from the place nearest to them all; NaN for one ray."""
+    """(n,) m, rms distance of the rays, nominal orientation, from the position nearest to them all; NaN for one ray."""
 
     @property
     def skew_pixels(self) -> Array:
@@ -102,8 +102,8 @@ def chip_frames(images: Sequence[PushbroomImage], ties: TiePoints) -> ChipFrames
     for j in np.unique(image):
         mine = image == j
         origins[mine], directions[mine] = images[j].sightlines(*ties.measures[mine].T)
-    places, skew, _ = intersect_rays(origins, directions, point, n)
-    heights = _heights(images, places)
+    positions, skew, _ = intersect_rays(origins, directions, point, n)
+    heights = _heights(images, positions)
     to_ground = np.empty((point.size, 2, 2))
     for j in np.unique(image):
         mine = np.flatnonzero(image == j)
@@ -130,12 +130,12 @@ def _images_of(images: Sequence[PushbroomImage], ties: TiePoints) -> Index:
     return image
 
 
-def _heights(images: Sequence[PushbroomImage], places: Array) -> Array:
+def _heights(images: Sequence[PushbroomImage], positions: Array) -> Array:
     """(n,) m above the ellipsoid; zero where it isn't known, which the affine map hardly feels."""
     body = images[0].body
-    known = np.isfinite(places[:, 0])
-    heights = np.zeros(places.shape[0])
-    heights[known] = geodetic(places[known], body)[:, 2]
+    known = np.isfinite(positions[:, 0])
+    heights = np.zeros(positions.shape[0])
+    heights[known] = geodetic(positions[known], body)[:, 2]
     return np.where(np.abs(heights) < _HIGHEST * body.equatorial, heights, 0.0)
 
 
@@ -167,10 +167,10 @@ def misfit_beside_neighbours(frames: ChipFrames, ties: TiePoints) -> Array:
         mine = members[np.isfinite(misfit[members])]
         if mine.size > _LEAST_NEIGHBOURS:
             near = min(_NEIGHBOURS, mine.size - 1)
-            places = ties.measures[frames.reference[mine]]
-            beside = cKDTree(places).query(places, near + 1)[1]
+            pixels = ties.measures[frames.reference[mine]]
+            beside = cKDTree(pixels).query(pixels, near + 1)[1]
             others = np.where(beside == np.arange(mine.size)[:, None], np.nan, misfit[mine][beside])
-            others[~np.any(np.isnan(others), axis=1), -1] = np.nan  # of many at one place, itself isn't among them
+            others[~np.any(np.isnan(others), axis=1), -1] = np.nan  # of many at one pixel, itself isn't among them
             found[mine] = misfit[mine] - np.nanmedian(others, axis=1)
     return found
 
@@ -189,21 +189,11 @@ def _of_same_images(frames: ChipFrames, ties: TiePoints) -> list[Index]:
 
 
 def chips(pixels: Pixels, measures: Array, step: Array) -> Array:
-    """Patches of one image around some of its measures.
+    """Patches (m, SIDE, SIDE) of one image's grey values around some of its measures: bilinear; where a chip pixel
+    covers several of the image's, their mean. NaN outside the image.
 
-    Parameters
-    ----------
-    pixels : (lines, samples)
-        Grey values.
-    measures : (m, 2)
-        line, sample; the first pixel's centre at (0.5, 0.5).
-    step : (m, 2, 2)
-        d(line, sample) / d(row, column), as `ChipFrames` has it.
-
-    Returns
-    -------
-    (m, SIDE, SIDE)
-        Grey values, bilinear; where a chip pixel covers several of the image's, their mean. NaN outside the image.
+    `pixels` are the image's (lines, samples), `measures` (m, 2) line and sample, the first pixel's centre at (0.5,
+    0.5); `step` (m, 2, 2) is d(line, sample) / d(row, column), as `ChipFrames` has it.
     """
     found = np.full((measures.shape[0], SIDE, SIDE), np.nan)
     reach = np.linalg.norm(step, axis=1).max(axis=1)
@@ -214,7 +204,7 @@ def chips(pixels: Pixels, measures: Array, step: Array) -> Array:
 
 
 def _patch(pixels: Pixels, middle: Array, step: Array, steps: int) -> Array:
-    """(SIDE, SIDE) grey values, each the mean of `steps` by `steps` places in its chip pixel."""
+    """(SIDE, SIDE) grey values, each the mean of `steps` by `steps` positions in its chip pixel."""
     from scipy.ndimage import map_coordinates  # takes half a second
 
     grid = (np.arange(SIDE * steps) + 0.5) / steps - 0.5 * SIDE
@@ -250,20 +240,9 @@ def likeness(
     points: Index | None = None,
     progress: Count = no_progress,
 ) -> Likeness:
-    """Compare the chips of measures with those of their points' reference measures.
-
-    Parameters
-    ----------
-    pictures : callable
-        Pixels of an image by its number.
-    ties : TiePoints
-        The measures.
-    frames : ChipFrames
-        Of these.
-    points : (m,), optional
-        Numbers of the points whose measures are compared; all when absent.
-    progress : callable
-        Called with the number of pairs compared, and of all.
+    """Compare the chips of measures with those of their points' reference measures, of the points with numbers `points`
+    (m,) or of all. `pictures` gives the pixels of an image by its number; `progress` is called with the number of pairs
+    compared, and of all.
     """
     k = ties.measure_point.size
     found = Likeness(np.full(k, np.nan), np.full(k, np.nan), np.full((k, 2), np.nan), np.zeros(k, dtype=np.bool_))
@@ -310,14 +289,14 @@ def compare(first: Array, second: Array) -> tuple[Array, Array, Array, Mask]:
     """
     surface = _correlations(first, second)
     flat = np.where(np.isnan(surface), -np.inf, surface).reshape(len(surface), -1)
-    place = np.stack(np.unravel_index(flat.argmax(axis=1), surface.shape[1:]), axis=1)
+    index = np.stack(np.unravel_index(flat.argmax(axis=1), surface.shape[1:]), axis=1)
     best = flat.max(axis=1)
     known = np.isfinite(best)
-    at_edge = known & np.any((place == 0) | (place == 2 * REACH), axis=1)
-    shift = np.where(known[:, None], place - REACH, np.nan)
+    at_edge = known & np.any((index == 0) | (index == 2 * REACH), axis=1)
+    shift = np.where(known[:, None], index - REACH, np.nan)
     inner = np.flatnonzero(known & ~at_edge)
     for axis, (up, right) in enumerate(((1, 0), (0, 1))):
-        row, column = place[inner].T
+        row, column = index[inner].T
         low, high = surface[inner, row - up, column - right], surface[inner, row + up, column + right]
         bend = low - 2.0 * best[inner] + high
         ways = bend < 0.0  # NaN neighbours leave the whole pixel

@@ -9,11 +9,11 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.matching.features import Window
-from mgsgraph.matching.pairs import Pair, box, first_picture, footprints, next_pair
-from mgsgraph.matching.relative import Displacements, consensus, corrected, displacements, robust_sigma, units_between
-from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.matching.pairs import Pair, boxes, first_picture, next_pair
+from mgsgraph.matching.relative import Displacements, consensus, displacements, increased, robust_sigma, units_between
+from mgsgraph.matching.scene import Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.tiles import Links, Store, features_on, links_on, load_links, saved, tiling, together
+from mgsgraph.matching.tiles import Links, TileStore, features_on, kept_links, links_on, tiling, together
 from mgsgraph.stages import Progress
 from mgsgraph.wording import root_mean_square
 
@@ -58,20 +58,6 @@ class Agreement(NamedTuple):
     """m, by how much the ground is higher or lower than its model, at them; NaN where the rays are nearly parallel."""
 
 
-def grid_step(scene: Scene) -> float:
-    """Size in m of the coarsest picture's pixels on the ground: the root of their area."""
-    return max(float(np.sqrt(abs(np.linalg.det(pixel_on_ground(scene.ground, picture))))) for picture in scene.pictures)
-
-
-def pixel_on_ground(ground: Ground, picture: Picture) -> Array:
-    """(2, 2) m per pixel in the middle of a picture: d(x, y) / d(line, sample)."""
-    middle = 0.5 * np.array([[picture.image.lines, picture.image.samples]])
-    plane = picture.on_chart(ground, middle)
-    if not np.all(np.isfinite(plane)):
-        raise InputError(f"image {picture.image.name}", "its middle misses the body", "an image of the ground")
-    return np.asarray(np.linalg.inv(picture.derivatives(ground, plane)[0]))
-
-
 def search_radius(first: Picture, second: Picture, scene: Scene) -> float:
     """Three sigmas, in m on the ground, of what two nominal orientations and the height may contradict each other by.
 
@@ -80,8 +66,8 @@ def search_radius(first: Picture, second: Picture, scene: Scene) -> float:
     InputError
         Where nothing is known of the orientation beforehand.
     """
-    both, variance = (first, second), 0.0
-    for picture in both:
+    variance = 0.0
+    for picture in (first, second):
         sigmas = np.linalg.norm(picture.prior.sigmas, axis=0)
         if not np.all(np.isfinite(sigmas)):
             found = "an infinite a-priori sigma of its orientation"
@@ -92,8 +78,8 @@ def search_radius(first: Picture, second: Picture, scene: Scene) -> float:
         away = float(np.linalg.norm(scene.ground.meet(origin, ray) - origin))
         turn = np.array([sigmas[3], sigmas[4], sigmas[5] * 0.5 * picture.image.samples * picture.image.pixel_angle])
         variance += float(sigmas[:3] @ sigmas[:3]) / 1.5 + float(turn @ turn) * away**2
-    lean = np.linalg.norm(_lean_between(first, second, scene))
-    return _SIGMAS * float(np.sqrt(variance + (lean * scene.ground.height_sigma) ** 2))
+    parallax = np.linalg.norm(_parallax_between(first, second, scene))
+    return _SIGMAS * float(np.sqrt(variance + (parallax * scene.ground.height_sigma) ** 2))
 
 
 def _expected(first: Picture, second: Picture, scene: Scene) -> float:
@@ -103,19 +89,19 @@ def _expected(first: Picture, second: Picture, scene: Scene) -> float:
         return np.nan
 
 
-def _lean_between(first: Picture, second: Picture, scene: Scene) -> Array:
+def _parallax_between(first: Picture, second: Picture, scene: Scene) -> Array:
     """(2,) m per m, displacement by height in the middle of the second picture."""
     middle = 0.5 * np.array([[second.image.lines, second.image.samples]])
-    there = first.places(scene.ground.points(second.on_chart(scene.ground, middle)))
+    there = first.project(scene.ground.points(second.on_chart(scene.ground, middle)))
     there = np.where(np.isfinite(there), there, 0.5 * np.array([[first.image.lines, first.image.samples]]))
-    return np.asarray(second.lean(scene.ground, middle)[0] - first.lean(scene.ground, there)[0])
+    return np.asarray(second.height_parallax(scene.ground, middle)[0] - first.height_parallax(scene.ground, there)[0])
 
 
 def window(first: Picture, second: Picture, scene: Scene, height_sigma: float, slack: float) -> Window:
-    """Where a counterpart may lie: `slack` (m) about its place, and farther by three sigmas of the height (m)."""
-    lean = _lean_between(first, second, scene)
-    size = float(np.linalg.norm(lean))
-    direction = lean / size if size > 1e-6 else np.array([0.0, 1.0])
+    """Where a counterpart may lie: within `slack` (m), and farther by three sigmas of the height (m)."""
+    parallax = _parallax_between(first, second, scene)
+    size = float(np.linalg.norm(parallax))
+    direction = parallax / size if size > 1e-6 else np.array([0.0, 1.0])
     return Window(direction, slack + _SIGMAS * size * height_sigma, slack)
 
 
@@ -137,32 +123,13 @@ def brought_together(
     pairs: Sequence[Pair],
     settings: MatchSettings,
     step: float,
-    levels: Sequence[tuple[float, float]],
-    store: Store,
+    store: TileStore | None,
     progress: Progress,
 ) -> Together:
-    """Correct pictures, one after the other, until they agree with those before.
+    """Correct pictures that share ground, one after the other, until they agree with those before.
 
-    Parameters
-    ----------
-    scene : Scene
-        With nominal orientations.
-    pairs : sequence of Pair
-        That share ground.
-    settings : MatchSettings
-    step : float
-        m between pixels of the fine ground grid.
-    levels : sequence
-        Black and white of each picture.
-    store : Store
-        Where links that are found are kept.
-    progress : callable
-        Called with the number of pictures that are done.
-
-    Raises
-    ------
-    InputError
-        Where no two pictures agree.
+    `scene` has nominal orientations, `step` is the pixel of the fine ground grid in m; links that are found are kept in
+    the store. InputError where no two pictures agree.
     """
     count = len(scene.pictures)
     left, there, group = set(range(count)), set[int](), np.full(count, -1)
@@ -176,7 +143,7 @@ def brought_together(
             left.discard(new)
             continue
         try:
-            scene, agreement = _joined(scene, pair, settings, _COARSER * step, levels, store)
+            scene, agreement = _joined(scene, pair, settings, _COARSER * step, store)
         except NoAgreement as error:
             tried.add(pair)
             refused.append(error)
@@ -192,7 +159,7 @@ def brought_together(
 
 
 def _joined(
-    scene: Scene, pair: Pair, settings: MatchSettings, step: float, levels: Sequence[tuple[float, float]], store: Store
+    scene: Scene, pair: Pair, settings: MatchSettings, step: float, store: TileStore | None
 ) -> tuple[Scene, Agreement]:
     """The scene with the second picture corrected, by links that were kept or are found."""
     first, second = (scene.pictures[j] for j in pair[:2])
@@ -205,30 +172,23 @@ def _joined(
             "give smaller a-priori sigmas, --search METRES, or a coarser grid (--step METRES)",
         )
     name = f"coarse_{pair.first:05d}_{pair.second:05d}"
-    links = load_links(store, name)
-    if links is None:
-        links = _coarse_links(scene, pair, settings, step, levels, radius)
-        store.keep(name, saved(links))
+    links = kept_links(store, name, lambda: _coarse_links(scene, pair, settings, step, radius))
     return corrected_scene(scene, pair, links, step, radius, np.random.default_rng([settings.seed, *pair[:2]]))
 
 
-def _coarse_links(
-    scene: Scene, pair: Pair, settings: MatchSettings, step: float, levels: Sequence[tuple[float, float]], radius: float
-) -> Links:
-    prints = footprints(scene)
-    boxes = [box(scene, prints[j].outline) for j in pair[:2]]
-    boxes[1] = boxes[1] + radius * np.array([[-1.0], [1.0]])
+def _coarse_links(scene: Scene, pair: Pair, settings: MatchSettings, step: float, radius: float) -> Links:
+    shown = boxes(scene)
+    wanted = shown[pair.first], shown[pair.second] + radius * np.array([[-1.0], [1.0]])
     near = Window(np.array([0.0, 1.0]), radius, radius)
-    parts = []
-    for tile in tiling(boxes, step, radius):
-        found = features_on(scene, tile, levels, pair[:2], settings.features)
-        parts.append(links_on(found, tile, {(pair.first, pair.second): near}, settings.ratio))
-    return together(parts)
+    return together([
+        links_on(features_on(scene, tile, pair[:2], settings.features), tile, {pair[:2]: near}, settings.ratio)
+        for tile in tiling(wanted, step, radius)
+    ])
 
 
 def _share_needed(found: Displacements, tolerance: float, height_sigma: float, radius: float) -> float:
     """Share of the matches that has to agree: by chance, it would be what tolerances take of the ground searched."""
-    along = np.hypot(tolerance, height_sigma * found.lean)
+    along = np.hypot(tolerance, height_sigma * found.parallax)
     reach = np.minimum(3.0 * np.column_stack([np.full(along.size, tolerance), along]) / radius, 1.0)
     chance = float(reach.prod(axis=1).mean()) if along.size else 0.0
     return _CHANCE * chance / (1.0 + (_CHANCE - 1.0) * chance)
@@ -240,9 +200,9 @@ def corrected_scene(
     """The scene with the second picture of the pair corrected to agree with the first, and how far the links agree."""
     first, second = (scene.pictures[j] for j in pair[:2])
     points = [scene.ground.points(links.plane[links.links[:, k]]) for k in (0, 1)]
-    places = first.places(points[0]), second.places(points[1])
+    pixels = first.project(points[0]), second.project(points[1])
     sigmas = units_between(first, second, _DEGREE, radius)
-    found = displacements(first, second, places, scene.ground, sigmas)
+    found = displacements(first, second, pixels, scene.ground, sigmas)
     tolerance = _TOLERANCE * step
     step_taken, fits = consensus(found, tolerance, scene.ground.height_sigma, rng)
     agreed, count = int(np.count_nonzero(fits)), len(fits)
@@ -254,11 +214,12 @@ def corrected_scene(
             "widen the search (--search METRES) or refine the grid (--step), or give better orientation or heights",
         )
     moved = root_mean_square(np.linalg.norm(found.design[fits] @ step_taken, axis=1))
+    correction = increased(second.correction, step_taken.reshape(sigmas.shape) * sigmas)
     pictures = list(scene.pictures)
-    pictures[pair.second] = replace(second, correction=corrected(second, step_taken.reshape(sigmas.shape) * sigmas))
-    heights = found.of(fits).residuals(step_taken)[:, 1] / np.maximum(found.lean[fits], 1e-6)
+    pictures[pair.second] = replace(second, correction=correction)
+    heights = found.of(fits).residuals(step_taken)[:, 1] / np.maximum(found.parallax[fits], 1e-6)
     spread = robust_sigma(heights)
-    flat = bool(np.median(found.lean[fits]) * scene.ground.height_sigma < tolerance)
+    flat = bool(np.median(found.parallax[fits]) * scene.ground.height_sigma < tolerance)
     height = np.nan if flat else max(spread, _SMOOTHEST)
     agreement = Agreement(pair.first, pair.second, count, agreed, moved, _expected(first, second, scene), height)
     return replace(scene, pictures=tuple(pictures)), agreement

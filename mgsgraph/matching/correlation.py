@@ -17,7 +17,7 @@ from mgsgraph.matching.features import Window
 from mgsgraph.matching.patches import Patch, Tile, ortho_patch
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.tiles import Links, no_links, owned
+from mgsgraph.matching.tiles import Links, owned, together
 
 _Grey = NDArray[np.uint8]
 
@@ -39,11 +39,10 @@ class _Peaks(NamedTuple):
 
 
 def links_on_grid(
-    scene: Scene, tile: Tile, levels: Sequence[tuple[float, float]], near: Sequence[int],
-    windows: Mapping[tuple[int, int], Window], settings: MatchSettings,
+    scene: Scene, tile: Tile, near: Sequence[int], windows: Mapping[tuple[int, int], Window], settings: MatchSettings
 ) -> Links:
     """Links from the nodes of a grid on the ground in each pair's first picture to where the other is most alike."""
-    patches = {j: p for j in near if (p := ortho_patch(scene.pictures[j], scene.ground, tile, levels[j])) is not None}
+    patches = {j: p for j in near if (p := ortho_patch(scene.pictures[j], scene.ground, tile)) is not None}
     spacing = settings.spacing or 2.0 * settings.half_window * tile.step
     if spacing < tile.step:
         stated = f"{spacing:g} m between nodes on a ground grid of {tile.step:.3g} m"
@@ -66,7 +65,7 @@ def links_on_grid(
         likeness.append(score)
         count += chosen.size
     if not patches:
-        return no_links()
+        return together([])
     return owned(
         Links(np.concatenate(plane), np.concatenate(picture), np.concatenate(links), np.concatenate(likeness)), tile
     )

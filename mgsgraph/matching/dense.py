@@ -12,11 +12,10 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.matching.coarse import grid_step, pixel_on_ground
 from mgsgraph.matching.measuring import SharpPictures
-from mgsgraph.matching.pairs import Pair, box, footprints, pairs_of
+from mgsgraph.matching.pairs import Pair, boxes, pairs_of
 from mgsgraph.matching.patches import MOST, Tile
-from mgsgraph.matching.posts import Least, PostMatches, View, matches_on, no_matches
+from mgsgraph.matching.posts import DenseSettings, PostMatches, View, matches_on, no_matches
 from mgsgraph.matching.scene import GroundChart, Scene
 from mgsgraph.matching.tiles import tiling
 from mgsgraph.stages import Progress, no_progress
@@ -37,31 +36,6 @@ _FINER = 2.0
 """How much smaller a pixel's area has to be to count as finer."""
 
 
-@dataclass(frozen=True, slots=True)
-class DenseSettings:
-    """How posts are matched."""
-
-    spacing: float | None = None
-    """m between posts; five pixels of the ground grid when None."""
-    half_window: int = 8
-    """pixels of the ground grid from the middle of a window of least-squares matching to its edge."""
-    least_correlation: float = 0.5
-    """Of the two windows."""
-    largest_sigma: float = 0.5
-    """pixels, in any direction."""
-
-    def __post_init__(self) -> None:
-        checks = {
-            "spacing": (self.spacing is None or 0.0 < self.spacing < np.inf, "a positive number of metres"),
-            "half_window": (self.half_window >= 4, "at least 4"),
-            "least_correlation": (0.0 < self.least_correlation < 1.0, "a number between 0 and 1"),
-            "largest_sigma": (0.0 < self.largest_sigma < np.inf, "a positive number"),
-        }
-        for name, (good, expected) in checks.items():
-            if not good:
-                raise InputError(f"dense matching, {name}", str(getattr(self, name)), expected)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseMatches:
     """Matches of one pair of pictures."""
@@ -76,10 +50,10 @@ class DenseMatches:
     """Posts on ground that both show, matched or not."""
     anchors: Array
     """(n, 2) line and sample in the first picture, middles of pixels (k + 0.5)."""
-    places: Array
+    pixels: Array
     """(n, 2) line and sample in the second."""
     covariances: Array
-    """(n, 2, 2) pixels^2 of the place, the anchor given."""
+    """(n, 2, 2) pixels^2 of the second, the anchor given."""
     correlation: Array
     """(n,) of the two windows."""
 
@@ -109,16 +83,15 @@ def dense_matches(
         Where pictures are blank or saturated, none overlap, all look from the same side, or nothing matches.
     """
     settings = settings or DenseSettings()
-    step = grid_step(scene)
+    step = scene.step
     spacing = settings.spacing or _SPACING * step
-    least = Least(settings.half_window * step, settings.least_correlation, settings.largest_sigma)
     sharp = SharpPictures(scene.pictures)
-    levels = [picture.levels for picture in scene.pictures]
-    boxes = [box(scene, one.outline) for one in footprints(scene)]
-    views = [view for pair in pairs_of(scene) if (view := _view(scene, pair, boxes, levels)) is not None]
+    scene.require_contrast()
+    shown = boxes(scene)
+    views = [view for pair in pairs_of(scene) if (view := _view(scene, pair, shown)) is not None]
     if not views:
         found, remedy = "they look at the ground from the same side", "rays that are all but parallel tell no height"
-        raise InputError(f"images {_names(scene)}", found, "a stereo pair", remedy)
+        raise InputError(scene.where, found, "a stereo pair", remedy)
     work = [(view, _tiles(view, step)) for view in views]
     done, most = 0, sum(len(tiles) for _, tiles in work)
     progress("dense matching", 0, most)
@@ -127,42 +100,36 @@ def dense_matches(
         posts, parts = 0, [no_matches()]
         first, second = (sharp[j].spline for j in view.numbers)
         for tile in tiles:
-            tried = matches_on(view, (first, second), tile, _reach(view, tile.step), spacing, least, workers)
-            posts, done = posts + tried.posts, done + 1
-            parts.append(tried.matches)
+            reach = _reach(view, tile.step)
+            count, found = matches_on(view, (first, second), tile, reach, spacing, settings, step, workers)
+            posts, done = posts + count, done + 1
+            parts.append(found)
             progress("dense matching", done, most)
         matches = PostMatches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         results.append(DenseMatches(*view.numbers, spacing, posts, *matches))
-    if not any(one.places.size for one in results):
+    if not any(one.pixels.size for one in results):
         raise InputError(
-            f"images {_names(scene)}", f"none of {sum(one.posts for one in results)} posts matches",
+            scene.where, f"none of {sum(one.posts for one in results)} posts matches",
             "images that look alike, with adjusted orientations", "is the solution that of these images?",
         )  # fmt: skip
-    return tuple(one for one in results if one.places.size)
+    return tuple(one for one in results if one.pixels.size)
 
 
-def _names(scene: Scene) -> str:
-    return ", ".join(picture.image.name for picture in scene.pictures[:4])
-
-
-def _view(
-    scene: Scene, pair: Pair, boxes: Sequence[Array], levels: Sequence[tuple[float, float]]
-) -> View | None:
-    """A pair, the finer picture first; None where the two look from the same side. `boxes` (2, 2), m, are what each
-    picture of the scene shows, least and largest x and y on the scene's chart.
-    """
-    sizes = [abs(np.linalg.det(pixel_on_ground(scene.ground, scene.pictures[j]))) for j in pair[:2]]
-    i, j = pair[:2] if sizes[0] <= _FINER * sizes[1] else pair[1::-1]
+def _view(scene: Scene, pair: Pair, shown: Sequence[Array]) -> View | None:
+    """A pair, the finer picture first; None where the two look from the same side. `shown` has the `boxes` of all."""
+    areas = scene.pixel_sizes ** 2
+    i, j = pair[:2] if areas[pair.first] <= _FINER * areas[pair.second] else pair[1::-1]
     one, two = scene.pictures[i], scene.pictures[j]
-    low, high = np.maximum(boxes[i][0], boxes[j][0]), np.minimum(boxes[i][1], boxes[j][1])
+    low, high = np.maximum(shown[i][0], shown[j][0]), np.minimum(shown[i][1], shown[j][1])
     points = scene.ground.points(0.5 * (low + high)[None])
-    apart = (two.lean(scene.ground, two.places(points)) - one.lean(scene.ground, one.places(points)))[0]
+    first, second = (picture.height_parallax(scene.ground, picture.project(points))[0] for picture in (one, two))
+    apart = second - first
     rate = float(np.hypot(*apart))
     if not rate > _LEAST_PARALLAX:
         return None
     chart = GroundChart.about(points, np.cross(points[0], (apart / rate) @ scene.ground.chart.axes[:2]))
     ground = replace(scene.ground, chart=chart)
-    return View((i, j), (one, two), ground, rate, (levels[i], levels[j]))
+    return View((i, j), (one, two), ground, rate)
 
 
 def _reach(view: View, step: float) -> int:
@@ -175,6 +142,4 @@ def _tiles(view: View, step: float) -> list[Tile]:
     is.
     """
     coarse = max(_COARSER, _reach(view, step) / MOST) * step
-    scene = Scene(view.pictures, view.ground)
-    boxes = [box(scene, one.outline) for one in footprints(scene)]
-    return tiling(boxes, coarse, (_reach(view, coarse) + _MARGIN) * coarse)
+    return tiling(boxes(Scene(view.pictures, view.ground)), coarse, (_reach(view, coarse) + _MARGIN) * coarse)

@@ -14,12 +14,12 @@ Reals = NDArray[np.float64]
 
 PLAIN, RELIEF = 8, 11
 """Unknowns without and with relief."""
-PLACE, AFFINE, GAIN, OFFSET, CORRELATION, RESIDUAL, NOISE, BEND, OF_BEND, MISFIT = 0, 2, 6, 7, 8, 9, 10, 14, 16, 20
+POSITION, AFFINE, GAIN, OFFSET, CORRELATION, RESIDUAL, NOISE, BEND, OF_BEND, MISFIT = 0, 2, 6, 7, 8, 9, 10, 14, 16, 20
 NUMBERS = 32
 """Where in a row of results what begins."""
 T, T_LINE, T_SAMPLE, S, S_LINE, S_SAMPLE, DOWN, ACROSS, WEIGHT, NARROW, PULL = range(11)
 """Columns of a window's pixels: grey value and gradient of the template, of the search picture; d in units of half the
-window; weight, and weight that counts the middle alone; by how much the pixel pulls the place (2)."""
+window; weight, and weight that counts the middle alone; by how much the pixel pulls the position (2)."""
 WIDTH = PULL + 2
 NO_CONTRAST = 1e-5
 """Scatter of grey values relative to their size, which float32 coefficients don't resolve."""
@@ -27,7 +27,7 @@ NO_CONTRAST = 1e-5
 
 @compiled
 def spline_at(c: NDArray[np.float32], line: float, sample: float) -> tuple[float, float, float]:
-    """Grey value and its derivatives per line and per sample at a place inside the picture."""
+    """Grey value and its derivatives per line and per sample at a position inside the picture."""
     y, x = line - 0.5, sample - 0.5
     i, j = int(y), int(x)
     v, u = y - i, x - j
@@ -67,7 +67,7 @@ def read_template(
 
 @compiled
 def seen(x: Reals, e: Reals, half: tuple[int, int], down: float, across: float) -> tuple[float, float]:
-    """Line and sample in the search picture of a place in units of half the window."""
+    """Line and sample in the search picture of a position in units of half the window."""
     lines, samples = half[0] * down, half[1] * across
     line, sample = x[0] + x[2] * lines + x[3] * samples, x[1] + x[4] * lines + x[5] * samples
     if x.size == RELIEF:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.matching.opencv import opencv
-from mgsgraph.matching.patches import Patch, Tile
+from mgsgraph.matching.patches import Patch, Tile, opencv
 
 _CONTRAST = 0.015
 """SIFT's threshold on contrast: half of Lowe's, for evenly lit plains."""
@@ -42,7 +41,7 @@ class Features(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Where the counterpart of a feature may lie: about the same place of the chart, farther along one direction."""
+    """Where the counterpart of a feature may lie: about the same position of the chart, farther along one direction."""
 
     direction: Array
     """(2,) unit, of the displacement by height."""
@@ -71,25 +70,11 @@ def detect(patch: Patch, tile: Tile, most: int) -> Features:
 
 
 def pair_up(one: Features, other: Features, window: Window, step: float, ratio: float) -> tuple[Index, Index, Array]:
-    """Features that choose each other, each against its second choice.
+    """Numbers (k,) of features of both pictures that choose each other, each against its second choice, and the cosines
+    (k,) of their descriptors.
 
-    Parameters
-    ----------
-    one, other : Features
-        Of two pictures on one tile.
-    window : Window
-        Where the other's may lie, seen from the first.
-    step : float
-        m between pixels of the ground grid.
-    ratio : float
-        Most that the distance of the best may be of the second best's.
-
-    Returns
-    -------
-    first, second : (k,)
-        Numbers of features.
-    similarity : (k,)
-        Cosine of their descriptors.
+    The window says where the other's may lie, seen from the first; `step` is the ground grid's pixel in m, and `ratio`
+    the most that the distance of the best may be of the second best's.
     """
     forth, likeness = _best(one, other, window, step, ratio)
     back, _ = _best(other, one, window, step, ratio)

@@ -81,24 +81,11 @@ def match_into(
     name: str, scene: Scene, out: Path, settings: MatchSettings, workers: int | None = None, figures: bool = True,
     progress: Progress = no_progress,
 ) -> Matches:
-    """Match a scene and write what was found to a folder that appears whole or not at all.
+    """Match a scene and write what was found to a folder that appears whole or not at all; an earlier result of
+    matching is replaced.
 
-    Tiles that are done are kept beside it until then: the same call after an interruption goes on.
-
-    Parameters
-    ----------
-    name : str
-        What the case is called.
-    scene : Scene
-    out : Path
-        Absent, empty, or an earlier result of matching, which is replaced.
-    settings : MatchSettings
-    workers : int, optional
-        Tiles at a time.
-    figures : bool
-        False leaves the figure out.
-    progress : callable, optional
-        Called with the stage, and how much of it is done.
+    Tiles that are done are kept beside it until then: the same call after an interruption goes on. `name` is that of
+    the case, `workers` the number of tiles at a time; without `figures` only tables and networks are written.
     """
     store = KeptTiles(out, digest(scene, settings))
     try:

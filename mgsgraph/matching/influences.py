@@ -1,4 +1,4 @@
-"""How a window's pixels act on its place in least-squares matching, and the covariances that follow.
+"""How a window's pixels act on its position in least-squares matching, and the covariances that follow.
 
 Compiled into the kernel of `window`, which says what is estimated.
 """
@@ -53,9 +53,9 @@ def _solve(a: Reals, b: Reals) -> bool:
 
 @compiled
 def _influences(pixels: Reals, x: Reals, e: Reals, by: Reals) -> bool:
-    """Fill by (unknowns, 4): a pixel's influence on the place is by[:, :2]' w z, on the bend
+    """Fill by (unknowns, 4): a pixel's influence on the position is by[:, :2]' w z, on the bend
     by[:, :2]' n z - by[:, 2:]' w z
-    with the narrow weights n, scaled to the sum of w. False where the texture does not determine the place.
+    with the narrow weights n, scaled to the sum of w. False where the texture does not determine the position.
 
     The bend leans on the whole window's normal matrix: the middle's own may be singular.
     """
@@ -85,8 +85,8 @@ def _influences(pixels: Reals, x: Reals, e: Reals, by: Reals) -> bool:
 
 @compiled
 def _sums(pixels: Reals, x: Reals, e: Reals, by: Reals, row: Reals) -> tuple[Reals, Reals, float]:
-    """Fill the pulls, the residual and the bend; sums of squared influences on the place and on the bend (2, 2 each),
-    times the variance of a residual, and by how much sums of squares grow for the unknowns' sake.
+    """Fill the pulls, the residual and the bend; sums of squared influences on the position and on the bend (2, 2
+    each), times the variance of a residual, and by how much sums of squares grow for the unknowns' sake.
     """
     z, j = np.empty(x.size), np.empty(x.size)
     of_place, of_bend, bend = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
@@ -189,11 +189,11 @@ def _raise_to(a: Reals, floor: Reals) -> None:
 @compiled
 def fill_covariance(pixels: Reals, x: Reals, e: Reals, half: tuple[int, int], row: Reals) -> bool:
     """Fill residual, covariance of the noise, bend and its covariance; False where the texture does not determine the
-    place.
+    position.
 
     The noise's part is the sum of products of the pulls of neighbouring pixels, at least that of white noise. Relief
-    that the model does not follow moves the place from the anchor's own to the window's mean. It shows in the bend, by
-    how much the place moves when the middle alone counts.
+    that the model does not follow moves the position from the anchor's own to the window's mean. It shows in the bend,
+    by how much the position moves when the middle alone counts.
     """
     by = np.empty((x.size, 4))
     if not _influences(pixels, x, e, by):

@@ -1,4 +1,4 @@
-"""Least-squares matching: sub-pixel places of template windows in another picture, each with an honest covariance.
+"""Least-squares matching: sub-pixel positions of template windows in another picture, each with an honest covariance.
 
 Ackermann, F. (1984): Digital image correlation, Photogrammetric Record 11(64). Gruen, A. (1985): Adaptive least squares
 correlation, S. Afr. J. Photogrammetry 14(3). How this differs from theirs, and why, stands in `window`.
@@ -12,7 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.records import Array, Index, Mask, frozen
 from mgsgraph.matching import equations, window
 from mgsgraph.matching.spline import SplinePicture
@@ -53,7 +53,7 @@ class LeastSquaresSettings:
     iterations: int = 30
     """At most."""
     tolerance: float = 1e-3
-    """pixels: a step that moves the place less, and the corners less than ten times that, is the last but one."""
+    """pixels: a step that moves the position less, and the corners less than ten times that, is the last but one."""
     reach: float = 4.0
     """pixels by which a match may leave its start."""
     saturated: float = 0.05
@@ -71,8 +71,7 @@ class LeastSquaresSettings:
             "emphasis": (0.25 <= self.emphasis <= 1.0, "0.25 .. 1"),
         }
         for name, (good, expected) in checks.items():
-            if not good:
-                raise InputError(f"least-squares matching, {name}", str(getattr(self, name)), expected)
+            require(good, f"least-squares matching, {name}", str(getattr(self, name)), expected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +80,7 @@ class LeastSquaresMatches:
 
     status: Index
     """(n,) MatchStatus."""
-    places: Array
+    pixels: Array
     """(n, 2) line and sample in the search picture, first pixel's centre at (0.5, 0.5)."""
     affine: Array
     """(n, 2, 2) pixels of the search picture per pixel of the template, both as line, sample."""
@@ -94,9 +93,9 @@ class LeastSquaresMatches:
     residual: Array
     """(n,) grey values of the template, weighted rms, by the degrees of freedom."""
     noise: Array
-    """(n, 2, 2) px^2 of the place, the anchor being given, but for relief that the model doesn't follow."""
+    """(n, 2, 2) px^2 of the position, the anchor being given, but for relief that the model doesn't follow."""
     bend: Array
-    """(n, 2) px by which the place would move if the middle of the window alone counted."""
+    """(n, 2) px by which the position would move if the middle of the window alone counted."""
     bend_noise: Array
     """(n, 2, 2) px^2 of the bend, if it is nothing but noise."""
     misfit: Array
@@ -115,8 +114,8 @@ class LeastSquaresMatches:
 
     @property
     def covariance(self) -> Array:
-        """(n, 2, 2) px^2 of the place, the anchor being given: noise, and of each match what its own bend has above its
-        noise. For matches of one kind of ground `covariance_with_relief` knows more.
+        """(n, 2, 2) px^2 of the position, the anchor being given: noise, and of each match what its own bend has above
+        its noise. For matches of one kind of ground `covariance_with_relief` knows more.
         """
         (a, b), (c, d) = np.moveaxis(self.bend_noise, 0, -1)
         sound = a * d - b * c > 0.0
@@ -129,7 +128,7 @@ class LeastSquaresMatches:
     def covariance_with_relief(self, directions: ArrayLike) -> Array:
         """(n, 2, 2) px^2: noise, and along the direction (n, 2) in which height displaces the roughness of the ground.
 
-        A place is that of its window's ground, smoothed; the anchor's own differs by what relief displaces one pixel
+        A position is that of its window's ground, smoothed; the anchor's own differs by what relief displaces one pixel
         beside the model. That shows in residuals: they are larger where grey values change along the direction. It is
         one number for all matches, since one window says little.
 
@@ -154,14 +153,14 @@ def match_least_squares(
     template: SplinePicture,
     search: SplinePicture,
     anchors: ArrayLike,
-    places: ArrayLike,
+    pixels: ArrayLike,
     affine: ArrayLike,
     half: tuple[int, int],
     relief: ArrayLike | None = None,
     settings: LeastSquaresSettings | None = None,
     threads: int | None = None,
 ) -> LeastSquaresMatches:
-    """Match windows of the template picture: template(anchor + d) = gain search(place + A d) + offset.
+    """Match windows of the template picture: template(anchor + d) = gain search(position + A d) + offset.
 
     The result does not depend on the number of threads, nor does a match on the others.
 
@@ -171,7 +170,7 @@ def match_least_squares(
         The pictures.
     anchors : (n, 2)
         line, sample in the template picture, centres of pixels (k + 0.5).
-    places : (n, 2)
+    pixels : (n, 2)
         line, sample in the search picture to start from, good to some 2 px.
     affine : (n, 2, 2)
         A to start from, good to some 10 %.
@@ -194,13 +193,13 @@ def match_least_squares(
     where = "least-squares matching"
     anchors = frozen(anchors, f"{where}, anchors", (None, 2))
     n = anchors.shape[0]
-    places, affine = frozen(places, f"{where}, places", (n, 2)), frozen(affine, f"{where}, affine", (n, 2, 2))
+    pixels, affine = frozen(pixels, f"{where}, pixels", (n, 2)), frozen(affine, f"{where}, affine", (n, 2, 2))
     _require_centres(anchors, where)
     _require_windows(affine, half, where)
     weights, growth = _weights(half, settings.emphasis)
     directions = np.zeros((n, 0)) if relief is None else _directions(relief, n, f"{where}, relief")
     _require_pixels(weights[:, 0], equations.PLAIN if relief is None else equations.RELIEF, where)
-    starts = np.concatenate([places, affine.reshape(n, 4), directions], axis=1)
+    starts = np.concatenate([pixels, affine.reshape(n, 4), directions], axis=1)
     rows, states = np.full((n, equations.NUMBERS), np.nan), np.empty(n, dtype=np.int64)
 
     def match(first: int) -> None:
@@ -235,8 +234,7 @@ def _require_centres(anchors: Array, where: str) -> None:
 
 def _require_windows(affine: Array, half: tuple[int, int], where: str) -> None:
     """Raise InputError for an A without an inverse, or a window that is too small."""
-    if min(half) < _SMALLEST:
-        raise InputError(f"{where}, half window", f"{half}", f"at least {_SMALLEST} lines and samples")
+    require(min(half) >= _SMALLEST, f"{where}, half window", f"{half}", f"at least {_SMALLEST} lines and samples")
     scale = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
     for k in np.flatnonzero(np.abs(scale) < 1e-6)[:1]:
         raise InputError(f"{where}, affine {k}", f"{affine[k].tolist()}", "a matrix with an inverse")
@@ -245,11 +243,8 @@ def _require_windows(affine: Array, half: tuple[int, int], where: str) -> None:
 def _require_pixels(weights: Array, unknowns: int, where: str) -> None:
     """Raise InputError where so few pixels have weight that nothing is left to tell their noise."""
     pixels = weights.sum() ** 2 / (weights @ weights)
-    if not pixels > unknowns:
-        raise InputError(
-            f"{where}, window", f"the weight of {pixels:.1f} pixels for {unknowns} unknowns", "more of them",
-            "a larger window or emphasis",
-        )  # fmt: skip
+    found = f"the weight of {pixels:.1f} pixels for {unknowns} unknowns"
+    require(pixels > unknowns, f"{where}, window", found, "more of them", "a larger window or emphasis")
 
 
 def _weights(half: tuple[int, int], emphasis: float) -> tuple[Array, float]:
@@ -269,7 +264,7 @@ def _matches(rows: Array, status: Index, growth: float) -> LeastSquaresMatches:
     n = status.size
     return LeastSquaresMatches(
         status=status,
-        places=rows[:, equations.PLACE : equations.AFFINE],
+        pixels=rows[:, equations.POSITION : equations.AFFINE],
         affine=rows[:, equations.AFFINE : equations.GAIN].reshape(n, 2, 2),
         gain=rows[:, equations.GAIN],
         offset=rows[:, equations.OFFSET],

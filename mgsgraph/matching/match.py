@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from importlib.metadata import version
 from typing import NamedTuple
 
@@ -12,18 +13,17 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.matching.checks import cell_numbers, spread, verdict
-from mgsgraph.matching.coarse import Agreement, Together, brought_together, grid_step, pixel_on_ground, window
+from mgsgraph.matching.checks import cell_numbers, checked_measures, spread
+from mgsgraph.matching.coarse import Agreement, Together, brought_together, window
 from mgsgraph.matching.features import Window
 from mgsgraph.matching.least_squares import MatchStatus
 from mgsgraph.matching.matches import Losses, Matches, matches_of
 from mgsgraph.matching.measuring import Measured, SharpPictures, joined_measures, measured
-from mgsgraph.matching.opencv import opencv
-from mgsgraph.matching.pairs import Pair, box, footprints, joined, pairs_of
-from mgsgraph.matching.patches import Tile
+from mgsgraph.matching.pairs import Pair, boxes, joined, pairs_of
+from mgsgraph.matching.patches import Tile, opencv
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.matching.tiles import Links, Nowhere, Store, features_on, links_on, load_links, saved, tiling, together
+from mgsgraph.matching.tiles import Links, TileStore, features_on, kept_links, links_on, tiling, together
 from mgsgraph.stages import Progress, no_progress
 
 _MARGIN = 64
@@ -41,7 +41,7 @@ _TRIED = 4
 def match_scene(
     scene: Scene,
     settings: MatchSettings | None = None,
-    store: Store | None = None,
+    store: TileStore | None = None,
     workers: int | None = None,
     progress: Progress = no_progress,
 ) -> Matches:
@@ -53,7 +53,7 @@ def match_scene(
         Pictures with nominal orientations and priors over one ground.
     settings : MatchSettings, optional
         Choices.
-    store : Store, optional
+    store : TileStore, optional
         Where tiles that are done are kept.
     workers : int, optional
         Tiles at a time; as many as there are processors when absent.
@@ -65,13 +65,13 @@ def match_scene(
     InputError
         Where images are blank or saturated, don't overlap, don't agree on an orientation, or no match remains.
     """
-    settings, store = settings or MatchSettings(), store or Nowhere()
-    levels = [picture.levels for picture in scene.pictures]
+    settings = settings or MatchSettings()
+    scene.require_contrast()
     pairs = pairs_of(scene)
-    step = settings.step or grid_step(scene)
-    known = brought_together(scene, pairs, settings, step, levels, store, progress)
+    step = settings.step or scene.step
+    known = brought_together(scene, pairs, settings, step, store, progress)
     pairs = [pair for pair in pairs if known.group[pair.first] == known.group[pair.second]]
-    found = _links(known, pairs, settings, step, levels, store, workers, progress)
+    found = _links(known, pairs, settings, step, store, workers, progress)
     return _measured_matches(known, pairs, found, settings, step, progress)
 
 
@@ -94,23 +94,18 @@ def digest(scene: Scene, settings: MatchSettings) -> str:
 
 
 def _links(
-    known: Together, pairs: Sequence[Pair], settings: MatchSettings, step: float,
-    levels: Sequence[tuple[float, float]], store: Store, workers: int | None, progress: Progress,
+    known: Together, pairs: Sequence[Pair], settings: MatchSettings, step: float, store: TileStore | None,
+    workers: int | None, progress: Progress,
 ) -> Links:
     """Links on all tiles, those that were kept from an earlier run taken from there."""
     scene = known.scene
-    boxes = [box(scene, one.outline) for one in footprints(scene)]
-    tiles = tiling(boxes, step, _MARGIN * step)
+    shown = boxes(scene)
+    tiles = tiling(shown, step, _MARGIN * step)
     windows = _windows(scene, pairs, known.agreements, step)
 
     def work(tile: Tile) -> Links:
-        name = f"tile_{tile.number:05d}"
-        kept = load_links(store, name)
-        if kept is not None:
-            return kept
-        links = _on_tile(scene, tile, levels, boxes, windows, settings)
-        store.keep(name, saved(links))
-        return links
+        find = partial(_on_tile, scene, tile, shown, windows, settings)
+        return kept_links(store, f"tile_{tile.number:05d}", find)
 
     parts = list[Links]()
     progress("matching", 0, len(tiles))
@@ -152,17 +147,16 @@ def _windows(
 
 
 def _on_tile(
-    scene: Scene, tile: Tile, levels: Sequence[tuple[float, float]], boxes: Sequence[Array],
-    windows: dict[tuple[int, int], Window], settings: MatchSettings,
+    scene: Scene, tile: Tile, shown: Sequence[Array], windows: dict[tuple[int, int], Window], settings: MatchSettings
 ) -> Links:
     low = np.array([tile.west, tile.south])
     high = low + tile.step * np.array([tile.columns, tile.rows])
-    near = [j for j, (least, largest) in enumerate(boxes) if np.all(least <= high) and np.all(largest >= low)]
+    near = [j for j, (least, largest) in enumerate(shown) if np.all(least <= high) and np.all(largest >= low)]
     if settings.method == "grid":
         from mgsgraph.matching.correlation import links_on_grid
 
-        return links_on_grid(scene, tile, levels, near, windows, settings)
-    found = features_on(scene, tile, levels, near, settings.features)
+        return links_on_grid(scene, tile, near, windows, settings)
+    found = features_on(scene, tile, near, settings.features)
     return links_on(found, tile, windows, settings.ratio)
 
 
@@ -182,12 +176,11 @@ def ground_cells(scene: Scene, pairs: Sequence[Pair], wanted: int, least: float 
     """Square cells of at least `least` m, of which about `wanted` fall on the ground that the largest pair shares."""
     side = max(float(np.sqrt(max(pair.area for pair in pairs) / wanted)), least)
     seen = [np.zeros(0, dtype=np.int64)]
-    for picture, one in zip(scene.pictures, footprints(scene), strict=True):
-        (west, south), (east, north) = box(scene, one.outline)
+    for picture, ((west, south), (east, north)) in zip(scene.pictures, boxes(scene), strict=True):
         columns, rows = np.arange(west // side, east // side + 1), np.arange(south // side, north // side + 1)
         middle = (np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) + 0.5) * side
-        places = picture.places(scene.ground.points(middle))
-        inside = np.all((places > 0.0) & (places < [picture.image.lines, picture.image.samples]), axis=1)
+        pixels = picture.project(scene.ground.points(middle))
+        inside = np.all((pixels > 0.0) & (pixels < [picture.image.lines, picture.image.samples]), axis=1)
         seen.append(cell_numbers(middle[inside], side))
     numbers, counts = np.unique(np.concatenate(seen), return_counts=True)
     return _Cells(side, set(numbers[counts > 1].tolist()))
@@ -237,8 +230,8 @@ def finest_first(scene: Scene, found: Links, tracks: list[list[int]]) -> list[li
     """Features of each track, that of the finest picture first: its window is what the others are compared with, and a
     coarse one would be compared with what finer pixels alias. Pictures about as fine stay in their order.
     """
-    sizes = [np.log(abs(np.linalg.det(pixel_on_ground(scene.ground, picture)))) for picture in scene.pictures]
-    rank = np.rint((np.array(sizes) - min(sizes)) / np.log(_FINER)).astype(int)
+    areas = 2.0 * np.log(scene.pixel_sizes)
+    rank = np.rint((areas - areas.min()) / np.log(_FINER)).astype(int)
     return [sorted(track, key=lambda feature: int(rank[found.picture[feature]])) for track in tracks]
 
 
@@ -274,11 +267,11 @@ def checked_matches(
     """What stands all checks, best of each cell, and the coplanarity residuals."""
     alike = _alike(found, settings)
     sound = found.some(alike & found.returns)
-    checked = verdict(scene, sound, step, settings.seed)
+    checked = checked_measures(scene, sound, step, settings.seed)
     good = checked.coplanar & checked.steady
     good[good] = one_per_window(scene, sound.some(good), likeness, settings, step)
-    standing = sound.some(good)
-    best = _best_of_cells(scene, standing, likeness, cells, settings)
+    remaining = sound.some(good)
+    best = _best_of_cells(scene, remaining, likeness, cells, settings)
     losses = Losses(
         linked=linked,
         tried=found.track.size,
@@ -289,7 +282,7 @@ def checked_matches(
         steady=int(np.count_nonzero(checked.coplanar & checked.steady)),
         kept=int(np.count_nonzero(best)),
     )
-    return standing.some(best), losses, checked.misfit[good][best]
+    return remaining.some(best), losses, checked.misfit[good][best]
 
 
 def _best_of_cells(
@@ -317,12 +310,9 @@ def one_per_window(
     Features near each other share the sharpest pixel beside them, and would give one measure twice.
     """
     rays = np.unique(found.track, return_inverse=True, return_counts=True)[1:]
-    places = cell_numbers(_anchor_plane(scene, found), settings.half_window * step)
-    return spread(places, _numbered(_pairs(found)), _unsure(found.track, likeness) - rays[1][rays[0]], 1)
-
-
-def _pairs(found: Measured) -> list[tuple[int, ...]]:
-    return list(zip(found.first.tolist(), found.other.tolist(), strict=True))
+    cells = cell_numbers(_anchor_plane(scene, found), settings.half_window * step)
+    pairs = _numbered(zip(found.first.tolist(), found.other.tolist(), strict=True))
+    return spread(cells, pairs, _unsure(found.track, likeness) - rays[1][rays[0]], 1)
 
 
 def _unsure(tracks: Index, likeness: Array) -> Array:
@@ -332,7 +322,7 @@ def _unsure(tracks: Index, likeness: Array) -> Array:
 
 
 def _anchor_plane(scene: Scene, found: Measured) -> Array:
-    """(k, 2) m, places of the chart under the anchors."""
+    """(k, 2) m, positions of the anchors on the chart."""
     plane = np.empty((found.track.size, 2))
     for j, picture in enumerate(scene.pictures):
         mine = found.first == j

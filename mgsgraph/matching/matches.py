@@ -77,27 +77,19 @@ class Matches:
         return f"Matches({len(self.ties.ids)} points in {filled} of {whole} cells)"
 
 
-def _ids(names: tuple[str, ...], places: Array, count: int) -> tuple[str, ...]:
+def _ids(names: tuple[str, ...], pixels: Array, count: int) -> tuple[str, ...]:
     """Names of points that those of another run, which may stand in the same case, don't have."""
-    run = zlib.crc32("\n".join(names).encode() + places.tobytes())
+    run = zlib.crc32("\n".join(names).encode() + pixels.tobytes())
     return tuple(f"M{run:08x}_{i + 1:06d}" for i in range(count))
 
 
 def matches_of(
     found: Measured, misfit: Array, names: tuple[str, ...], order: Index
 ) -> tuple[TiePoints, Array, Array, Array]:
-    """Tie points, covariances, correlations and misfits of finished measures.
+    """Tie points, covariances, correlations and misfits of finished measures, which are sorted by track.
 
-    Parameters
-    ----------
-    found : Measured
-        Sorted by track.
-    misfit : (k,)
-        m.
-    names : tuple of str
-        Of the pictures.
-    order : (n,)
-        Tracks (positions among the distinct ones) in the order in which points are numbered.
+    `misfit` (k,) is in m, `names` are those of the pictures; `order` (n,) has the tracks, by their positions among the
+    distinct ones, in the order in which points are numbered.
     """
     tracks, begin, inverse = np.unique(found.track, return_index=True, return_inverse=True)
     rank = np.empty(tracks.size, dtype=np.int64)
@@ -109,7 +101,7 @@ def matches_of(
     np.add.at(of_anchor, inverse, shared)
     of_anchor /= count[:, None, None]
     point = np.concatenate([rank, rank[inverse]])
-    place = np.concatenate([found.anchors[begin], found.places])
+    pixels = np.concatenate([found.anchors[begin], found.pixels])
     picture = np.concatenate([found.first[begin], found.other])
     variances = np.concatenate([of_anchor, 0.5 * found.covariances])
     first = np.concatenate([np.zeros(tracks.size, dtype=np.int64), np.ones(inverse.size, dtype=np.int64)])
@@ -118,13 +110,13 @@ def matches_of(
     n = tracks.size
     ties = TiePoints(
         source=SOURCE,
-        ids=_ids(names, place[rows], n),
+        ids=_ids(names, pixels[rows], n),
         kinds=np.full(n, PointKind.FREE, dtype=np.int64),
         places=np.full((n, 3), np.nan),
         covariances=np.zeros((n, 3, 3)),
         measure_point=point[rows],
         measure_image=tuple(names[j] for j in picture[rows].tolist()),
-        measures=place[rows],
+        measures=pixels[rows],
         measure_sigmas=np.sqrt(np.diagonal(variances, axis1=1, axis2=2))[rows],
     )
     covariances = np.concatenate([np.zeros((n, 2, 2)), found.covariances])[rows]

@@ -1,4 +1,4 @@
-"""Sub-pixel places of tracks by least-squares matching: from one image's pixel into each of the others, and back."""
+"""Tracks measured by least-squares matching: from one image's pixel into each of the other images, and back."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.matching.coarse import pixel_on_ground
 from mgsgraph.matching.least_squares import LeastSquaresMatches, match_least_squares
-from mgsgraph.matching.opencv import opencv
 from mgsgraph.matching.pairs import by_pair, star
+from mgsgraph.matching.patches import opencv
 from mgsgraph.matching.scene import Ground, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.spline import SplinePicture
@@ -55,24 +54,24 @@ class SharpPictures:
 
 
 class Measured(NamedTuple):
-    """Places found from one picture's pixels, the anchors, in others; k of them."""
+    """Pixels found in other pictures from those of one picture, the anchors; k of them."""
 
     track: Index
     """(k,) which track each belongs to."""
     first: Index
     """(k,) picture of the anchor."""
     other: Index
-    """(k,) picture of the place."""
+    """(k,) picture of the pixel that was found."""
     feature: Index
     """(k,) feature from which the search began in the other picture."""
     anchors: Array
     """(k, 2) line and sample, the middle of a pixel."""
-    places: Array
+    pixels: Array
     """(k, 2) line and sample."""
     affine: Array
-    """(k, 2, 2) d place / d anchor."""
+    """(k, 2, 2) d pixel / d anchor."""
     covariances: Array
-    """(k, 2, 2) pixels^2 of the place, given the anchor."""
+    """(k, 2, 2) pixels^2 of the pixel found, given the anchor."""
     correlation: Array
     """(k,)"""
     status: Index
@@ -98,21 +97,8 @@ def joined_measures(parts: Sequence[Measured]) -> Measured:
 def measured(
     scene: Scene, found: Links, tracks: Sequence[list[int]], sharp: SharpPictures, settings: MatchSettings, step: float
 ) -> Measured:
-    """Measure tracks from a pixel near their first feature.
-
-    Parameters
-    ----------
-    scene : Scene
-        Whose orientations agree.
-    found : Links
-        Features.
-    tracks : sequence of list of int
-        Features of each.
-    sharp : SharpPictures
-        The pictures.
-    settings : MatchSettings
-    step : float
-        m, pixel of the ground grid.
+    """Measure tracks of features, `found`, from the sharpest pixel near their first feature into their other pictures,
+    whose orientations agree; `step` in m is the pixel of the ground grid.
     """
     track, first, other = star(tracks)
     parts = [_empty()]
@@ -132,32 +118,32 @@ def _between(
     settings: MatchSettings,
     step: float,
 ) -> Measured:
-    """The same from one picture into one other."""
+    """Measure tracks from one picture into one other."""
     (track, first, other), (template, search) = chosen, (sharp[j] for j in pair)
     one, two = (scene.pictures[j] for j in pair)
     halves = [half_window(scene.ground, scene.pictures[j], settings.half_window * step) for j in pair]
     planes = found.plane[first], found.plane[other]
-    begin, end = one.places(scene.ground.points(planes[0])), two.places(scene.ground.points(planes[1]))
+    begin, end = one.project(scene.ground.points(planes[0])), two.project(scene.ground.points(planes[1]))
     by_plane = one.derivatives(scene.ground, planes[0]), two.derivatives(scene.ground, planes[1])
     affine = np.swapaxes(np.linalg.solve(np.swapaxes(by_plane[0], 1, 2), np.swapaxes(by_plane[1], 1, 2)), 1, 2)
     anchors = sharpest_pixels(template.strength, np.floor(begin).astype(np.int64), halves[0]) + 0.5
     start = end + np.einsum("nij,nj->ni", affine, anchors - begin)
-    lean = two.lean(scene.ground, start) - one.lean(scene.ground, anchors)
-    relief = [_relief(by, away) for by, away in zip(by_plane, (-lean, lean), strict=True)]
+    parallax = two.height_parallax(scene.ground, start) - one.height_parallax(scene.ground, anchors)
+    relief = [_relief(by, away) for by, away in zip(by_plane, (-parallax, parallax), strict=True)]
     there = match_least_squares(template.spline, search.spline, anchors, start, affine, halves[0], relief[1])
     good = np.flatnonzero(there.converged)
     back = np.zeros(track.size, dtype=bool)
     back[good] = _returns(there, good, anchors, (search.spline, template.spline), halves[1], relief[0])
     covariances = there.covariance if relief[1] is None else there.covariance_with_relief(relief[1])
     return Measured(
-        track, np.full(track.size, pair[0]), np.full(track.size, pair[1]), other, anchors, there.places, there.affine,
+        track, np.full(track.size, pair[0]), np.full(track.size, pair[1]), other, anchors, there.pixels, there.affine,
         covariances + FINEST**2 * np.eye(2), there.correlation, np.asarray(there.status, dtype=np.int64), back,
     )  # fmt: skip
 
 
-def _relief(by_plane: Array, lean: Array) -> Array | None:
+def _relief(by_plane: Array, parallax: Array) -> Array | None:
     """(n, 2) pixels per m of height, where the two views differ enough for relief to be seen."""
-    direction = np.einsum("nij,nj->ni", by_plane, lean)
+    direction = np.einsum("nij,nj->ni", by_plane, parallax)
     size = np.linalg.norm(direction, axis=1)
     return direction if size.size and float(size.min()) > _LEAST_PARALLAX else None
 
@@ -192,17 +178,17 @@ def _returns(
 ) -> Mask:
     """Whether matching from the nearest pixel of the other picture ends where the way there says it should."""
     inverse = np.linalg.inv(there.affine[good])
-    begin = np.floor(there.places[good]) + 0.5
-    expected = anchors[good] + np.einsum("nij,nj->ni", inverse, begin - there.places[good])
+    begin = np.floor(there.pixels[good]) + 0.5
+    expected = anchors[good] + np.einsum("nij,nj->ni", inverse, begin - there.pixels[good])
     again = match_least_squares(*pictures, begin, expected, inverse, half, None if relief is None else relief[good])
-    away = np.linalg.norm(again.places - expected, axis=1)
+    away = np.linalg.norm(again.pixels - expected, axis=1)
     sigma = np.sqrt(np.trace(again.covariance, axis1=1, axis2=2))
     return np.asarray((again.converged) & (away <= _WAY_BACK * sigma + _WAY_BACK_PIXELS))
 
 
 def half_window(ground: Ground, picture: Picture, size: float) -> tuple[int, int]:
     """Lines and samples from the middle of a window to its edge, `size` m on the ground either way."""
-    by_pixel = np.linalg.norm(pixel_on_ground(ground, picture), axis=0)
+    by_pixel = np.linalg.norm(picture.pixel_on_ground(ground), axis=0)
     lines, samples = np.maximum(np.rint(size / by_pixel), 3).astype(int)
     return int(lines), int(samples)
 

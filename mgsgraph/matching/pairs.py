@@ -1,5 +1,5 @@
 """Which pictures share ground, in what order their orientations are brought together, and matches of pairs joined over
-images: no track has two places in one image.
+images: no track has two pixels in one image.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -30,26 +30,24 @@ def pairs_of(scene: Scene) -> list[Pair]:
     InputError
         Where there is none.
     """
-    prints = footprints(scene)
-    found = overlaps(prints)
+    found = overlaps(footprints(scene))
     if not len(found.pairs):
-        names = ", ".join(picture.image.name for picture in scene.pictures[:4])
         raise InputError(
-            f"images {names}", "no two of them overlap (by their nominal orientation)", "images of common ground",
+            scene.where, "no two of them overlap (by their nominal orientation)", "images of common ground",
             "check the images and their kernels",
         )
     return [Pair(int(i), int(j), float(area)) for (i, j), area in zip(found.pairs, found.areas, strict=True)]
 
 
 def by_pair(first: Index, other: Index) -> Iterator[tuple[int, int, Index]]:
-    """Of pictures (k,) and (k,) each pair that there is, and where."""
+    """Each pair of pictures among `first` and `other` (k,), with its rows (m,)."""
     both = np.column_stack([first, other])
     for i, j in np.unique(both, axis=0).tolist():
         yield i, j, np.flatnonzero((first == i) & (other == j))
 
 
 def footprints(scene: Scene) -> list[Footprint]:
-    """Of all pictures, at the height of the ground.
+    """Footprints of all pictures, at the height of the ground.
 
     Raises
     ------
@@ -59,19 +57,19 @@ def footprints(scene: Scene) -> list[Footprint]:
     found = [footprint(picture.image, scene.ground.height, picture.correction) for picture in scene.pictures]
     for one in found:
         if one.outline.shape[0] == 0:
-            told = "it sees nothing of the body, or a quarter of the way around it"
-            raise InputError(f"image {one.name}", told, "an image of the ground", "leave the image out, or cut it")
+            seen = "it sees nothing of the body, or a quarter of the way around it"
+            raise InputError(f"image {one.name}", seen, "an image of the ground", "leave the image out, or cut it")
     return found
 
 
-def box(scene: Scene, outline: Array) -> Array:
-    """(2, 2) m, least and largest x and y of an outline (k, 3) on the chart."""
-    plane = scene.ground.chart.plane(outline)
-    return np.stack([plane.min(axis=0), plane.max(axis=0)])
+def boxes(scene: Scene) -> list[Array]:
+    """(2, 2) m, least and largest x and y of each picture's footprint on the chart."""
+    planes = [scene.ground.chart.plane(one.outline) for one in footprints(scene)]
+    return [np.stack([plane.min(axis=0), plane.max(axis=0)]) for plane in planes]
 
 
 def first_picture(pairs: Sequence[Pair], left: Collection[int]) -> int:
-    """Of those that are left the picture that shares most ground."""
+    """Of the pictures that are left, the one that shares most ground."""
     return max(left, key=lambda j: (sum(pair.area for pair in pairs if j in pair[:2]), -j))
 
 
@@ -87,22 +85,11 @@ def next_pair(
 
 
 def joined(links: Index, likeness: Array, picture_of: Index) -> list[list[int]]:
-    """Features joined by links, the surest first; a link that would bring two features of one picture together, or
-    contradicts a surer one, is left out: so a contradictory track falls apart at its weakest link.
+    """Features joined by links (k, 2), the surest first; a link that would bring two features of one picture together,
+    or contradicts a surer one, is left out: so a contradictory track falls apart at its weakest link.
 
-    Parameters
-    ----------
-    links : (k, 2)
-        Numbers of features.
-    likeness : (k,)
-        How sure each link is.
-    picture_of : (n,)
-        Picture of each feature.
-
-    Returns
-    -------
-    list of list of int
-        Features of each track, by picture, at least two.
+    `likeness` (k,) says how sure each link is, `picture_of` (n,) the picture of each feature. Returns the features of
+    each track, at least two, by picture.
     """
     track_of = dict[int, int]()
     tracks = dict[int, list[int]]()

@@ -5,24 +5,37 @@ Hirschmueller, H. (2008): Stereo processing by semiglobal matching and mutual in
 with Birchfield & Tomasi's cost of horizontal gradients, to which other brightness and contrast don't matter.
 """
 
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.bilinear import refined
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.matching.opencv import opencv
 from mgsgraph.matching.scene import Ground, Picture
 
 NODE = 16
-"""pixels of the ground grid between places that are projected; between them places change evenly."""
+"""pixels of the ground grid between the nodes that are projected; between nodes, lines and samples are bilinear."""
 _SKIPS = 2.0
 """A picture's pixels in one of the ground grid from which on a cubic skips some."""
 _BLUR, _UNBLURRED = 0.5, 1e-3
 """Sigma of the filter then, in pixels of the ground grid, and in pixels of one that does nothing."""
 _REMAP_LIMIT = 30_000
 """pixels; OpenCV's remap takes pictures of less than 32,768 lines and samples."""
+
+
+def opencv() -> ModuleType:
+    """OpenCV, which only matching needs; InputError where it is not installed, or cannot be loaded."""
+    try:
+        import cv2  # heavy
+    except ImportError as error:
+        missing = isinstance(error, ModuleNotFoundError) and error.name == "cv2"
+        found = "OpenCV is not installed" if missing else f"OpenCV can't be imported ({' '.join(str(error).split())})"
+        raise InputError("matching", found, remedy='pip install "mgsgraph[match]"') from None
+    module: ModuleType = cv2  # typed or not, as the installed version is
+    return module
 
 
 class Tile(NamedTuple):
@@ -53,7 +66,7 @@ class Tile(NamedTuple):
         return axes[0], axes[1]
 
     def owns(self, plane: Array) -> NDArray[np.bool_]:
-        """(n,) which places (n, 2) of the chart lie in the tile without its margin."""
+        """(n,) which positions (n, 2) of the chart lie in the tile without its margin."""
         column, row = (plane[:, 0] - self.west) / self.step, (plane[:, 1] - self.south) / self.step
         inside = (column >= self.margin - 0.5) & (column < self.columns - self.margin - 0.5)
         return np.asarray(inside & (row >= self.margin - 0.5) & (row < self.rows - self.margin - 0.5))
@@ -68,10 +81,10 @@ class Patch(NamedTuple):
     """(rows, columns), 255 where the picture has pixels."""
 
 
-def ortho_patch(picture: Picture, ground: Ground, tile: Tile, levels: tuple[float, float]) -> Patch | None:
+def ortho_patch(picture: Picture, ground: Ground, tile: Tile) -> Patch | None:
     """A picture on a tile; None where it shows nothing of it."""
     cv2 = opencv()
-    nodes = node_places(picture, ground, tile)
+    nodes, levels = node_pixels(picture, ground, tile), picture.levels
     size = np.array([picture.image.lines, picture.image.samples], dtype=np.float64)
     touched = np.all((nodes > -2.0 * NODE) & (nodes < size + 2.0 * NODE), axis=2)
     if not touched.any():
@@ -101,12 +114,12 @@ def ortho_patch(picture: Picture, ground: Ground, tile: Tile, levels: tuple[floa
     return Patch(np.where(seen, stretched, 0).astype(np.uint8), np.where(seen, 255, 0).astype(np.uint8))
 
 
-def node_places(picture: Picture, ground: Ground, tile: Tile) -> Array:
+def node_pixels(picture: Picture, ground: Ground, tile: Tile) -> Array:
     """(rows', columns', 2) line and sample of every sixteenth pixel, beyond the tile's last one; NaN where unseen."""
     columns, rows = (np.arange(-(-count // NODE) + 1) * float(NODE) for count in (tile.columns, tile.rows))
     across, along = np.meshgrid(columns, rows)
     points = ground.points(tile.plane(across.ravel(), along.ravel()))
-    return picture.places(points).reshape(rows.size, columns.size, 2)
+    return picture.project(points).reshape(rows.size, columns.size, 2)
 
 
 def blur_sigmas(nodes: Array) -> tuple[float, float]:

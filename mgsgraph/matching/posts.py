@@ -4,16 +4,17 @@ The tile's rows run along the parallax (see `dense`): what lies in column c of t
 c - d of the second's, and d pixels of the tile are d * step / rate metres of height above the ground's model.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.errors import require
 from mgsgraph.geometry.bilinear import between_nodes
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.matching.least_squares import LeastSquaresSettings, match_least_squares
 from mgsgraph.matching.measuring import FINEST, half_window
-from mgsgraph.matching.opencv import opencv
-from mgsgraph.matching.patches import NODE, Tile, disparities, node_places, ortho_patch
+from mgsgraph.matching.patches import NODE, Tile, disparities, node_pixels, opencv, ortho_patch
 from mgsgraph.matching.relative import robust_sigma
 from mgsgraph.matching.scene import Ground, Picture
 from mgsgraph.matching.spline import SplinePicture
@@ -32,6 +33,30 @@ _AROUND = 2
 _FEWEST = 6
 
 
+@dataclass(frozen=True, slots=True)
+class DenseSettings:
+    """How posts are matched."""
+
+    spacing: float | None = None
+    """m between posts; five pixels of the ground grid when None."""
+    half_window: int = 8
+    """pixels of the ground grid from the middle of a window of least-squares matching to its edge."""
+    least_correlation: float = 0.5
+    """Least correlation of the two windows."""
+    largest_sigma: float = 0.5
+    """pixels, in any direction."""
+
+    def __post_init__(self) -> None:
+        checks = {
+            "spacing": (self.spacing is None or 0.0 < self.spacing < np.inf, "a positive number of metres"),
+            "half_window": (self.half_window >= 4, "at least 4"),
+            "least_correlation": (0.0 < self.least_correlation < 1.0, "a number between 0 and 1"),
+            "largest_sigma": (0.0 < self.largest_sigma < np.inf, "a positive number"),
+        }
+        for name, (good, expected) in checks.items():
+            require(good, f"dense matching, {name}", str(getattr(self, name)), expected)
+
+
 class View(NamedTuple):
     """Two pictures over the ground, on a chart turned so that height displaces along x."""
 
@@ -43,8 +68,6 @@ class View(NamedTuple):
     """With the turned chart."""
     rate: float
     """m per m of height, displacement of the second picture's rays against the first's, towards larger x."""
-    levels: tuple[tuple[float, float], tuple[float, float]]
-    """Grey values that are shown black and white."""
 
 
 class PostMatches(NamedTuple):
@@ -52,32 +75,12 @@ class PostMatches(NamedTuple):
 
     anchors: Array
     """(n, 2) line and sample in the first picture, middles of pixels."""
-    places: Array
+    pixels: Array
     """(n, 2) line and sample in the second."""
     covariances: Array
-    """(n, 2, 2) pixels^2 of the place, the anchor given."""
+    """(n, 2, 2) pixels^2 of the second, the anchor given."""
     correlation: Array
     """(n,)"""
-
-
-class Tried(NamedTuple):
-    """What came of a tile."""
-
-    posts: int
-    """Its own posts on ground that both pictures show."""
-    matches: PostMatches
-    """Of those that were matched."""
-
-
-class Least(NamedTuple):
-    """What a match has to have."""
-
-    half: float
-    """m, of a window from its middle to its edge."""
-    correlation: float
-    """At least."""
-    sigma: float
-    """pixels at most, in any direction."""
 
 
 class _Start(NamedTuple):
@@ -100,33 +103,18 @@ class _Start(NamedTuple):
 
 
 def matches_on(
-    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, reach: int, spacing: float, least: Least,
-    threads: int | None,
-) -> Tried:
-    """Match the posts that are the tile's own.
+    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, reach: int, spacing: float,
+    settings: DenseSettings, step: float, threads: int | None,
+) -> tuple[int, PostMatches]:
+    """Match the posts of a tile without its margin; their number on ground that both pictures show, and the matches.
 
-    Parameters
-    ----------
-    view : View
-    splines : (2,)
-        Its pictures between their pixels.
-    tile : Tile
-        Of the turned chart, with a margin of `reach` pixels and some at least.
-    reach : int
-        pixels of the tile that the true ground may displace one picture against the other.
-    spacing : float
-        m between posts.
-    least : Least
-    threads : int, optional
-        All processors when None.
+    The tile is one of the view's chart, with a margin of `reach` pixels at least: by so many the true ground may
+    displace one picture against the other. `splines` are both pictures between their pixels; `spacing` lies between
+    posts, and `step` between pixels of the ground grid, in m.
     """
-    patches = [
-        ortho_patch(picture, view.ground, tile, levels)
-        for picture, levels in zip(view.pictures, view.levels, strict=True)
-    ]
-    one, two = patches
+    one, two = (ortho_patch(picture, view.ground, tile) for picture in view.pictures)
     if one is None or two is None:
-        return Tried(0, no_matches())
+        return 0, no_matches()
     shift = disparities(one, two, reach)
     rows, columns = tile.nodes(spacing)
     plane = tile.plane(*(axis.ravel().astype(np.float64) for axis in np.meshgrid(columns, rows)))
@@ -135,11 +123,11 @@ def matches_on(
     mine = tile.owns(plane) & both[rows[row], columns[column]]
     sought = mine & np.isfinite(shift[rows[row], columns[column]])
     start = _start(view, tile, shift, (row[sought], column[sought]), (rows, columns))
-    return Tried(int(mine.sum()), _measured(view, splines, tile, start, least, threads))
+    return int(mine.sum()), _measured(view, splines, tile, start, settings, step, threads)
 
 
 def no_matches() -> PostMatches:
-    """None."""
+    """Matches of no posts."""
     return PostMatches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
 
 
@@ -149,7 +137,7 @@ def _start(
     """Posts by row and column, of which the tile's rows and columns are `pixels`."""
     down, across = pixels[0][post[0]], pixels[1][post[1]]
     disparity = shift[down, across]
-    nodes = [node_places(picture, view.ground, tile) for picture in view.pictures]
+    nodes = [node_pixels(picture, view.ground, tile) for picture in view.pictures]
     here = np.column_stack([down, across]).astype(np.float64)
     there = here - np.column_stack([np.zeros(disparity.size), disparity])
     first, second = between_nodes(nodes[0], here / NODE), between_nodes(nodes[1], there / NODE)
@@ -182,12 +170,12 @@ def _slopes(shift: Array) -> tuple[Array, Array]:
 
 
 def _measured(
-    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, start: _Start, least: Least,
-    threads: int | None,
+    view: View, splines: tuple[SplinePicture, SplinePicture], tile: Tile, start: _Start,
+    settings: DenseSettings, step: float, threads: int | None,
 ) -> PostMatches:
     anchors = np.floor(start.first) + 0.5
     begin = start.second + np.einsum("nij,nj->ni", start.affine, anchors - start.first)
-    half = half_window(view.ground, view.pictures[0], least.half)
+    half = half_window(view.ground, view.pictures[0], settings.half_window * step)
     found = match_least_squares(
         *splines, anchors, begin, start.affine, half, settings=_LEAST_SQUARES, threads=threads
     )
@@ -195,13 +183,13 @@ def _measured(
     covariances = found.covariance_with_relief(along) + FINEST**2 * np.eye(2)
     moved = np.full(begin.shape, np.nan)
     good = np.flatnonzero(found.converged)
-    moved[good] = np.linalg.solve(start.by_plane[good], (found.places - begin)[good, :, None])[:, :, 0] / tile.step
+    moved[good] = np.linalg.solve(start.by_plane[good], (found.pixels - begin)[good, :, None])[:, :, 0] / tile.step
     sigma = np.sqrt(np.linalg.eigvalsh(covariances[good])[:, 1])
     sound = np.zeros(found.status.size, dtype=bool)
-    sound[good] = (found.correlation[good] >= least.correlation) & (sigma <= least.sigma)
+    sound[good] = (found.correlation[good] >= settings.least_correlation) & (sigma <= settings.largest_sigma)
     kept = sound & _coplanar(moved[:, 1], sound)
     kept &= _like_neighbours(start, start.disparity - moved[:, 0], kept)
-    return PostMatches(anchors[kept], found.places[kept], covariances[kept], found.correlation[kept])
+    return PostMatches(anchors[kept], found.pixels[kept], covariances[kept], found.correlation[kept])
 
 
 def _coplanar(across: Array, sound: Mask) -> Mask:

@@ -1,10 +1,10 @@
 """By how much the orientations of two pictures contradict each other at their matches, and which matches do not fit.
 
-Both rays of a match meet the ground, at two places of the chart. What lies between them (the displacement) has two
+Both rays of a match meet the ground, at two positions of the chart. What lies between them (the displacement) has two
 parts. Across the plane of the rays it is the coplanarity residual: height has no share in it, orientation alone. Along
-it, it is height times the difference of the rays' lean, besides. A correction of the second picture's orientation, a
-polynomial of low degree with its prior, is fitted to both, the second with the sigma of the height. That is the freedom
-which the true orientation has; a homography would be another one, which no pushbroom image has.
+it, it is height times the difference of the rays' height parallaxes, besides. A correction of the second picture's
+orientation, a polynomial of low degree with its prior, is fitted to both, the second with the sigma of the height. That
+is the freedom which the true orientation has; a homography would be another one, which no pushbroom image has.
 """
 
 from dataclasses import dataclass
@@ -34,8 +34,8 @@ class Displacements:
     """(n, 2) m, second minus first, across and along the direction of a displacement by height."""
     design: Array
     """(n, 2, 6 d) m per sigma of a coefficient of the second picture's correction."""
-    lean: Array
-    """(n,) m per m, displacement along by height."""
+    parallax: Array
+    """(n,) m of displacement along, per m of height."""
 
     def residuals(self, coefficients: Array) -> Array:
         """(n, 2) m that remain after a correction in units of its sigmas."""
@@ -43,7 +43,7 @@ class Displacements:
 
     def of(self, some: Mask | Index) -> "Displacements":
         """Some matches."""
-        return Displacements(self.apart[some], self.design[some], self.lean[some])
+        return Displacements(self.apart[some], self.design[some], self.parallax[some])
 
 
 def sigmas_between(first: Picture, second: Picture, degree: int) -> Array:
@@ -67,55 +67,41 @@ def robust_sigma(values: Array) -> float:
 
 
 def displacements(
-    first: Picture, second: Picture, places: tuple[Array, Array], ground: Ground, sigmas: Array
+    first: Picture, second: Picture, pixels: tuple[Array, Array], ground: Ground, sigmas: Array
 ) -> Displacements:
-    """Displacements at matches.
+    """Displacements at n matches.
 
-    Parameters
-    ----------
-    first, second : Picture
-        Whose orientations are compared.
-    places : (n, 2) twice
-        line and sample in each.
-    ground : Ground
-        On which rays are compared.
-    sigmas : (d, 6)
-        Units of the coefficients, m and rad.
+    `pixels` are lines and samples (n, 2) in each picture, `sigmas` (d, 6) the units of the coefficients, m and rad.
     """
-    base = second.on_chart(ground, places[1])
-    frame, size = _frame(first, second, places, ground)
-    apart = np.einsum("nij,nj->ni", frame, base - first.on_chart(ground, places[0]))
+    base = second.on_chart(ground, pixels[1])
+    frame, size = _frame(first, second, pixels, ground)
+    apart = np.einsum("nij,nj->ni", frame, base - first.on_chart(ground, pixels[0]))
     columns = []
     for power, row in enumerate(sigmas):
         for component, sigma in enumerate(row):
-            step = _one(len(sigmas), power, component, 1e-2 * sigma)
-            moved = second.on_chart(ground, places[1], _plus(second.correction, step))
+            step = np.zeros_like(sigmas)
+            step[power, component] = 1e-2 * sigma
+            moved = second.on_chart(ground, pixels[1], increased(second.correction, step))
             columns.append(np.einsum("nij,nj->ni", frame, moved - base) / 1e-2)
     return Displacements(apart, np.stack(columns, axis=2), size)
 
 
-def apart(first: Picture, second: Picture, places: tuple[Array, Array], ground: Ground) -> Array:
+def apart(first: Picture, second: Picture, pixels: tuple[Array, Array], ground: Ground) -> Array:
     """(n, 2) m, displacements alone: second minus first, across and along the direction of a displacement by height."""
-    away = second.on_chart(ground, places[1]) - first.on_chart(ground, places[0])
-    return np.asarray(np.einsum("nij,nj->ni", _frame(first, second, places, ground)[0], away))
+    away = second.on_chart(ground, pixels[1]) - first.on_chart(ground, pixels[0])
+    return np.asarray(np.einsum("nij,nj->ni", _frame(first, second, pixels, ground)[0], away))
 
 
-def _frame(first: Picture, second: Picture, places: tuple[Array, Array], ground: Ground) -> tuple[Array, Array]:
+def _frame(first: Picture, second: Picture, pixels: tuple[Array, Array], ground: Ground) -> tuple[Array, Array]:
     """(n, 2, 2) directions across and along a displacement by height on the chart, and (n,) its m per m."""
-    leans = second.lean(ground, places[1]) - first.lean(ground, places[0])
-    size = np.linalg.norm(leans, axis=1)
-    along = np.where(size[:, None] > 1e-9, leans / np.maximum(size, 1e-9)[:, None], [0.0, 1.0])
+    parallaxes = second.height_parallax(ground, pixels[1]) - first.height_parallax(ground, pixels[0])
+    size = np.linalg.norm(parallaxes, axis=1)
+    along = np.where(size[:, None] > 1e-9, parallaxes / np.maximum(size, 1e-9)[:, None], [0.0, 1.0])
     return np.stack([np.column_stack([-along[:, 1], along[:, 0]]), along], axis=1), size
 
 
-def _one(rows: int, power: int, component: int, value: float) -> Array:
-    step = np.zeros((rows, 6))
-    step[power, component] = value
-    return step
-
-
-def _plus(correction: OrientationCorrection | None, step: Array) -> OrientationCorrection:
-    """A correction with more: rotations are small, so they add."""
+def increased(correction: OrientationCorrection | None, step: Array) -> OrientationCorrection:
+    """A correction plus coefficients (d, 6) in m and rad: rotations are small, so they add."""
     before = np.zeros((0, 6)) if correction is None else correction.coefficients
     total = np.zeros((max(len(before), len(step)), 6))
     total[: len(before)] += before
@@ -123,36 +109,17 @@ def _plus(correction: OrientationCorrection | None, step: Array) -> OrientationC
     return OrientationCorrection(total)
 
 
-def corrected(picture: Picture, step: Array) -> OrientationCorrection:
-    """The picture's correction with coefficients (d, 6) in m and rad more."""
-    return _plus(picture.correction, step)
-
-
 def consensus(
     found: Displacements, tolerance: float, height_sigma: float, rng: np.random.Generator
 ) -> tuple[Array, Mask]:
-    """The correction that most matches agree on (Fischler & Bolles 1981), and these matches.
+    """The correction that most of n matches agree on (Fischler & Bolles 1981), in units of its sigmas (6 d,), and
+    whether each match fits it (n,).
 
-    Parameters
-    ----------
-    found : Displacements
-        At n matches.
-    tolerance : float
-        m, sigma of a match's displacement but for height; within three of them a match fits.
-    height_sigma : float
-        m, of the ground.
-    rng : numpy.random.Generator
-        Of the trials.
-
-    Returns
-    -------
-    coefficients : (6 d,)
-        in units of their sigmas.
-    fits : (n,)
-        Whether each match fits.
+    `tolerance` (m) is the sigma of a match's displacement but for height, `height_sigma` (m) that of the ground; within
+    three sigmas a match fits. `rng` draws the trials.
     """
     n = len(found.apart)
-    sigmas = np.column_stack([np.full(n, tolerance), np.hypot(tolerance, height_sigma * found.lean)])
+    sigmas = np.column_stack([np.full(n, tolerance), np.hypot(tolerance, height_sigma * found.parallax)])
     best, most = np.zeros(found.design.shape[2]), _fits(found, np.zeros(found.design.shape[2]), sigmas)
     for _ in range(_TRIALS if n > _SAMPLE else 0):
         some = rng.choice(n, _SAMPLE, replace=False)

@@ -1,11 +1,12 @@
-"""Images with their pixels and orientation over one ground: where a place of the chart is on each image, and back.
+"""Images with their pixels and orientation over one ground: where a position on the chart is on each image, and back.
 
 The chart is the plane in which images are compared: Lambert's equal-area plane about the scene's middle (Snyder 1987,
 p. 182). Its y axis runs along the flight, so that a swath fills upright tiles. Lengths are true in the middle and off
-by one per cent a thousand kilometres from it, which is no matter where two images are compared at the same place.
+by one per cent a thousand kilometres from it, which is no matter where two images are compared at the same position.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,9 @@ Pixels = NDArray[Any]
 """(lines, samples) grey values; NaN where a float picture has none."""
 
 _MEETINGS = 4
-"""Times that a ray's ground is looked up at the height of the terrain under its last place."""
+"""Times that a ray is intersected with the ground at the height of the terrain under its last intersection."""
 _DIFFERENCE = 20.0
-"""m, over which derivatives of image places by ground places are taken."""
+"""m, over which derivatives of pixels by ground positions are taken."""
 _LOOKED_AT = 200_000
 """pixels from which a picture's grey values are judged."""
 _USELESS = 0.5
@@ -44,10 +45,10 @@ class GroundChart:
         assign(self, axes=frozen(self.axes, "ground chart, axes", (3, 3)))
 
     @classmethod
-    def about(cls, places: Array, flight: Array) -> "GroundChart":
-        """The chart about the mean of places (n, 3) in m, body-fixed, with y along the vector `flight` (3,)."""
-        middle = places.mean(axis=0)
-        radius = float(np.linalg.norm(places, axis=1).mean())
+    def about(cls, points: Array, flight: Array) -> "GroundChart":
+        """The chart about the mean of points (n, 3) in m, body-fixed, with y along the vector `flight` (3,)."""
+        middle = points.mean(axis=0)
+        radius = float(np.linalg.norm(points, axis=1).mean())
         if not np.linalg.norm(middle) > 0.1 * radius:
             raise InputError("images to match", "ground all around the body", "images of one region")
         up = middle / np.linalg.norm(middle)
@@ -56,7 +57,7 @@ class GroundChart:
         return cls(np.stack([np.cross(along, up), along, up]), radius)
 
     def directions(self, plane: Array) -> Array:
-        """(n, 3) unit, body-fixed, of places (n, 2) in the plane in m; NaN beyond the antipode."""
+        """(n, 3) unit, body-fixed, of positions (n, 2) in the plane in m; NaN beyond the antipode."""
         distance = np.linalg.norm(plane, axis=1)
         half = distance / (2.0 * self.radius)
         with np.errstate(invalid="ignore"):
@@ -65,7 +66,7 @@ class GroundChart:
         return np.asarray(np.column_stack([plane * sideways[:, None], cosine]) @ self.axes)
 
     def plane(self, points: Array) -> Array:
-        """(n, 2) m, places in the plane under points (n, 3) in m, body-fixed."""
+        """(n, 2) m, positions in the plane under points (n, 3) in m, body-fixed."""
         local = (points / np.linalg.norm(points, axis=1, keepdims=True)) @ self.axes.T
         return np.asarray(local[:, :2] * (self.radius * np.sqrt(2.0 / (1.0 + local[:, 2:]))))
 
@@ -86,15 +87,14 @@ class Ground:
     """Radii of a terrain model."""
 
     def points(self, plane: Array) -> Array:
-        """(n, 3) m, body-fixed, the ground at places (n, 2) of the chart."""
+        """(n, 3) m, body-fixed, the ground at positions (n, 2) of the chart."""
         directions = self.chart.directions(plane)
         return np.asarray(directions * self._radii(directions)[:, None])
 
     def _radii(self, directions: Array) -> Array:
-        a, b = self.body.equatorial + self.height, self.body.polar + self.height
-        level = a * b / np.hypot(b * np.hypot(directions[:, 0], directions[:, 1]), a * directions[:, 2])
+        level = Ellipsoid(self.body.equatorial + self.height, self.body.polar + self.height).radius(directions)
         if self.terrain is None:
-            return np.asarray(level)
+            return level
         radii = self.terrain.at(directions * level[:, None])
         return np.where(np.isfinite(radii), radii, level)
 
@@ -111,7 +111,7 @@ class Ground:
         return points
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Picture:
     """An image with its pixels, and the orientation that is believed for now."""
 
@@ -130,34 +130,42 @@ class Picture:
             found = f"pixels of shape {self.pixels.shape}"
             raise InputError(f"image {self.image.name}", found, f"{shape[0]} lines x {shape[1]} samples")
 
-    def places(self, points: Array) -> Array:
+    def project(self, points: Array) -> Array:
         """(n, 2) line and sample of ground points (n, 3) in m; NaN where they are not seen."""
         return self.image.ground_to_image(points, self.correction)[0]
 
     def derivatives(self, ground: Ground, plane: Array) -> Array:
-        """(n, 2, 2) d(line, sample) / d(x, y) in pixels per m at places (n, 2) of the chart."""
+        """(n, 2, 2) d(line, sample) / d(x, y) in pixels per m at positions (n, 2) of the chart."""
         columns = []
         for axis in np.eye(2):
-            ahead, behind = (self.places(ground.points(plane + side * _DIFFERENCE * axis)) for side in (0.5, -0.5))
+            ahead, behind = (self.project(ground.points(plane + side * _DIFFERENCE * axis)) for side in (0.5, -0.5))
             columns.append((ahead - behind) / _DIFFERENCE)
         return np.stack(columns, axis=2)
 
-    def on_chart(self, ground: Ground, places: Array, correction: OrientationCorrection | None = None) -> Array:
-        """(n, 2) m, places of the chart where rays of image places (n, 2) meet the ground; by another correction than
-        the picture's own if one is given.
+    def on_chart(self, ground: Ground, pixels: Array, correction: OrientationCorrection | None = None) -> Array:
+        """(n, 2) m, positions on the chart where the rays of lines and samples (n, 2) meet the ground; by another
+        correction than the picture's if one is given.
         """
-        rays = self.image.sightlines(places[:, 0], places[:, 1], correction or self.correction)
+        rays = self.image.sightlines(pixels[:, 0], pixels[:, 1], correction or self.correction)
         return ground.chart.plane(ground.meet(*rays))
 
-    def lean(self, ground: Ground, places: Array) -> Array:
-        """(n, 2) m per m: by how much the rays of image places (n, 2) move over the chart from a height to a higher."""
-        origins, directions = self.image.sightlines(places[:, 0], places[:, 1], self.correction)
+    def height_parallax(self, ground: Ground, pixels: Array) -> Array:
+        """(n, 2) m per m of height, by which the rays of lines and samples (n, 2) move over the chart."""
+        origins, directions = self.image.sightlines(pixels[:, 0], pixels[:, 1], self.correction)
         points = ground.meet(origins, directions)
         up = points / np.linalg.norm(points, axis=1, keepdims=True)
         higher = points + directions / np.einsum("ni,ni->n", directions, up)[:, None]
         return ground.chart.plane(higher) - ground.chart.plane(points)
 
-    @property
+    def pixel_on_ground(self, ground: Ground) -> Array:
+        """(2, 2) m per pixel in the middle of the picture: d(x, y) / d(line, sample)."""
+        middle = 0.5 * np.array([[self.image.lines, self.image.samples]])
+        plane = self.on_chart(ground, middle)
+        if not np.all(np.isfinite(plane)):
+            raise InputError(f"image {self.image.name}", "its middle misses the body", "an image of the ground")
+        return np.asarray(np.linalg.inv(self.derivatives(ground, plane)[0]))
+
+    @cached_property
     def levels(self) -> tuple[float, float]:
         """Grey values that are shown black and white: all but a two-hundredth of the pixels lie between.
 
@@ -181,7 +189,7 @@ class Picture:
         return float(low), float(max(high, np.nextafter(low, np.inf)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """All pictures over one ground."""
 
@@ -189,3 +197,25 @@ class Scene:
     """At least two."""
     ground: Ground
     """What they show."""
+
+    @property
+    def where(self) -> str:
+        """Names of the first images, for messages."""
+        return f"images {', '.join(picture.image.name for picture in self.pictures[:4])}"
+
+    @cached_property
+    def pixel_sizes(self) -> Array:
+        """(pictures,) m, size of each picture's pixels on the ground in its middle: the root of their area."""
+        return np.array([
+            np.sqrt(abs(np.linalg.det(picture.pixel_on_ground(self.ground)))) for picture in self.pictures
+        ])
+
+    @property
+    def step(self) -> float:
+        """m, size of the coarsest picture's pixels on the ground."""
+        return float(self.pixel_sizes.max())
+
+    def require_contrast(self) -> None:
+        """Raise InputError where a picture is blank or saturated."""
+        for picture in self.pictures:
+            _ = picture.levels

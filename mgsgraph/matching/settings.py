@@ -5,7 +5,7 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 
 Method = Literal["sift", "grid"]
 """Where matches are sought: at features, or at the nodes of a regular grid by correlation."""
@@ -13,10 +13,8 @@ Method = Literal["sift", "grid"]
 
 def method_of(name: str) -> Method:
     """The method of this name."""
-    for method in get_args(Method):
-        if method == name:
-            return cast(Method, method)
-    raise InputError("matching, method", repr(name), " or ".join(get_args(Method)))
+    require(name in get_args(Method), "matching, method", repr(name), " or ".join(get_args(Method)))
+    return cast(Method, name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +51,12 @@ class MatchSettings:
         method_of(self.method)
         for name in ("step", "spacing", "search", "largest_sigma"):
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"matching, {name}", f"{value}", "a positive number")
+            require(value is None or 0.0 < value < np.inf, f"matching, {name}", f"{value}", "a positive number")
         for name, least in (("cells", 1), ("per_cell", 1), ("half_window", 4), ("features", 10), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise InputError(f"matching, {name}", f"{getattr(self, name)}", f"at least {least}")
+            require(getattr(self, name) >= least, f"matching, {name}", f"{getattr(self, name)}", f"at least {least}")
         if self.spacing is not None and self.step is not None and self.spacing < self.step:
             found = f"{self.spacing:g} m between nodes on a grid of {self.step:g} m"
             raise InputError("matching, spacing", found, "at least a pixel of the ground grid")
         for name in ("ratio", "least_correlation"):
-            if not 0.0 < getattr(self, name) < 1.0:
-                raise InputError(f"matching, {name}", f"{getattr(self, name)}", "a number between 0 and 1")
+            value = getattr(self, name)
+            require(0.0 < value < 1.0, f"matching, {name}", f"{value}", "a number between 0 and 1")

@@ -2,7 +2,7 @@
 Work that is done is kept, so that an interrupted run goes on.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -18,25 +18,20 @@ _SIZE = 1024
 
 
 class Links(NamedTuple):
-    """Places of the chart that show the same ground in two pictures."""
+    """Positions on the chart at which two pictures show the same ground."""
 
     plane: Array
     """(n, 2) m of the chart."""
     picture: Index
-    """(n,) picture in which each place was found."""
+    """(n,) picture in which each position was found."""
     links: Index
-    """(k, 2) numbers of two places."""
+    """(k, 2) numbers of two positions."""
     likeness: Array
     """(k,) the greater, the surer."""
 
 
-def no_links() -> Links:
-    """None."""
-    return Links(np.zeros((0, 2)), np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64), np.zeros(0))
-
-
 def together(parts: Sequence[Links]) -> Links:
-    """Links of several tiles, their places numbered through."""
+    """Links of several tiles, their positions numbered through."""
     first = np.cumsum([0, *(len(part.plane) for part in parts)])[:-1]
     return Links(
         np.concatenate([np.zeros((0, 2)), *(part.plane for part in parts)]),
@@ -47,16 +42,8 @@ def together(parts: Sequence[Links]) -> Links:
 
 
 def tiling(boxes: Sequence[Array], step: float, margin: float) -> list[Tile]:
-    """Tiles that cover boxes and lie in two of them at least.
-
-    Parameters
-    ----------
-    boxes : sequence of (2, 2)
-        m, least and largest x and y of each picture on the chart.
-    step : float
-        m between pixels.
-    margin : float
-        m that neighbouring tiles share on every side of their common edge.
+    """Tiles that cover boxes (2, 2) in m, least and largest x and y of each picture on the chart, and meet two of them
+    at least; pixels lie `step` m apart, and neighbouring tiles share `margin` m on every side of their common edge.
     """
     corners = np.array(boxes)
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
@@ -76,13 +63,11 @@ def tiling(boxes: Sequence[Array], step: float, margin: float) -> list[Tile]:
     return tiles
 
 
-def features_on(
-    scene: Scene, tile: Tile, levels: Sequence[tuple[float, float]], wanted: Sequence[int], most: int
-) -> dict[int, Features]:
+def features_on(scene: Scene, tile: Tile, wanted: Sequence[int], most: int) -> dict[int, Features]:
     """Features of the wanted pictures that show something of a tile, by number."""
     found = dict[int, Features]()
     for j in wanted:
-        patch = ortho_patch(scene.pictures[j], scene.ground, tile, levels[j])
+        patch = ortho_patch(scene.pictures[j], scene.ground, tile)
         if patch is not None:
             features = detect(patch, tile, most)
             if len(features.plane):
@@ -104,30 +89,25 @@ def links_on(
             links.append(np.column_stack([first + numbers[i], second + numbers[j]]))
             likeness.append(score)
     if not numbers:
-        return no_links()
+        return together([])
     plane = np.concatenate([features.plane for features in found.values()])
     picture = np.concatenate([np.full(len(features.plane), j) for j, features in found.items()])
     return owned(Links(plane, picture, np.concatenate(links), np.concatenate(likeness)), tile)
 
 
 def owned(links: Links, tile: Tile) -> Links:
-    """Links whose first place is the tile's own, and no place without a link."""
+    """Links whose first position lies in the tile without its margin, and no position without a link."""
     mine = tile.owns(links.plane)[links.links[:, 0]]
     kept = links.links[mine]
     used, numbered = np.unique(kept, return_inverse=True)
     return Links(links.plane[used], links.picture[used], numbered.reshape(-1, 2), links.likeness[mine])
 
 
-def saved(links: Links) -> dict[str, NDArray[np.generic]]:
-    """Arrays by name, for a file."""
-    return dict(links._asdict())
-
-
-class Store(Protocol):
-    """Arrays by name, of one run's inputs and choices."""
+class TileStore(Protocol):
+    """Arrays by name, kept from one run to the next with the same inputs and choices."""
 
     def load(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """What was kept under a name; None where nothing was."""
+        """Arrays that were kept under a name; None where there are none."""
         ...
 
     def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
@@ -135,19 +115,12 @@ class Store(Protocol):
         ...
 
 
-class Nowhere:
-    """Keeps nothing."""
-
-    def load(self, name: str) -> None:
-        """Nothing."""
-        return
-
-    def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Not at all."""
-        return
-
-
-def load_links(store: Store, name: str) -> Links | None:
-    """Links that were kept under a name; None where none were."""
-    kept = store.load(name)
-    return Links(**kept) if kept is not None and kept.keys() == set(Links._fields) else None
+def kept_links(store: TileStore | None, name: str, find: Callable[[], Links]) -> Links:
+    """Links that an earlier run kept under a name; else those that are found now, and kept."""
+    kept = store.load(name) if store else None
+    if kept is not None and kept.keys() == set(Links._fields):
+        return Links(**kept)
+    links = find()
+    if store:
+        store.keep(name, links._asdict())
+    return links

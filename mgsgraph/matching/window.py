@@ -1,17 +1,17 @@
 """The kernel of least-squares matching: one window after the other, compiled.
 
-The template t about an anchor is explained by the search picture s: t(d) = gain s(place + A d) + offset + noise, with d
-in lines and samples. Eight unknowns: place (2), A (4), gain, offset; and three more where the direction e is known in
-which height displaces: A d + e (a l^2 + b l s + c s^2), since relief is never flat over a window.
+The template t about an anchor is explained by the search picture s: t(d) = gain s(position + A d) + offset + noise,
+with d in lines and samples. Eight unknowns: position (2), A (4), gain, offset; and three more where the direction e is
+known in which height displaces: A d + e (a l^2 + b l s + c s^2), since relief is never flat over a window.
 
 The estimate is where instruments z are orthogonal to the residuals, sum w z r = 0, with z from the template's gradient
 and weights w about the anchor. In the classic normal equations z is the search picture's own gradient, interpolated at
-the same place as its noise, whose variance depends on the part of a pixel: least squares then moves to where
+the same position as its noise, whose variance depends on the part of a pixel: least squares then moves to where
 interpolation smooths most. The template's gradient, by the spline at the pixel's centre, is antisymmetric about the
 pixel and knows neither its noise nor that of the search picture. For the gain, the mean of both grey values serves:
 noise in one alone makes a gain too small.
 
-The covariance of the place is that of the influences of all pixels on it, u r with u = M^-1 w z and M = sum w z j':
+The covariance of the position is that of the influences of all pixels on it, u r with u = M^-1 w z and M = sum w z j':
 noise in gradients makes z'z larger than it is, M not. See `influences.fill_covariance` for correlated residuals, and
 for relief.
 """
@@ -46,7 +46,7 @@ CONVERGED, LEFT, UNFINISHED, WANDERED, FLAT, SATURATED = 0, 1, 2, 3, 4, 5
 _SINGULAR = 1e-9
 """Pivot relative to its diagonal below which a normal matrix counts as singular: gradients carry 1e-6 of rounding."""
 _FAR, _TURN = 1.0, 4.0
-"""pixels that the window's places may move in one step; factor by which A may change in scale."""
+"""pixels that the window's positions may move in one step; factor by which A may change in scale."""
 
 
 @compiled
@@ -97,8 +97,8 @@ def _cholesky_solve(a: Reals, b: Reals) -> bool:
 
 @compiled
 def _move(x: Reals, step: Reals, half: tuple[int, int]) -> tuple[float, float]:
-    """Add a step to the unknowns, shortened where the window would move too far; pixels that its place has moved, and
-    that its corners have moved about it.
+    """Add a step to the unknowns, shortened where the window would move too far; pixels that its position has moved,
+    and that its corners have moved about it.
     """
     turn = 0.0
     for k in range(2):
@@ -211,7 +211,7 @@ def match_windows(
     rows: Reals,
     states: NDArray[np.int64],
 ) -> None:
-    """Match windows about anchors (n, 2) from starts (n, 8), place, A, direction of relief, or (n, 6) without that;
+    """Match windows about anchors (n, 2) from starts (n, 8), position, A, direction of relief, or (n, 6) without that;
     fills rows (n, NUMBERS) and states (n,).
     """
     size = weights.shape[0]

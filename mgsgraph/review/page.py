@@ -25,21 +25,9 @@ _TEMPLATE = "templates/review.html"
 
 
 def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = None) -> None:
-    """Write the page.
+    """Write the page to an HTML file; an earlier one is replaced. InputError if it can't be written.
 
-    Parameters
-    ----------
-    review : MatchReview
-        What to show.
-    path : Path
-        HTML file; an earlier one is replaced.
-    verdicts : Verdicts, optional
-        Earlier ones, with which the page begins; of points that it doesn't show they are kept in what it saves.
-
-    Raises
-    ------
-    InputError
-        If the file can't be written.
+    The page begins with earlier verdicts; of points that it doesn't show they are kept in what it saves.
     """
     import jinja2  # takes 0.1 s
 
@@ -54,7 +42,7 @@ def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = No
             store=_store(review, verdicts),
             points=_points(review, known, notes),
             others=[(one, known[one].value, notes.get(one, "")) for one in known if one not in here],
-            sorts=_sorts(review),
+            sorts=[order[:2] for order in _orders(review)],
             side=SIDE,
             reach=REACH,
         ).dump(str(aside), encoding="utf-8")
@@ -68,16 +56,16 @@ def _store(review: MatchReview, verdicts: Verdicts | None) -> str:
     return f"{review.digest} {zlib.crc32(begun.encode()):08x}"
 
 
-def _sorts(review: MatchReview) -> list[tuple[str, str]]:
-    """Keys and names of the orders in which points may be shown, of those figures that there are."""
+def _orders(review: MatchReview) -> list[tuple[str, str, Array]]:
+    """Key and name of each order in which points may be shown, and figures (n,), the lowest of which comes first."""
     wanted: list[tuple[str, str, Array]] = [
         ("correlation", "correlation, lowest first", review.correlations),
-        ("misfit", "misfit of rays, largest first", review.misfits),
-        ("offset", "better match, furthest first", review.offsets),
-        ("residual", "residual, largest first", review.largest_residuals),
-        ("sigma", "sigma, largest first", review.sigmas),
+        ("misfit", "misfit of rays, largest first", -review.misfits),
+        ("offset", "better match, furthest first", -review.offsets),
+        ("residual", "residual, largest first", -review.largest_residuals),
+        ("sigma", "sigma, largest first", -review.sigmas),
     ]
-    return [(key, words) for key, words, values in wanted if np.any(np.isfinite(values))]
+    return [order for order in wanted if np.any(np.isfinite(order[2]))]
 
 
 def _points(review: MatchReview, of: Mapping[str, Verdict], notes: Mapping[str, str]) -> Iterator[dict[str, Any]]:
@@ -85,18 +73,15 @@ def _points(review: MatchReview, of: Mapping[str, Verdict], notes: Mapping[str, 
     ties = review.ties
     order = np.argsort(ties.measure_point, kind="stable")
     rows = np.split(order, np.cumsum(np.bincount(ties.measure_point, minlength=len(ties.ids)))[:-1])
-    sorts = {
-        "correlation": review.correlations, "misfit": -review.misfits, "offset": -review.offsets,
-        "residual": -review.largest_residuals, "sigma": -review.sigmas,
-    }  # fmt: skip
+    orders, correlations = _orders(review), review.correlations
     for i, name in enumerate(ties.ids):
         yield {
             "id": name,
             "kind": PointKind(ties.kinds[i]).name.lower(),
             "verdict": of.get(name, Verdict.UNDECIDED).value,
             "note": notes.get(name, ""),
-            "sorts": {key: float(values[i]) for key, values in sorts.items() if np.isfinite(values[i])},
-            "facts": _facts(review, i, float(sorts["correlation"][i])),
+            "sorts": {key: float(values[i]) for key, _, values in orders if np.isfinite(values[i])},
+            "facts": _facts(review, i, float(correlations[i])),
             "measures": [_measure(review, k, first=k == rows[i][0]) for k in rows[i].tolist()],
         }
 

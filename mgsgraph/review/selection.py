@@ -56,7 +56,7 @@ class MatchReview:
     spacing: Array
     """(n,) m, size of a chip pixel."""
     skew: Array
-    """(n,) m, rms distance of the rays, nominal orientation, from the place nearest to them; NaN for one ray."""
+    """(n,) m, rms distance of the rays, nominal orientation, from the position nearest to them; NaN for one ray."""
     oddness: Array
     """(n,) chip pixels, `misfit_beside_neighbours`."""
     step: Array

@@ -71,7 +71,7 @@ class Verdicts:
 
 
 def network_digest(ties: TiePoints) -> str:
-    """Sixteen hexadecimal digits that tell a network by its points' ids, its measures' images and places."""
+    """Sixteen hexadecimal digits that tell a network by its points' ids, its measures' images and pixels."""
     digest = hashlib.sha256()
     digest.update("\0".join((*ties.ids, "", *ties.measure_image)).encode())
     for values in (ties.measure_point, ties.measures):
@@ -229,21 +229,8 @@ def apply_verdicts(ties: TiePoints, verdicts: Verdicts) -> TiePoints:
 
 
 def ignore_rejected(network: ControlNetwork, ties: TiePoints, verdicts: Verdicts) -> ControlNetwork:
-    """The whole network with Ignore = True at the rejected points, all else as it was.
-
-    Parameters
-    ----------
-    network : ControlNetwork
-        Everything that its file holds.
-    ties : TiePoints
-        The same network as it was reviewed.
-    verdicts : Verdicts
-        About it.
-
-    Raises
-    ------
-    InputError
-        As `apply_verdicts`.
+    """The whole network with Ignore = True at the rejected points, all else as it was. `ties` is the same network as it
+    was reviewed; InputError as `apply_verdicts`.
     """
     rejected = _rejected(ties, verdicts)
     points = tuple(

@@ -46,14 +46,8 @@ def site_case(simulated: SimulatedSite) -> str:
 
 
 def papers_case(simulated: SimulatedSite, stated: bool = False) -> str:
-    """The observations and weights of Yoon & Shan (2005), for reproduction: back-projected footprints, no shifts.
-
-    Parameters
-    ----------
-    simulated : SimulatedSite
-        As simulated.
-    stated : bool
-        True for the weights that the papers state at Eos too, in place of those which its Table 4 takes.
+    """The observations and weights of Yoon & Shan (2005), for reproduction: back-projected footprints, no shifts. With
+    `stated` the weights are those that the papers state at Eos too, in place of those which its Table 4 takes.
     """
     settings = simulated.settings
     eos = settings.name == "eos" and not stated

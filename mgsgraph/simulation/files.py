@@ -27,7 +27,6 @@ from mgsgraph.simulation.mgs_files import (
     kernel_segment,
     moc_file,
     pedr_file,
-    pedr_frames,
     shot_names,
     write_grids,
     write_moc_image,
@@ -145,7 +144,7 @@ def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "r
         write_kernels([kernel_segment(image) for image in simulated.images], folder)
         for image in simulated.images:
             write_moc_image(folder / moc_file(image), image_label(image, simulated.settings.title), image.pixels)
-            write_pedr(folder / pedr_file(image), pedr_frames(image))
+            write_pedr(folder / pedr_file(image), image.profile)
     return folder / CASE_FILES[weighting]
 
 
@@ -185,7 +184,7 @@ def _site_truth(simulated: SimulatedSite) -> dict[str, Any]:
     footprints, pixels, ground = [], [], []
     for image in images:
         footprints += image.profile.true_footprints.tolist()
-        pixels += [[None if np.isnan(one[0]) else one.tolist() for one in shot] for shot in image.profile.true_places]
+        pixels += [[None if np.isnan(one[0]) else one.tolist() for one in shot] for shot in image.profile.true_pixels]
         ground += image.profile.ground.tolist()
     names = [name for image in images for name in shot_names(image)]
     return {

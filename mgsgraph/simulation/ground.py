@@ -104,11 +104,6 @@ class SiteTerrain:
     brightness: PeriodicSurface
     """The soil's albedo in units of its mean; turned like the detail."""
 
-    @property
-    def extent(self) -> tuple[float, float]:
-        """m, east-west and north-south size of the ground before its relief repeats itself."""
-        return self.relief.period
-
     def height(self, lon: Array, lat: Array) -> Array:
         """Height (n,) in m above the ellipsoid, along the radius, at longitudes and latitudes (n,)."""
         height = np.empty(lon.size)
@@ -235,19 +230,8 @@ class SiteTerrain:
 
 @lru_cache(maxsize=2)
 def make_terrain(site_name: str, seed: int) -> SiteTerrain:
-    """Ground of a study site; the same name and seed give the same ground.
-
-    Parameters
-    ----------
-    site_name : str
-        ``eos``, ``gusev`` or ``isidis``.
-    seed : int
-        zero or positive.
-
-    Raises
-    ------
-    InputError
-        If there is no such site.
+    """Ground of a study site, ``eos``, ``gusev`` or ``isidis``; the same name and seed (zero or positive) give the same
+    ground. InputError if there is no such site.
     """
     if site_name not in SITES:
         raise InputError("simulated ground", f"site {site_name!r}", f"one of {', '.join(SITES)}")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
@@ -96,9 +96,8 @@ class TerrainErrors:
     def __post_init__(self) -> None:
         require_count("block settings, posts per degree", self.posts_per_degree, 1)
         require_positive("block settings, vertical error of the terrain model", self.vertical)
-        if not (np.isfinite(self.planimetric) and self.planimetric >= 0.0):
-            found = f"{self.planimetric} m"
-            raise InputError("block settings, planimetric error of the terrain model", found, "a positive number, or 0")
+        where, found = "block settings, planimetric error of the terrain model", f"{self.planimetric} m"
+        require(0.0 <= self.planimetric < np.inf, where, found, "a positive number, or 0")
         _require_share("missing posts", self.missing)
 
 
@@ -148,25 +147,21 @@ class BlockSettings:
         require_count("block settings, points", self.points, 1)
         require_count("block settings, ground", self.ground, 0)
         require_count("block settings, crossing strips", self.crossing, 0)
-        if self.crossing >= self.strips:
-            found = f"{self.crossing} of {self.strips}"
-            raise InputError("block settings, crossing strips", found, "fewer than all")
-        if not _SHORTEST <= self.length <= _LONGEST:
-            expected = f"{_SHORTEST / KM:.0f} .. {_LONGEST / KM:.0f} km"
-            raise InputError("block settings, length", f"{self.length / KM:g} km", expected)
+        found = f"{self.crossing} of {self.strips}"
+        require(self.crossing < self.strips, "block settings, crossing strips", found, "fewer than all")
+        expected = f"{_SHORTEST / KM:.0f} .. {_LONGEST / KM:.0f} km"
+        require(_SHORTEST <= self.length <= _LONGEST, "block settings, length", f"{self.length / KM:g} km", expected)
         for value in self.altitudes:
-            if not 150e3 <= value <= 1500e3:
-                raise InputError("block settings, altitudes", f"{value / KM:g} km", "150 .. 1500 km")
-        if not 0.0 <= self.eccentricity < 0.9:
-            raise InputError("block settings, eccentricity", f"{self.eccentricity}", "0 .. 0.9")
+            require(150e3 <= value <= 1500e3, "block settings, altitudes", f"{value / KM:g} km", "150 .. 1500 km")
+        require(0.0 <= self.eccentricity < 0.9, "block settings, eccentricity", f"{self.eccentricity}", "0 .. 0.9")
         _require_share("pericentre", self.pericentre)
         _require_share("overlap", self.overlap)
         require_positive("block settings, spacing", self.spacing)
         if self.true_spacing is not None:
             require_positive("block settings, true spacing", self.true_spacing)
-        if not (np.all(np.isfinite(self.centre)) and abs(self.centre[1]) <= 70.0 * DEG):
-            found = f"latitude {self.centre[1] / DEG:g} deg"
-            raise InputError("block settings, centre", found, "within 70 deg of the equator")
+        known, latitude = np.all(np.isfinite(self.centre)), self.centre[1] / DEG
+        found = f"latitude {latitude:g} deg"
+        require(known and abs(latitude) <= 70.0, "block settings, centre", found, "within 70 deg of the equator")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -329,5 +324,4 @@ def _network(
 
 
 def _require_share(what: str, value: float) -> None:
-    if not 0.0 <= value < 1.0:
-        raise InputError(f"block settings, {what}", f"{value}", "a share, 0 .. 1")
+    require(0.0 <= value < 1.0, f"block settings, {what}", f"{value}", "a share, 0 .. 1")

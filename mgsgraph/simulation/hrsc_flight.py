@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import require
 from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array, assign, frozen
@@ -61,7 +61,7 @@ class PericentrePass:
     def orbit(self) -> Orbit:
         """The orbit, inertial."""
         outward, flight = np.stack([self.up, self.direction]) @ body_matrix(np.array([self.epoch]))[0]
-        return Orbit(self.epoch, outward, flight, _radius(self.up[None])[0] + self.altitude, self.eccentricity)
+        return Orbit(self.epoch, outward, flight, MARS.radius(self.up[None])[0] + self.altitude, self.eccentricity)
 
     def trajectory(self, start: float, stop: float) -> Trajectory:
         """Tables from before `start` to after `stop`, s past the epoch, at whole seconds."""
@@ -82,7 +82,7 @@ class PericentrePass:
         position, _ = self.orbit.state(times)
         fixed = np.einsum("nij,nj->ni", body_matrix(self.epoch + times), position)
         distance = np.linalg.norm(fixed, axis=1)
-        below, ground = fixed / distance[:, None], _radius(fixed / distance[:, None])
+        below, ground = fixed / distance[:, None], MARS.radius(fixed / distance[:, None])
         steps = np.linalg.norm(np.diff(below * ground[:, None], axis=0), axis=1)
         length = np.concatenate([[0.0], np.cumsum(steps)])
         return length, np.gradient(length, times), distance - ground
@@ -109,13 +109,13 @@ class Readout:
     """Line rates within an image, for even parts of the nadir strip's time."""
 
     def __post_init__(self) -> None:
-        if len(self.macropixels) != len(STEREO) or any(one not in (1, 2, 4, 8) for one in self.macropixels):
-            expected = f"1, 2, 4 or 8 for each of {', '.join(STEREO)}"
-            raise InputError("block settings, macropixels", f"{self.macropixels}", expected)
-        if not (np.isfinite(self.ground_pixel) and self.ground_pixel > 0.0):
-            raise InputError("block settings, ground pixel", f"{self.ground_pixel} m", "a positive number")
-        if not (isinstance(self.rates, int) and self.rates >= 1):
-            raise InputError("block settings, rates", f"{self.rates}", "a whole number, at least 1")
+        good = len(self.macropixels) == len(STEREO) and {1, 2, 4, 8}.issuperset(self.macropixels)
+        expected = f"1, 2, 4 or 8 for each of {', '.join(STEREO)}"
+        require(good, "block settings, macropixels", f"{self.macropixels}", expected)
+        found = f"{self.ground_pixel} m"
+        require(0.0 < self.ground_pixel < np.inf, "block settings, ground pixel", found, "a positive number")
+        whole = isinstance(self.rates, int) and self.rates >= 1
+        require(whole, "block settings, rates", f"{self.rates}", "a whole number, at least 1")
 
 
 def strip_images(
@@ -147,23 +147,18 @@ def strip_images(
 
 
 def _timing(
-    flown: PericentrePass, nadir: tuple[float, float], own: tuple[float, float], readout: Readout, macropixel: int
+    flown: PericentrePass, nadir: tuple[float, float], ends: tuple[float, float], readout: Readout, macropixel: int
 ) -> tuple[LineTiming, int]:
-    """Lines of an image from own[0] to own[1], s past the epoch, and their number."""
+    """Lines of an image between two `ends`, s past the epoch, and their number."""
     changes = np.linspace(*nadir, readout.rates + 1)
     _, speed, altitude = flown.track(np.linspace(*nadir, 2 * readout.rates + 1))
     ground = readout.ground_pixel * macropixel * altitude[1::2] / REFERENCE_ALTITUDE
-    periods, first, starts = ground / speed[1::2], [0.0], [own[0]]
-    for k, change in enumerate([*changes[1:-1], own[1]]):
+    periods, first, starts = ground / speed[1::2], [0.0], [ends[0]]
+    for k, change in enumerate([*changes[1:-1], ends[1]]):
         count = max(int(np.ceil((change - starts[k]) / periods[k])), 1)
         first.append(first[k] + count)
         starts.append(starts[k] + count * periods[k])
     return LineTiming(np.array(first[:-1]), np.array(starts[:-1]), periods), int(first[-1])
-
-
-def _radius(units: Array) -> Array:
-    """Radius (n,) in m of the ellipsoid towards unit vectors (n, 3)."""
-    return np.asarray(np.sum((units / np.array([MARS.equatorial, MARS.equatorial, MARS.polar])) ** 2, axis=1) ** -0.5)
 
 
 def _below(points: Array) -> Array:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -43,12 +43,12 @@ class PointMatching:
 
     def __post_init__(self) -> None:
         shares = np.array(self.shares, dtype=np.float64)
-        if shares.shape != (3,) or not np.all(shares >= 0.0) or abs(shares.sum() - 1.0) > 1e-9:
-            raise InputError("block settings, shares of points", f"{self.shares}", "three shares that add up to 1")
+        good = shares.shape == (3,) and np.all(shares >= 0.0) and abs(shares.sum() - 1.0) <= 1e-9
+        require(good, "block settings, shares of points", f"{self.shares}", "three shares that add up to 1")
         require_positive("block settings, matching sigma", self.sigma)
         for name in ("linked", "blunders"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(f"block settings, {name}", f"{getattr(self, name)}", "a share, 0 .. 1")
+            value = getattr(self, name)
+            require(0.0 <= value <= 1.0, f"block settings, {name}", f"{value}", "a share, 0 .. 1")
 
 
 class _Swath(NamedTuple):
@@ -127,14 +127,8 @@ class FlownStrip:
 def matched_points(
     strips: list[FlownStrip], relief: SiteTerrain, number: int, matches: PointMatching, rng: np.random.Generator
 ) -> tuple[Array, Visible]:
-    """Random points of the ground in the strips' nadir images, evenly many of each strip, and their image points.
-
-    Returns
-    -------
-    points : (number, 3)
-        m, body-fixed, on the true ground.
-    visible : Visible
-        Where they are matched; images are counted through all strips.
+    """Random points of the true ground in the strips' nadir images, evenly many of each strip, (number, 3) in m, and
+    where they are matched; images are counted through all strips.
     """
     counts = np.diff(np.linspace(0, number, len(strips) + 1).astype(int)).tolist()
     points, visible, first = list[Array](), Visible(), 0

@@ -38,30 +38,12 @@ def render(
     sun_direction: Array,
     rng: np.random.Generator,
 ) -> Picture:
-    """Picture of the ground under the Sun; no atmosphere, no cast shadows, no spread of light between pixels.
+    """Picture (lines, samples) of the ground under the Sun; no atmosphere, no cast shadows, no spread of light between
+    pixels. Exposed such that level soil has the grey value 120; the same arguments give the same bytes.
 
-    Parameters
-    ----------
-    image : PushbroomImage
-        With its nominal orientation.
-    terrain : SiteTerrain
-        The ground.
-    correction : OrientationCorrection or None
-        Of the nominal orientation; none when the nominal one is true.
-    sun_direction : (3,)
-        unit, body-fixed, from the ground to the Sun.
-    rng : numpy.random.Generator
-        Of the noise.
-
-    Returns
-    -------
-    (lines, samples)
-        Grey values, exposed such that level soil has 120. The same arguments give the same bytes.
-
-    Raises
-    ------
-    InputError
-        If the Sun is below the horizon of the image's middle, or a corner of the image misses the body.
+    `correction` is that of the image's nominal orientation, None where this is true; `sun_direction` (3,) is unit,
+    body-fixed, from the ground to the Sun; `rng` draws the noise. InputError if the Sun is below the horizon of the
+    image's middle, or a corner of the image misses the body.
     """
     far, points = _far_nodes(image, terrain, correction)
     middle = points[points.shape[0] // 2, points.shape[1] // 2]

@@ -28,23 +28,11 @@ _OBLIQUITY = 23.4392911
 
 
 def kepler(times: Array, periapsis: float, eccentricity: float, gravity: float) -> tuple[Array, Array]:
-    """Motion on a Kepler ellipse at times (n,) in s past periapsis.
+    """Motion on a Kepler ellipse at times (n,) in s past periapsis: coordinate (m) and its rate (m/s), (2, n) each,
+    along the line of apsides and at right angles to it in the orbit's plane.
 
-    Parameters
-    ----------
-    times : (n,)
-        s.
-    periapsis : float
-        m, distance from the central body at the periapsis.
-    eccentricity : float
-        Below 1. A negative one begins at the apoapsis, whose distance `periapsis` then is.
-    gravity : float
-        m^3/s^2, GM of the central body.
-
-    Returns
-    -------
-    along, across : (2, n)
-        Coordinate (m) and its rate (m/s) along the line of apsides, and at right angles to it in the orbit's plane.
+    `periapsis` (m) is the distance from the central body there, `gravity` (m^3/s^2) the body's GM; the eccentricity is
+    below 1. A negative one begins at the apoapsis, whose distance `periapsis` then is.
     """
     axis = periapsis / (1.0 - eccentricity)
     motion = np.sqrt(gravity / abs(axis) ** 3)

@@ -14,17 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.io.megdr import REFERENCE_RADIUS
-from mgsgraph.simulation.mola_files import MegdrLayout, PedrFrames, write_megdr
+from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import KernelSegment
 from mgsgraph.simulation.terrain import areoid_under
 from mgsgraph.units import MILLISECOND
 
-_MOLA_ORBIT = 10_000
-"""What MOLA adds to MGS's mapping orbit."""
 _LABEL_BYTES = 2048
 """bytes of the label of the archive's compressed images (RECORD_BYTES of M0100115.imq)."""
 _WRITTEN = "2001-12-01T00:00:00"
@@ -58,21 +55,9 @@ class MocImageLabel:
 
 
 def write_moc_image(path: Path, label: MocImageLabel, pixels: NDArray[np.uint8]) -> None:
-    """Write an image with its label attached; the same arguments give the same bytes.
-
-    Parameters
-    ----------
-    path : Path
-        File that is written, or replaced.
-    label : MocImageLabel
-        Its values.
-    pixels : (lines, samples)
-        Grey values.
-
-    Raises
-    ------
-    InputError
-        If the pixels are no picture, a value can't stand in a label, or the file can't be written.
+    """Write an image of grey values (lines, samples) with its label attached, or replace it; the same arguments give
+    the same bytes. InputError if the pixels are no picture, a value can't stand in a label, or the file can't be
+    written.
     """
     if pixels.ndim != 2 or pixels.dtype != np.uint8 or pixels.size == 0:
         raise InputError(f"{path}, pixels", f"{pixels.dtype} of shape {pixels.shape}", "(lines, samples) of uint8")
@@ -156,8 +141,7 @@ def _quoted(text: str) -> str:
 
 def shot_names(image: SimulatedImage) -> tuple[str, ...]:
     """Names of an image's shots as the PEDR's reader gives them: orbit, frame and shot."""
-    orbit = image.settings.orbit + _MOLA_ORBIT
-    numbers = range(image.profile.times.size)
+    orbit, numbers = image.profile.orbit, range(image.profile.times.size)
     return tuple(f"{orbit}:{k // SHOTS_PER_FRAME + 1}:{k % SHOTS_PER_FRAME + 1}" for k in numbers)
 
 
@@ -201,26 +185,6 @@ def image_label(image: SimulatedImage, title: str) -> MocImageLabel:
 def label_time(time: datetime) -> str:
     """ISO to hundredths of a second, as labels have it."""
     return time.strftime("%Y-%m-%dT%H:%M:%S") + f".{time.microsecond // 10_000:02d}"
-
-
-def pedr_frames(image: SimulatedImage) -> PedrFrames:
-    """The profile along with an image, as its PEDR file has it."""
-    profile = image.profile
-    footprints, craft = planetocentric(profile.footprints), planetocentric(profile.spacecraft)
-    return PedrFrames(
-        orbit=image.settings.orbit + _MOLA_ORBIT,
-        times=profile.times,
-        longitudes=footprints[:, 0],
-        latitudes=footprints[:, 1],
-        radii=footprints[:, 2],
-        ranges=profile.ranges,
-        areoid_radii=profile.areoid_radii,
-        spacecraft_longitudes=craft[:, 0],
-        spacecraft_latitudes=craft[:, 1],
-        spacecraft_radii=craft[:, 2],
-        off_nadir=profile.off_nadir,
-        ground=profile.ground,
-    )
 
 
 def write_grids(simulated: SimulatedSite, folder: Path) -> None:

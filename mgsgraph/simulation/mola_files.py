@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
+from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
 from mgsgraph.io.pedr import FRAME, HEADER_RECORDS, SHOTS, read_pedr
 from mgsgraph.units import DEG
@@ -51,22 +51,14 @@ class PedrFrames:
     """Number of the orbit."""
     times: Array
     """(n,) s TDB past J2000, of the shots."""
-    longitudes: Array
-    """(n,) rad, east, IAU2000, of the footprints."""
-    latitudes: Array
-    """(n,) rad, planetocentric."""
-    radii: Array
-    """(n,) m, after crossover correction."""
+    footprints: Array
+    """(n, 3) m, body-fixed (IAU2000), after crossover correction."""
     ranges: Array
     """(n,) m, one-way; zero for a shot without return."""
     areoid_radii: Array
     """(n,) m, of the areoid at the footprints."""
-    spacecraft_longitudes: Array
-    """(n,) rad, east."""
-    spacecraft_latitudes: Array
-    """(n,) rad, planetocentric."""
-    spacecraft_radii: Array
-    """(n,) m."""
+    spacecraft: Array
+    """(n, 3) m, body-fixed."""
     off_nadir: Array
     """(n,) rad, angle of the line of sight from nadir."""
     ground: Mask
@@ -84,12 +76,9 @@ class PedrFrames:
         if late.max() > 1e-5:
             k = int(np.argmax(late > 1e-5))
             raise InputError(f"{where}, times", f"shot {k} is {late[k]:.6f} s off", "10 shots a second without a gap")
-        names = (
-            "longitudes", "latitudes", "radii", "ranges", "areoid_radii", "spacecraft_longitudes",
-            "spacecraft_latitudes", "spacecraft_radii", "off_nadir",
-        )
+        shapes = {"footprints": (3,), "spacecraft": (3,), "ranges": (), "areoid_radii": (), "off_nadir": ()}
         fields: dict[str, Any] = {
-            name: frozen(getattr(self, name), f"{where}, {name}", (times.size,)) for name in names
+            name: frozen(getattr(self, name), f"{where}, {name}", (times.size, *rest)) for name, rest in shapes.items()
         }
         ground = np.array(self.ground, dtype=bool)
         if ground.shape != times.shape:
@@ -166,14 +155,13 @@ def _label(path: Path, frames: PedrFrames, count: int, more: Mapping[str, str]) 
 
 def _records(frames: PedrFrames) -> NDArray[np.void]:
     """Frames as they lie in the file."""
-    shots = {
-        name: _by_frame(getattr(frames, name))
-        for name in ("radii", "ranges", "areoid_radii", "spacecraft_radii", "spacecraft_latitudes", "latitudes")
-    }
+    footprints, spacecraft = (
+        [_by_frame(column) for column in (np.unwrap(longitude), latitude, radius)]
+        for longitude, latitude, radius in (planetocentric(one).T for one in (frames.footprints, frames.spacecraft))
+    )
     present = _by_frame(np.ones(frames.times.size)) > 0.0
     count = np.sum(present, axis=1)
     records = np.zeros(present.shape[0], FRAME)
-    longitudes, spacecraft = _by_frame(np.unwrap(frames.longitudes)), _by_frame(np.unwrap(frames.spacecraft_longitudes))
     for name, value in _EQUIPMENT.items():
         records[name] = value
     records["orbit"] = frames.orbit
@@ -187,29 +175,29 @@ def _records(frames: PedrFrames) -> NDArray[np.void]:
     change = np.diff(crossover, prepend=crossover[:1])
     change[:1] = change[1:2] if change.size > 1 else 0.0  # as PEDR2TAB: the first frame takes the second one's
     records["crossover"] = _whole(crossover, "crossover")
-    raw = np.where(present, shots["radii"] / _CM + crossover[:, None] + _FRACTION * change[:, None], 0.0)
+    raw = np.where(present, footprints[2] / _CM + crossover[:, None] + _FRACTION * change[:, None], 0.0)
     records["shot_radius"] = _whole(raw, "shot_radius")
     records["midpoint_radius"] = _whole(raw.sum(axis=1) / count, "midpoint_radius")
     lift = (records["shot_radius"].astype(np.float64) - records["midpoint_radius"][:, None]) * _CM
 
     parallax = np.rint(_parallax(frames, count) / (1e-3 * _MICRODEG))
-    for k, (name, values) in enumerate((("longitude", longitudes), ("latitude", shots["latitudes"]))):
+    for k, (name, values) in enumerate((("longitude", footprints[0]), ("latitude", footprints[1]))):
         records[f"parallax_{name}"] = parallax[:, k]
         straight = values - parallax[:, k, None] * (1e-3 * _MICRODEG) * lift
         _put_line(records, name, straight, present, _MICRODEG)
     for name, values, unit in (
-        ("spacecraft_longitude", spacecraft, _MICRODEG),
-        ("spacecraft_latitude", shots["spacecraft_latitudes"], _MICRODEG),
-        ("spacecraft_radius", shots["spacecraft_radii"], _CM),
-        ("areoid_radius", shots["areoid_radii"], _CM),
+        ("spacecraft_longitude", spacecraft[0], _MICRODEG),
+        ("spacecraft_latitude", spacecraft[1], _MICRODEG),
+        ("spacecraft_radius", spacecraft[2], _CM),
+        ("areoid_radius", _by_frame(frames.areoid_radii), _CM),
     ):
         _put_line(records, name, values, present, unit)
 
-    records["range"] = _whole(shots["ranges"] / _CM, "range")
+    records["range"] = _whole(_by_frame(frames.ranges) / _CM, "range")
     records["midpoint_range"] = records["range"].sum(axis=1) // np.maximum(np.sum(records["range"] > 0, axis=1), 1)
     off_nadir = _by_frame(frames.off_nadir).sum(axis=1) / count
     records["off_nadir"] = _whole(off_nadir / _MICRODEG, "off_nadir")
-    outward = shots["spacecraft_radii"].sum(axis=1) / shots["radii"].sum(axis=1)
+    outward = spacecraft[2].sum(axis=1) / footprints[2].sum(axis=1)
     records["emission"] = _whole(1e4 * np.arcsin(np.clip(outward * np.sin(off_nadir), 0.0, 1.0)), "emission")
     return records
 
@@ -239,10 +227,8 @@ def _parallax(frames: PedrFrames, count: NDArray[np.int64]) -> Array:
     the middle shot of each frame.
     """
     middle = SHOTS * np.arange(count.size) + (count - 1) // 2
-    footprints = np.column_stack([frames.longitudes, frames.latitudes, frames.radii])[middle]
-    craft = np.column_stack([frames.spacecraft_longitudes, frames.spacecraft_latitudes, frames.spacecraft_radii])
-    foot = from_planetocentric(footprints)
-    look = from_planetocentric(craft[middle]) - foot
+    foot = frames.footprints[middle]
+    look = frames.spacecraft[middle] - foot
     step = 100.0 * look / np.linalg.norm(look, axis=1, keepdims=True)
     above, below = planetocentric(foot + step), planetocentric(foot - step)
     turned = in_turn(above[:, :2] - below[:, :2])
@@ -291,18 +277,8 @@ class MegdrLayout:
 
 
 def write_megdr(folder: Path, name: str, layout: MegdrLayout, posts: Iterable[Array]) -> None:
-    """Write ``name.img`` and ``name.lbl``, which are replaced.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    name : str
-        ``megr...`` for radii of the planet, ``megt...`` for topography.
-    layout : MegdrLayout
-        Of the whole grid.
-    posts : iterable of arrays
-        m, the grid's rows from the north, some at a time.
+    """Write ``name.img`` and ``name.lbl`` to a folder that exists, or replace them: ``megr...`` for radii of the
+    planet, ``megt...`` for topography. `posts` (m) are the grid's rows from the north, some at a time.
     """
     with (folder / f"{name}.img").open("wb") as file:
         for rows in posts:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
@@ -39,8 +39,7 @@ class NoiseSettings:
     def __post_init__(self) -> None:
         for name in ("tie", "shot_image", "range", "ground", "position", "angle"):
             require_positive(f"noise settings, {name}", getattr(self, name))
-        if not self.trend:
-            raise InputError("noise settings, trend", "no factors", "one for each power of u")
+        require(self.trend, "noise settings, trend", "no factors", "one for each power of u")
         for value in self.trend:
             require_positive("noise settings, trend", value)
 
@@ -58,26 +57,18 @@ class NoiseSettings:
 
 def require_positive(where: str, value: float) -> None:
     """Raise InputError unless a value is finite and above zero."""
-    if not (np.isfinite(value) and value > 0.0):
-        raise InputError(where, f"{value}", "a positive number")
+    require(0.0 < value < np.inf, where, f"{value}", "a positive number")
 
 
 def require_count(where: str, value: int, least: float) -> None:
     """Raise InputError unless a value is a whole number, not below `least`."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InputError(where, f"{value}", f"a whole number, at least {least:.0f}")
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    require(whole and value >= least, where, f"{value}", f"a whole number, at least {least:.0f}")
 
 
 def require_seed(where: str, seed: int) -> None:
     """Raise InputError for a seed below zero."""
-    if seed < 0:
-        raise InputError(f"{where}, seed", f"{seed}", "zero or a positive whole number")
-
-
-def require_relief(where: str, value: float) -> None:
-    """Raise InputError unless a height is finite and not below zero."""
-    if not (np.isfinite(value) and value >= 0.0):
-        raise InputError(where, f"{value} m", "zero or a positive number")
+    require(seed >= 0, f"{where}, seed", f"{seed}", "zero or a positive whole number")
 
 
 def well_inside(image: PushbroomImage, pixels: Array) -> Mask:

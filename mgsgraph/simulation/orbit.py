@@ -65,16 +65,6 @@ class Orbit:
             along[1][:, None] * self.outward + across[1][:, None] * self.flight,
         )
 
-    def angle(self, times: Array) -> Array:
-        """Angle (n, 1) in rad that a circle sweeps in times (n,) in s past the epoch."""
-        return np.asarray((np.sqrt(GRAVITY / self.radius**3) * times)[:, None])
-
-    def circle_state(self, times: Array) -> tuple[Array, Array]:
-        """As `state`, of a circle: sine and cosine alone, without Kepler's equation."""
-        angle, speed = self.angle(times), self.radius * np.sqrt(GRAVITY / self.radius**3)
-        positions = self.radius * (np.cos(angle) * self.outward + np.sin(angle) * self.flight)
-        return positions, speed * (np.cos(angle) * self.flight - np.sin(angle) * self.outward)
-
 
 def sampled_trajectory(
     epoch: float,
@@ -85,20 +75,11 @@ def sampled_trajectory(
     mount: Array | None = None,
     tilt: Array | None = None,
 ) -> Trajectory:
-    """Trajectory that is sampled at times (n,), s past the epoch.
+    """Trajectory that is sampled at increasing times (n,), s past the epoch (s TDB past J2000).
 
-    Parameters
-    ----------
-    epoch : float
-        s TDB past J2000.
-    times : (n,)
-        s, increasing.
-    state : positions (n, 3), velocities (n, 3)
-        m and m/s, inertial.
-    camera, body : (n, 3, 3)
-        Matrices that take inertial components to those of the camera frame, and to body-fixed ones.
-    mount, tilt : (3, 3), optional
-        Constant last parts of these rotations, which the tables of quaternions leave out; none when absent.
+    `state` has positions and velocities (n, 3), m and m/s, inertial; `camera` and `body` (n, 3, 3) take inertial
+    components to those of the camera frame, and to body-fixed ones. `mount` and `tilt` (3, 3) are the constant last
+    parts of these rotations, which the tables of quaternions leave out.
     """
     attitude, rotating = (
         AttitudeTable(times, quaternions(full), np.eye(3))
@@ -165,9 +146,10 @@ def circular_trajectory(flown: CircularPass, half: float, step: float = TABLE_ST
     axis = axis / np.linalg.norm(axis)
     camera = np.stack([orbit.flight, np.cross(axis, orbit.flight), axis])
     tracks_nadir = flown.off_nadir == 0.0  # then the camera turns about the orbit's normal, otherwise it is held
-    turned = orbit.angle(times) * np.cross(orbit.outward, orbit.flight) if tracks_nadir else np.zeros((times.size, 3))
+    swept = np.sqrt(GRAVITY / orbit.radius**3) * times if tracks_nadir else np.zeros(times.size)
+    turned = swept[:, None] * np.cross(orbit.outward, orbit.flight)
     return sampled_trajectory(
-        flown.epoch, times, orbit.circle_state(times), camera @ rotation.exponential(-turned),
+        flown.epoch, times, orbit.state(times), camera @ rotation.exponential(-turned),
         fixed_pole_matrix(flown.epoch + times), _CIRCLE_MOUNT, _CIRCLE_TILT,
     )  # fmt: skip
 
@@ -177,7 +159,7 @@ def ground_track(flown: CircularPass, times: Array) -> tuple[Array, Array]:
     rad of the flight over them: what a later pass along the same track is given.
     """
     orbit = circular_orbit(flown)
-    positions, velocities = orbit.circle_state(times)
+    positions, velocities = orbit.state(times)
     to_body = fixed_pole_matrix(flown.epoch + times)
     up = np.einsum("nij,nj->ni", to_body, positions) / orbit.radius
     along = np.einsum("nij,nj->ni", to_body, velocities)
@@ -245,31 +227,19 @@ def mount() -> Array:
 def site_pass(
     settings: ImageSettings, epoch: float, site: Array, altitude: float, emission: float | None = None
 ) -> SitePass:
-    """The flight whose optical axis meets `site` at the epoch, at the emission angle and the published ground speed.
+    """The flight whose optical axis meets `site` at the epoch, at the published ground speed and emission angle, or at
+    another angle (rad).
 
-    Parameters
-    ----------
-    settings : ImageSettings
-        Of the image.
-    epoch : float
-        s TDB past J2000, of the middle line.
-    site : (3,)
-        m, body-fixed, the image's middle.
-    altitude : float
-        m, by which the spacecraft is farther from Mars' centre than the ellipsoid at the site.
-    emission : float, optional
-        rad, other than the published one.
-
-    Notes
-    -----
-    The spacecraft flies north by day at 92.9 degrees of inclination, as MGS did. It is west of the site, as at Eos
-    (Shan et al.), and looks east across its flight.
+    `epoch` (s TDB past J2000) is that of the middle line, `site` (3,) the image's middle in m, body-fixed; `altitude`
+    in m is by how much farther the spacecraft is from Mars' centre than the ellipsoid at the site. The spacecraft flies
+    north by day at 92.9 degrees of inclination, as MGS did. It is west of the site, as at Eos (Shan et al.), and looks
+    east across its flight.
     """
     to_inertial = body_matrix(np.array([epoch]))[0].T
     normal = to_inertial @ (site / np.array([MARS.equatorial, MARS.equatorial, MARS.polar]) ** 2)
     normal /= np.linalg.norm(normal)
     pole, target = to_inertial[:, 2], to_inertial @ site
-    radius = _ellipsoid_radius(site) + altitude
+    radius = float(MARS.radius(site[None] / np.linalg.norm(site))[0]) + altitude
     angle = settings.emission if emission is None else emission
     outward, flight = normal, _northbound(normal, pole)
     for _ in range(4):  # the flight's direction at the spacecraft decides which way is across
@@ -333,12 +303,6 @@ def _northbound(outward: Array, pole: Array) -> Array:
     east = east / cosine
     west_of_north = np.cos(_INCLINATION) / cosine
     return np.asarray(np.sqrt(1.0 - west_of_north**2) * np.cross(outward, east) + west_of_north * east)
-
-
-def _ellipsoid_radius(point: Array) -> float:
-    """m, from the centre to the ellipsoid, towards a body-fixed point (3,)."""
-    unit = point / np.linalg.norm(point)
-    return float(1.0 / np.sqrt((unit[0] ** 2 + unit[1] ** 2) / MARS.equatorial**2 + unit[2] ** 2 / MARS.polar**2))
 
 
 def _ground_speed(flown: SitePass, radius: float) -> float:

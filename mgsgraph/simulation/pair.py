@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -24,7 +24,6 @@ from mgsgraph.simulation.observations import (
     project,
     require_count,
     require_positive,
-    require_relief,
     require_seed,
     shared_ties,
     shots_along,
@@ -41,7 +40,7 @@ _EPOCHS = (-11_000_000.0, -9_759_012.0)
 _NO_OVERLAP = "take longer images, a smaller off_nadir or smaller position and angle sigmas"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PairSettings:
     """What pair to simulate."""
 
@@ -65,11 +64,12 @@ class PairSettings:
     """Sigmas."""
 
     def __post_init__(self) -> None:
+        where = type(self).__name__.removesuffix("Settings").lower() + " settings"
         for name, least in (("lines", 8 * MARGIN), ("samples", 8 * MARGIN), ("ties", 1), ("shots", 1)):
-            require_count(f"pair settings, {name}", getattr(self, name), least)
+            require_count(f"{where}, {name}", getattr(self, name), least)
         for name in ("period", "altitude", "off_nadir"):
-            require_positive(f"pair settings, {name}", getattr(self, name))
-        require_relief("pair settings, relief", self.relief)
+            require_positive(f"{where}, {name}", getattr(self, name))
+        require(0.0 <= self.relief < np.inf, f"{where}, relief", f"{self.relief} m", "zero or a positive number")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

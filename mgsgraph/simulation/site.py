@@ -18,6 +18,7 @@ from mgsgraph.simulation.camera import moc_image
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import Picture, render
 from mgsgraph.simulation.mars import sun_direction
+from mgsgraph.simulation.mola_files import PedrFrames
 from mgsgraph.simulation.observations import MARGIN, require_positive, require_seed, shared_ties
 from mgsgraph.simulation.orbit import SitePass, nominal_trajectory, site_pass, true_trajectory
 from mgsgraph.simulation.sites import ImageSettings, KernelErrors, SiteSettings, site_settings
@@ -30,6 +31,8 @@ SOURCE = "simulated site"
 SHOTS_PER_FRAME = 20
 """Of a PEDR; profiles are whole frames."""
 
+_MOLA_ORBIT = 10_000
+"""What MOLA adds to MGS's mapping orbit."""
 _SHOT_INTERVAL = 0.1
 """s between two shots."""
 _BEYOND = 6.0
@@ -74,30 +77,16 @@ class SimulationOptions:
             raise InputError("simulation options, resolution", f"{self.resolution}", "a whole number above zero")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedProfile:
-    """The shots along with one image, true and as given."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SimulatedProfile(PedrFrames):
+    """The shots along with one image, as given, in whole frames of 20; the spacecraft's positions are true."""
 
-    times: Array
-    """(n,) s TDB past J2000, whole frames of 20."""
-    ground: Mask
-    """(n,) True for returns from the ground."""
     true_footprints: Array
     """(n, 3) m, body-fixed, where the beams met the ground."""
-    true_places: Array
+    true_pixels: Array
     """(n, 2, 2) line and sample of these in each of the two images; NaN where unseen."""
-    spacecraft: Array
-    """(n, 3) m, body-fixed, true."""
-    off_nadir: Array
-    """(n,) rad, angle of the beam from the centre of Mars."""
     shift: Array
     """(2,) m east and north, by which all given footprints lie off."""
-    footprints: Array
-    """(n, 3) m, body-fixed, as given."""
-    ranges: Array
-    """(n,) m, as given."""
-    areoid_radii: Array
-    """(n,) m, under the given footprints."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +94,7 @@ class SimulatedImage:
     """One image: as it was taken, as the kernels have it, and what was taken along with it."""
 
     settings: ImageSettings
-    """As published."""
+    """The published settings."""
     errors: KernelErrors
     """What is wrong with its kernels."""
     clock_start: str
@@ -127,7 +116,7 @@ class SimulatedSite:
     """A simulated site: what an adjustment is given, and the truth it should find."""
 
     settings: SiteSettings
-    """As published."""
+    """The published settings."""
     options: SimulationOptions
     """What was asked for."""
     seed: int
@@ -214,7 +203,7 @@ def _images(
 
 
 def _profile(
-    own: int,
+    number: int,
     images: tuple[PushbroomImage, PushbroomImage],
     settings: ImageSettings,
     terrain: SiteTerrain,
@@ -222,8 +211,8 @@ def _profile(
     options: SimulationOptions,
     rng: np.random.Generator,
 ) -> SimulatedProfile:
-    """Shots along with the image `own`, at ten a second in whole frames."""
-    image = images[own]
+    """Shots along with one of the images, by its number, at ten a second in whole frames."""
+    image = images[number]
     epoch, edges = image.trajectory.epoch, image.timing.at(np.array([0.0, float(image.lines)]))[0]
     frames = int(np.ceil((edges[1] - edges[0] + 2.0 * _BEYOND) / (_SHOT_INTERVAL * SHOTS_PER_FRAME)))
     count = frames * SHOTS_PER_FRAME
@@ -233,7 +222,7 @@ def _profile(
     beams = np.einsum("nji,j->ni", pose.matrix, _ALTIMETER_AXIS / np.linalg.norm(_ALTIMETER_AXIS))
     points = terrain.intersect(pose.position, beams)
     pixels = np.stack([each.ground_to_image(points)[0] for each in images], axis=1)
-    ground = _ground_returns(pixels[:, own], image, settings, rng)
+    ground = _ground_returns(pixels[:, number], image, settings, rng)
     cloud = np.where(ground, 0.0, rng.uniform(*_CLOUD, count)) / np.einsum("ni,ni->n", beams, -pose.position)
     cloud *= np.linalg.norm(pose.position, axis=1)
     met = points - cloud[:, None] * beams  # where the pulse came back from
@@ -243,10 +232,11 @@ def _profile(
     longitude, latitude, _ = planetocentric(given).T
     nadir = -pose.position / np.linalg.norm(pose.position, axis=1, keepdims=True)
     return SimulatedProfile(
+        orbit=settings.orbit + _MOLA_ORBIT,
         times=times,
         ground=ground,
         true_footprints=points,
-        true_places=pixels,
+        true_pixels=pixels,
         spacecraft=pose.position,
         off_nadir=np.arccos(np.einsum("ni,ni->n", beams, nadir)),
         shift=common,

@@ -69,19 +69,10 @@ def clock_count(time: float) -> tuple[str, float]:
 
 
 def write_kernels(segments: Sequence[KernelSegment], folder: Path) -> tuple[str, ...]:
-    """Write all kernels that the images need; existing files of these names are replaced.
+    """Write all kernels that the images need to a folder that exists; existing files of these names are replaced. No
+    two segments of one phase are at the same time.
 
-    Parameters
-    ----------
-    segments : sequence of KernelSegment
-        One per image, no two of one phase at the same time.
-    folder : Path
-        Exists.
-
-    Returns
-    -------
-    tuple of str
-        File names in the order in which they are to be loaded. `mgs.tm` lists them too, for use in that folder.
+    Returns the file names in the order in which they are to be loaded. `mgs.tm` lists them too, for use in that folder.
     """
     texts = {"mgs.tls": _LEAP_SECOND_TEXT, "mgs.tsc": _clock_text(), "mars.tpc": _constants_text()}
     texts |= {"mgs.tf": _FRAME_TEXT, "moc.ti": addendum_text()}

@@ -10,27 +10,21 @@ any earlier one, with their measures in all of these; measures in image k of poi
 its laser shots. What is drawn for a step knows nothing of later ones: a shorter strip is the longer one's beginning.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.simulation.camera import narrow_image
 from mgsgraph.simulation.mars import MARS
-from mgsgraph.simulation.observations import (
-    MARGIN,
-    NoiseSettings,
-    require_count,
-    require_positive,
-    require_relief,
-    require_seed,
-)
+from mgsgraph.simulation.observations import require_count, require_seed
 from mgsgraph.simulation.orbit import HEADING, CircularPass, ground_track, site_at
+from mgsgraph.simulation.pair import PairSettings
 from mgsgraph.simulation.strip_steps import Step, Steps, merged_profiles, merged_ties
 from mgsgraph.ties import TiePoints
 from mgsgraph.units import DEG, KM
@@ -48,43 +42,23 @@ _LONGEST = 100.0 * DEG
 """rad, arc of a strip: further on the track turns back at the pole."""
 
 
-@dataclass(frozen=True, slots=True)
-class StripSettings:
-    """What strip to simulate."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StripSettings(PairSettings):
+    """What strip to simulate: pairs with these settings, one after the other; shots are those of each nadir image."""
 
     images: int = 40
     """Number of images, 2 to 500; an odd number leaves the last nadir image without its partner."""
     ties: int = 2000
     """Number of new tie points that each image after the first brings."""
-    shots: int = 60
-    """Number of laser shots along each nadir image."""
-    lines: int = 5000
-    """Lines of each image."""
-    samples: int = 1024
-    """Samples of each image."""
     overlap: float = 0.4
     """Share of its length that a nadir image has in common with the next one of its track, 0.05 to 0.9."""
-    period: float = 1.446e-3
-    """s per line."""
-    altitude: float = 380e3
-    """m, of the orbit above the ellipsoid at each image's middle."""
-    off_nadir: float = 20.0 * DEG
-    """rad, angle at the spacecraft of the second track's optical axis from nadir, across track."""
-    relief: float = 100.0
-    """m, amplitude of the largest of three sines."""
-    noise: NoiseSettings = field(default_factory=NoiseSettings)
-    """Sigmas."""
 
     def __post_init__(self) -> None:
-        for name, least in (("images", 2), ("lines", 8 * MARGIN), ("samples", 8 * MARGIN), ("ties", 1), ("shots", 1)):
-            require_count(f"strip settings, {name}", getattr(self, name), least)
-        if self.images > MOST:
-            raise InputError("strip settings, images", f"{self.images}", f"2 .. {MOST}")
-        for name in ("period", "altitude", "off_nadir"):
-            require_positive(f"strip settings, {name}", getattr(self, name))
-        if not 0.05 <= self.overlap <= 0.9:
-            raise InputError("strip settings, overlap", f"{self.overlap}", "a share of the length, 0.05 .. 0.9")
-        require_relief("strip settings, relief", self.relief)
+        PairSettings.__post_init__(self)
+        require_count("strip settings, images", self.images, 2)
+        require(self.images <= MOST, "strip settings, images", f"{self.images}", f"2 .. {MOST}")
+        expected = "a share of the length, 0.05 .. 0.9"
+        require(0.05 <= self.overlap <= 0.9, "strip settings, overlap", f"{self.overlap}", expected)
 
     @property
     def pairs(self) -> int:
@@ -146,15 +120,14 @@ class SimulatedStrip:
 
     def addition(self, k: int) -> StripAddition:
         """What becomes possible when image `k` is added to images 0 .. k - 1; together these are the whole strip."""
-        if not 0 <= k < len(self.steps):
-            raise InputError("simulated strip, addition", f"image {k}", f"0 .. {len(self.steps) - 1}")
+        require(0 <= k < len(self.steps), "simulated strip, addition", f"image {k}", f"0 .. {len(self.steps) - 1}")
         step = self.steps[k]
         return StripAddition(step.image, step.ties, step.laser)
 
     def upto(self, count: int) -> "SimulatedStrip":
         """The strip as it was when only the first `count` images had been taken."""
-        if not 1 <= count <= len(self.steps):
-            raise InputError("simulated strip, upto", f"{count} images", f"1 .. {len(self.steps)}")
+        many = len(self.steps)
+        require(1 <= count <= many, "simulated strip, upto", f"{count} images", f"1 .. {many}")
         return _of_steps(self.settings, self.seed, self.steps[:count])
 
     def __repr__(self) -> str:

@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array
@@ -33,10 +33,9 @@ class Jitter:
     def __post_init__(self) -> None:
         for name, unit in (("amplitude", "rad"), ("frequency", "Hz")):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"jitter, {name}", f"{value} {unit}", "a positive number")
-        if self.axis not in get_args(Axis):
-            raise InputError("jitter, axis", repr(self.axis), f"one of {', '.join(get_args(Axis))}")
+            require(0.0 < value < np.inf, f"jitter, {name}", f"{value} {unit}", "a positive number")
+        axes = get_args(Axis)
+        require(self.axis in axes, "jitter, axis", repr(self.axis), f"one of {', '.join(axes)}")
 
     @property
     def component(self) -> int:
@@ -90,19 +89,10 @@ def true_correction(
     jitter: Jitter | None,
     rng: np.random.Generator,
 ) -> OrientationCorrection:
-    """The truth of a strip.
+    """The truth of a strip: drawn from the prior, but for the jitter, whose phase is drawn.
 
-    Parameters
-    ----------
-    prior : NodePrior or JointNodePrior
-        What it is drawn from, but for the jitter.
-    nodes : OrientationImages
-        Of the adjustment, which the truth has, too, when neither true spacing nor jitter asks for others.
-    true_spacing : float, optional
-        s between the nodes of the truth (Lagrange's basis, so that its values there are the draws), over the same time.
-    jitter : Jitter, optional
-        Its phase is drawn.
-    rng : Generator
+    It has the adjustment's nodes unless `true_spacing` (s between nodes, at most) or jitter asks for others, which then
+    are of Lagrange's basis, so that its values there are the draws, over the same time.
     """
     if true_spacing is not None:
         nodes = evenly_spaced("lagrange", nodes.epoch, nodes.coverage, true_spacing)

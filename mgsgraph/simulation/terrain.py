@@ -29,14 +29,8 @@ def grid_shift(terrain: SiteTerrain) -> Array:
 def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (20e3, 40e3)) -> TerrainGrid:
     """The site as a MOLA grid has it: 200 m off in the plane, with 10 m of noise in each post.
 
-    Parameters
-    ----------
-    terrain : SiteTerrain
-        The true ground.
-    ppd : int
-        posts per degree, as MEGDR: posts lie at odd multiples of half a step.
-    reach : (2,)
-        m east and west, north and south of the centre that the posts enclose at least.
+    Posts lie at odd multiples of half a step, `ppd` per degree, as MEGDR's, and enclose at least `reach` (2,) in m:
+    east and west, north and south of the centre.
     """
     if ppd < 1:
         raise InputError("simulated terrain grid, posts per degree", f"{ppd}", "a positive whole number")
@@ -58,23 +52,10 @@ def block_grid(
     missing: float,
     rng: np.random.Generator,
 ) -> TerrainGrid:
-    """A grid under the points of a block and some posts beyond.
+    """A grid under the points (n, 3) of a block, m, body-fixed, and some posts beyond.
 
-    Parameters
-    ----------
-    terrain : SiteTerrain
-        True ground.
-    points : (n, 3)
-        m, body-fixed.
-    ppd : int
-        posts per degree.
-    noise : float
-        m rms, of each post.
-    shift : (2,)
-        m east and north by which the grid's content lies off the truth.
-    missing : float
-        Share of the posts that are NaN.
-    rng : Generator
+    Its content lies off the truth by `shift` (2,) m east and north; each post has noise of `noise` m rms, and the share
+    `missing` of them is NaN.
     """
     lon, lat, _ = planetocentric(points).T
     covered = np.stack([in_turn(lon, terrain.centre_lon), lat])

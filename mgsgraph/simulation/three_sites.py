@@ -3,7 +3,7 @@
 The sites lie 5,000 to 8,000 km apart, so no narrow image and no single revolution of a polar orbit passes all of them.
 The bridge is what MOC's red wide-angle camera did for its global maps, carried to an extreme: one uninterrupted nadir
 swath of 1024 samples of 240 m over eight revolutions (15.8 hours), while Mars turns each site under the orbit on a
-northbound flight: Eos first, Gusev five revolutions later, Isidis three after that. The places of the sites and the
+northbound flight: Eos first, Gusev five revolutions later, Isidis three after that. The positions of the sites and the
 orbit are true to life. An image of 710,000 lines, half of them at night, is not, nor that one polynomial orientation
 describes all of it. Its nominal orientation differs from truth by a correction drawn from its prior.
 

@@ -11,7 +11,7 @@ from rasterio.warp import transform
 
 from mgsgraph.dem.gridding import HeightGrid, gridded
 from mgsgraph.dem.map import MapGrid, bilinear
-from mgsgraph.dem.points import DensePoints, height_variance, intersected
+from mgsgraph.dem.points import DensePoints, intersected
 from mgsgraph.dem.production import adjusted_scene
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, planetocentric
@@ -19,6 +19,22 @@ from mgsgraph.network import ImageRays
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 RNG_SEED = 7
+
+
+def height_variance(covariances: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """(n,) m^2, variance of the height at a fixed map place: v' C v with v = (-slope east, -slope north, 1).
+
+    A horizontal error of a point on sloping ground is a height error where it is said to be.
+
+    Parameters
+    ----------
+    covariances : (n, 3, 3)
+        m^2, along east, north and up.
+    slopes : (n, 2)
+        m per m, eastward and northward.
+    """
+    v = np.column_stack([-slopes, np.ones(len(slopes))])
+    return np.asarray(np.einsum("ni,nij,nj->n", v, covariances, v))
 
 
 def rms(values: np.ndarray) -> float:
@@ -32,14 +48,14 @@ def test_points_lie_where_the_matches_were_made() -> None:
     matches = dem_site.matched(None)
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
     true = dem_site.ground(dem_site.scene().pictures[0], matches.anchors)
-    np.testing.assert_allclose(points.places, true, atol=1e-4)
+    np.testing.assert_allclose(points.positions, true, atol=1e-4)
     assert np.abs(points.misses).max() < 1e-4
 
 
 def test_errors_of_points_are_along_the_first_ray_and_as_stated() -> None:
     matches = dem_site.matched(np.random.default_rng(RNG_SEED))
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
-    off = points.places - dem_site.ground(dem_site.scene().pictures[0], matches.anchors)
+    off = points.positions - dem_site.ground(dem_site.scene().pictures[0], matches.anchors)
     length = np.linalg.norm(points.matching, axis=1)
     along = np.einsum("ni,ni->n", off, points.matching) / length
     np.testing.assert_allclose(off, along[:, None] * points.matching / length[:, None], atol=1e-6)
@@ -52,11 +68,11 @@ def test_the_orientation_s_covariance_is_the_posterior_s() -> None:
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
     some = np.arange(0, len(points), 200)
     count = some.size
-    places = np.stack([matches.anchors[some], matches.places[some]], axis=1).reshape(-1, 2)
+    places = np.stack([matches.anchors[some], matches.pixels[some]], axis=1).reshape(-1, 2)
     sigmas = np.tile([[1e-5], [1e-3]], (count, 2))
     rays = ImageRays(np.repeat(np.arange(count), 2), np.tile([0, 1], count), places, sigmas)
     _, exact = dem_site.posterior().intersections(rays)
-    up = points.places[some] / np.linalg.norm(points.places[some], axis=1, keepdims=True)
+    up = points.positions[some] / np.linalg.norm(points.positions[some], axis=1, keepdims=True)
     for vectors in (up, np.cross(up, [0.0, 0.0, 1.0])):
         ratio = np.einsum("ni,nij,nj->n", vectors, points.orientation[some], vectors)
         ratio /= np.einsum("ni,nij,nj->n", vectors, exact, vectors)
@@ -67,7 +83,7 @@ def test_heights_scatter_with_orientations_drawn_from_the_posterior() -> None:
     """An authority that knows nothing of derivatives: whole corrections drawn, rays intersected anew."""
     scene, posterior = dem_site.scene(), dem_site.posterior()
     matches = dem_site.matched(None)
-    few = replace(matches, **{name: getattr(matches, name)[::3000] for name in ("anchors", "places", "covariances")})
+    few = replace(matches, **{name: getattr(matches, name)[::3000] for name in ("anchors", "pixels", "covariances")})
     covariance = dem_site.solution().correction_covariance(0, 1)
     drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(covariance)), covariance, 400, method="cholesky")
     places = []
@@ -91,7 +107,7 @@ def _crossing(scene: dem_site.Scene, matches: dem_site.DenseMatches) -> np.ndarr
 
     rays = [
         picture.image.sightlines(*places.T, picture.correction)
-        for picture, places in zip(scene.pictures, (matches.anchors, matches.places), strict=True)
+        for picture, places in zip(scene.pictures, (matches.anchors, matches.pixels), strict=True)
     ]
     origins, directions = (np.concatenate([ray[k] for ray in rays]) for k in (0, 1))
     count = len(matches.anchors)
@@ -109,12 +125,12 @@ def test_a_horizontal_error_is_a_height_error_on_a_slope() -> None:
 def test_no_matches_and_pictures_that_were_not_adjusted() -> None:
     scene = dem_site.scene()
     empty = replace(
-        dem_site.matched(None), anchors=np.zeros((0, 2)), places=np.zeros((0, 2)), covariances=np.zeros((0, 2, 2))
+        dem_site.matched(None), anchors=np.zeros((0, 2)), pixels=np.zeros((0, 2)), covariances=np.zeros((0, 2, 2))
     )
     with pytest.raises(InputError, match="no matches: nothing to make a terrain model from"):
         intersected(dem_site.posterior(), scene, [empty])
     same = replace(dem_site.matched(None), second=0)
-    same = replace(same, places=same.anchors)
+    same = replace(same, pixels=same.anchors)
     with pytest.raises(InputError, match=r"nothing to make|don't meet"):
         intersected(dem_site.posterior(), scene, [same])
     with pytest.raises(InputError, match="solution doesn't have: E02-00665; expected"):
@@ -227,7 +243,7 @@ def test_a_slope_makes_a_horizontal_error_one_of_height() -> None:
     grid = grid_of()
     plane = grid.posts()
     points = points_over(grid, -2500.0 + 0.5 * plane[:, 0], plane, 1.0)
-    frames = grid.frames(points.places)
+    frames = grid.frames(points.positions)
     points = replace(points, matching=np.asarray(frames[:, 0] * 3.0 + frames[:, 2] * 1e-3))  # 3 m eastward
     model = gridded(points, grid, grid.post, 1e6)
     assert np.nanmedian(model.matching) == pytest.approx(1.5, rel=0.01)
@@ -279,7 +295,7 @@ def test_posts_of_their_own_spacing() -> None:
     matches = dem_site.matched(np.random.default_rng(2))
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
     for post in (12.0, 90.0, 200.0):
-        grid = MapGrid.around(points.places, MARS, post)
+        grid = MapGrid.around(points.positions, MARS, post)
         model = gridded(points, grid, 20.0, 1e-3)
         assert np.isfinite(model.heights).sum() * post**2 > 4e6
         flat = np.abs(np.nan_to_num(model.slopes, nan=9.0)).max(axis=2) < 0.2
@@ -292,7 +308,7 @@ def test_heights_are_within_their_sigmas_of_the_truth(first: int) -> None:
     """Rays of the adjusted images over the true ground, noise of the covariance that is stated."""
     matches = dem_site.matched(np.random.default_rng(RNG_SEED), first)
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
-    grid = MapGrid.around(points.places, MARS, 20.0)
+    grid = MapGrid.around(points.positions, MARS, 20.0)
     model: HeightGrid = gridded(points, grid, 20.0, 1e-3)
     off = model.heights - dem_site.true_heights(grid)
     assert np.isfinite(off).mean() > 0.5

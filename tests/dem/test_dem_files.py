@@ -105,7 +105,7 @@ def test_the_ortho_image_shows_the_ground_where_it_is(folder: Path) -> None:
         lon, lat = transform(file.crs, "IAU_2015:49900", list(x), list(y))
         low, high = (float(file.tags()[name]) for name in ("grey_1", "grey_255"))
     ground = dem_site.site().terrain.on_ground(*np.radians([lon, lat]))
-    places = picture.places(ground)
+    places = picture.project(ground)
     bare = dem_site.textured(picture.image.lines, picture.image.samples)
     smooth = np.abs((places[:, 1] // 4 + places[:, 0] // 16) % 254 - 127) < 110  # not where the ramp jumps back
     expected = (bare[tuple(places[smooth].astype(int).T)] - low) * 255.0 / (high - low)

@@ -59,8 +59,8 @@ def test_predicted_sigmas_are_the_spread_of_drawn_orientations(demo: Demonstrati
     """Of the difference between the images: drawn from the joint covariance, where what they share cancels."""
     solution, pair, rng = demo.solution, demo.truth.between[0], np.random.default_rng(3)
     profile = demo.simulated.images[0].profile
-    chosen = np.isin(profile.true_places[:, 1, 0], pair.after.lines)
-    points, places = profile.true_footprints[chosen], profile.true_places[chosen]
+    chosen = np.isin(profile.true_pixels[:, 1, 0], pair.after.lines)
+    points, places = profile.true_footprints[chosen], profile.true_pixels[chosen]
     size = solution.coefficients[0].size
     root = np.linalg.cholesky(solution.joint_covariance.of((0, 1)))
     drawn = []

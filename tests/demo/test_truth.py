@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from strategies import along
 
-from mgsgraph.demo.truth import place_jacobian, propagated
+from mgsgraph.demo.truth import pixel_jacobian, propagated
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 
 COEFFICIENTS = np.array([
@@ -20,7 +20,7 @@ STEPS = np.tile([10.0, 10.0, 10.0, 1e-4, 1e-4, 1e-4], 3)
 def test_jacobian_by_differences(angles: Angles, which: int) -> None:
     pair = networks.pair()
     image, points = pair.images[which], pair.true_ties
-    places, jacobian = place_jacobian(image, points, OrientationCorrection(COEFFICIENTS, angles))
+    places, jacobian = pixel_jacobian(image, points, OrientationCorrection(COEFFICIENTS, angles))
 
     def moved(column: int, by: float) -> np.ndarray:
         changed = COEFFICIENTS.copy()
@@ -37,7 +37,7 @@ def test_sigmas_are_the_spread_of_drawn_orientations() -> None:
     pair, rng = networks.pair(), np.random.default_rng(7)
     image, points = pair.images[0], pair.true_ties
     root = rng.normal(size=(18, 18)) * STEPS[:, None]
-    _, jacobian = place_jacobian(image, points, OrientationCorrection(np.zeros((3, 6))))
+    _, jacobian = pixel_jacobian(image, points, OrientationCorrection(np.zeros((3, 6))))
     drawn = np.array([
         image.ground_to_image(points, OrientationCorrection((1e-2 * root @ rng.normal(size=18)).reshape(3, 6)))[0]
         for _ in range(250)
@@ -48,6 +48,6 @@ def test_sigmas_are_the_spread_of_drawn_orientations() -> None:
 def test_points_that_are_not_seen_have_no_place_and_no_sigma() -> None:
     pair = networks.pair()
     above = 2.0 * pair.true_ties[:2]
-    places, jacobian = place_jacobian(pair.images[0], above, OrientationCorrection(np.zeros((1, 6))))
+    places, jacobian = pixel_jacobian(pair.images[0], above, OrientationCorrection(np.zeros((1, 6))))
     assert np.all(np.isnan(places))
     assert np.all(np.isnan(jacobian))

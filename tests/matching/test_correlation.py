@@ -110,9 +110,8 @@ def test_links_of_a_scene_are_true() -> None:
     scene = matched.true_scene()
     corners = scene.ground.chart.plane(matched.inner())
     (tile,) = tiling([np.stack([corners.min(axis=0), corners.max(axis=0)])] * 2, 4.0, 100.0)
-    levels = [picture.levels for picture in scene.pictures]
     near = window(*scene.pictures, scene, 5.0, 16.0)
-    links = links_on_grid(scene, tile, levels, (0, 1), {(0, 1): near}, replace(SETTINGS, half_window=9))
+    links = links_on_grid(scene, tile, (0, 1), {(0, 1): near}, replace(SETTINGS, half_window=9))
     assert len(links.links) > 100
     assert np.all(links.picture[links.links] == [0, 1])
     first, second = (links.plane[links.links[:, k]] for k in (0, 1))

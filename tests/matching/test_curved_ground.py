@@ -74,8 +74,8 @@ def test_curved_ground_biases_a_plane_and_not_a_parabola() -> None:
     assert np.all(plain.converged & curved.converged)
     expected = planted_bias(CURVATURE)
     assert expected > 0.15
-    assert ((plain.places - points) @ ALONG).mean() == pytest.approx(expected, rel=0.1)
-    errors = curved.places - points
+    assert ((plain.pixels - points) @ ALONG).mean() == pytest.approx(expected, rel=0.1)
+    errors = curved.pixels - points
     assert np.abs(errors.mean(axis=0)).max() < 3.0 * np.sqrt(np.trace(curved.noise.mean(axis=0)) / len(points))
     scatter = 3.0 * 2.0 / np.sqrt(len(points))
     assert 2.0 / HONEST - scatter < squares(errors, curved.noise).mean() < 2.0 * HONEST + scatter
@@ -85,7 +85,7 @@ def test_without_noise_curved_ground_is_exact() -> None:
     template, search, points = curved_pair(5, CURVATURE)
     found = match(template, search, points, points + 0.5, SAME, relief=along(points))
     assert np.all(found.converged)
-    assert np.abs(found.places - points).max() < 0.01
+    assert np.abs(found.pixels - points).max() < 0.01
 
 
 def test_on_flat_ground_relief_costs_sharpness_alone(pair: tuple[Array, Array, Array, Array]) -> None:
@@ -97,7 +97,7 @@ def test_on_flat_ground_relief_costs_sharpness_alone(pair: tuple[Array, Array, A
         good = plain.converged & found.converged
         assert np.mean(good) > 0.98
         assert np.mean(np.einsum("i,nij,j->n", ALONG, (found.noise - plain.noise)[good], ALONG) > 0.0) > 0.98
-        errors.append((found.places - true)[good])
+        errors.append((found.pixels - true)[good])
         values.append(squares(errors[-1], found.noise[good]))
         total += int(good.sum())
     scatter = 3.0 * 2.0 / np.sqrt(total)
@@ -126,7 +126,7 @@ def test_rough_ground_shows_in_the_sigmas(hurst: float, relief: bool) -> None:
     true = points + displaced[index[:, 0], index[:, 1], None] * ALONG
     found = match(template, search, points, true, SAME, relief=along(points) if relief else None)
     good = found.converged
-    errors, stated = (found.places - true)[good], found.covariance_with_relief(along(points, 7.0))[good]
+    errors, stated = (found.pixels - true)[good], found.covariance_with_relief(along(points, 7.0))[good]
     for direction, factor in ((ALONG, 1.5), (SIDEWAYS, 1.3)):
         ratio = np.mean((errors @ direction) ** 2) / np.mean(np.einsum("i,nij,j->n", direction, stated, direction))
         assert 1.0 / factor**2 < ratio < factor**2
@@ -149,7 +149,7 @@ def test_even_ground_has_no_roughness(pair: tuple[Array, Array, Array, Array]) -
 def test_only_the_direction_of_relief_counts() -> None:
     template, search, points = curved_pair(5, CURVATURE)
     one, other = (match(template, search, points, points, SAME, relief=along(points, k)) for k in (1.0, -1e-5))
-    assert other.places == pytest.approx(one.places, abs=1e-9)
+    assert other.pixels == pytest.approx(one.pixels, abs=1e-9)
     assert other.noise == pytest.approx(one.noise, rel=1e-6)
     directions = along(points).copy()
     directions[3] = 0.0
@@ -169,7 +169,7 @@ def test_swapping_lines_and_samples_swaps_curved_ground() -> None:
         template.T, search.T, points[:, ::-1], points[:, ::-1], SAME, half=HALF[::-1], relief=along(points)[:, ::-1]
     )
     assert np.all(one.status == other.status)
-    assert other.places[:, ::-1] == pytest.approx(one.places, abs=1e-5, nan_ok=True)
+    assert other.pixels[:, ::-1] == pytest.approx(one.pixels, abs=1e-5, nan_ok=True)
     stated = other.covariance_with_relief(along(points)[:, ::-1])[:, ::-1, ::-1]
     assert stated == pytest.approx(one.covariance_with_relief(along(points)), rel=2e-3, abs=1e-7, nan_ok=True)
 

@@ -33,7 +33,7 @@ def found() -> DenseMatches:
 def off() -> NDArray[np.float64]:
     """(n, 2) pixels from where the ground under the anchors truly is on the second picture."""
     names = [scene().pictures[j].image.name for j in (found().first, found().second)]
-    return found().places - matched.true_places(names[0], found().anchors, names[1])
+    return found().pixels - matched.true_places(names[0], found().anchors, names[1])
 
 
 def test_nearly_every_post_is_matched_where_its_ground_is() -> None:
@@ -47,7 +47,7 @@ def test_posts_are_on_a_grid_over_all_the_ground_that_both_show() -> None:
     plane = one.on_chart(scene().ground, found().anchors)
     lines, samples = np.meshgrid(np.arange(10.0, one.image.lines), np.arange(10.0, one.image.samples), indexing="ij")
     every = one.on_chart(scene().ground, np.column_stack([lines.ravel(), samples.ravel()])[::37])
-    places = two.places(scene().ground.points(every))
+    places = two.project(scene().ground.points(every))
     shared = np.all((places > 0.0) & (places < [two.image.lines, two.image.samples]), axis=1).mean()
     whole = shared * one.image.lines * one.image.samples * 2.88 * 4.42  # m along and across of a pixel
     assert found().posts == pytest.approx(whole / SPACING**2, rel=0.1)
@@ -71,7 +71,7 @@ def test_threads_don_t_matter_and_progress_is_told() -> None:
     several, one = (
         dense_matches(scene(), settings, workers, lambda *what: told.append(what))[0] for workers in (None, 1)
     )
-    np.testing.assert_array_equal(several.places, one.places)
+    np.testing.assert_array_equal(several.pixels, one.pixels)
     assert told[0] == ("dense matching", 0, told[0][2])
     assert told[-1] == ("dense matching", told[0][2], told[0][2])
 
@@ -80,7 +80,7 @@ def test_pictures_may_come_in_any_order() -> None:
     turned = Scene(scene().pictures[::-1], scene().ground)
     (there,) = dense_matches(turned, DenseSettings(spacing=2.0 * SPACING))
     names = [turned.pictures[j].image.name for j in (there.first, there.second)]
-    away = there.places - matched.true_places(names[0], there.anchors, names[1])
+    away = there.pixels - matched.true_places(names[0], there.anchors, names[1])
     assert np.all(np.sqrt(np.mean(away**2, axis=0)) < 0.2)
     assert len(away) > 0.9 * there.posts
 

@@ -92,7 +92,7 @@ def test_a_picture_with_itself(pair: tuple[Array, Array, Array, Array]) -> None:
     starts = points + np.random.default_rng(0).uniform(-1.5, 1.5, points.shape)
     found = match(template, template, points, starts, SAME * 1.05)
     assert np.all(found.converged)
-    assert np.abs(found.places - points).max() < 1e-6
+    assert np.abs(found.pixels - points).max() < 1e-6
     assert np.abs(found.affine - SAME).max() < 1e-6
     assert found.gain == pytest.approx(1.0, abs=1e-6)
     assert found.correlation == pytest.approx(1.0, abs=1e-9)
@@ -102,7 +102,7 @@ def test_all_eight_unknowns_come_back(pair: tuple[Array, Array, Array, Array]) -
     template, search, points, true = pair
     found = match(template, search, points, true + 1.0, 0.95 * AFFINE)
     assert np.all(found.converged)
-    assert np.abs(found.places - true).max() < 0.02
+    assert np.abs(found.pixels - true).max() < 0.02
     assert np.abs(found.affine - AFFINE).max() < 0.01
     assert np.median(found.gain) == pytest.approx(GAIN, abs=0.005)
     assert np.median(found.offset) == pytest.approx(OFFSET, abs=0.6)
@@ -116,7 +116,7 @@ def test_no_bias_at_any_part_of_a_pixel(tenth: int) -> None:
     search = search + 2.0 / GAIN * rng.standard_normal(search.shape)
     template = template + 2.0 * rng.standard_normal(template.shape)
     found = match(template, search, points, points + shift + 0.4, SAME)
-    errors = (found.places - points - shift)[found.converged]
+    errors = (found.pixels - points - shift)[found.converged]
     assert len(errors) > 0.99 * len(points)
     assert np.abs(errors.mean(axis=0)).max() < 0.01
 
@@ -142,7 +142,7 @@ def test_the_search_pictures_own_gradient_would_be_biased() -> None:
     offsets = np.linspace(-0.2, 0.2, 9)
     parabola = np.polyfit(offsets, [cost(offset) for offset in offsets], 2)
     found = match(template, search, points, points + shift, SAME)
-    ours = np.mean((found.places - points - shift)[found.converged])
+    ours = np.mean((found.pixels - points - shift)[found.converged])
     classic = -0.5 * parabola[1] / parabola[0]
     assert classic > 0.02
     assert abs(ours) < 0.01
@@ -153,7 +153,7 @@ def test_swapping_lines_and_samples_swaps_the_result(pair: tuple[Array, Array, A
     one = match(template, search, points, true, AFFINE)
     other = match(template.T, search.T, points[:, ::-1], true[:, ::-1], AFFINE[::-1, ::-1], half=HALF[::-1])
     assert np.all(one.status == other.status)
-    assert other.places[:, ::-1] == pytest.approx(one.places, abs=1e-6, nan_ok=True)
+    assert other.pixels[:, ::-1] == pytest.approx(one.pixels, abs=1e-6, nan_ok=True)
     assert other.covariance[:, ::-1, ::-1] == pytest.approx(one.covariance, rel=2e-3, abs=1e-7, nan_ok=True)
     assert other.affine[:, ::-1, ::-1] == pytest.approx(one.affine, abs=1e-6, nan_ok=True)
 
@@ -162,7 +162,7 @@ def test_a_constant_changes_only_the_offset(pair: tuple[Array, Array, Array, Arr
     template, search, points, true = noisy(pair, 1.5, 8)
     plain = match(template, search, points, true, AFFINE)
     raised = match(template + 10.0, search - 7.0, points, true, AFFINE)
-    assert raised.places == pytest.approx(plain.places, abs=1e-4)
+    assert raised.pixels == pytest.approx(plain.pixels, abs=1e-4)
     assert raised.covariance == pytest.approx(plain.covariance, rel=1e-3)
     assert raised.offset == pytest.approx(plain.offset + 10.0 + 7.0 * plain.gain, abs=1e-2)
 
@@ -172,7 +172,7 @@ def test_threads_and_company_do_not_matter(pair: tuple[Array, Array, Array, Arra
     one = match(template, search, points, true, AFFINE, threads=1)
     many = match(template, search, points, true, AFFINE, threads=4)
     alone = match(template, search, points[5:6], true[5:6], AFFINE)
-    for name in ("places", "affine", "gain", "offset", "correlation", "residual", "covariance", "bend", "status"):
+    for name in ("pixels", "affine", "gain", "offset", "correlation", "residual", "covariance", "bend", "status"):
         assert np.array_equal(getattr(one, name), getattr(many, name), equal_nan=True)
         assert np.array_equal(getattr(one, name)[5:6], getattr(alone, name), equal_nan=True)
 
@@ -183,7 +183,7 @@ def nees(template: Array, search: Array, points: Array, true: Array) -> tuple[fl
     found = match(template, search, points, true + 0.7, AFFINE)
     good = found.converged
     assert np.mean(good) > 0.98
-    return float(np.mean(squares((found.places - true)[good], found.covariance[good]))), found
+    return float(np.mean(squares((found.pixels - true)[good], found.covariance[good]))), found
 
 
 @pytest.mark.parametrize("sigma", [0.5, 1.5, 3.0])
@@ -216,7 +216,7 @@ def test_relief_within_the_window_shows_in_the_sigmas() -> None:
     search += 1.5 * rng.standard_normal(line.shape)
     true = points + np.array([0.0, 0.8])
     found = match(template, search, points, true, SAME)
-    errors = found.places - true
+    errors = found.pixels - true
     assert np.median(np.abs(errors[:, 1])) > 0.15
     ratio = np.mean(errors[:, 1] ** 2) / np.mean(found.covariance[:, 1, 1])
     assert 1.0 / 1.5**2 < ratio < 1.5**2
@@ -240,7 +240,7 @@ def one(
     template: NDArray[Any], search: NDArray[Any], at: float = 100.5, start: float = 100.5, **kw: Any
 ) -> MatchStatus:
     found = match(template, search, np.full((1, 2), at), np.full((1, 2), start), SAME, **kw)
-    numbers = (found.places, found.affine, found.gain, found.correlation, found.covariance)
+    numbers = (found.pixels, found.affine, found.gain, found.correlation, found.covariance)
     assert all(np.all(np.isfinite(n) == found.converged[0]) for n in numbers)
     return MatchStatus(int(found.status[0]))
 
@@ -308,7 +308,7 @@ def test_bad_arguments(pair: tuple[Array, Array, Array, Array]) -> None:
 
 def test_no_matches_at_all(pair: tuple[Array, Array, Array, Array]) -> None:
     empty = np.zeros((0, 2))
-    assert match(pair[0], pair[1], empty, empty, SAME).places.shape == (0, 2)
+    assert match(pair[0], pair[1], empty, empty, SAME).pixels.shape == (0, 2)
 
 
 def test_matching_alone_imports_nothing_heavy() -> None:

@@ -11,7 +11,7 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
-from mgsgraph.matching.coarse import corrected_scene, pixel_on_ground
+from mgsgraph.matching.coarse import corrected_scene
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.pairs import Pair, pairs_of
 from mgsgraph.matching.scene import Picture, Pixels, Scene
@@ -142,7 +142,7 @@ def test_an_image_whose_middle_misses_the_body() -> None:
     scene = matched.scene()
     away = OrientationCorrection(np.array([[0.0, 0.0, 0.0, 2.0, 0.0, 0.0]]))
     with pytest.raises(InputError, match="E02-00665: its middle misses the body"):
-        pixel_on_ground(scene.ground, replace(scene.pictures[0], correction=away))
+        replace(scene.pictures[0], correction=away).pixel_on_ground(scene.ground)
 
 
 def test_pairs_have_their_areas() -> None:
@@ -197,7 +197,7 @@ import mgsgraph.matching.match
 from mgsgraph.matching.features import detect
 from mgsgraph.matching.measuring import sharpened
 from mgsgraph.matching.patches import ortho_patch
-for use in (lambda: detect(None, None, 1), lambda: sharpened(None), lambda: ortho_patch(None, None, None, None)):
+for use in (lambda: detect(None, None, 1), lambda: sharpened(None), lambda: ortho_patch(None, None, None)):
     try:
         use()
     except ValueError as error:

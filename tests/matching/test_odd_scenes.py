@@ -10,8 +10,8 @@ import pytest
 
 from mgsgraph.case.scene import read_scene
 from mgsgraph.errors import InputError
-from mgsgraph.matching.checks import verdict
-from mgsgraph.matching.coarse import grid_step, search_radius
+from mgsgraph.matching.checks import checked_measures
+from mgsgraph.matching.coarse import search_radius
 from mgsgraph.matching.files import KeptTiles, match_statements
 from mgsgraph.matching.match import finest_first, ground_cells, match_scene, one_per_window
 from mgsgraph.matching.measuring import Measured
@@ -31,7 +31,7 @@ def coarse_tile(scene: Scene, step: float) -> Tile:
 
 def correlation(scene: Scene, tile: Tile) -> float:
     """Of both pictures on a tile, where both show it."""
-    one, two = (ortho_patch(p, scene.ground, tile, p.levels) for p in scene.pictures)
+    one, two = (ortho_patch(p, scene.ground, tile) for p in scene.pictures)
     assert one is not None
     assert two is not None
     both = (one.valid > 0) & (two.valid > 0)
@@ -101,7 +101,7 @@ def test_cells_are_no_smaller_than_some_pixels() -> None:
 def test_a_search_beyond_memory_is_refused() -> None:
     scene = matched.scene()
     with pytest.raises(InputError, match=r"ground to search either way, .* pixels of the coarse grid; .*--search"):
-        match_scene(scene, replace(matched.SETTINGS, search=4.0 * 2100.0 * grid_step(scene)))
+        match_scene(scene, replace(matched.SETTINGS, search=4.0 * 2100.0 * scene.step))
 
 
 @pytest.mark.parametrize(("height", "sigma"), [(np.nan, None), (np.inf, None), (0.0, -5.0), (0.0, 0.0), (0.0, np.nan)])
@@ -148,8 +148,8 @@ def test_a_handful_of_measures_is_not_believed() -> None:
     all_of_them = Measured(
         np.arange(n), whole, whole + 1, whole, anchors, places, square, square, np.ones(n), whole, whole == 0
     )
-    assert verdict(scene, all_of_them, STEP, 0).coplanar.mean() > 0.9
-    assert not verdict(scene, all_of_them.some(np.arange(8)), STEP, 0).coplanar.any()
+    assert checked_measures(scene, all_of_them, STEP, 0).coplanar.mean() > 0.9
+    assert not checked_measures(scene, all_of_them.some(np.arange(8)), STEP, 0).coplanar.any()
 
 
 def test_a_correction_beyond_what_was_stated_is_said() -> None:

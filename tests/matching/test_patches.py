@@ -16,7 +16,7 @@ def middle_tile(scene: Scene, rows: int = 300, columns: int = 500, step: float =
 
 
 def patch_of(scene: Scene, picture: Picture, tile: Tile) -> Patch:
-    found = ortho_patch(picture, scene.ground, tile, picture.levels)
+    found = ortho_patch(picture, scene.ground, tile)
     assert found is not None
     return found
 
@@ -43,7 +43,7 @@ def test_a_patch_has_the_picture_s_grey_values_where_it_says(number: int) -> Non
     picture, tile = scene.pictures[number], middle_tile(scene)
     patch = patch_of(scene, picture, tile)
     row, column = np.random.default_rng(1).integers(0, [tile.rows, tile.columns], (500, 2)).T
-    places = picture.places(scene.ground.points(tile.plane(column.astype(float), row.astype(float))))
+    places = picture.project(scene.ground.points(tile.plane(column.astype(float), row.astype(float))))
     inside = np.all((places > 3.0) & (places < np.array(picture.pixels.shape) - 3.0), axis=1)
     assert np.all(patch.valid[row[inside], column[inside]] == 255)
     line, sample = np.floor(places[inside]).astype(int).T
@@ -61,9 +61,10 @@ def test_pixels_are_resampled_where_their_centres_are(number: int, axis: int) ->
     ramp = np.indices(scene.pictures[number].pixels.shape)[axis].astype(np.float32) + 0.5
     picture = replace(scene.pictures[number], pixels=ramp)
     columns, rows = np.meshgrid(np.arange(40.0), np.arange(40.0))
-    true = picture.places(scene.ground.points(tile.plane(columns.ravel(), rows.ravel())))[:, axis]
+    true = picture.project(scene.ground.points(tile.plane(columns.ravel(), rows.ravel())))[:, axis]
     low = float(np.median(true)) - 25.0
-    patch = ortho_patch(picture, scene.ground, tile, (low, low + 51.0))
+    vars(picture)["levels"] = (low, low + 51.0)  # in place of those that would be found, which are too coarse
+    patch = ortho_patch(picture, scene.ground, tile)
     assert patch is not None
     inside = (true > low + 1.0) & (true < low + 50.0)
     assert inside.sum() > 300
@@ -81,7 +82,7 @@ def test_pixels_that_are_missing_are_not_valid() -> None:
     part = patch_of(scene, replace(scene.pictures[0], pixels=hollow), tile)
     lost = (whole.valid > 0) & (part.valid == 0)
     row, column = np.nonzero(lost)
-    places = scene.pictures[0].places(scene.ground.points(tile.plane(column.astype(float), row.astype(float))))
+    places = scene.pictures[0].project(scene.ground.points(tile.plane(column.astype(float), row.astype(float))))
     assert np.all((places > [246.9, 396.9]) & (places < [333.1, 503.1]))
     assert lost.sum() == pytest.approx(84 * 104 * 4.41 * 2.8 / 16.0, rel=0.05)
     far = (whole.valid > 0) & (part.valid > 0)
@@ -94,7 +95,7 @@ def test_places_outside_the_picture_are_not_valid() -> None:
     tile = middle_tile(scene, rows=700, columns=1100)
     patch = patch_of(scene, scene.pictures[1], tile)
     rows, columns = np.mgrid[0:700:7, 0:1100:7]
-    places = scene.pictures[1].places(scene.ground.points(tile.plane(columns.ravel() * 1.0, rows.ravel() * 1.0)))
+    places = scene.pictures[1].project(scene.ground.points(tile.plane(columns.ravel() * 1.0, rows.ravel() * 1.0)))
     size = np.array(scene.pictures[1].pixels.shape)
     inside = np.all((places > 0.0) & (places < size), axis=1)
     deep = np.all((places > 1.5) & (places < size - 1.5), axis=1)
@@ -108,7 +109,7 @@ def test_tiles_elsewhere_show_nothing() -> None:
     scene = matched.true_scene()
     for east in (30e3, 4e6, 9e6):  # beside the picture, behind the horizon, beyond the antipode
         tile = middle_tile(scene)._replace(west=east)
-        assert ortho_patch(scene.pictures[0], scene.ground, tile, scene.pictures[0].levels) is None
+        assert ortho_patch(scene.pictures[0], scene.ground, tile) is None
 
 
 def test_tiles_own_what_lies_without_their_margin() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.matching.checks import verdict
+from mgsgraph.matching.checks import checked_measures
 from mgsgraph.matching.match import checked_matches, ground_cells
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.pairs import Pair, first_picture, next_pair, pairs_of
@@ -15,8 +15,8 @@ from mgsgraph.matching.relative import (
     Displacements,
     apart,
     consensus,
-    corrected,
     displacements,
+    increased,
     sigmas_between,
 )
 
@@ -29,7 +29,7 @@ def planted(count: int = 200, lift: float = 0.0) -> tuple[np.ndarray, np.ndarray
     points = scene.ground.points(scene.ground.chart.plane(matched.inner(count)))
     points = points * (1.0 + lift / np.linalg.norm(points, axis=1, keepdims=True))
     first, second = scene.pictures
-    return first.places(points), second.image.ground_to_image(points, PLANTED)[0]
+    return first.project(points), second.image.ground_to_image(points, PLANTED)[0]
 
 
 def found(places: tuple[np.ndarray, np.ndarray], degree: int = 1) -> tuple[Displacements, np.ndarray]:
@@ -44,13 +44,13 @@ def test_coplanarity_is_untouched_by_heights() -> None:
         across, along = np.abs(one.apart - middle.apart).T
         assert np.all(along > 15.0)  # 50 m times 0.4
         assert np.all(across < 1e-3 * along)
-    np.testing.assert_allclose(high.apart[:, 1] - middle.apart[:, 1], -50.0 * middle.lean, rtol=0.05)
+    np.testing.assert_allclose(high.apart[:, 1] - middle.apart[:, 1], -50.0 * middle.parallax, rtol=0.05)
 
 
 def test_without_errors_nothing_contradicts() -> None:
     scene = matched.scene()
     points = scene.ground.points(scene.ground.chart.plane(matched.inner()))
-    places = tuple(picture.places(points) for picture in scene.pictures)
+    places = tuple(picture.project(points) for picture in scene.pictures)
     assert np.abs(apart(*scene.pictures, places, scene.ground)).max() < 0.02
 
 
@@ -60,7 +60,7 @@ def test_designs_are_differences() -> None:
     sigmas, places = sigmas_between(*scene.pictures, 1), planted(20)
     one = displacements(*scene.pictures, places, level, sigmas)
     coefficients = np.random.default_rng(1).standard_normal(12) * 0.1
-    turned = corrected(scene.pictures[1], coefficients.reshape(sigmas.shape) * sigmas)
+    turned = increased(scene.pictures[1].correction, coefficients.reshape(sigmas.shape) * sigmas)
     told = one.residuals(coefficients)
     moved = apart(scene.pictures[0], replace(scene.pictures[1], correction=turned), places, level)
     away = np.abs(one.design @ coefficients).max()
@@ -81,7 +81,8 @@ def test_the_planted_correction_is_found(share: float) -> None:
     assert np.all(fits[~wrong])
     assert np.mean(fits[wrong]) < 0.05 if share else True
     scene = matched.scene()
-    turned = replace(scene.pictures[1], correction=corrected(scene.pictures[1], taken.reshape(sigmas.shape) * sigmas))
+    more = increased(scene.pictures[1].correction, taken.reshape(sigmas.shape) * sigmas)
+    turned = replace(scene.pictures[1], correction=more)
     true = replace(scene.pictures[1], correction=PLANTED)
     at = planted(250)[1]
     off = turned.on_chart(scene.ground, at) - true.on_chart(scene.ground, at)
@@ -124,7 +125,7 @@ def test_measures_that_do_not_meet_or_stand_out_are_told() -> None:
     second = second + 0.05 * np.random.default_rng(1).standard_normal(second.shape)
     second[:10, 0] += 3.0
     second[10:20, 1] += 10.0
-    found = verdict(matched.scene(), measures((first, second)), 4.0, 0)
+    found = checked_measures(matched.scene(), measures((first, second)), 4.0, 0)
     assert np.flatnonzero(~found.coplanar).tolist() == list(range(10))
     assert np.flatnonzero(found.coplanar & ~found.steady).tolist() == list(range(10, 20))
     assert np.all(np.abs(found.misfit[:10]) > 8.0)
@@ -154,10 +155,10 @@ def test_corrections_add() -> None:
     picture = matched.scene().pictures[0]
     long = np.arange(18.0).reshape(3, 6) * 1e-6
     for before, step in ((long, long[:1]), (long[:1], long)):
-        total = corrected(replace(picture, correction=OrientationCorrection(before)), step).coefficients
+        total = increased(OrientationCorrection(before), step).coefficients
         np.testing.assert_allclose(total[:1], before[:1] + step[:1])
         np.testing.assert_allclose(total[1:], long[1:])
-    np.testing.assert_array_equal(corrected(picture, long).coefficients, long)
+    np.testing.assert_array_equal(increased(picture.correction, long).coefficients, long)
 
 
 def test_sigmas_between_are_those_of_both() -> None:

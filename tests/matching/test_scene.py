@@ -1,4 +1,4 @@
-"""Pictures over a ground: from pixels to the chart and back, derivatives, lean, and pictures that show nothing."""
+"""Pictures over a ground: from pixels to the chart and back, derivatives, parallax, and pictures that show nothing."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def test_pixels_to_the_chart_and_back(make, number: int) -> None:
     scene = make()
     picture = replace(scene.pictures[number], correction=matched.DISTURBED)
     there = places(picture)
-    back = picture.places(scene.ground.points(picture.on_chart(scene.ground, there)))
+    back = picture.project(scene.ground.points(picture.on_chart(scene.ground, there)))
     off = np.abs(back - there).max(axis=1)
     assert np.quantile(off, 0.99) < 3e-3  # pixels of 3 m: within a centimetre
     assert off.max() < 0.03  # on the walls of craters, seen slantwise
@@ -35,7 +35,7 @@ def test_the_ground_is_that_of_the_model() -> None:
     points = matched.inner()
     off = scene.ground.points(scene.ground.chart.plane(points)) - points
     assert np.median(np.linalg.norm(off, axis=1)) < 0.3  # between posts 30 m apart
-    seen = scene.pictures[1].on_chart(scene.ground, scene.pictures[1].places(points))
+    seen = scene.pictures[1].on_chart(scene.ground, scene.pictures[1].project(points))
     assert np.median(np.linalg.norm(seen - scene.ground.chart.plane(points), axis=1)) < 0.2
 
 
@@ -70,20 +70,20 @@ def test_derivatives_are_differences(number: int) -> None:
     plane = picture.on_chart(ground, places(picture, 50))
     told = picture.derivatives(ground, plane)
     step = np.array([3.0, -2.0])
-    moved = picture.places(ground.points(plane + step)) - picture.places(ground.points(plane))
+    moved = picture.project(ground.points(plane + step)) - picture.project(ground.points(plane))
     np.testing.assert_allclose(told @ step, moved, atol=1e-3)  # kinks between nodes of the trajectory
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_lean_is_the_displacement_by_height(number: int) -> None:
+def test_height_parallax_is_the_displacement_by_height(number: int) -> None:
     scene = matched.scene()
     picture, low = scene.pictures[number], replace(scene.ground, terrain=None)
     high = replace(low, height=low.height + 30.0)
     at = places(picture, 50)
     moved = picture.on_chart(high, at) - picture.on_chart(low, at)
-    lean = picture.lean(low, at)
-    np.testing.assert_allclose(30.0 * lean, moved, atol=0.02)
-    size = np.linalg.norm(lean, axis=1)
+    parallax = picture.height_parallax(low, at)
+    np.testing.assert_allclose(30.0 * parallax, moved, atol=0.02)
+    size = np.linalg.norm(parallax, axis=1)
     assert np.all(size > 0.35) if number else np.all(size < 0.02)  # tan of 22.1 degrees' emission, and of 0.2
 
 

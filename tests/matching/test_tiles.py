@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.matching import tiles as module
 from mgsgraph.matching.checks import cell_numbers, spread
-from mgsgraph.matching.tiles import Links, no_links, owned, saved, tiling, together
+from mgsgraph.matching.tiles import Links, owned, tiling, together
 
 SIDES = st.floats(1.0, 9000.0)
 
@@ -54,13 +54,13 @@ def links(seed: int, count: int) -> Links:
 
 
 def test_links_of_tiles_are_numbered_through() -> None:
-    parts = [links(1, 5), no_links(), links(2, 3)]
+    parts = [links(1, 5), together([]), links(2, 3)]
     whole = together(parts)
     np.testing.assert_array_equal(whole.plane[whole.links], np.concatenate([p.plane[p.links] for p in parts]))
     np.testing.assert_array_equal(whole.picture[whole.links], [[0, 1]] * 8)
     np.testing.assert_array_equal(whole.likeness, np.concatenate([p.likeness for p in parts]))
     assert [len(column) for column in together([])] == [0, 0, 0, 0]
-    assert set(saved(whole)) == set(Links._fields)
+    assert set(whole._asdict()) == set(Links._fields)
 
 
 def test_a_tile_keeps_the_links_that_begin_in_it() -> None:

@@ -35,13 +35,21 @@ def track(shots: int, off_nadir: float = 0.0, longitude: float = 175.3, roughnes
     radii = 3.39e6 + roughness * np.sin(0.3 * k) + rng.normal(0.0, 0.1 * roughness, shots)
     along = np.einsum("ni,ni->n", position, look)
     ranges = -along - np.sqrt(along**2 - craft[:, 2] ** 2 + radii**2)
-    foot = planetocentric(position + ranges[:, None] * look)
     return PedrFrames(
-        orbit=18933, times=37_315_939.123_456_7 + 0.1 * k, longitudes=foot[:, 0], latitudes=foot[:, 1], radii=radii,
-        ranges=ranges, areoid_radii=3.3895e6 - 40.0 * k, spacecraft_longitudes=craft[:, 0],
-        spacecraft_latitudes=craft[:, 1], spacecraft_radii=craft[:, 2], off_nadir=np.full(shots, off_nadir),
+        orbit=18933, times=37_315_939.123_456_7 + 0.1 * k, footprints=position + ranges[:, None] * look, ranges=ranges,
+        areoid_radii=3.3895e6 - 40.0 * k, spacecraft=position, off_nadir=np.full(shots, off_nadir),
         ground=np.ones(shots, dtype=bool),
     )
+
+
+def foot(frames: PedrFrames) -> np.ndarray:
+    """(3, n) longitudes and latitudes (rad) and radii (m) of the footprints."""
+    return planetocentric(frames.footprints).T
+
+
+def craft(frames: PedrFrames) -> np.ndarray:
+    """(3, n) longitudes and latitudes (rad) and radii (m) of the spacecraft."""
+    return planetocentric(frames.spacecraft).T
 
 
 @given(st.integers(1, 90), st.floats(0.0, 0.36), st.sampled_from([175.3, 359.99, 0.0]), st.floats(0.0, 800.0))
@@ -57,15 +65,15 @@ def test_read_gives_back_what_was_written(
     np.testing.assert_allclose(read.times - frames.times, 0.0, atol=1e-6)
     np.testing.assert_allclose(read.ranges, frames.ranges, atol=0.51 * CM)
     place = planetocentric(read.footprints)
-    np.testing.assert_allclose(place[:, 2], frames.radii, atol=0.51 * CM)
+    np.testing.assert_allclose(place[:, 2], foot(frames)[2], atol=0.51 * CM)
     angle = 0.8 * MICRODEG + 0.5e-3 * MICRODEG * 2.0 * roughness + 0.7 / 3.39e6  # the track's curvature
-    np.testing.assert_allclose(place[:, 1], frames.latitudes, atol=angle)
-    np.testing.assert_allclose(_turned(place[:, 0] - frames.longitudes), 0.0, atol=1.1 * angle)
+    np.testing.assert_allclose(place[:, 1], foot(frames)[1], atol=angle)
+    np.testing.assert_allclose(_turned(place[:, 0] - foot(frames)[0]), 0.0, atol=1.1 * angle)
     np.testing.assert_allclose(read.areoid_radii, frames.areoid_radii, atol=CM)
-    craft = planetocentric(read.spacecraft)
-    np.testing.assert_allclose(craft[:, 2], frames.spacecraft_radii, atol=0.8)
-    np.testing.assert_allclose(craft[:, 1], frames.spacecraft_latitudes, atol=MICRODEG)
-    np.testing.assert_allclose(_turned(craft[:, 0] - frames.spacecraft_longitudes), 0.0, atol=MICRODEG)
+    there = planetocentric(read.spacecraft)
+    np.testing.assert_allclose(there[:, 2], craft(frames)[2], atol=0.8)
+    np.testing.assert_allclose(there[:, 1], craft(frames)[1], atol=MICRODEG)
+    np.testing.assert_allclose(_turned(there[:, 0] - craft(frames)[0]), 0.0, atol=MICRODEG)
     np.testing.assert_allclose(read.off_nadir, off_nadir, atol=MICRODEG)
 
 
@@ -88,7 +96,7 @@ def test_without_parallax_rolled_footprints_would_be_elsewhere(tmp_path: Path) -
         struct.pack_into(">ii", content, 7760 + 776 * frame + 324, 0, 0)
     (tmp_path / "ap18933l.b").write_bytes(content)
     place = planetocentric(read_pedr(tmp_path / "ap18933l.b").footprints)
-    assert np.abs(place[:, 0] - frames.longitudes).max() * 3.39e6 > 50.0
+    assert np.abs(place[:, 0] - foot(frames)[0]).max() * 3.39e6 > 50.0
 
 
 def test_fields_lie_at_the_published_offsets(tmp_path: Path) -> None:
@@ -111,14 +119,14 @@ def test_fields_lie_at_the_published_offsets(tmp_path: Path) -> None:
     longitude = 1e-6 * word(340) + x * 1e-6 * word(772) + 1e-9 * word(328) * (raw - middle)
     assert time == pytest.approx(frames.times[26], abs=1e-6)
     assert word(552, "d") == pytest.approx(word(0) + 1e-6 * word(4), abs=1e-8)
-    assert latitude == pytest.approx(frames.latitudes[26] / DEG, abs=1.5e-5)
-    assert longitude == pytest.approx(frames.longitudes[26] / DEG, abs=1.5e-5)
+    assert latitude == pytest.approx(foot(frames)[1][26] / DEG, abs=1.5e-5)
+    assert longitude == pytest.approx(foot(frames)[0][26] / DEG, abs=1.5e-5)
     assert word(332) == 150
-    assert raw - 1.5 - x * (1.5 - 1.0) == pytest.approx(frames.radii[26], abs=0.0051)
+    assert raw - 1.5 - x * (1.5 - 1.0) == pytest.approx(foot(frames)[2][26], abs=0.0051)
     assert 0.01 * (word(612) + x * word(640)) == pytest.approx(frames.areoid_radii[26], abs=0.01)
-    assert 0.01 * (word(20, "I") + x * word(608)) == pytest.approx(frames.spacecraft_radii[26], abs=0.5)
-    assert 1e-6 * (word(12) + x * word(600)) == pytest.approx(frames.spacecraft_latitudes[26] / DEG, abs=1e-6)
-    assert 1e-6 * (word(16) + x * word(604)) == pytest.approx(frames.spacecraft_longitudes[26] / DEG, abs=1e-6)
+    assert 0.01 * (word(20, "I") + x * word(608)) == pytest.approx(craft(frames)[2][26], abs=0.5)
+    assert 1e-6 * (word(12) + x * word(600)) == pytest.approx(craft(frames)[1][26] / DEG, abs=1e-6)
+    assert 1e-6 * (word(16) + x * word(604)) == pytest.approx(craft(frames)[0][26] / DEG, abs=1e-6)
     assert 1e-6 * word(616) == pytest.approx(0.3 / DEG, abs=1e-6)
     assert 0.01 * word(648 + 4 * (k - 1)) == pytest.approx(frames.ranges[26], abs=0.0051)
     assert (word(8, "I"), word(490, "h"), word(384, "h"), word(224, "B")) == (18933, 2, 1, 1)
@@ -163,7 +171,7 @@ def test_shots_with_gaps_or_wild_values_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="crossovers"):
         replace(frames, crossovers=np.zeros(3))
     with pytest.raises(InputError, match="shot_radius"):
-        write_pedr(tmp_path / "ap18933l.b", replace(frames, radii=1e3 * frames.radii))
+        write_pedr(tmp_path / "ap18933l.b", replace(frames, footprints=1e3 * frames.footprints))
     with pytest.raises(InputError, match="can't be written"):
         write_pedr(tmp_path / "nowhere" / "ap18933l.b", frames)
     assert list(tmp_path.iterdir()) == []

@@ -114,7 +114,7 @@ def test_published_number_of_shots_lies_in_each_image(written: Written) -> None:
         shots = read_pedr(written.folder / f"{image.settings.profile}.b")
         size = [image.true.lines, image.true.samples]
         nominal = image.nominal.ground_to_image(shots.footprints)[0]
-        for places in (image.profile.true_places[:, k], nominal):  # neither errors nor shifts change the number
+        for places in (image.profile.true_pixels[:, k], nominal):  # neither errors nor shifts change the number
             inside = np.all((places >= 0.0) & (places <= size), axis=1)
             assert (inside & shots.ground).sum() == image.settings.shots
         assert shots.chosen(shots.ground).spacing == pytest.approx(image.settings.spacing, abs=2.0)
@@ -181,8 +181,8 @@ def along_flight(site: SimulatedSite) -> dict[bool, np.ndarray]:
     nadir = next(image for image in site.images if not image.settings.held)
     found = {}
     for k, image in enumerate(site.images):
-        chosen = nadir.profile.ground & np.isfinite(nadir.profile.true_places[:, k, 0])
-        points, places = nadir.profile.true_footprints[chosen], nadir.profile.true_places[chosen, k]
+        chosen = nadir.profile.ground & np.isfinite(nadir.profile.true_pixels[:, k, 0])
+        points, places = nadir.profile.true_footprints[chosen], nadir.profile.true_pixels[chosen, k]
         inside = (places[:, 0] > 0.0) & (places[:, 0] < image.true.lines)
         lines = image.nominal.ground_to_image(points[inside])[0][:, 0] - places[inside, 0]
         found[image.settings.held] = lines * image.settings.period * image.settings.spacing / 0.1
