@@ -12,7 +12,7 @@ from mgsgraph.io.asp.gcp import keeps_ids
 from mgsgraph.io.asp.match import one_sigma
 from mgsgraph.io.asp.match_names import stem
 from mgsgraph.io.asp.measures import PixelMeasures, measures_of, takes_part
-from mgsgraph.io.control.pvl import LOG_NAMES
+from mgsgraph.io.control.pvl import CONSTRAINTS, HEAD_TEXTS, LOCKS, LOG_NAMES, NAME_TEXTS
 from mgsgraph.io.control.record import (
     AprioriSource,
     ControlMeasure,
@@ -49,19 +49,17 @@ _TAKEN = {
     Format.GCP: (_ALL - {PointType.FREE}, 0), Format.NVM: (_ALL, 2),
 }  # fmt: skip
 """Types of points that a format takes, and by how many images they must be seen; ignored ones are left out."""
-_KEYWORDS = {
-    "chooser_name": "ChooserName", "date_time": "DateTime", "edit_lock": "EditLock", "ignore": "Ignore",
-    "jigsaw_rejected": "JigsawRejected",
-}  # fmt: skip
-_OF_NETWORK = {
-    "network_id": "NetworkId", "target_name": "TargetName", "user_name": "UserName", "created": "Created",
-    "last_modified": "LastModified", "description": "Description", "target_radii": "TargetRadii",
-}  # fmt: skip
+def _keys(*tables: dict[str, str]) -> dict[str, str]:
+    """ISIS's keywords by what they are in the record."""
+    return {attribute: key for table in tables for key, attribute in table.items()}
+
+
+_KEYWORDS = _keys(NAME_TEXTS, LOCKS) | {"jigsaw_rejected": "JigsawRejected"}
+_OF_NETWORK = _keys(HEAD_TEXTS) | {"target_radii": "TargetRadii"}
 _OF_POINT = _KEYWORDS | {
     "reference": "the reference measure", "apriori_source": "AprioriXYZSource",
     "apriori_source_file": "AprioriXYZSourceFile", "apriori_radius_source": "AprioriRadiusSource",
-    "apriori_radius_source_file": "AprioriRadiusSourceFile", "latitude_constrained": "LatitudeConstrained",
-    "longitude_constrained": "LongitudeConstrained", "radius_constrained": "RadiusConstrained",
+    "apriori_radius_source_file": "AprioriRadiusSourceFile", **_keys(CONSTRAINTS),
     "apriori": "the a-priori place", "apriori_covariance": "the a-priori covariance",
     "adjusted": "the adjusted place", "adjusted_covariance": "the adjusted covariance",
 }  # fmt: skip
@@ -172,7 +170,7 @@ def _of_table(network: ControlNetwork) -> list[str]:
 
 
 def _of_matches(rows: PixelMeasures, form: Format) -> list[str]:
-    sigmas, places = one_sigma(rows.sigmas), rows.places
+    sigmas, places = one_sigma(rows.sigmas), rows.pixels
     differ = np.ptp(rows.sigmas, axis=1) > 0.0
     lines = [
         *_line("PointId of {} (they are counted anew)", len(rows.points), "point"),
@@ -182,7 +180,7 @@ def _of_matches(rows: PixelMeasures, form: Format) -> list[str]:
     ]
     if form == Format.MATCH:
         places = _single(places)
-        lines += _precision("places", rows.places, places, "px")
+        lines += _precision("places", rows.pixels, places, "px")
         lines += _precision("sigmas", sigmas, _single(sigmas), "px")
     shared = len(places) - len(np.unique(np.column_stack([rows.image, places]), axis=0))
     return lines + _line("{} at another point's place (readers join the points)", shared, "measure")

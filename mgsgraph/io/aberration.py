@@ -1,10 +1,10 @@
 """Apparent position tables made geometric.
 
 Support data of MGS, HRSC and CTX hold positions corrected for light time and stellar aberration (SPICE "LT+S"): 55 to
-220 m away from where the camera was. A range, and a camera, need the geometric place. What is undone here (Park's and
-NAIF's definition, ``spkezr`` required reading): the light time, iterated on the table itself, and the aberration by the
-observer's velocity about the Sun, which the support data give with the Sun's position. The Sun's own motion about the
-barycentre (about 13 m/s) is left out: at most 0.2 m.
+220 m away from where the camera was. A range, and a camera, need the geometric position. What is undone here (Park's
+and NAIF's definition, ``spkezr`` required reading): the light time, iterated on the table itself, and the aberration by
+the observer's velocity about the Sun, which the support data give with the Sun's position. The Sun's own motion about
+the barycentre (about 13 m/s) is left out: at most 0.2 m.
 """
 
 import numpy as np
@@ -43,26 +43,26 @@ def geometric(apparent: PositionTable, body_velocity: Array, body_observes: bool
 
 def _seen_from_body(apparent: PositionTable, times: Array, body_velocity: Array) -> Array:
     """The body sees the craft where it was one light time before: ask the table that much later."""
-    place, light_time = np.zeros((times.size, 3)), np.zeros((times.size, 1))
+    position, light_time = np.zeros((times.size, 3)), np.zeros((times.size, 1))
     for _ in range(_ITERATIONS):
         seen, velocity = apparent.at(times + light_time[:, 0])
-        place = without_aberration(seen, body_velocity) + light_time * body_velocity
-        light_time = _light_time(place + light_time * velocity)
-    return place
+        position = without_aberration(seen, body_velocity) + light_time * body_velocity
+        light_time = _light_time(position + light_time * velocity)
+    return position
 
 
 def _seen_from_spacecraft(apparent: PositionTable, times: Array, body_velocity: Array) -> Array:
     """The craft sees the body where that was one light time before; the table holds the opposite vector."""
-    place, velocity = apparent.at(times)
-    to_body = without_aberration(-place, body_velocity + velocity)
+    position, velocity = apparent.at(times)
+    to_body = without_aberration(-position, body_velocity + velocity)
     for _ in range(_ITERATIONS):
-        place = -(to_body + _light_time(place) * body_velocity)
-    return place
+        position = -(to_body + _light_time(position) * body_velocity)
+    return position
 
 
-def _light_time(place: Array) -> Array:
-    """s, (n, 1), of geometric places (n, 3) at the time of asking: SPICE's "LT" goes round once, so it takes these."""
-    return np.asarray(np.linalg.norm(place, axis=1, keepdims=True) / SPEED_OF_LIGHT)
+def _light_time(position: Array) -> Array:
+    """s, (n, 1), of geometric positions (n, 3) at the time asked for: SPICE's "LT" iterates once, so it takes these."""
+    return np.asarray(np.linalg.norm(position, axis=1, keepdims=True) / SPEED_OF_LIGHT)
 
 
 def without_aberration(seen: Array, observer_velocity: Array) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.image_label import bytes_around, cube_of, cube_size, data_place, read_label
+from mgsgraph.io.image_label import bytes_around, cube_of, cube_size, data_location, read_label
 from mgsgraph.io.pvl import Block
 
 Detector = Literal["S2", "RED", "P2", "BLUE", "NADIR", "GREEN", "P1", "IR", "S1"]
@@ -30,7 +30,7 @@ _TIMES_RECORD = 20
 
 
 @dataclass(frozen=True, slots=True)
-class LineTimesPlace:
+class LineTimesLocation:
     """Where in a file the times of lines lie."""
 
     file: Path
@@ -67,7 +67,7 @@ class HrscLabel:
     """Number of lines."""
     samples: int
     """Number of samples."""
-    times: LineTimesPlace | None
+    times: LineTimesLocation | None
     """Where the times of the lines are; None where the file holds the label only."""
 
 
@@ -142,16 +142,16 @@ def _pds(path: Path, root: Block) -> HrscLabel:
     )
 
 
-def _prefixes(path: Path, root: Block, image: Block, lines: int, samples: int) -> LineTimesPlace | None:
+def _prefixes(path: Path, root: Block, image: Block, lines: int, samples: int) -> LineTimesLocation | None:
     """Where the prefixes are; None where there are none, or not all of them."""
     prefix, suffix = bytes_around(image)
     if prefix < _TIME_BYTES:
         return None
     stride = prefix + samples * (image.count("SAMPLE_BITS") // 8) + suffix
-    file, offset = data_place(path, root)
+    file, offset = data_location(path, root)
     if file.stat().st_size < offset + lines * stride:
         return None
-    return LineTimesPlace(file, "prefixes", offset, lines, stride)
+    return LineTimesLocation(file, "prefixes", offset, lines, stride)
 
 
 # --- ISIS
@@ -176,7 +176,7 @@ def _cube(path: Path, root: Block, cube: Block) -> HrscLabel:
     )
 
 
-def _table(path: Path, root: Block) -> LineTimesPlace | None:
+def _table(path: Path, root: Block) -> LineTimesLocation | None:
     """Where the table is; None where the cube has none, or the file ends before it (a label cut off its cube)."""
     for block in root.blocks:
         if block.name == "table" and block.text("Name").lower() == _TIMES_TABLE:
@@ -189,5 +189,5 @@ def _table(path: Path, root: Block) -> LineTimesPlace | None:
             offset, count = block.count("StartByte") - 1, block.count("Records")
             if path.stat().st_size < offset + count * _TIMES_RECORD:
                 return None
-            return LineTimesPlace(path, "table", offset, count, _TIMES_RECORD)
+            return LineTimesLocation(path, "table", offset, count, _TIMES_RECORD)
     return None

@@ -23,7 +23,7 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import LineTiming
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.io.files import number_of, read_text
-from mgsgraph.io.hrsc_label import HrscLabel, LineTimesPlace
+from mgsgraph.io.hrsc_label import HrscLabel, LineTimesLocation
 from mgsgraph.units import MILLISECOND
 
 LineTimesSource = Path | Literal["mean"] | None
@@ -154,7 +154,7 @@ def _mean(label: HrscLabel, start: float, stop: float) -> LineTimes:
         return LineTimes(np.zeros(1), np.array([start]), np.array([period]), label.lines)
 
 
-def _of_prefixes(place: LineTimesPlace) -> LineTimes:
+def _of_prefixes(place: LineTimesLocation) -> LineTimes:
     """One segment from each change of the exposure, and from the end of each pause."""
     rest = place.stride - sum(np.dtype(kind).itemsize for _, kind in _PREFIX)
     rows = np.memmap(place.file, np.dtype([*_PREFIX, ("pixels", f"V{rest}")]), "r", place.offset, place.count)
@@ -167,7 +167,7 @@ def _of_prefixes(place: LineTimesPlace) -> LineTimes:
     return LineTimes(begins.astype(np.float64), times[begins], periods[begins], place.count)
 
 
-def _of_table(place: LineTimesPlace, lines: int) -> LineTimes:
+def _of_table(place: LineTimesLocation, lines: int) -> LineTimes:
     rows = np.fromfile(place.file, _RECORD, place.count, offset=place.offset)
     return LineTimes(rows["line"] - 1.0, rows["time"], rows["exposure"], lines)
 

@@ -74,7 +74,7 @@ def instrument_of(path: Path) -> str:
     return root.inner("IsisCube").inner("Instrument").text("InstrumentId").upper()
 
 
-def data_place(path: Path, root: Block) -> tuple[Path, int]:
+def data_location(path: Path, root: Block) -> tuple[Path, int]:
     """File and offset in bytes of ``^IMAGE``: a record or <BYTES>, in this file or in the one it names."""
     record = root.count("RECORD_BYTES")
     if "^IMAGE" not in root:

@@ -29,7 +29,7 @@ _FOCAL_LENGTH, _PITCH, _CENTRE = 3500.0 * MM, 0.0131240578522949 * MM, 1024.5
 """m, m, and ISIS's detector pixel of the boresight: mocAddendum004.ti, which the tables' own label doesn't hold."""
 _TABLES = ("InstrumentPosition", "InstrumentPointing", "BodyRotation", "SunPosition")
 _QUATERNION = ("J2000Q0", "J2000Q1", "J2000Q2", "J2000Q3")
-_PLACE, _VELOCITY = ("J2000X", "J2000Y", "J2000Z"), ("J2000XV", "J2000YV", "J2000ZV")
+_POSITION, _VELOCITY = ("J2000X", "J2000Y", "J2000Z"), ("J2000XV", "J2000YV", "J2000ZV")
 _TIME_SLACK = 1e-4
 """s, a tenth of the shortest line, by which the position table may be longer or shorter than the image."""
 _REMEDY = "run spiceinit on the cube before it is adjusted, with its tables attached"
@@ -158,7 +158,7 @@ def _start(position: _CubeTable, duration: float) -> float:
 
 def _trajectory(tables: dict[str, _CubeTable], epoch: float, apparent: bool) -> Trajectory:
     seen = tables["InstrumentPosition"]
-    position = PositionTable(seen.times - epoch, seen.stack(_PLACE) * KM, seen.stack(_VELOCITY) * KM)
+    position = PositionTable(seen.times - epoch, seen.stack(_POSITION) * KM, seen.stack(_VELOCITY) * KM)
     if not apparent:
         sun_velocity = tables["SunPosition"].stack(_VELOCITY).mean(axis=0) * KM
         position = geometric(position, -sun_velocity, body_observes=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.image_label import bytes_around, cube_of, cube_size, data_place, read_label
+from mgsgraph.io.image_label import bytes_around, cube_of, cube_size, data_location, read_label
 from mgsgraph.io.pvl import Block
 from mgsgraph.units import MILLISECOND
 
@@ -134,7 +134,7 @@ def _pixel_area(path: Path, root: Block, image: Block) -> PixelArea:
     prefix, suffix = bytes_around(image)
     encoding = image.text("ENCODING_TYPE") if "ENCODING_TYPE" in image else ""
     size = root.count("RECORD_BYTES") * root.count("FILE_RECORDS") if "FILE_RECORDS" in root else 0
-    file, offset = data_place(path, root)
+    file, offset = data_location(path, root)
     return PixelArea(file, offset, prefix, suffix, "" if encoding.lower() in _NOTHING else encoding, size)
 
 

@@ -61,7 +61,7 @@ def test_one_place_in_every_count(table: Path) -> None:
         assert (measure.line, measure.sample) == CENTRE
     for read, ending in ((read_match, "match"), (read_match_text, "txt")):
         matches = read(folder / f"run-one__two.{ending}", ("one", "two"))
-        np.testing.assert_array_equal(matches.places[0, 0], np.array(CENTRE) - 1.0)
+        np.testing.assert_array_equal(matches.pixels[0, 0], np.array(CENTRE) - 1.0)
         np.testing.assert_array_equal(matches.sigmas, 0.5)
     fields = (folder / "x.nvm").read_text().splitlines()[5].split()
     assert [float(text) for text in fields[9:11]] == [CENTRE[1] - 1.0 - 512.0, CENTRE[0] - 1.0 - 1000.5]

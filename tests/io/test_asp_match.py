@@ -58,7 +58,7 @@ def test_the_pipelines_own_layout(tmp_path: Path, descriptors: tuple[int, ...]) 
 
     got = read_match(path, PAIR)
 
-    np.testing.assert_array_equal(got.places, [[[2.5, 1.5], [8, 7]], [[4, 3.25], [6, 5]]])
+    np.testing.assert_array_equal(got.pixels, [[[2.5, 1.5], [8, 7]], [[4, 3.25], [6, 5]]])
     np.testing.assert_array_equal(got.sigmas, [[1, np.nan], [2, 0.5]])
 
 
@@ -269,5 +269,5 @@ def test_text_is_columns_before_rows(tmp_path: Path) -> None:
     path = tmp_path / "x.txt"
     path.write_text("\n124.5 19.7 0.5 254.3 73.9 2\n")
     got = read_match_text(path, PAIR)
-    np.testing.assert_array_equal(got.places, [[[19.7, 124.5]], [[73.9, 254.3]]])
+    np.testing.assert_array_equal(got.pixels, [[[19.7, 124.5]], [[73.9, 254.3]]])
     np.testing.assert_array_equal(got.sigmas, [[0.5], [2]])

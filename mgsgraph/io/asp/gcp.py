@@ -169,7 +169,7 @@ def _measure_texts(measures: PixelMeasures) -> list[list[str]]:
     """Fields of the measures of each point."""
     texts = list[list[str]]([] for _ in measures.points)
     sigmas = np.where(np.isnan(measures.sigmas), UNSTATED_SIGMA, measures.sigmas)
-    rows = np.column_stack([measures.places[:, ::-1], sigmas[:, ::-1]]).tolist()
+    rows = np.column_stack([measures.pixels[:, ::-1], sigmas[:, ::-1]]).tolist()
     for point, image, values in zip(measures.point.tolist(), measures.image.tolist(), rows, strict=True):
         texts[point] += [measures.images[image], *map(repr, values)]
     return texts

@@ -61,7 +61,7 @@ class MatchFile:
     """File, for messages."""
     images: tuple[str, str]
     """Their names."""
-    places: Array
+    pixels: Array
     """(2, n, 2) image, match; row, column, first pixel's centre at (0, 0)."""
     sigmas: Array
     """(2, n) pixels, of row and column alike; NaN where the file says 0 or less."""
@@ -169,7 +169,7 @@ def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> di
     if not measures.points:
         raise InputError(network.source or "network", "no free point that two images see", "at least one")
     require_distinct(measures.images)
-    if not np.all(np.abs(measures.places) < _LARGEST):
+    if not np.all(np.abs(measures.pixels) < _LARGEST):
         raise InputError(network.source or "network", "a place beyond 2^31 pixels", "a place in an image")
     if np.any((measures.sigmas < _LEAST_SIGMA) | (measures.sigmas > _LARGEST)):
         expected = f"{_LEAST_SIGMA:g} .. {_LARGEST:.1g} px"
@@ -207,15 +207,15 @@ def one_sigma(sigmas: Array) -> Array:
 def _binary(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
     chosen = np.concatenate([one, other])
     records = np.zeros(len(chosen), dtype=_RECORD)
-    records["y"], records["x"] = measures.places[chosen].T
-    records["row"], records["column"] = np.trunc(measures.places[chosen]).T
+    records["y"], records["x"] = measures.pixels[chosen].T
+    records["row"], records["column"] = np.trunc(measures.pixels[chosen]).T
     records["scale"] = one_sigma(measures.sigmas[chosen])
     return np.array([len(one), len(other)], dtype=_COUNTS).tobytes() + records.tobytes()
 
 
 def _text(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
     columns = [
-        np.column_stack([measures.places[k][:, ::-1], one_sigma(measures.sigmas[k])]) for k in (one, other)
+        np.column_stack([measures.pixels[k][:, ::-1], one_sigma(measures.sigmas[k])]) for k in (one, other)
     ]  # fmt: skip
     return "".join(" ".join(map(repr, row)) + "\n" for row in np.hstack(columns).tolist()).encode()
 
@@ -241,9 +241,9 @@ def joined(files: Sequence[MatchFile]) -> Tracks:
     images = list(dict.fromkeys(name for file in files for name in file.images))
     source = ", ".join(file.source for file in files[:3]) + (", ..." if len(files) > 3 else "")
     of_file = [np.array([images.index(name) for name in file.images]) for file in files]
-    sizes = [file.places.shape[1] for file in files]
+    sizes = [file.pixels.shape[1] for file in files]
     image = np.concatenate([np.repeat(mine, size) for mine, size in zip(of_file, sizes, strict=True)])
-    places = np.concatenate([file.places.reshape(-1, 2) for file in files])
+    places = np.concatenate([file.pixels.reshape(-1, 2) for file in files])
     sigmas = np.concatenate([file.sigmas.reshape(-1) for file in files])
     one = np.concatenate([np.arange(size) for size in sizes])
     one += np.repeat(2 * np.cumsum([0, *sizes[:-1]]), sizes)  # where the file's places begin

@@ -30,7 +30,7 @@ class PixelMeasures:
     """(k,) index of the point measured; it never falls."""
     image: Index
     """(k,) index of the image."""
-    places: Array
+    pixels: Array
     """(k, 2) row, column, first pixel's centre at (0, 0)."""
     sigmas: Array
     """(k, 2) pixels, of row and column; NaN where the network does not say."""

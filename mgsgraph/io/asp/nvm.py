@@ -200,7 +200,7 @@ def nvm_files(network: ControlNetwork, path: Path, centres: Centres) -> dict[Pat
 
 def _point_lines(measures: PixelMeasures, centres: Centres) -> list[str]:
     centre = np.array([centres[name] for name in measures.images])
-    shifted = (measures.places - centre[measures.image]).tolist()
+    shifted = (measures.pixels - centre[measures.image]).tolist()
     feature, seen = [0] * len(shifted), [0] * len(measures.images)
     texts = list[list[str]]([] for _ in measures.points)
     for k, (point, image) in enumerate(zip(measures.point.tolist(), measures.image.tolist(), strict=True)):

@@ -189,7 +189,7 @@ def binary_network(network: ControlNetwork) -> bytes:
         try:
             message = point_message(point).SerializeToString()
         except InputError as error:
-            raise error.within(network.place(index)) from None
+            raise error.within(network.where(index)) from None
         parts += (_SIZE.pack(len(message)), message)
     header, points = head.SerializeToString(), b"".join(parts)
     return b"".join((_label(network, len(header), len(points)), header, points))

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.control.binary import is_binary, parse_binary_network
-from mgsgraph.io.control.pvl import parse_pvl_network, place_in
-from mgsgraph.io.control.record import ControlNetwork, Place
+from mgsgraph.io.control.pvl import parse_pvl_network, where_in
+from mgsgraph.io.control.record import ControlNetwork, Where
 from mgsgraph.io.control.ties import tie_points
 from mgsgraph.io.files import read_bytes
 from mgsgraph.io.pvl import Document
@@ -56,16 +56,16 @@ def read_control_network(path: Path) -> TiePoints:
     return tie_points(*_read_with_places(path))
 
 
-def _read_with_places(path: Path) -> tuple[ControlNetwork, Place]:
+def _read_with_places(path: Path) -> tuple[ControlNetwork, Where]:
     """The network, and words for where its points and measures stand in the file."""
     data = read_bytes(path)
     if is_binary(data):
         network = parse_binary_network(data, str(path))
-        return network, network.place
+        return network, network.where
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         expected = "a control network, in PVL text or ISIS's binary form"
         raise InputError(str(path), f"byte {error.start} is not UTF-8 text", expected) from None
     document = Document(str(path), text.replace("\r\n", "\n").replace("\r", "\n"))
-    return parse_pvl_network(document), place_in(document)
+    return parse_pvl_network(document), where_in(document)

@@ -21,8 +21,8 @@ from mgsgraph.io.control.record import (
     ControlNetwork,
     ControlPoint,
     MeasureType,
-    Place,
     PointType,
+    Where,
 )
 from mgsgraph.io.pvl import Block, Document, inner_blocks
 from mgsgraph.units import DEG, KM
@@ -125,10 +125,10 @@ def parse_pvl_network(document: Document) -> ControlNetwork:
     )
 
 
-def place_in(document: Document) -> Place:
+def where_in(document: Document) -> Where:
     """Where something stands in a text that was read: file, line, point, image and keyword."""
 
-    def place(point: int, measure: int | None = None, key: str = "") -> str:
+    def where(point: int, measure: int | None = None, key: str = "") -> str:
         block = next(islice(inner_blocks(document), point, None))[1]
         _label(block)
         if measure is None:
@@ -136,7 +136,7 @@ def place_in(document: Document) -> Place:
         _label_measure(block.blocks[measure], block)
         return block.blocks[measure].where(key)
 
-    return place
+    return where
 
 
 def _require_network(outer: Block, earlier: Block | None) -> None:

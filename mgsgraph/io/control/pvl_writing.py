@@ -73,7 +73,7 @@ def network_text(network: ControlNetwork) -> str:
         try:
             lines += _point_lines(point)
         except InputError as error:
-            raise error.within(network.place(index)) from None
+            raise error.within(network.where(index)) from None
     return "\n".join([*lines, "End_Object", "End", ""])
 
 

@@ -11,8 +11,8 @@ import msgspec
 
 from mgsgraph.errors import InputError
 
-Place = Callable[[int, int | None, str], str]
-"""Words for where something stands: by index of the point, index of the measure or None, and keyword or nothing."""
+Where = Callable[[int, int | None, str], str]
+"""Where something is in a file, in words: by index of the point, index of the measure or None, and keyword."""
 
 
 class PointType(IntEnum):
@@ -129,14 +129,14 @@ class ControlNetwork(msgspec.Struct, frozen=True):
         seen: dict[str, int] = {}
         for index, point in enumerate(self.points):
             if not point.id:
-                raise InputError(self.place(index), "no PointId", "one for each point")
+                raise InputError(self.where(index), "no PointId", "one for each point")
             if (first := seen.setdefault(point.id, index)) != index:
-                raise InputError(self.place(index), f"the id twice, first at point {first + 1}", "each id once")
+                raise InputError(self.where(index), f"the id twice, first at point {first + 1}", "each id once")
             if point.reference is not None and not 0 <= point.reference < len(point.measures):
                 found = f"measure {point.reference} (counted from 0) as reference"
-                raise InputError(self.place(index), found, f"one of its {len(point.measures)} measures")
+                raise InputError(self.where(index), found, f"one of its {len(point.measures)} measures")
 
-    def place(self, point: int, measure: int | None = None, key: str = "") -> str:
+    def where(self, point: int, measure: int | None = None, key: str = "") -> str:
         """Where something stands: file, number of the point and id, image, keyword."""
         found = self.points[point]
         name = found.id[:60].replace("\n", " ")

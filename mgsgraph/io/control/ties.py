@@ -1,4 +1,4 @@
-"""TiePoints of a control network and a control network of TiePoints: the place for what each means to the other.
+"""TiePoints of a control network and a control network of TiePoints: what each means to the other.
 
 Pixels counted from 1 end and begin here.
 """
@@ -9,7 +9,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, Place, PointType
+from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType, Where
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import ISIS_OFFSET
 
@@ -20,7 +20,7 @@ _TYPES = {kind: point_type for point_type, kind in _KINDS.items()}
 _UNKNOWN = (math.nan, math.nan, math.nan)
 
 
-def tie_points(network: ControlNetwork, place: Place | None = None) -> TiePoints:
+def tie_points(network: ControlNetwork, where: Where | None = None) -> TiePoints:
     """What an adjustment takes from a network.
 
     What ``jigsaw`` does is done here: points and measures with ``Ignore = True`` are left out; ``JigsawRejected`` ones
@@ -33,7 +33,7 @@ def tie_points(network: ControlNetwork, place: Place | None = None) -> TiePoints
     ----------
     network : ControlNetwork
         As read.
-    place : Place
+    where : Where
         Words for where something stands, for messages; those of the network by default.
 
     Returns
@@ -44,11 +44,11 @@ def tie_points(network: ControlNetwork, place: Place | None = None) -> TiePoints
     Raises
     ------
     InputError
-        With the place: a point that is not free without a-priori place, a constrained one without covariance or with
-        one that is not positive; a measure without line or sample, or with a sigma that is not positive; an image twice
-        in a point; no point that is not ignored.
+        With file and point: a point that is not free without a-priori position, a constrained one without covariance or
+        with one that is not positive; a measure without line or sample, or with a sigma that is not positive; an image
+        twice in a point; no point that is not ignored.
     """
-    place = place or network.place
+    where = where or network.where
     used = [index for index, point in enumerate(network.points) if not point.ignore]
     points = [network.points[index] for index in used]
     if not points:
@@ -57,7 +57,7 @@ def tie_points(network: ControlNetwork, place: Place | None = None) -> TiePoints
             "an ISIS control network (Object = ControlNetwork)",
         )
     for index in used:
-        _require_usable(network.points[index], index, place)
+        _require_usable(network.points[index], index, where)
     measures = [measure for point in points for measure in point.measures if not measure.ignore]
     counts = [sum(not measure.ignore for measure in point.measures) for point in points]
     nan = math.nan
@@ -135,43 +135,43 @@ def control_network(
     )
 
 
-def _require_usable(point: ControlPoint, index: int, place: Place) -> None:
+def _require_usable(point: ControlPoint, index: int, where: Where) -> None:
     """Raise InputError unless an adjustment can take the point and its measures."""
     if point.type != PointType.FREE and point.apriori is None:
         found = f"{point.type.name.lower()} without an a-priori place"
-        raise InputError(place(index, None, ""), found, "AprioriX, AprioriY, AprioriZ")
+        raise InputError(where(index, None, ""), found, "AprioriX, AprioriY, AprioriZ")
     if point.type == PointType.CONSTRAINED:
-        _require_covariance(point, index, place)
+        _require_covariance(point, index, where)
     images: set[str] = set()
     for k, measure in enumerate(point.measures):
         if measure.ignore:
             continue
         if measure.serial_number in images:
             found = "a second measure in this image"
-            raise InputError(place(index, k, ""), found, "one per point", "remove the worse one")
+            raise InputError(where(index, k, ""), found, "one per point", "remove the worse one")
         images.add(measure.serial_number)
-        _require_measured(measure, index, k, place)
+        _require_measured(measure, index, k, where)
 
 
-def _require_covariance(point: ControlPoint, index: int, place: Place) -> None:
+def _require_covariance(point: ControlPoint, index: int, where: Where) -> None:
     if not point.apriori_covariance:
         raise InputError(
-            place(index, None, ""), "constrained without AprioriCovarianceMatrix", "xx, xy, xz, yy, yz, zz in m^2",
+            where(index, None, ""), "constrained without AprioriCovarianceMatrix", "xx, xy, xz, yy, yz, zz in m^2",
             "add it, or make the point Free or Fixed",
         )
     xx, _, _, yy, _, zz = point.apriori_covariance
     if min(xx, yy, zz) <= 0.0:
         found = f"variances {xx:g}, {yy:g}, {zz:g} m^2"
-        raise InputError(place(index, None, "AprioriCovarianceMatrix"), found, "positive variances")
+        raise InputError(where(index, None, "AprioriCovarianceMatrix"), found, "positive variances")
 
 
-def _require_measured(measure: ControlMeasure, point: int, k: int, place: Place) -> None:
+def _require_measured(measure: ControlMeasure, point: int, k: int, where: Where) -> None:
     for key, value in (("Line", measure.line), ("Sample", measure.sample)):
         if value is None:
-            raise InputError(place(point, k, ""), f"no {key}", f"{key} of the measure")
+            raise InputError(where(point, k, ""), f"no {key}", f"{key} of the measure")
     for key, sigma in (("LineSigma", measure.line_sigma), ("SampleSigma", measure.sample_sigma)):
         if sigma is not None and sigma <= 0.0:
-            raise InputError(place(point, k, key), f"{sigma:g} px", "a positive sigma")
+            raise InputError(where(point, k, key), f"{sigma:g} px", "a positive sigma")
 
 
 def _place(point: ControlPoint) -> tuple[float, float, float]:
