@@ -57,7 +57,7 @@ class Layout:
     """Its normal matrix on strips' unknowns, flat in `blocks`; empty without strips."""
     patterns: Patterns
     """Points by pattern."""
-    places: ObservationRows
+    observation_rows: ObservationRows
     """Network rows among all observations."""
     lines: Array
     """(k,) line about which each network ray is laid out."""
@@ -96,20 +96,20 @@ class Layout:
 
     @property
     def point_order(self) -> Index:
-        """(n,) network point at each place of the layout."""
+        """(n,) network point at each index of the layout."""
         return self.patterns.point_order
 
     def network_order(self, values: NDArray[_Kind]) -> NDArray[_Kind]:
         """Values (n, ...) in the layout's order, back in the network's."""
-        return values[self.patterns.point_place]
+        return values[self.patterns.point_index]
 
     def columns_of(self, variable: int) -> slice:
         """Columns of one variable."""
         return self.variables.columns_of(variable)
 
     def following(self, points: Array, shared: Array) -> "Layout":
-        """The same layout with each point's terrain patch under its present place (n, 3), layout order, by the present
-        shared unknowns (columns,); itself when all patches are the same.
+        """The same layout with each point's terrain patch under its present position (n, 3), layout order, by the
+        present shared unknowns (columns,); itself when all patches are the same.
         """
         surface = self.network.surface
         if surface is None:
@@ -124,8 +124,8 @@ class Layout:
         return replace(self, rows=self.rows._replace(terrain_cell=cells))
 
     def about(self, lines: Array) -> "Layout":
-        """The same network, points in and out, starting places and terrain patches, its rays laid out about other lines
-        (k,).
+        """The same network, points in and out, starting positions and terrain patches, its rays laid out about other
+        lines (k,).
         """
         starts, kinds = self.network_order(self.rows.start), self.network_order(self.rows.kind)
         anew = _lay_out(self.network, self.model, None, lines, (starts, kinds))
@@ -141,8 +141,8 @@ class Layout:
             kind = np.where(out[self.point_order], OUT, kind).astype(kind.dtype)
         if not (np.all(rays) and np.all(ranges)):
             weight = weight.copy()
-            weight[:, self.places.rays[~rays]] = 0.0
-            weight[:, self.places.ranges[~ranges]] = 0.0
+            weight[:, self.observation_rows.rays[~rays]] = 0.0
+            weight[:, self.observation_rows.ranges[~ranges]] = 0.0
         return self.rows._replace(kind=kind, weight=weight)
 
 
@@ -155,8 +155,8 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     settings : SolverSettings
     places : (n, 3), optional
         m, where its points are thought to be: there the inner solves begin. Where it is NaN, or absent, they begin at
-        the a-priori place or at the intersection of the nominal rays. Not heard in the papers' form, in which the
-        places where points begin are part of the model (image motion per line), and must be the nominal ones.
+        the a-priori position or at the intersection of the nominal rays. Not used in the papers' form, in which the
+        positions where points begin are part of the model (image motion per line), and must be the nominal ones.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
 def _lay_out(
     network: Network, model: Model, known: Array | None, lines: Array, like: tuple[Array, NDArray[np.int8]] | None
 ) -> Layout:
-    """The same with rays laid out about lines (k,); `like` are starting places and kinds to keep, network order."""
+    """The same with rays laid out about lines (k,); `like` are starting positions and kinds to keep, network order."""
     variables = make_variables(network)
     terms = Terms(network, variables, lines)
     patterns, rays_of = sort_points(network, terms)
