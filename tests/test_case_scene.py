@@ -113,12 +113,12 @@ def test_images_of_strips_have_their_strip_s_prior(tmp_path: Path) -> None:
     path = write_block(tmp_path)
     with pytest.raises(InputError, match="no pixels"):
         read_scene(path)
-    from mgsgraph.case.scene import _priors
+    from mgsgraph.case.scene import image_priors
     from mgsgraph.case.strips import members
 
     wanted = decode(path)
     of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
-    for prior in _priors(wanted, of_strips, path):
+    for prior in image_priors(wanted, of_strips, path):
         assert prior.sigmas.shape == (2, 6)
         assert np.all(np.isfinite(prior.sigmas))
         assert np.all(prior.sigmas > 0.0)
