@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import kernels
+import once
 import pytest
 from outside import require
 
@@ -37,6 +38,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         config.option.numprocesses, config.option.dist = "logical", "loadfile"
         config.option.loadscopereorder = False
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else its threads wait for one another's processor
+        once.share()
         kernels.compile_in_background()
 
 

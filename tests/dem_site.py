@@ -2,6 +2,8 @@
 true ground: what is wrong with a terrain model of them is the noise that was added.
 """
 
+import atexit
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,6 +11,7 @@ from tempfile import mkdtemp
 
 import numpy as np
 from numpy.typing import NDArray
+from once import once
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -47,13 +50,15 @@ def site() -> SimulatedSite:
 @cache
 def case_path() -> Path:
     """The site's case, every fifth shot of its profiles a check point; for reading only."""
-    path = write_site(site(), Path(mkdtemp(prefix="mgsgraph-dem-")) / "site")
+    folder = Path(mkdtemp(prefix="mgsgraph-dem-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = write_site(site(), folder / "site")
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("[[mola]]\n", f"[[mola]]\ncheck_every = {CHECK_EVERY}\n"), encoding="utf-8")
     return path
 
 
-@cache
+@once
 def solution() -> Solution:
     """Adjusted."""
     case = read_case(case_path())

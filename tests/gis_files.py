@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 from networks import network, pair
+from once import once
 from sharing import shared
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -97,7 +98,7 @@ def _cylinder(body: Ellipsoid) -> tuple[Array, Array]:
     return np.arctan2((b / a) ** 2 * np.sin(latitude), np.cos(latitude)), height
 
 
-@cache
+@once
 def odd_solution() -> Solution:
     """The pair with odd names, a tie of one ray, three laser points as control points, and an unknown focal length."""
     net = network(pair(40, 12))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from once import once
 
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
@@ -31,7 +32,7 @@ DISTURBED = OrientationCorrection(np.array([[60.0, -80.0, 20.0, 1e-4, -1.5e-4, 2
 """Of the third picture."""
 
 
-@cache
+@once
 def site() -> SimulatedSite:
     """The pair, both images cut after their first lines, which show the same ground, and rendered."""
     whole = simulate_site("gusev", 1, SimulationOptions(pictures=False))
@@ -108,7 +109,7 @@ def matches(count: int = 2, method: Method = "sift") -> Matches:
     return _matches(count, method)
 
 
-@cache
+@once
 def _matches(count: int, method: Method) -> Matches:
     return match_scene(scene(count), replace(SETTINGS, method=method))
 

@@ -6,9 +6,19 @@ from functools import cache
 import numpy as np
 
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
-from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.orientation import OrientationPrior, polynomial
+from mgsgraph.geometry.orientation_images import OrientationImages
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network import (
+    GroundPoints,
+    ImageRays,
+    JointNodePrior,
+    Network,
+    PointClass,
+    ProfileShifts,
+    Ranges,
+    Surface,
+)
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import NoiseSettings
@@ -75,3 +85,26 @@ def network(pair: SimulatedPair, held: tuple[bool, bool] = (False, False), laser
     )
     priors: tuple[OrientationPrior, ...] = (noise.prior, noise.prior)
     return Network(pair.images, priors, np.array(held), points, rays, ranges)
+
+
+def as_nodes(prior: OrientationPrior, nodes: OrientationImages, u: np.ndarray) -> JointNodePrior:
+    """The prior of an orientation polynomial, of degree 3 at most, on the nodes of a Lagrange basis.
+
+    Four nodes hold a cubic polynomial exactly: with this prior the cost is the polynomial's.
+
+    Parameters
+    ----------
+    prior : OrientationPrior
+        Of the polynomial's coefficients.
+    nodes : OrientationImages
+        Lagrange's basis on degree + 1 nodes.
+    u : (k,)
+        Normalised line of each node in the image that the polynomial belongs to.
+    """
+    assert nodes.basis == "lagrange"
+    assert len(nodes) == prior.degree + 1
+    values, _ = polynomial(u, prior.degree)
+    coefficients = np.linalg.solve(values, np.eye(len(nodes)))
+    known = np.isfinite(prior.sigmas.ravel())
+    weights = np.where(known, 1.0 / prior.sigmas.ravel(), 0.0)
+    return JointNodePrior((weights[:, None] * np.kron(coefficients, np.eye(6)))[known], np.zeros(0))

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 from increments import NOISE, network_of, strip
+from once import once
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -29,7 +30,7 @@ def made(images: int = 11) -> SimulatedStrip:
     return strip(images, 40, 6)
 
 
-@cache
+@once
 def solved(images: int = 8) -> Solution:
     """The first images, adjusted."""
     return adjust_network(network_of(made(), range(images)), SolverSettings())

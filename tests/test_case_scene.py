@@ -73,7 +73,7 @@ def test_a_site_is_what_was_written(site: Path) -> None:
         points = ours.points(ours.chart.plane(matched.inner(40)))
         assert np.abs(ground.points(ground.chart.plane(points)) - points).max() < 1.0  # posts of whole metres
         # polynomials in place of the kernels' noise of four seconds of arc
-        assert np.abs(picture.places(points) - made.places(points)).max() < 6.0
+        assert np.abs(picture.project(points) - made.project(points)).max() < 6.0
     ends = np.array([[0.0, 512.0], [matched.LINES, 512.0]])
     across, along = np.diff(scene.pictures[0].on_chart(ground, ends), axis=0)[0]
     assert abs(across) < 0.02 * along  # y is along the flight
@@ -113,12 +113,12 @@ def test_images_of_strips_have_their_strip_s_prior(tmp_path: Path) -> None:
     path = write_block(tmp_path)
     with pytest.raises(InputError, match="no pixels"):
         read_scene(path)
-    from mgsgraph.case.scene import _priors
+    from mgsgraph.case.scene import image_priors
     from mgsgraph.case.strips import members
 
     wanted = decode(path)
     of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
-    for prior in _priors(wanted, of_strips, path):
+    for prior in image_priors(wanted, of_strips, path):
         assert prior.sigmas.shape == (2, 6)
         assert np.all(np.isfinite(prior.sigmas))
         assert np.all(prior.sigmas > 0.0)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from networks import network, pair
+from networks import as_nodes, network, pair
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.orientation_images import OrientationImages, evenly_spaced
 from mgsgraph.network import JointNodePrior, NodePrior, Strip
-from mgsgraph.network.strips import as_nodes, normalised
+from mgsgraph.network.strips import normalised
 
 TIMES = np.array([0.0, 2.0, 3.0, 7.0, 11.0])
 NODES = OrientationImages("lagrange", 0.0, TIMES)
@@ -89,9 +89,9 @@ def test_strips_of_a_network() -> None:
     with_strip = replace(net, strips=(Strip("A", np.array([0]), nodes, prior),))
 
     assert with_strip.strip_of.tolist() == [0, -1]
-    assert with_strip.own.tolist() == [False, True]
+    assert with_strip.with_polynomial.tolist() == [False, True]
     assert not np.any(with_strip.held)
-    assert np.all(replace(with_strip, strips=()).own)
+    assert np.all(replace(with_strip, strips=()).with_polynomial)
     with pytest.raises(InputError, match="it is held"):
         replace(with_strip, held=np.array([True, False]))
     assert with_strip.first_of_strips.tolist() == [2, 2 + len(nodes)]

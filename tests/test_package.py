@@ -51,7 +51,7 @@ ONLY_IN = {
     ),
     "llvmlite": ("mgsgraph.kernel.lanes",),
     "cv2": ("mgsgraph.matching",),
-    "jinja2": ("mgsgraph.reports", "mgsgraph.review"),
+    "jinja2": ("mgsgraph.output.page",),
     "google": ("mgsgraph.io.control",),
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),

@@ -10,12 +10,12 @@ from sphinx.application import Sphinx
 _SPELT = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[([^\[\]]+)\]\]")
 _NAMES = {"float64": "Array", "int64": "Index", "bool": "Mask"}
 """As `mgsgraph.geometry.records` has them."""
-_PLACES = (addnodes.desc_annotation, addnodes.desc_returns, addnodes.desc_sig_name)
+_NODES = (addnodes.desc_annotation, addnodes.desc_returns, addnodes.desc_sig_name)
 
 
 def name_arrays(app: Sphinx, page: nodes.document, name: str) -> None:
     """Replace the spelt-out types of all signatures."""
-    for node in list(page.findall(lambda one: isinstance(one, _PLACES))):
+    for node in list(page.findall(lambda one: isinstance(one, _NODES))):
         if _SPELT.search(text := node.astext()):
             node.children = []
             node += nodes.Text(_SPELT.sub(lambda found: _NAMES.get(found[1], f"NDArray[{found[1]}]"), text))

@@ -45,14 +45,14 @@ def _record(hint: Any) -> _Kind | None:
 
 
 def _section(head: str, kind: _Kind) -> list[str]:
-    told = ModuleAnalyzer.for_module(kind.__module__).find_attr_docs()
+    meanings = ModuleAnalyzer.for_module(kind.__module__).find_attr_docs()
     if kind is SolverInput:  # the same names, said there
         settings = ModuleAnalyzer.for_module(SolverSettings.__module__).find_attr_docs()
-        told = {(kind.__name__, name): lines for (_, name), lines in settings.items()}
+        meanings = {(kind.__name__, name): lines for (_, name), lines in settings.items()}
     lines = ["", f"## {head}", "", " ".join((kind.__doc__ or "").split()), ""]
     lines += ["| key | when left out | what it says |", "|---|---|---|"]
     for field in msgspec.structs.fields(kind):
-        said = " ".join(told[kind.__name__, field.name]).strip()
+        said = " ".join(meanings[kind.__name__, field.name]).strip()
         choices = ", ".join(f"`{word}`" for word in _words(field.type))
         lines.append(f"| `{field.name}` | {_default(field)} | {said} {choices} |".replace(" |  |", " | |"))
     return lines

@@ -58,7 +58,7 @@ class Residuals:
 
 def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweeper = IN_PROCESS) -> Residuals:
     """Residuals with the shared unknowns (columns,) and points (n, 3), layout order."""
-    places = layout.places
+    places = layout.observation_rows
     values = sweeper.residuals(layout, layout.rows, orientation, points)
     heights = np.full(points.shape[0], np.nan)
     heights[places.on_terrain] = values[places.heights, 0]
@@ -70,7 +70,7 @@ def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweepe
 
 def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals) -> Fit:
     """Weighted squares (robust weights included), observations and unknowns of the rows that take part."""
-    network, places, kind = layout.network, layout.places, layout.network_order(rows.kind)
+    network, places, kind = layout.network, layout.observation_rows, layout.network_order(rows.kind)
     used = (rows.weight[0, places.rays] > 0.0) & (kind[network.rays.point] != OUT)
     range_used = (rows.weight[0, places.ranges] > 0.0) & (kind[network.ranges.point] != OUT)
     whitened = found.image / network.rays.sigmas

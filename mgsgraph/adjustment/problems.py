@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt
-from mgsgraph.adjustment.graph import BundleGraph, Layout, explicit_graph
+from mgsgraph.adjustment.graph import BundleGraph, explicit_graph
 from mgsgraph.adjustment.graph.bundle import shared_vector, variable_key
 from mgsgraph.adjustment.graph.explicit import all_points
 from mgsgraph.adjustment.settings import SolverSettings
@@ -19,11 +19,6 @@ from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
 
 _POINT_SCALE = np.full(3, 100.0)
 """m, unit of a point's step in the damping of the explicit form."""
-
-
-def variable_scales(layout: Layout) -> dict[int, Array]:
-    """Scale of each shared unknown's components, m and rad, by GTSAM key."""
-    return {variable_key(layout, v): layout.scales[layout.columns_of(v)] for v in layout.variables.adjusted()}
 
 
 class ReducedEquations:
@@ -170,7 +165,7 @@ def solve_explicit(
     """Solve the explicit form: outcome, orientation vector (columns,), points (n, 3) in m, and the graph."""
     layout = graph.layout
     explicit, values = explicit_graph(layout, graph.rows, start, points)
-    scales = variable_scales(layout)
+    scales = {variable_key(layout, v): layout.scales[layout.columns_of(v)] for v in layout.variables.adjusted()}
     scales |= {key: _POINT_SCALE for key in values.keys() if key not in scales}  # noqa: SIM118
     if settings.method == "levenberg-marquardt":
         outcome = levenberg_marquardt(GraphProblem(explicit, scales), values, settings, progress)

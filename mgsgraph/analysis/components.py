@@ -250,10 +250,10 @@ def components_of(solution: Solution | Linearised, grouping: Grouping | None = N
     """
     at = solution if isinstance(solution, Linearised) else at_solution(solution)
     found = group_redundancy(at, grouping or group_rows(at.network))
-    judgements = _judgements(found, {})
+    judgements = judge_groups(found, {})
     squared = _squared_factors(found, judgements)
     plain = found.squares / np.maximum(found.redundancy, 1e-300)
-    components = _components(found, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
+    components = components_from_redundancy(found, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
     far = [abs(math.log(one.factor)) > _FAR for one in components.groups if one.judgement is Judgement.JUDGED]
     return replace(components, rough=any(far))
 
@@ -292,7 +292,7 @@ def iterated_components(
         solution = adjust_network(present, settings, left_in=left_in)
         history.append(total.copy())
         found = group_redundancy(at_solution(solution), grouping)
-        judgements = _judgements(found, held)
+        judgements = judge_groups(found, held)
         free = np.array([one is Judgement.JUDGED for one in judgements], dtype=bool)
         step = np.where(free, np.sqrt(np.clip(_squared_factors(found, judgements), _STEP**-2, _STEP**2)), 1.0)
         lost = [g for g in np.flatnonzero(~free & (total != 1.0)).tolist() if g not in held]
@@ -305,11 +305,11 @@ def iterated_components(
         total = np.clip(total, _FLOOR, _CEILING)
         for g in lost:  # with its new sigmas nothing can be said of them: neither for them nor against the stated ones
             held[g], total[g] = Judgement.LOST, 1.0
-    components = _components(found, judgements, total)
+    components = components_from_redundancy(found, judgements, total)
     return IteratedComponents(present, solution, components, converged, np.array(history))
 
 
-def _judgements(found: Redundancy, held: dict[int, Judgement]) -> list[Judgement]:
+def judge_groups(found: Redundancy, held: dict[int, Judgement]) -> list[Judgement]:
     """Of each group; those held are as they were."""
     judgements = [Judgement.FEW if r < LEAST else Judgement.JUDGED for r in found.redundancy]
     for g, judgement in held.items():
@@ -342,7 +342,8 @@ def _squared_factors(found: Redundancy, judgements: list[Judgement]) -> Array:
     return squared
 
 
-def _components(found: Redundancy, judgements: list[Judgement], factors: Array) -> Components:
+def components_from_redundancy(found: Redundancy, judgements: list[Judgement], factors: Array) -> Components:
+    """Factors (g,) of the groups, with their covariances from Helmert's matrix of those that can be judged."""
     size, judged = len(judgements), _judged_groups(judgements)
     part = found.helmert[np.ix_(judged, judged)]
     covariance, degrees = 2.0 * np.linalg.inv(part), np.full(size, np.nan)

@@ -45,7 +45,7 @@ class Grouping:
 
     def of_observations(self, layout: Layout) -> Index:
         """(t,) group of each observation of a layout."""
-        places, rows = layout.places, layout.rows
+        places, rows = layout.observation_rows, layout.rows
         found = np.full(rows.weight.shape[1], -1)
         found[places.rays], found[places.ranges] = self.rays, self.ranges
         found[places.heights] = self.heights[places.on_terrain]

@@ -99,7 +99,7 @@ class Linearised:
 
     def layout_index(self, point: int) -> int:
         """Place in the layout of a network point that takes part; InputError where nothing determines it."""
-        index = int(self.layout.patterns.point_place[point])
+        index = int(self.layout.patterns.point_index[point])
         if self.rows.kind[index] == OUT:
             where = f"point {self.network.points.ids[point]}"
             raise InputError(where, "its measures determine no place, or were rejected", "a point that was adjusted")

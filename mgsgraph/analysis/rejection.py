@@ -107,7 +107,7 @@ class ObservationIndex:
     """Which observations each point of a linearised network has."""
 
     def __init__(self, at: Linearised) -> None:
-        network, places, self._at = at.network, at.layout.places, at
+        network, places, self._at = at.network, at.layout.observation_rows, at
         self._measured = tuple(
             (kind, PointIndex(points, len(network.points)), among)
             for kind, points, among in (
@@ -119,7 +119,7 @@ class ObservationIndex:
     def of(self, point: int) -> dict[ObservationKey, int]:
         """Observations of a network point, and the index of each in those of its pattern (`PointRows.observation`)."""
         rows, patterns = self._at.rows, self._at.layout.patterns
-        number = int(patterns.point_place[point])
+        number = int(patterns.point_index[point])
         pattern, first, count, _, observation = rows.piece[patterns.piece_of(number)].tolist()
         found: dict[ObservationKey, int] = {}
         for kind, index, places in self._measured:
@@ -203,7 +203,7 @@ def _agrees(
     critical: Callable[[int], float],
 ) -> bool:
     """Whether a removal's rows agree with the others."""
-    if whole.rows.kind[whole.layout.patterns.point_place[removal.point]] == OUT:
+    if whole.rows.kind[whole.layout.patterns.point_index[removal.point]] == OUT:
         return False
     rows, observations = whole.rows_of(removal.point), index.of(removal.point)
     back = np.isin(rows.observation, [observations[one] for one in removal.observations])

@@ -165,18 +165,18 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
 
 def _taking_part(at: Linearised, roots: tuple[Array, Array] | None) -> tuple[Mask, Index, Index]:
     """Which rays (k,) take part; ranges, and heights by their place among the network's."""
-    network, places = at.network, at.layout.places
+    network, places = at.network, at.layout.observation_rows
     used = _used(at, places.rays, network.rays.point, None if roots is None else roots[0])
     shots = np.flatnonzero(_used(at, places.ranges, network.ranges.point, None if roots is None else roots[1]))
     if network.surface is None:
         return used, shots, np.zeros(0, dtype=np.int64)
-    there = at.rows.terrain_cell[at.layout.patterns.point_place[places.on_terrain], 0] >= 0
+    there = at.rows.terrain_cell[at.layout.patterns.point_index[places.on_terrain], 0] >= 0
     return used, shots, np.flatnonzero(there & _used(at, places.heights, places.on_terrain, None))
 
 
 def _ground_indices(at: Linearised, points: Index) -> Index:
     """(g,) places among all observations of the a-priori places of network points."""
-    rows, index_of = at.rows, at.layout.patterns.point_place
+    rows, index_of = at.rows, at.layout.patterns.point_index
     of_pattern = np.full(rows.pattern_group.size, -1)
     own = np.flatnonzero(rows.observation_kind == GROUND)
     pattern = np.searchsorted(rows.pattern_observation, own, side="right") - 1
@@ -224,7 +224,7 @@ def _robust_roots(at: Linearised, numbers: Array) -> tuple[Array, Array] | None:
     """Roots of the robust weights of all rays (k,) and ranges (r,), network order; None without a loss."""
     if at.layout.model.loss == NO_LOSS:
         return None
-    network, places = at.network, at.layout.places
+    network, places = at.network, at.layout.observation_rows
     found = residuals(at.layout, at.orientation, at.points)
     plain = np.linalg.norm(found.image / network.rays.sigmas, axis=1), np.abs(found.ranges / network.ranges.sigmas)
     scaled = np.linalg.norm(numbers[places.rays, _MISFIT], axis=1), np.abs(numbers[places.ranges, 0])
@@ -239,7 +239,7 @@ def _rays(
     out: ScalarMeasures, at: Linearised, numbers: Array, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
 ) -> list[float]:
     """Fill in the rays; their sums of squares, part by part."""
-    rays, places = at.network.rays, at.layout.places.rays
+    rays, places = at.network.rays, at.layout.observation_rows.rays
     edges = [*range(0, used.size, _RAYS), used.size]
     counts = [int(np.count_nonzero(used[a:b])) for a, b in pairwise(edges)]
     begins = dict(zip(edges, 2 * np.cumsum([0, *counts]), strict=True))
@@ -267,7 +267,7 @@ def _ranges(
     out: ScalarMeasures, at: Linearised, numbers: Array, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
 ) -> float:
     """Fill in the ranges; their sum of squares."""
-    ranges, index = at.network.ranges, at.layout.places.ranges[shots]
+    ranges, index = at.network.ranges, at.layout.observation_rows.ranges[shots]
     out.say(MeasureKind.RANGE, _zeros(shots), shots, ranges.point[shots], ranges.image[shots], index)
     root = None if roots is None else roots[1][shots]
     misfit, share, effect = numbers[index][:, [0, 2, 4]].T
@@ -279,7 +279,7 @@ def _heights(out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index,
     """Fill in the heights above the terrain; their sum of squares."""
     if at.network.surface is None:
         return 0.0
-    point, index = at.layout.places.on_terrain[chosen], at.layout.places.heights[chosen]
+    point, index = at.layout.observation_rows.on_terrain[chosen], at.layout.observation_rows.heights[chosen]
     out.say(MeasureKind.HEIGHT, _zeros(point), point, point, -1, index)
     misfit, share, effect = numbers[index][:, [0, 2, 4]].T
     # the kernel's are heights of the points above the terrain: predicted, where 0 is measured

@@ -121,7 +121,7 @@ def combinations(found: Reliability, measures: Index, rows: PointRows) -> Array:
     """
     table, at = found.measures, found.at
     point = int(table.point[measures[0]])
-    index = int(at.layout.patterns.point_place[point])
+    index = int(at.layout.patterns.point_index[point])
     _, first, count, _, observation = at.rows.piece[at.layout.patterns.piece_of(index)].tolist()
     slot = (table.observation[measures] - observation - (index - first)) // count
     chosen = np.zeros((rows.row.size, measures.size))

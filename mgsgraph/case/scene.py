@@ -61,7 +61,7 @@ def read_scene(
         raise InputError(str(path), "one image", "two that overlap, at least")
     of_strips = members(wanted.strips, names, str(path))
     images, _ = read_images(wanted, wanted.orientations, of_strips, path)
-    priors = _priors(wanted, of_strips, path)
+    priors = image_priors(wanted, of_strips, path)
     pictures = tuple(
         Picture(image, read_picture(_pixels(wanted, j, path)), prior)
         for j, (image, prior) in enumerate(zip(images, priors, strict=True))
@@ -84,7 +84,7 @@ def _pixels(wanted: CaseInput, image: int, path: Path) -> Path:
     return file
 
 
-def _priors(wanted: CaseInput, of_strips: Sequence[Sequence[int]], path: Path) -> list[OrientationPrior]:
+def image_priors(wanted: CaseInput, of_strips: Sequence[Sequence[int]], path: Path) -> list[OrientationPrior]:
     """Of each image; one of a strip has its strip's."""
     priors = list(wanted.priors(str(path)))
     for k, members_of in enumerate(of_strips):

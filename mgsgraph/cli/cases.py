@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 from tqdm import tqdm
 
-from mgsgraph.cli.options import NO_FIGURES, PATH, TIES, overruling
+from mgsgraph.cli.options import NO_FIGURES, PATH, TIES, overruling, print_sentences, print_solution
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster import Connection
@@ -62,7 +62,6 @@ def adjust(
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.output.folders import require_replaceable
     from mgsgraph.reports.results import write_results
-    from mgsgraph.reports.summary import statements, summary_table
 
     require_replaceable(out)
     if cluster is not None:
@@ -76,9 +75,7 @@ def adjust(
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         solution = adjust_network(read.network, settings, read.name, bar, workers)
     write_results(solution, out, figures=overrides.figures)
-    click.echo(summary_table(solution))
-    for sentence in statements(solution):
-        click.echo(f"- {sentence}")
+    print_solution(solution)
     click.echo(f"Results are in {out}")
     ctx.exit(0 if solution.converged else 1)
 
@@ -104,10 +101,10 @@ def _in_two_steps(
     write_results(steps.fitted, out, figures=False)  # what took longest is safe, whatever becomes of the rest
     with _solution_kept(out), stage_bar(2) as stages:
         with stages.stage("figures of merit"):
-            merit = two_step_statistics(steps)
+            statistics = two_step_statistics(steps)
         with stages.stage("tables and figures"):
-            write_two_steps(merit, out, figures=overrides.figures)
-    click.echo(two_steps_page(merit))
+            write_two_steps(statistics, out, figures=overrides.figures)
+    click.echo(two_steps_page(statistics))
     click.echo(f"Results are in {out}")
     return steps.converged
 
@@ -252,8 +249,7 @@ def nodes(
     if out is not None:
         write_nodes(study, out, figures=not no_figures)
     click.echo(spacing_table(study.choice))
-    for sentence in node_statements(study):
-        click.echo(f"- {sentence}")
+    print_sentences(node_statements(study))
     if out is not None:
         click.echo(f"The study is in {out}")
 
@@ -282,6 +278,5 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
     adjusted = None if solution is None else read_solution(solution)
     registration = register_case(read_case(case, ties=ties), adjusted)
     write_registration(registration, out, figures=not no_figures)
-    for sentence in registration_statements(registration):
-        click.echo(f"- {sentence}")
+    print_sentences(registration_statements(registration))
     click.echo(f"Results are in {out}")

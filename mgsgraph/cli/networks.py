@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from mgsgraph.cli.options import PATH
+from mgsgraph.cli.options import PATH, print_sentences
 from mgsgraph.export import Target
 
 _FORMATS = click.Choice(["pvl", "net", "csv", "match", "match-text", "gcp", "nvm"])
@@ -64,16 +64,16 @@ def convert(
             inputs, output, setting, read_as=read_as, write_as=write_as, strict=strict, replace=replace
         )
     except Lossy as error:
-        _tell_lost(error.lost)
+        _print_lost(error.lost)
         raise
     for note in made.notes:
         click.echo(f"- {note}")
     for path in made.written:
         click.echo(f"Wrote {path}")
-    _tell_lost(made.lost)
+    _print_lost(made.lost)
 
 
-def _tell_lost(lost: tuple[str, ...]) -> None:
+def _print_lost(lost: tuple[str, ...]) -> None:
     for line in lost:
         click.echo(f"- Not held: {line}")
 
@@ -105,8 +105,7 @@ def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | No
             raise InputError(str(case), "no image with support data (isd)", "some to take over", "leave --case out")
     results = results_of(solution)
     done = export_solution(results.folder, target, out, ExportSettings(scaled, support, raster))
-    for sentence in filter(None, (results.warning, done.statement)):
-        click.echo(f"- {sentence}")
+    print_sentences(filter(None, (results.warning, done.statement)))
     click.echo(f"The files are in {out}")
 
 

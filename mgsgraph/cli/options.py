@@ -1,6 +1,6 @@
 """Options that several verbs have; those by which a command line overrules case files."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +9,7 @@ import click
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Form, Loss
+    from mgsgraph.adjustment.solution import Solution
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
@@ -52,3 +53,17 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     for option in reversed(_OPTIONS):
         option(with_overrides)
     return with_overrides
+
+
+def print_sentences(sentences: Iterable[str]) -> None:
+    """Print sentences, each as an item of a list."""
+    for sentence in sentences:
+        click.echo(f"- {sentence}")
+
+
+def print_solution(solution: "Solution") -> None:
+    """Print what an adjustment has found: the table and the sentences."""
+    from mgsgraph.reports.summary import statements, summary_table
+
+    click.echo(summary_table(solution))
+    print_sentences(statements(solution))

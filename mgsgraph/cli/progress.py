@@ -35,8 +35,10 @@ def iteration_bar(verbose: bool, most: int) -> Iterator["IterationBar"]:
 
 @contextmanager
 def counting_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-    """Progress over a known number of things, on standard error (where that is a terminal) after two seconds."""
-    with tqdm(desc=what, unit=unit, leave=False, disable=None, delay=_SHORTLY) as bar:
+    """Progress over a known number of things, on standard error (where that is a terminal) after two seconds; of bytes,
+    unit B, with their rate. The number may grow as more becomes known.
+    """
+    with tqdm(desc=what, unit=unit, unit_scale=unit == "B", leave=False, disable=None, delay=_SHORTLY) as bar:
 
         def show(done: int, most: int) -> None:
             bar.total = most
@@ -69,18 +71,6 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
     finally:
         if bar is not None:
             bar.close()
-
-
-@contextmanager
-def byte_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Progress over bytes, with their rate; all bytes there are to come may grow as more becomes known."""
-    with tqdm(desc=what, unit="B", unit_scale=True, leave=False, disable=None, delay=_SHORTLY) as bar:
-
-        def show(done: int, most: int) -> None:
-            bar.total = most
-            bar.update(done - bar.n)
-
-        yield show
 
 
 def passing_word(sentence: str) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import NO_FIGURES, PATH
+from mgsgraph.cli.options import NO_FIGURES, PATH, print_sentences, print_solution
 
 if TYPE_CHECKING:
     from mgsgraph.incremental.closing import Closing
@@ -106,7 +106,7 @@ def add(
         _warn(addition)
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
         return
-    tell(impact, closing, table)
+    print_impact(impact, closing, table)
     ctx.exit(0 if impact.converged else 1)
 
 
@@ -156,7 +156,7 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
     if impact is None:
         click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
         return
-    tell(impact, closing, table)
+    print_impact(impact, closing, table)
     ctx.exit(0 if impact.converged else 1)
 
 
@@ -173,16 +173,13 @@ def solve(ctx: click.Context, project: Path, no_figures: bool, verbose: bool) ->
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.project.changes import solve as solve_all
     from mgsgraph.project.project import open_project
-    from mgsgraph.reports.summary import statements, summary_table
 
     with (
         open_project(project, write=True, thorough=True) as opened,
         iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
     ):
         solved = solve_all(opened, figures=not no_figures, progress=bar)
-    click.echo(summary_table(solved.solution))
-    for sentence in statements(solved.solution):
-        click.echo(f"- {sentence}")
+    print_solution(solved.solution)
     if solved.closing is not None:
         click.echo(f"- {solved.closing.sentence()}")
     click.echo(f"Results are in {solved.folder}")
@@ -201,10 +198,9 @@ def status(project: Path) -> None:
     click.echo(text)
 
 
-def tell(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
+def print_impact(impact: "Impact", closing: "Closing | None", table: Path | None) -> None:
     """Sentences, the images reached, the points that moved most (all of them in a CSV file), the closing check."""
-    for sentence in impact.sentences():
-        click.echo(f"- {sentence}")
+    print_sentences(impact.sentences())
     click.echo("\n".join(impact.tables_text()))
     if table is not None:
         from mgsgraph.reports.impact import write_impact

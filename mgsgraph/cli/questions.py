@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from mgsgraph.cli.options import NO_FIGURES, PATH
+from mgsgraph.cli.options import NO_FIGURES, PATH, print_sentences
 
 _SUMMARY = 10
 """Rows of the table by suspicion when nothing in particular is asked."""
@@ -168,8 +168,7 @@ def plan(
     if out is not None:
         write_plan(made, out)
     click.echo(plan_table(made))
-    for sentence in statements(made):
-        click.echo(f"- {sentence}")
+    print_sentences(statements(made))
     if out is not None:
         click.echo(f"The plan is in {out}")
 

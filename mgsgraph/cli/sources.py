@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import NO_FIGURES, PATH
+from mgsgraph.cli.options import NO_FIGURES, PATH, print_sentences, print_solution
 
 if TYPE_CHECKING:
     from mgsgraph.fetch.folder import Planned
@@ -42,7 +42,6 @@ def demo(
     from mgsgraph.demo.simulate import DEMONSTRATED, simulation_options
     from mgsgraph.demo.summary import write_demo
     from mgsgraph.output.folders import fresh_folder
-    from mgsgraph.reports.summary import statements, summary_table
 
     def adjusting(case: Case) -> Solution:
         with iteration_bar(False, case.settings.max_iterations) as bar:
@@ -51,12 +50,9 @@ def demo(
     options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
     with fresh_folder(out) as folder, stage_bar(len(STAGES)) as stages:
         solution, closing = write_demo(site, folder, seed, options, adjusting, stages, figures=not no_figures)
-    click.echo(summary_table(solution))
-    for sentence in statements(solution):
-        click.echo(f"- {sentence}")
+    print_solution(solution)
     click.echo("\nWhat was wrong, and what is right now")
-    for sentence in closing:
-        click.echo(f"- {sentence}")
+    print_sentences(closing)
     click.echo(f"Inputs and results are in {out}")
     ctx.exit(0 if solution.converged else 1)
 
@@ -131,21 +127,21 @@ def fetch(
         raise click.UsageError("--dry-run tells what is not here, not what has changed: leave --update out")
     if out is None and not dry_run:
         raise click.UsageError("Missing option '--out'")
-    from mgsgraph.cli.progress import byte_bar, passing_word
+    from mgsgraph.cli.progress import counting_bar, passing_word
     from mgsgraph.fetch.archives import Archives
     from mgsgraph.fetch.folder import fetch_images, survey
 
     archives = Archives.chosen(mirror, mirrors)
     if out is None or dry_run:
-        with byte_bar("looking up") as show:
+        with counting_bar("looking up", "B") as show:
             plan = survey(
                 images, out or Path("fetched"), terrain=terrain, archives=archives, volumes=volumes, progress=show,
                 say=passing_word,
             )
-        _tell_plan(plan, terrain)
+        _print_plan(plan, terrain)
         return
     try:
-        with byte_bar("fetching") as show:
+        with counting_bar("fetching", "B") as show:
             fetched = fetch_images(
                 images, out, terrain=terrain, archives=archives, volumes=volumes, update=update, progress=show,
                 say=passing_word,
@@ -153,8 +149,7 @@ def fetch(
     except KeyboardInterrupt:
         click.echo("mgsgraph: interrupted; what has come is kept, the same command goes on", err=True)
         raise click.exceptions.Exit(130) from None
-    for sentence in fetched.sentences():
-        click.echo(f"- {sentence}")
+    print_sentences(fetched.sentences())
     click.echo(f"The case is {fetched.case}")
     if commands := fetched.commands():
         click.echo("Next:")
@@ -165,15 +160,15 @@ def fetch(
 
 
 def _verify(folder: Path) -> None:
-    from mgsgraph.cli.progress import byte_bar
+    from mgsgraph.cli.progress import counting_bar
     from mgsgraph.fetch.lock import verify
 
-    with byte_bar("verifying") as show:
+    with counting_bar("verifying", "B") as show:
         lock = verify(folder, show)
     click.echo(f"{len(lock.files)} files, {lock.size / 1e6:.1f} MB, all as locked")
 
 
-def _tell_plan(plan: "tuple[Planned, ...]", terrain: str) -> None:
+def _print_plan(plan: "tuple[Planned, ...]", terrain: str) -> None:
     for one in plan:
         each = "?" if one.size is None else f"{one.size / 1e6:.1f}"
         click.echo(f"{each:>9} MB  {one.path}  {'here' if one.here else one.url}")
@@ -261,8 +256,7 @@ def _match(
     except KeyboardInterrupt:
         click.echo("mgsgraph: interrupted; tiles that are done are kept, the same command goes on", err=True)
         raise click.exceptions.Exit(130) from None
-    for sentence in match_statements(matches, scene):
-        click.echo(f"- {sentence}")
+    print_sentences(match_statements(matches, scene))
     click.echo(f"The network is {out / 'network.pvl'}")
 
 
@@ -310,6 +304,5 @@ def dem(
         raise click.UsageError("the pixels are the case's: give it by --case")
     with counting_bars() as show:
         made = make_dem(posterior, case, out, settings, workers, not no_figures, show)
-    for sentence in [*([warning] if warning else []), *dem_statements(made)]:
-        click.echo(f"- {sentence}")
+    print_sentences([*([warning] if warning else []), *dem_statements(made)])
     click.echo(f"The terrain model is {out / 'dem.tif'}")

@@ -264,5 +264,5 @@ def _position_table(tables: RefinedTables, body: AttitudeTable) -> StateTable:
 def _no_sun(tables: RefinedTables) -> SunTable:
     """Zeros, as in a model state without a Sun (reset() of usgscsm): the key has to be there, and with three times."""
     times = tables.epoch + tables.position_times[[0, tables.position_times.size // 2, -1]]
-    zeros = np.zeros((3, 3)).tolist()
+    zeros = [(0.0, 0.0, 0.0)] * 3
     return SunTable(ephemeris_times=times.tolist(), positions=zeros, velocities=zeros, reference_frame=J2000)

@@ -128,17 +128,17 @@ def node_places(middles: Array, sizes: Array, box: tuple[float, float]) -> Array
     sizes : (m,)
         Of the footprints, in the same unit: apart by less than half of the middle one, images lie on one another.
     """
-    room = np.array(box)
+    size = np.array(box)
     extent = np.ptp(middles, axis=0)
     if len(middles) == 1:
-        return 0.5 * room[None]
+        return 0.5 * size[None]
     if on_one_another(middles, sizes):
         turn = 2.0 * np.pi * np.arange(len(middles)) / len(middles) + np.pi
         ring = np.column_stack([np.cos(turn), -np.sin(turn)])
-        return np.asarray(0.5 * room + (0.5 * room - _RIM) * ring)
-    scale = (room - 2.0 * _RIM) / np.maximum(extent, 0.1 * extent.max())
-    places = 0.5 * room + (middles - middles.min(axis=0) - 0.5 * extent) * scale
-    return _apart(places, _distance(len(middles), box), room)
+        return np.asarray(0.5 * size + (0.5 * size - _RIM) * ring)
+    scale = (size - 2.0 * _RIM) / np.maximum(extent, 0.1 * extent.max())
+    places = 0.5 * size + (middles - middles.min(axis=0) - 0.5 * extent) * scale
+    return _apart(places, _distance(len(middles), box), size)
 
 
 def on_one_another(middles: Array, sizes: Array) -> bool:
@@ -151,8 +151,8 @@ def _distance(images: int, box: tuple[float, float]) -> float:
     return float(min(0.7, 0.7 * np.sqrt(box[0] * box[1] / images) * min((60.0 / images) ** 0.25, 1.0)))
 
 
-def _apart(places: Array, least: float, room: Array) -> Array:
-    """Places pushed from each other until they are `least` apart, or nearly so, within the room."""
+def _apart(places: Array, least: float, box: Array) -> Array:
+    """Places pushed from each other until they are `least` apart, or nearly so, within the box."""
     turn = 2.4 * np.arange(len(places))  # the golden angle: nodes at one place leave in all directions
     places = places + 1e-3 * least * np.column_stack([np.cos(turn), np.sin(turn)])
     for _ in range(60):
@@ -162,7 +162,7 @@ def _apart(places: Array, least: float, room: Array) -> Array:
         if not np.any(push):
             break
         step = np.einsum("ij,ijk->ik", push, between)
-        places = np.clip(places + 0.5 * step, 0.5 * _RIM, room - 0.5 * _RIM)
+        places = np.clip(places + 0.5 * step, 0.5 * _RIM, box - 0.5 * _RIM)
     return np.asarray(places)
 
 

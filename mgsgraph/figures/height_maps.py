@@ -23,7 +23,7 @@ _MOST_OUTLINES = 60
 
 
 @plain_style()
-def height_map_sheet(merit: TwoStepStatistics, found: HeightCells) -> Sheet:
+def height_map_sheet(statistics: TwoStepStatistics, found: HeightCells) -> Sheet:
     """Root mean square and mean of the heights by cell, with the nominal orientation and after both steps."""
     west, east, south, north = found.extent
     tall = (north - south) > (east - west) * np.cos(0.5 * (south + north) * DEG)
@@ -33,10 +33,10 @@ def height_map_sheet(merit: TwoStepStatistics, found: HeightCells) -> Sheet:
     rows = 1 if tall else 2
     sheet = new_sheet(
         "height_map", 9.4, rows * (height + 1.0) + 0.4, "Points above the terrain model",
-        _caption(merit, found, ("Left", "right") if tall else ("Above", "below")),
+        _caption(statistics, found, ("Left", "right") if tall else ("Above", "below")),
     )  # fmt: skip
     grid = sheet.panels(rows, 4 // rows).ravel()
-    outlines = _outlines(merit, found)
+    outlines = _outlines(statistics, found)
     low = np.nanquantile(found.rms[[_BEFORE, _AFTER]], 0.98)
     spread = np.nanquantile(np.abs(found.mean[[_BEFORE, _AFTER]]), 0.98)
     kinds = (
@@ -53,8 +53,8 @@ def height_map_sheet(merit: TwoStepStatistics, found: HeightCells) -> Sheet:
             panel.set(xlabel=x, ylabel="planetocentric latitude (°)" if first else "", title=title)
         sheet.colour_bar(shown, pair, what, MaxNLocator(6), extend)
     handles = [
-        Line2D([], [], color=INK, lw=0.9, label="outlines of the strips' middle images" if merit.steps.network.strips
-               else "outlines of the images"),
+        Line2D([], [], color=INK, lw=0.9, label="outlines of the strips' middle images"
+               if statistics.steps.network.strips else "outlines of the images"),
         Patch(facecolor=_EMPTY, edgecolor="#BBBBBB", label="cells without points"),
     ]  # fmt: skip
     sheet.legend(handles)
@@ -82,10 +82,10 @@ def _draw(
     return shown
 
 
-def _outlines(merit: TwoStepStatistics, found: HeightCells) -> list[Array]:
+def _outlines(statistics: TwoStepStatistics, found: HeightCells) -> list[Array]:
     """(k, 2) deg, of each strip's middle image, or of each image, adjusted; at the middle height of the points."""
-    steps = merit.steps
-    places = steps.fitted.places[merit.points]
+    steps = statistics.steps
+    places = steps.fitted.places[statistics.points]
     height = float(np.median(geodetic(places, steps.network.images[0].body)[:, 2]))
     middle = found.west + 0.5 * found.count.shape[1] * found.steps[0]
     result = []
@@ -97,8 +97,8 @@ def _outlines(merit: TwoStepStatistics, found: HeightCells) -> list[Array]:
     return result
 
 
-def _caption(merit: TwoStepStatistics, found: HeightCells, sides: tuple[str, str]) -> str:
-    heights = merit.whole.heights
+def _caption(statistics: TwoStepStatistics, found: HeightCells, sides: tuple[str, str]) -> str:
+    heights = statistics.whole.heights
     width, height = (number(step / DEG) for step in found.steps)
     before, free, fitted = (number(value) for value in found.total)
     text = (
@@ -107,10 +107,10 @@ def _caption(merit: TwoStepStatistics, found: HeightCells, sides: tuple[str, str
         f"(not drawn), and {fitted} m after step 2, {number(heights.factors[2], 2)} times less; {sides[1]}: mean, "
         f"{number(heights.mean[0])} m and {number(heights.mean[2])} m. One colour scale for before and after"
     )
-    if merit.steps.network.terrain_moves:
+    if statistics.steps.network.terrain_moves:
         text += "; after step 2 the model is where that puts it"
-    left = int(np.count_nonzero(~merit.used))
+    left = int(np.count_nonzero(~statistics.used))
     text += f"; {many(left, 'point')} judged to be off the terrain left out" if left else ""
-    bare = merit.bare + merit.lost
+    bare = statistics.bare + statistics.lost
     text += f"; {bare} without a place, beside the model or over missing posts left out" if bare else ""
     return f"{text}."

@@ -81,9 +81,9 @@ class Scene:
     samples: int
     """Of the image."""
     length: float
-    """Of the drawing, x."""
+    """Extent of the drawing along x."""
     width: float
-    """Of the drawing, y."""
+    """Extent of the drawing along y."""
     per_line: float
     """x of one line."""
     uri: str

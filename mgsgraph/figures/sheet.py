@@ -21,7 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from matplotlib.ticker import Locator
+from matplotlib.ticker import Locator, LogLocator
 from numpy.typing import NDArray
 
 from mgsgraph.network import PointClass
@@ -119,7 +119,8 @@ class Sheet:
     ) -> None:
         """A horizontal colour bar above one panel or several."""
         bar = self.figure.colorbar(
-            shown, ax=above, location="top", fraction=0.04, aspect=40, pad=0.02, ticks=ticks, extend=extend, format="%g"
+            shown, ax=above, location="top", fraction=0.04, aspect=40, pad=0.02, ticks=ticks, extend=extend,
+            format="%g" if isinstance(ticks, LogLocator) else None,
         )
         bar.minorticks_off()
         bar.set_label(label)

@@ -38,8 +38,8 @@ def node_sheets(study: NodeStudy) -> Iterator[Sheet]:
     for k, one in enumerate(shown):
         yield spectrum_sheet(one, sheet_name("spectrum", k + 1, len(shown)))
     courses = study.corrections[:MOST_SHEETS]
-    for k, course in enumerate(courses):
-        yield course_sheet(course, study.choice.spacing, sheet_name("course", k + 1, len(courses)))
+    for k, series in enumerate(courses):
+        yield corrections_sheet(series, study.choice.spacing, sheet_name("course", k + 1, len(courses)))
 
 
 @plain_style()
@@ -72,6 +72,7 @@ def spacing_sheet(choice: Choice, name: str) -> Sheet:
     if positive.size and positive.max() > 30.0 * positive.min():
         linear = max(float(np.median(choice.worse_errors[good])), 1e-4)
         right.set_yscale("symlog", linthresh=linear)
+        right.yaxis.set_major_formatter("{x:g}")
         right.set_ylim(bottom=-0.5 * linear)
     right.set(xlabel="spacing (s)", ylabel="mean square less the best one's")
     for panel in (left, right):
@@ -160,23 +161,23 @@ def _said(found: StripSpectra) -> str:
 
 
 @plain_style()
-def course_sheet(course: CorrectionSeries, spacing: float, name: str) -> Sheet:
+def corrections_sheet(series: CorrectionSeries, spacing: float, name: str) -> Sheet:
     """Corrections of a strip over time, with their sigmas and the nodes."""
-    since = course.times - course.times[0]
-    sigmas = course.sigmas
-    largest = np.abs(course.values).max(axis=0)
+    since = series.times - series.times[0]
+    sigmas = series.sigmas
+    largest = np.abs(series.values).max(axis=0)
     caption = (
-        f"Corrections of strip {short(course.strip, 40)} at {course.times.size} orientation images (dots, every "
+        f"Corrections of strip {short(series.strip, 40)} at {series.times.size} orientation images (dots, every "
         f"{spacing:g} s at the most): up to {number(float(largest[:3].max()))} m (sigma up to "
         f"{number(float(sigmas[:, :3].max()))} m) and {number(float(largest[3:].max()) / MGON)} mgon (sigma up to "
         f"{number(float(sigmas[:, 3:].max()) / MGON)} mgon). Lower edge: sigmas for sigma0 = 1."
     )
-    sheet = new_sheet(name, 9.6, 7.6, f"Corrections over time: strip {short(course.strip, 50)}", caption)
+    sheet = new_sheet(name, 9.6, 7.6, f"Corrections over time: strip {short(series.strip, 50)}", caption)
     grid = sheet.panels(6, 2, heights=[2.0, 1.0] * 3, sharex="col")
     for k in range(6):
         row, column = 2 * (k % 3), k // 3
         scale, unit = (1.0, "m") if k < 3 else (MGON, "mgon")
-        value, sigma = course.values[:, k] / scale, sigmas[:, k] / scale
+        value, sigma = series.values[:, k] / scale, sigmas[:, k] / scale
         above, below = grid[row, column], grid[row + 1, column]
         above.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
         above.fill_between(since, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)

@@ -12,6 +12,7 @@ from mgsgraph.geometry.records import (
     assign,
     frozen,
     frozen_index,
+    frozen_mask,
     require_covariances,
     require_unique,
 )
@@ -125,10 +126,7 @@ class AltimeterShots:
         }
         for k in np.flatnonzero(partly["ranges"] <= 0.0)[:1]:
             raise InputError(self.source, f"range {partly['ranges'][k]} m", "a positive range, or NaN for none")
-        ground = np.array(self.ground, dtype=np.bool_)
-        if ground.shape != (n,):
-            raise InputError(f"{self.source}, ground", f"an array of shape {ground.shape}", f"({n},)")
-        ground.flags.writeable = False
+        ground = frozen_mask(self.ground, f"{self.source}, ground", n)
         footprints = frozen(self.footprints, f"{self.source}, footprints", (n, 3))
         assign(self, times=times, footprints=footprints, ground=ground, **numbers, **partly)
 

@@ -62,6 +62,15 @@ def frozen_index(value: ArrayLike, where: str, size: int, upper: int) -> Index:
     return array
 
 
+def frozen_mask(value: ArrayLike | None, where: str, size: int) -> Mask:
+    """Read-only marks (size,), none set when absent; `where` names them in errors."""
+    mask = np.zeros(size, dtype=np.bool_) if value is None else np.array(value, dtype=np.bool_)
+    if mask.shape != (size,):
+        raise InputError(where, f"shape {mask.shape}", f"one for each of {size}")
+    mask.flags.writeable = False
+    return mask
+
+
 def assign(record: Any, **fields: Any) -> None:
     """Set fields of a frozen record while it is being made (`__post_init__` only)."""
     for name, value in fields.items():

@@ -46,7 +46,7 @@ def _seen_from_body(apparent: PositionTable, times: Array, body_velocity: Array)
     position, light_time = np.zeros((times.size, 3)), np.zeros((times.size, 1))
     for _ in range(_ITERATIONS):
         seen, velocity = apparent.at(times + light_time[:, 0])
-        position = _without_aberration(seen, body_velocity) + light_time * body_velocity
+        position = without_aberration(seen, body_velocity) + light_time * body_velocity
         light_time = _light_time(position + light_time * velocity)
     return position
 
@@ -54,7 +54,7 @@ def _seen_from_body(apparent: PositionTable, times: Array, body_velocity: Array)
 def _seen_from_spacecraft(apparent: PositionTable, times: Array, body_velocity: Array) -> Array:
     """The craft sees the body where that was one light time before; the table holds the opposite vector."""
     position, velocity = apparent.at(times)
-    to_body = _without_aberration(-position, body_velocity + velocity)
+    to_body = without_aberration(-position, body_velocity + velocity)
     for _ in range(_ITERATIONS):
         position = -(to_body + _light_time(position) * body_velocity)
     return position
@@ -65,19 +65,19 @@ def _light_time(position: Array) -> Array:
     return np.asarray(np.linalg.norm(position, axis=1, keepdims=True) / SPEED_OF_LIGHT)
 
 
-def _without_aberration(seen: Array, observer_velocity: Array) -> Array:
+def without_aberration(seen: Array, observer_velocity: Array) -> Array:
     """Directions before stellar aberration (inverse of NAIF ``stelab``), lengths kept; seen (n, 3), velocity (n, 3)."""
     length = np.linalg.norm(seen, axis=1, keepdims=True)
     target = seen / length
     beta = observer_velocity / SPEED_OF_LIGHT
     true = target
     for _ in range(_ITERATIONS):
-        true = target + (true - _aberrated(true, beta))
+        true = target + (true - aberrated(true, beta))
         true = true / np.linalg.norm(true, axis=1, keepdims=True)
     return np.asarray(true * length)
 
 
-def _aberrated(direction: Array, beta: Array) -> Array:
+def aberrated(direction: Array, beta: Array) -> Array:
     """Unit directions turned towards the velocity by asin |u x beta| (NAIF ``stelab``)."""
     axis = np.cross(direction, beta)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)

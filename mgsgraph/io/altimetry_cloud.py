@@ -23,7 +23,7 @@ from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.io.files import number_of, read_bytes
-from mgsgraph.io.lola import INVALID, NO_RADIUS, SPOTS, is_lola_rdr, lola_records
+from mgsgraph.io.lola import INVALID, SPOTS, is_lola_rdr, lola_records
 from mgsgraph.io.pedr import FRAME, read_pedr
 from mgsgraph.io.pedr_text import plain_name, read_pedr_text
 from mgsgraph.units import DEG, KM
@@ -181,9 +181,8 @@ def _pedr(shots: AltimeterShots) -> AltimetryCloud:
 
 def _lola_records(content: bytes, path: Path) -> AltimetryCloud:
     """All ground returns; an id is the record's number in the file and the spot's, both from 1."""
-    records = lola_records(content, path)
+    records, ground = lola_records(content, path)
     spots = records["spots"].reshape(-1)
-    ground = (spots["radius"] != NO_RADIUS) & (spots["flag"] & INVALID == 0)
     _require_ground(ground, path)
     chosen = np.flatnonzero(ground)
     record, spot = chosen // SPOTS + 1, chosen % SPOTS + 1
@@ -216,8 +215,12 @@ class _CsvTable:
         self._numbers = [k + 1 for k in filled[1:]]
         self._lines = [lines[k] for k in filled[1:]]
 
-    def require_rows(self) -> None:
-        """Raise InputError for a header alone, a name twice, or a line of another number of columns than the header."""
+    def read(self, *wanted: str) -> dict[str, Array]:
+        """Finite numbers (n,) of those of the wanted columns that there are.
+
+        InputError for a header alone, a name twice, a line of another number of columns than the header, or a value
+        that is no number.
+        """
         if not self._lines:
             raise InputError(str(self.path), "a header alone", "shots below it")
         for name in [name for k, name in enumerate(self.names) if name and name in self.names[:k]][:1]:
@@ -226,6 +229,18 @@ class _CsvTable:
             if line.count(",") != len(self.names) - 1:
                 found, expected = f"{line.count(',') + 1} values", f"{len(self.names)}, as the header has names"
                 raise InputError(self.where(k), found, expected, "the file may be cut short")
+        there = [name for name in wanted if name in self.names]
+        columns = [self.names.index(name) for name in there]
+        try:
+            values = np.loadtxt(self._lines, delimiter=",", usecols=columns, comments=None, ndmin=2)
+        except ValueError:
+            values = np.full((1, 1), np.nan)
+        if not np.all(np.isfinite(values)):  # say which one
+            values = np.array([
+                [number_of(texts[m].strip(), f"{self.where(k)}, {self.written[m]}") for m in columns]
+                for k, texts in enumerate(line.split(",") for line in self._lines)
+            ])
+        return dict(zip(there, values.T, strict=True))
 
     def __len__(self) -> int:
         return len(self._lines)
@@ -234,37 +249,20 @@ class _CsvTable:
         """File and line of a row, for errors."""
         return f"{self.path}, line {self._numbers[row]}"
 
-    def columns(self, *names: str) -> Array:
-        """Finite numbers (n, k) of columns."""
-        places = [self.names.index(name) for name in names]
-        try:
-            values = np.loadtxt(self._lines, delimiter=",", usecols=places, comments=None, ndmin=2)
-        except ValueError:
-            values = np.full((1, 1), np.nan)
-        if not np.all(np.isfinite(values)):  # say which one
-            rows = [[(place, line.split(",")[place].strip()) for place in places] for line in self._lines]
-            values = np.array([
-                [number_of(text, f"{self.where(k)}, {self.written[place]}") for place, text in row]
-                for k, row in enumerate(rows)
-            ])
-        return values
-
-    def numbers(self, name: str) -> Array:
-        """Finite numbers (n,) of a column."""
-        return self.columns(name)[:, 0]
+    def line_numbers(self) -> list[str]:
+        """Numbers (n) of the rows' lines in the file, from 1, as texts."""
+        return [str(number) for number in self._numbers]
 
     def texts(self, name: str) -> list[str]:
         """Texts (n) of a column, none of which is empty."""
-        place = self.names.index(name)
-        texts = [line.split(",", place + 1)[place].strip() for line in self._lines]
+        column = self.names.index(name)
+        texts = [line.split(",", column + 1)[column].strip() for line in self._lines]
         for k in [k for k, text in enumerate(texts) if not text][:1]:
-            raise InputError(f"{self.where(k)}, {self.written[place]}", "nothing", "a text")
+            raise InputError(f"{self.where(k)}, {self.written[column]}", "nothing", "a text")
         return texts
 
-    def times(self, column: str, utc: str, leap_seconds: Path | None) -> Array:
-        """Times (n,) in s past J2000 of a column of them, else of one of UTC; NaN where there is neither."""
-        if column in self.names:
-            return self.numbers(column)
+    def times(self, utc: str, leap_seconds: Path | None) -> Array:
+        """Times (n,) in s TDB past J2000 of a column of UTC; NaN where there is none."""
         if utc not in self.names:
             return np.full(len(self), np.nan)
         if leap_seconds is None:
@@ -302,22 +300,24 @@ def _unit(radii: Array, body: Ellipsoid | None, where: str) -> float:
 
 
 def _lola_table(table: _CsvTable, leap_seconds: Path | None) -> AltimetryCloud:
-    """LOLA RDR of ODE, radii in km; an id is the second of mission time, the shot's number in it and the spot's."""
-    table.require_rows()
-    values = table.columns("ptlongitude", "ptlatitude", "ptradius")
-    flags = table.numbers("flg").astype(np.int64) if "flg" in table.names else np.zeros(len(table), dtype=np.int64)
-    ground = flags & INVALID == 0
+    """LOLA RDR of ODE; an id is the second of mission time, the shot's number in it and the spot's."""
+    utc, of_shot = "coordinateduniversaltime", ("missionet", "frm", "s")
+    numbers = table.read("ptlongitude", "ptlatitude", "ptradius", "flg", "terrestrialdyntime", *of_shot)
+    ground = numbers.get("flg", np.zeros(len(table))).astype(np.int64) & INVALID == 0
     _require_ground(ground, table.path)
     chosen = np.flatnonzero(ground)
-    radii = values[chosen, 2] * _unit(values[chosen, 2], _MOON, f"{table.path}, Pt_Radius")
-    points = _positions(values[chosen, :2], radii, lambda k: table.where(chosen[k]))
-    times = table.times("terrestrialdyntime", "coordinateduniversaltime", leap_seconds)
-    keys = np.asarray(table.profiles(times, "coordinateduniversaltime"))
-    if {"missionet", "frm", "s"} <= set(table.names):
-        shots = table.columns("missionet", "frm", "s")[chosen].astype(np.int64)
-        ids = [f"{second}:{shot}:{spot}" for second, shot, spot in shots.tolist()]
+    radii = numbers["ptradius"][chosen]
+    radii = radii * _unit(radii, _MOON, f"{table.path}, Pt_Radius")
+    angles = np.column_stack([numbers["ptlongitude"], numbers["ptlatitude"]])[chosen]
+    points = _positions(angles, radii, lambda k: table.where(chosen[k]))
+    times = numbers["terrestrialdyntime"] if "terrestrialdyntime" in numbers else table.times(utc, leap_seconds)
+    keys = np.asarray(table.profiles(times, utc))
+    if all(name in numbers for name in of_shot):
+        columns = [numbers[name][chosen].astype(np.int64).tolist() for name in of_shot]
+        ids = [f"{second}:{shot}:{spot}" for second, shot, spot in zip(*columns, strict=True)]
     else:
-        ids = [table.where(k) for k in chosen.tolist()]
+        lines = table.line_numbers()
+        ids = [lines[k] for k in chosen.tolist()]
     return _in_profiles(table.path, ids, points, times[chosen], keys[chosen], LOLA_FOOTPRINT)
 
 
@@ -325,30 +325,39 @@ def _plain_table(table: _CsvTable, body: Ellipsoid | None, leap_seconds: Path | 
     """A plain CSV; an id is the number of the line where there is no column of ids."""
     names = set(table.names)
     heights = [name for name in ("radiusm", "radiuskm", "heightm", "radius") if name in names]
-    planetocentric, cartesian = {"longitudedeg", "latitudedeg"} <= names and heights, {"xm", "ym", "zm"} <= names
-    if not (planetocentric or cartesian):
-        found = f"the columns {', '.join(table.written)[:80]}"
-        raise InputError(f"{table.path}, header", found, _EXPECTED)
-    table.require_rows()
-    points = table.columns("xm", "ym", "zm") if cartesian else _planetocentric_points(table, heights[0], body)
-    times = table.times("times", "utc", leap_seconds)
+    cartesian = {"xm", "ym", "zm"} <= names
+    if not (cartesian or ({"longitudedeg", "latitudedeg"} <= names and heights)):
+        raise InputError(f"{table.path}, header", f"the columns {', '.join(table.written)[:80]}", _EXPECTED)
+    columns = ("xm", "ym", "zm") if cartesian else ("longitudedeg", "latitudedeg", heights[0])
+    numbers = table.read(*columns, "times")
+    values = np.column_stack([numbers[name] for name in columns])
+    if cartesian:
+        points = values
+    else:
+        where = f"{table.path}, {table.written[table.names.index(heights[0])]}"
+        points = _planetocentric_points(values, heights[0], body, table.where, where)
+    times = numbers["times"] if "times" in numbers else table.times("utc", leap_seconds)
     named = [name for name in ("profile", "orbit") if name in names]
     keys = table.texts(named[0]) if named else table.profiles(times, "utc")
-    ids = table.texts("id") if "id" in names else [table.where(k).rpartition(" ")[2] for k in range(len(table))]
+    ids = table.texts("id") if "id" in names else table.line_numbers()
     return _in_profiles(table.path, ids, points, times, keys, float("nan"))
 
 
-def _planetocentric_points(table: _CsvTable, height: str, body: Ellipsoid | None) -> Array:
-    """(n, 3) m, body-fixed, of longitude, latitude and the column of radii or heights."""
-    angles, values = table.columns("longitudedeg", "latitudedeg"), table.numbers(height)
-    where = f"{table.path}, {table.written[table.names.index(height)]}"
-    if height != "heightm":
-        unit = {"radiusm": 1.0, "radiuskm": KM}.get(height) or _unit(values, body, where)
-        return _positions(angles, values * unit, table.where)
+def _planetocentric_points(
+    values: Array, kind: str, body: Ellipsoid | None, where_row: Callable[[int], str], where: str
+) -> Array:
+    """(n, 3) m, body-fixed, of longitudes and latitudes in degrees and radii or heights in the unit of a column's name.
+
+    `where_row` names the k-th row and `where` the column of radii or heights in errors.
+    """
+    angles, heights = values[:, :2], values[:, 2]
+    if kind != "heightm":
+        unit = {"radiusm": 1.0, "radiuskm": KM}.get(kind) or _unit(heights, body, where)
+        return _positions(angles, heights * unit, where_row)
     if body is None:
         raise InputError(where, "heights above an unknown body", "radius_m or radius_km, or the body")
-    radii = body.equatorial + values
+    points = _positions(angles, body.equatorial + heights, where_row)
     for _ in range(4):  # the vertical is within half a degree of the radius: each step leaves 1e-4 of the error
-        points = _positions(angles, radii, table.where)
-        radii = radii + values - geodetic(points, body)[:, 2]
-    return _positions(angles, radii, table.where)
+        lift = heights - geodetic(points, body)[:, 2]
+        points = points * (1.0 + lift / np.linalg.norm(points, axis=1))[:, None]
+    return points

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Mask
 
 SPOTS = 5
 """Spots of a shot."""
 INVALID = 0xFF
 """Bits of a spot's flag, all of which are zero for a return from the ground."""
-NO_RADIUS = -1
-"""Where a spot has none."""
 _SPOT = np.dtype([
     ("longitude", "<i4"),  # 1e-7 deg, east
     ("latitude", "<i4"),  # 1e-7 deg
@@ -26,8 +25,8 @@ _SPOT = np.dtype([
     ("pulse_width", "<i4"),  # ps
     ("energy", "<u4"),  # zJ
     ("noise", "<u4"),  # counts
-    ("threshold", "<u4"),  # microvolt
-    ("gain", "<u4"),  # 1e-6
+    ("threshold", "<u4"),
+    ("gain", "<u4"),
     ("flag", "<u4"),
 ])
 RECORD: np.dtype[np.void] = np.dtype([
@@ -52,31 +51,36 @@ RECORD: np.dtype[np.void] = np.dtype([
 ])
 """One record as it lies in the file."""
 _SELENOID = (1.72e9, 1.755e9)
-"""mm, between which its radius lies."""
+"""mm, between which the radius of the geoid lies."""
 _YEARS = (2.8e8, 1.6e9)
 """s past J2000: LRO's mission begins in 2009, and doesn't last until 2050."""
+_NO_RADIUS = -1
 _NO_SELENOID = 2**32 - 1
 
 
 def is_lola_rdr(content: bytes) -> bool:
-    """Whether a file's first records are those of LOLA: its selenoid's radius is where the format has it."""
-    radii = np.frombuffer(content, RECORD, count=min(len(content) // RECORD.itemsize, 64))["selenoid_radius"]
-    known = radii[radii != _NO_SELENOID]
+    """Whether a file's records are those of LOLA: the radius of the Moon's geoid is where the format has it."""
+    whole = len(content) // RECORD.itemsize * RECORD.itemsize
+    radii = np.frombuffer(content[:whole], RECORD)["selenoid_radius"]
+    known = radii[radii != _NO_SELENOID][:64]
     return bool(known.size and np.all((known > _SELENOID[0]) & (known < _SELENOID[1])))
 
 
-def lola_records(content: bytes, path: Path) -> NDArray[np.void]:
-    """Records (n,) of a file; InputError where it ends within one or the shots' times can't be."""
-    size = RECORD.itemsize
-    whole, rest = divmod(len(content), size)
+def lola_records(content: bytes, path: Path) -> tuple[NDArray[np.void], Mask]:
+    """Records (n,) of a file, and (n, 5) True for the spots that are returns from the ground.
+
+    InputError where the file ends within a record, or where the time of a shot with such a return can't be.
+    """
+    whole, rest = divmod(len(content), RECORD.itemsize)
     if rest:
         raise InputError(
-            str(path), f"{whole} records and {rest} bytes more", f"records of {size} bytes",
+            str(path), f"{whole} records and {rest} bytes more", f"records of {RECORD.itemsize} bytes",
             "the file is cut short: fetch it anew",
         )
     records = np.frombuffer(content, RECORD)
+    ground: Mask = (records["spots"]["radius"] != _NO_RADIUS) & (records["spots"]["flag"] & INVALID == 0)
     outside = (records["seconds"] < _YEARS[0]) | (records["seconds"] > _YEARS[1])
-    for k in np.flatnonzero(outside)[:1]:
+    for k in np.flatnonzero(outside & ground.any(axis=1))[:1]:
         found = f"a time of {records['seconds'][k]} s past J2000"
         raise InputError(f"{path}, record {k + 1}", found, f"{_YEARS[0]:.0f} .. {_YEARS[1]:.0f} s")
-    return records
+    return records, ground

@@ -173,7 +173,7 @@ def _joined(
         )
     name = f"coarse_{pair.first:05d}_{pair.second:05d}"
     links = kept_links(store, name, lambda: _coarse_links(scene, pair, settings, step, radius))
-    return _corrected(scene, pair, links, step, radius, np.random.default_rng([settings.seed, *pair[:2]]))
+    return corrected_scene(scene, pair, links, step, radius, np.random.default_rng([settings.seed, *pair[:2]]))
 
 
 def _coarse_links(scene: Scene, pair: Pair, settings: MatchSettings, step: float, radius: float) -> Links:
@@ -194,9 +194,10 @@ def _share_needed(found: Displacements, tolerance: float, height_sigma: float, r
     return _CHANCE * chance / (1.0 + (_CHANCE - 1.0) * chance)
 
 
-def _corrected(
+def corrected_scene(
     scene: Scene, pair: Pair, links: Links, step: float, radius: float, rng: np.random.Generator
 ) -> tuple[Scene, Agreement]:
+    """The scene with the second picture of the pair corrected to agree with the first, and how far the links agree."""
     first, second = (scene.pictures[j] for j in pair[:2])
     points = [scene.ground.points(links.plane[links.links[:, k]]) for k in (0, 1)]
     pixels = first.project(points[0]), second.project(points[1])

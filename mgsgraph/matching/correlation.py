@@ -56,7 +56,8 @@ def links_on_grid(
     for (i, j), window in windows.items():
         if i not in patches or j not in patches:
             continue
-        chosen, shifts, score = _matched(patches[i], patches[j], rows, columns, _reach(window, tile.step), settings)
+        reach = _reach(window, tile.step)
+        chosen, shifts, score = matched_nodes(patches[i], patches[j], rows, columns, reach, settings)
         found = np.column_stack([columns[chosen] + shifts[:, 1], rows[chosen] + shifts[:, 0]]).astype(float)
         plane.append(tile.plane(*found.T))
         picture.append(np.full(chosen.size, j))
@@ -77,17 +78,17 @@ def _reach(window: Window, step: float) -> tuple[int, int]:
     return int(np.ceil(rows / step)), int(np.ceil(columns / step))
 
 
-def _matched(
+def matched_nodes(
     one: Patch, other: Patch, rows: Index, columns: Index, reach: tuple[int, int], settings: MatchSettings
 ) -> tuple[Index, Index, Array]:
     """Nodes whose best shift is good, clearly better than any other, and the same on the way back; shifts, scores."""
     half = settings.half_window
-    there = _Peaks(*_peaks(one.grey, one.valid, other.grey, other.valid, rows, columns, half, *reach))
+    there = _Peaks(*correlation_peaks(one.grey, one.valid, other.grey, other.valid, rows, columns, half, *reach))
     good = there.best >= settings.least_correlation
     good &= (1.0 - there.best) <= settings.ratio * (1.0 - there.second)
     chosen = np.flatnonzero(good)
     shifts = there.shifts[chosen]
-    back = _Peaks(*_peaks(
+    back = _Peaks(*correlation_peaks(
         other.grey, other.valid, one.grey, one.valid, rows[chosen] + shifts[:, 0], columns[chosen] + shifts[:, 1], half,
         *reach,
     ))  # fmt: skip
@@ -96,10 +97,11 @@ def _matched(
 
 
 @cached_kernel
-def _peaks(
+def correlation_peaks(
     grey: _Grey, valid: _Grey, other: _Grey, other_valid: _Grey, rows: Index, columns: Index, half: int,
     reach_rows: int, reach_columns: int,
 ) -> tuple[Index, Array, Array]:  # fmt: skip
+    """Of windows about n nodes: the shift of best correlation (n, 2) in pixels, its score and the next best one's."""
     n = rows.size
     shifts = np.zeros((n, 2), dtype=np.int64)
     best, second = np.full(n, -1.0), np.full(n, -1.0)

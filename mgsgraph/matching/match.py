@@ -172,7 +172,7 @@ class _Cells(NamedTuple):
     """Cells of whose middle two images, at least, have a picture."""
 
 
-def _cells(scene: Scene, pairs: Sequence[Pair], wanted: int, least: float = 0.0) -> _Cells:
+def ground_cells(scene: Scene, pairs: Sequence[Pair], wanted: int, least: float = 0.0) -> _Cells:
     """Square cells of at least `least` m, of which about `wanted` fall on the ground that the largest pair shares."""
     side = max(float(np.sqrt(max(pair.area for pair in pairs) / wanted)), least)
     seen = [np.zeros(0, dtype=np.int64)]
@@ -196,9 +196,9 @@ def _measured_matches(
     known: Together, pairs: Sequence[Pair], found: Links, settings: MatchSettings, step: float, progress: Progress
 ) -> Matches:
     scene = known.scene
-    cells = _cells(scene, pairs, settings.cells, _LEAST_CELL * step)
+    cells = ground_cells(scene, pairs, settings.cells, _LEAST_CELL * step)
     tracks = _surest(found, joined(found.links, found.likeness, found.picture), cells, settings)
-    tracks = _finest_first(scene, found, tracks)
+    tracks = finest_first(scene, found, tracks)
     likeness = _likeness(found, tracks)
     progress("measuring", 0, 2)
     sharp = SharpPictures(scene.pictures)
@@ -206,7 +206,7 @@ def _measured_matches(
     progress("measuring", 1, 2)
     whole = joined_measures([first, _second_look(scene, found, first, sharp, settings, step, len(tracks))])
     progress("measuring", 2, 2)
-    kept, losses, misfit = _checked(scene, whole, likeness, settings, step, cells, len(found.links))
+    kept, losses, misfit = checked_matches(scene, whole, likeness, settings, step, cells, len(found.links))
     if kept.track.size == 0:
         raise InputError(
             "matching", f"no match is left of {losses.linked} ({losses.measured} measured, {losses.coplanar} coplanar)",
@@ -226,7 +226,7 @@ def _surest(found: Links, tracks: list[list[int]], cells: _Cells, settings: Matc
     return [tracks[k] for k in np.flatnonzero(kept)]
 
 
-def _finest_first(scene: Scene, found: Links, tracks: list[list[int]]) -> list[list[int]]:
+def finest_first(scene: Scene, found: Links, tracks: list[list[int]]) -> list[list[int]]:
     """Features of each track, that of the finest picture first: its window is what the others are compared with, and a
     coarse one would be compared with what finer pixels alias. Pictures about as fine stay in their order.
     """
@@ -261,7 +261,7 @@ def _alike(found: Measured, settings: MatchSettings) -> Mask:
     return np.asarray(good & (found.correlation >= settings.least_correlation) & (sigmas <= settings.largest_sigma))
 
 
-def _checked(
+def checked_matches(
     scene: Scene, found: Measured, likeness: Array, settings: MatchSettings, step: float, cells: _Cells, linked: int
 ) -> tuple[Measured, Losses, Array]:
     """What stands all checks, best of each cell, and the coplanarity residuals."""
@@ -269,7 +269,7 @@ def _checked(
     sound = found.some(alike & found.returns)
     checked = checked_measures(scene, sound, step, settings.seed)
     good = checked.coplanar & checked.steady
-    good[good] = _one_per_window(scene, sound.some(good), likeness, settings, step)
+    good[good] = one_per_window(scene, sound.some(good), likeness, settings, step)
     remaining = sound.some(good)
     best = _best_of_cells(scene, remaining, likeness, cells, settings)
     losses = Losses(
@@ -301,7 +301,7 @@ def _best_of_cells(
     return np.asarray(spread(cell, group, unsure, settings.per_cell)[inverse])
 
 
-def _one_per_window(
+def one_per_window(
     scene: Scene, found: Measured, likeness: Array, settings: MatchSettings, step: float
 ) -> Mask:
     """(k,) measures of which no other of the same pair lies in the same half window, nearly: of longer tracks first,

@@ -100,7 +100,7 @@ def ortho_patch(picture: Picture, ground: Ground, tile: Tile) -> Patch | None:
     hollow = ~np.isfinite(part)
     if hollow.any():
         part[hollow] = levels[0]
-    blur = _blur(nodes)
+    blur = blur_sigmas(nodes)
     if any(blur):
         part = cv2.GaussianBlur(part, (0, 0), sigmaX=max(blur[1], _UNBLURRED), sigmaY=max(blur[0], _UNBLURRED))
     down, across = (lines - 0.5 - first).astype(np.float32), (samples - 0.5).astype(np.float32)
@@ -122,7 +122,7 @@ def node_pixels(picture: Picture, ground: Ground, tile: Tile) -> Array:
     return picture.project(points).reshape(rows.size, columns.size, 2)
 
 
-def _blur(nodes: Array) -> tuple[float, float]:
+def blur_sigmas(nodes: Array) -> tuple[float, float]:
     """Sigmas in lines and samples of the filter of a picture much finer than the ground grid: unfiltered, the grid's
     pixels would skip most of the picture's, and show their noise and aliases instead. Zero where none is needed.
     """

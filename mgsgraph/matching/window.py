@@ -136,7 +136,7 @@ def _radiometry(pixels: Reals, x: Reals) -> bool:
 
 
 @compiled
-def _out_of_shape(x: Reals, e: Reals, half: tuple[int, int], scale: float) -> bool:
+def out_of_shape(x: Reals, e: Reals, half: tuple[int, int], scale: float) -> bool:
     """Whether gain or A, anywhere in the window, have become what no view of the same ground is."""
     determinant, change = x[2] * x[5] - x[3] * x[4], 0.0
     if x.size == RELIEF:  # of A + e times the slope of the curved part, which is steepest in a corner
@@ -178,7 +178,7 @@ def _iterate(
         if not _step(pixels, x, e, step):
             return FLAT
         moved, turned = _move(x, step, half)
-        if math.hypot(x[0] - first_line, x[1] - first_sample) > reach or _out_of_shape(x, e, half, scale):
+        if math.hypot(x[0] - first_line, x[1] - first_sample) > reach or out_of_shape(x, e, half, scale):
             return WANDERED
         if settled and inside(x, e, half, lines, samples):  # one step more, which without noise is exact
             resample(c, x, e, half, pixels)

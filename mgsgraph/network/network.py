@@ -8,7 +8,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, require_unique
+from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, frozen_mask, require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.records import (
     GroundPoints,
@@ -19,7 +19,6 @@ from mgsgraph.network.records import (
     ShiftTerm,
     StereoControl,
     Surface,
-    frozen_mask,
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.network.strips import Strip

@@ -5,7 +5,6 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
@@ -70,15 +69,6 @@ class GroundPoints:
 
     def __len__(self) -> int:
         return len(self.ids)
-
-
-def frozen_mask(value: ArrayLike | None, where: str, size: int) -> Mask:
-    """Read-only marks (size,), none set when absent; `where` names them in errors."""
-    mask = np.zeros(size, dtype=np.bool_) if value is None else np.array(value, dtype=np.bool_)
-    if mask.shape != (size,):
-        raise InputError(where, f"shape {mask.shape}", f"one for each of {size}")
-    mask.flags.writeable = False
-    return mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)

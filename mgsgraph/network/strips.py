@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation import OrientationPrior, polynomial
 from mgsgraph.geometry.orientation_images import OrientationImages
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 
@@ -226,27 +225,3 @@ def normalised(nodes: OrientationImages) -> Array:
     """(k,) times of the nodes as s = -1 .. 1 over the strip; a spline's outer ones lie beyond."""
     start, stop = nodes.coverage
     return (2.0 * nodes.times - start - stop) / (stop - start)
-
-
-def as_nodes(prior: OrientationPrior, nodes: OrientationImages, u: Array) -> JointNodePrior:
-    """The prior of an orientation polynomial, of degree 3 at most, on the nodes of a Lagrange basis.
-
-    Four nodes hold a cubic polynomial exactly: with this prior the cost is the polynomial's.
-
-    Parameters
-    ----------
-    prior : OrientationPrior
-        Of the polynomial's coefficients.
-    nodes : OrientationImages
-        Lagrange's basis on degree + 1 nodes.
-    u : (k,)
-        Normalised line of each node in the image that the polynomial belongs to.
-    """
-    if nodes.basis != "lagrange" or len(nodes) != prior.degree + 1:
-        found = f"{len(nodes)} nodes, {nodes.basis}"
-        raise InputError("prior of a polynomial", found, f"{prior.degree + 1} nodes of Lagrange's basis")
-    values, _ = polynomial(u, prior.degree)
-    coefficients = np.linalg.solve(values, np.eye(len(nodes)))
-    known = np.isfinite(prior.sigmas.ravel())
-    weights = np.where(known, 1.0 / prior.sigmas.ravel(), 0.0)
-    return JointNodePrior((weights[:, None] * np.kron(coefficients, np.eye(6)))[known], np.zeros(0))

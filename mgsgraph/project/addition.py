@@ -124,8 +124,8 @@ def read_addition(
     sigmas = settings.measures
     observations: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
     measures = observed(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
-    if measures is not None and (measures := _unknown_alone(measures, store)) is not None:
-        networks.append(_on_terrain(measures, store))
+    if measures is not None and (measures := unknown_alone(measures, store)) is not None:
+        networks.append(on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
     if not networks:
         return Addition(tuple(new), None, files, tuple(_names(new)))
@@ -288,7 +288,7 @@ def _profile(
 # --- points that are there already
 
 
-def _unknown_alone(network: Network, store: ProjectStore) -> Network | None:
+def unknown_alone(network: Network, store: ProjectStore) -> Network | None:
     """The network with points that are there already as free ones (but for what is known better now), and without the
     measures that are there already and the points that have no other; None where nothing is left.
 
@@ -350,7 +350,7 @@ def _range_rows(network: Network, points: Index) -> list[tuple[int, str, float, 
     return list(zip(points.tolist(), names, ranges.times.tolist(), ranges.values.tolist(), strict=True))
 
 
-def _on_terrain(network: Network, store: ProjectStore) -> Network:
+def on_terrain(network: Network, store: ProjectStore) -> Network:
     """Tie points on the project's terrain model, where it has one and the first ray meets it."""
     terrain = store.terrain
     if terrain is None or network.surface is not None:

@@ -63,7 +63,7 @@ class Answer:
     text: str
     """Lines for a person."""
     record: dict[str, Any]
-    """The same for a program, unit in each key."""
+    """The answer as JSON, with the unit in each key."""
 
 
 def answered(posterior: Posterior, asked: Questions) -> Iterator[Answer]:

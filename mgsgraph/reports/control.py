@@ -105,7 +105,7 @@ def _lift_statement(solution: Solution, shift: int) -> list[str]:
 
 
 def control_statements(solution: Solution) -> list[str]:
-    """Sentences about the same."""
+    """Sentences about profile shifts, terrain heights and back-projected rays."""
     sentences = []
     for p, name in enumerate(solution.network.shift_names):
         (east, north), sigma = solution.shifts[p], np.sqrt(np.diag(solution.shift_covariance(p)))

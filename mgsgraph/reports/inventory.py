@@ -68,7 +68,7 @@ def inventory(case: Case) -> str:
 
 
 def _with_priors(network: Network) -> Network:
-    """The same network with wide sigmas, 1 km and 10 mrad, in place of infinite ones."""
+    """The network with wide sigmas, 1 km and 10 mrad, in place of infinite ones."""
     wide = np.repeat([1e3, 1e-2], 3)
     priors = tuple(OrientationPrior(np.where(np.isinf(prior.sigmas), wide, prior.sigmas)) for prior in network.priors)
     strips = tuple(

@@ -1,7 +1,6 @@
 """The report page of a solution: one HTML file without any outside address, figures and pictures as data URIs."""
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +10,15 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
-from mgsgraph.io.files import write_file
 from mgsgraph.network import PointClass
+from mgsgraph.output.page import write_page
 from mgsgraph.output.table import NONE
 from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
 from mgsgraph.reports.page_comparison import compare
 from mgsgraph.reports.page_tables import inputs_table, settings_table, tables, versions_table
 from mgsgraph.reports.summary import statements
 
-_TEMPLATE = "templates/report.html"
+_TEMPLATE = "reports/templates/report.html"
 _ENDINGS = (".html", ".htm")
 
 
@@ -55,13 +54,8 @@ def write_report(
     InputError
         If `path` is no HTML file or can't be written, the case is another one, or nothing can be compared.
     """
-    import jinja2  # takes 0.1 s
-
     path = require_page(path)
-    page = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
-    source = (files("mgsgraph.reports") / _TEMPLATE).read_text(encoding="utf-8")
-    content = _content(solution, case, earlier, inputs or {})
-    write_file(path, page.from_string(source).render(content), "a file that may be written", "choose another --out")
+    write_page(_TEMPLATE, _content(solution, case, earlier, inputs or {}), path)
     return path
 
 

@@ -44,7 +44,8 @@ def judged_table(judged: Sequence[Evaluation], ranks: Sequence[int] = (), lists:
     sigmas = {"before": [one.before for one in judged], "after": [one.after for one in judged]}
     ways = ("total", "east", "north", "up")
     pairs = [
-        Column(f"{'sigma' if way == 'total' else way}_{when}", numbers(sigmas[when], way), "m", label=label, text=text)
+        Column(f"{'sigma' if way == 'total' else way}_{when}", numbers(sigmas[when], way), "m", "of the targets",
+               label=label, text=text)
         for way in ways
         for when, label, text in (
             ("before", "before", ">8.4g" if way == "total" else ""),
@@ -52,14 +53,16 @@ def judged_table(judged: Sequence[Evaluation], ranks: Sequence[int] = (), lists:
         )
     ]  # fmt: skip
     return Table("plan", "Candidates", (
-        Column("list", list(lists) or [""] * len(judged)),
-        Column("rank", np.array(ranks or range(1, len(judged) + 1)), label="", text=">4"),
+        Column("list", list(lists) or [""] * len(judged), meaning="ranking, chosen, or first of ranking together"),
+        Column("rank", np.array(ranks or range(1, len(judged) + 1), dtype=np.int64), meaning="in its list", label="",
+               text=">4"),
         Column("candidate", [one.name for one in judged], text="<28"),
         Column("kind", [one.kind for one in judged], text="<13"),
         Column("reason", [one.reason for one in judged], meaning="why it is worth nothing"),
         *pairs,
         Column("drop", np.array([one.drop for one in judged]), "percent", "of the sigma", text=">7.3g"),
-        Column("bits", np.array([one.bits for one in judged]), "bits", label="gain", text=">9.3f"),
+        Column("bits", np.array([one.bits for one in judged]), "bits", "of information gained", label="gain",
+               text=">9.3f"),
         Column("measures", np.array([one.measures for one in judged]), text=">8", files=False),
         Column("image_measures", np.array([float(one.rays) for one in judged])),
         Column("ranges", np.array([float(one.ranges) for one in judged])),

@@ -69,7 +69,7 @@ def write_results(solution: Solution, folder: str | Path, figures: bool = True) 
 
 
 def write_into(solution: Solution, folder: Path, figures: bool = True) -> list[str]:
-    """The same into a folder that exists, file by file; returns their names."""
+    """Write tables, archive and figures into a folder that exists; returns the names of the files."""
     connected = solution_connectivity(solution)
     write_json(folder / RECORD, solution_json(solution, connected))
     points_table(solution).write_csv(folder / "points.csv")

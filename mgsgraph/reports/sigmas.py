@@ -37,7 +37,7 @@ class Section:
     text: str
     """Lines for a person."""
     record: Any
-    """The same for a program, units in the keys."""
+    """What analysis.json holds of it, with units in the keys."""
     files: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
     """What writes its files but for the figure, by their names."""
     sheet: Callable[[], "Sheet"] | None = None

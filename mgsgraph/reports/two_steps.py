@@ -27,7 +27,7 @@ _HARDLY = 0.05
 """Share by which a figure changes without being worth a factor."""
 
 
-def write_two_steps(merit: TwoStepStatistics, folder: str | Path, figures: bool = True) -> None:
+def write_two_steps(statistics: TwoStepStatistics, folder: str | Path, figures: bool = True) -> None:
     """Write the results of step 2, as those of any adjustment, and what both steps did, to a folder.
 
     Beside the files of `reports.results` there are two_steps.txt, .json and .csv (figures of merit at all stages),
@@ -35,7 +35,7 @@ def write_two_steps(merit: TwoStepStatistics, folder: str | Path, figures: bool 
 
     Parameters
     ----------
-    merit : TwoStepStatistics
+    statistics : TwoStepStatistics
         Of both steps (`two_step_statistics`).
     folder : path
         Absent, empty, or an earlier result, which is replaced.
@@ -48,58 +48,59 @@ def write_two_steps(merit: TwoStepStatistics, folder: str | Path, figures: bool 
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        write_into(merit.steps.fitted, aside, figures)
-        write_merit_into(merit, aside, figures)
+        write_into(statistics.steps.fitted, aside, figures)
+        write_statistics_into(statistics, aside, figures)
 
 
-def write_merit_into(merit: TwoStepStatistics, folder: Path, figures: bool = True) -> None:
+def write_statistics_into(statistics: TwoStepStatistics, folder: Path, figures: bool = True) -> None:
     """What both steps did, alone, into a folder that exists."""
-    (folder / "two_steps.txt").write_text(two_steps_page(merit) + "\n", encoding="utf-8", newline="\n")
-    write_json(folder / "two_steps.json", two_steps_json(merit))
-    _merit_table(merit).write_csv(folder / "two_steps.csv")
-    if not merit.points.size:
+    (folder / "two_steps.txt").write_text(two_steps_page(statistics) + "\n", encoding="utf-8", newline="\n")
+    write_json(folder / "two_steps.json", two_steps_json(statistics))
+    _statistics_table(statistics).write_csv(folder / "two_steps.csv")
+    if not statistics.points.size:
         return
-    _heights_table(merit).write_csv(folder / "heights.csv")
-    if not np.any(merit.used):
+    _heights_table(statistics).write_csv(folder / "heights.csv")
+    if not np.any(statistics.used):
         return
-    found = cells_of(merit)
+    found = cells_of(statistics)
     _cells_table(found).write_csv(folder / "height_cells.csv")
     if figures:
         from mgsgraph.figures.height_maps import height_map_sheet  # matplotlib takes its time
         from mgsgraph.figures.sheet import save
 
-        save([height_map_sheet(merit, found)], folder)
+        save([height_map_sheet(statistics, found)], folder)
 
 
-def cells_of(merit: TwoStepStatistics, step: float | None = None) -> HeightCells:
+def cells_of(statistics: TwoStepStatistics, step: float | None = None) -> HeightCells:
     """Heights of points whose row took part, by cell of the map; `step` in rad."""
-    places = merit.steps.fitted.places[merit.points[merit.used]]
-    return height_cells(places, merit.heights[:, merit.used], step)
+    places = statistics.steps.fitted.places[statistics.points[statistics.used]]
+    return height_cells(places, statistics.heights[:, statistics.used], step)
 
 
 # --- the page
 
 
-def two_steps_page(merit: TwoStepStatistics) -> str:
+def two_steps_page(statistics: TwoStepStatistics) -> str:
     """The table, and the sentences under it."""
-    return "\n".join([two_steps_table(merit), "", *(f"- {sentence}" for sentence in two_steps_statements(merit))])
+    sentences = [f"- {sentence}" for sentence in two_steps_statements(statistics)]
+    return "\n".join([two_steps_table(statistics), "", *sentences])
 
 
-def two_steps_table(merit: TwoStepStatistics) -> str:
+def two_steps_table(statistics: TwoStepStatistics) -> str:
     """Both steps and their figures of merit as aligned text of at most 110 columns."""
     sections = [
-        _step_table(merit),
-        _stage_table(merit, "Points, mean sigma [m]", POINT_AXES, lambda group: group.mean),
-        _stage_table(merit, "Points, median sigma [m]", POINT_AXES, lambda group: group.median),
-        _stage_table(merit, "Attitude, mean sigma [mgon]", POSE_AXES[3:], lambda group: group.poses[:, 3:] / MGON),
-        _stage_table(merit, "Position, mean sigma [m]", POSE_AXES[:3], lambda group: group.poses[:, :3]),
-        _height_table(merit),
+        _step_table(statistics),
+        _stage_table(statistics, "Points, mean sigma [m]", POINT_AXES, lambda group: group.mean),
+        _stage_table(statistics, "Points, median sigma [m]", POINT_AXES, lambda group: group.median),
+        _stage_table(statistics, "Attitude, mean sigma [mgon]", POSE_AXES[3:], lambda group: group.poses[:, 3:] / MGON),
+        _stage_table(statistics, "Position, mean sigma [m]", POSE_AXES[:3], lambda group: group.poses[:, :3]),
+        _height_table(statistics),
     ]
     return "\n\n".join(sections)
 
 
-def _step_table(merit: TwoStepStatistics) -> str:
-    steps = merit.steps
+def _step_table(statistics: TwoStepStatistics) -> str:
+    steps = statistics.steps
     both = (steps.free, steps.fitted)
     out = np.array([[0 if one is None else int(one.sum()) for one in (step.rays_rejected, step.ranges_rejected)]
                     for step in both])  # fmt: skip
@@ -128,9 +129,9 @@ def _height_rows(steps: TwoSteps) -> np.ndarray:
 
 
 def _stage_table(
-    merit: TwoStepStatistics, title: str, axes: tuple[str, ...], values: Callable[[GroupStatistics], Array]
+    statistics: TwoStepStatistics, title: str, axes: tuple[str, ...], values: Callable[[GroupStatistics], Array]
 ) -> str:
-    groups = _listed(merit)
+    groups = _listed(statistics)
     before, free, fitted = np.moveaxis(np.array([values(group) for group in groups]), 1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.where(free > 0.0, before / free, np.nan)
@@ -139,38 +140,38 @@ def _stage_table(
         Column("strip", [group.name for group in groups], label="", text=f"<{_NAME}"),
         *(Column(stage, of_stage, parts=axes, text=">6", gap=2) for stage, of_stage in stages.items()),
     ))  # fmt: skip
-    return "\n".join([title, *table.text(indent=2), *_unlisted(merit)])
+    return "\n".join([title, *table.text(indent=2), *_unlisted(statistics)])
 
 
-def _height_table(merit: TwoStepStatistics) -> str:
-    heights = [group.heights for group in _listed(merit)]
+def _height_table(statistics: TwoStepStatistics) -> str:
+    heights = [group.heights for group in _listed(statistics)]
     stages = ("before", "step 1", "step 2")
     table = Table("heights", "Points above the terrain [m]", (
-        Column("strip", [group.name for group in _listed(merit)], label="", text=f"<{_NAME}"),
+        Column("strip", [group.name for group in _listed(statistics)], label="", text=f"<{_NAME}"),
         Column("points", np.array([one.count for one in heights]), text=">8"),
         Column("rms_{}", numbers(heights, "rms"), parts=stages, label="rms", text=">7", gap=2),
         Column("factor_{}", numbers(heights, "factors")[:, 1:], parts=stages[1:], label="reduced by", text=">7", gap=2),
         Column("mean_{}", numbers(heights, "mean"), parts=stages, label="mean", text=">7", gap=2),
     ))  # fmt: skip
-    return "\n".join([table.title, *table.text(indent=2), *_unlisted(merit)])
+    return "\n".join([table.title, *table.text(indent=2), *_unlisted(statistics)])
 
 
-def _listed(merit: TwoStepStatistics) -> list[GroupStatistics]:
-    return [merit.whole, *(merit.groups[:_ROWS] if len(merit.groups) > 1 else ())]
+def _listed(statistics: TwoStepStatistics) -> list[GroupStatistics]:
+    return [statistics.whole, *(statistics.groups[:_ROWS] if len(statistics.groups) > 1 else ())]
 
 
-def _unlisted(merit: TwoStepStatistics) -> list[str]:
-    more = len(merit.groups) - _ROWS
+def _unlisted(statistics: TwoStepStatistics) -> list[str]:
+    more = len(statistics.groups) - _ROWS
     return [f"  and {many(more, 'more strip')}: see two_steps.csv"] if more > 0 else []
 
 
 # --- in words
 
 
-def two_steps_statements(merit: TwoStepStatistics) -> list[str]:
+def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
     """Sentences with figures and units."""
-    steps, whole = merit.steps, merit.whole
-    found = [_of_blunders(merit)]
+    steps, whole = statistics.steps, statistics.whole
+    found = [_of_blunders(statistics)]
     if np.all(np.isfinite(whole.mean[:2])):
         found.append(
             f"Without the terrain the points' mean sigmas in X (flight), Y (across) and Z (height) go from "
@@ -190,7 +191,7 @@ def two_steps_statements(merit: TwoStepStatistics) -> list[str]:
         f"Sigmas of roll, pitch and yaw go {before}to {three(attitude[1])} mgon without the terrain, and to "
         f"{three(attitude[2])} mgon with it."
     )
-    found += _of_heights(merit)
+    found += _of_heights(statistics)
     if not steps.converged:
         which = " and ".join(
             name for name, one in (("step 1", steps.free), ("step 2", steps.fitted)) if not one.converged
@@ -199,8 +200,8 @@ def two_steps_statements(merit: TwoStepStatistics) -> list[str]:
     return found
 
 
-def _of_blunders(merit: TwoStepStatistics) -> str:
-    steps = merit.steps
+def _of_blunders(statistics: TwoStepStatistics) -> str:
+    steps = statistics.steps
     limit = steps.free.settings.reject
     if limit == 0.0:
         return "No blunders were sought (reject is 0): neither rays nor heights; --reject 4 does so."
@@ -220,8 +221,8 @@ def _of_blunders(merit: TwoStepStatistics) -> str:
     return text + ("." if steps.at_rest else "; which ones these are did not come to rest.")
 
 
-def _of_heights(merit: TwoStepStatistics) -> list[str]:
-    heights, found = merit.whole.heights, list[str]()
+def _of_heights(statistics: TwoStepStatistics) -> list[str]:
+    heights, found = statistics.whole.heights, list[str]()
     if heights.count:
         found.append(
             f"Heights above the terrain: rms {three(heights.rms)} m before, after step 1 and after step 2 "
@@ -229,19 +230,20 @@ def _of_heights(merit: TwoStepStatistics) -> list[str]:
             f"and {_change(heights.factors[2])} with the terrain. All are of the places where the rays alone put "
             f"the points; of the adjusted ones, each pulled by its own height row, it is {heights.rms_adjusted:.3g} m."
         )
-        if merit.steps.network.terrain_moves:
+        if statistics.steps.network.terrain_moves:
             found.append(
                 "In step 2 the terrain model has moved to where the rays put it; above the model as it was given the "
                 f"rms is {heights.rms_given:.3g} m."
             )
-    if merit.bare:
+    if statistics.bare:
         found.append(
-            f"{many(merit.bare, 'tie point')} had no height row, beside the terrain model or over missing posts."
+            f"{many(statistics.bare, 'tie point')} had no height row, beside the terrain model or over missing posts."
         )
-    if merit.lost:
+    if statistics.lost:
         found.append(
-            f"{many(merit.lost, 'tie point')} with a height row {'are' if merit.lost > 1 else 'is'} left out of these "
-            "heights: over missing posts at one of the stages, or without a place, as where their rays were rejected."
+            f"{many(statistics.lost, 'tie point')} with a height row {'are' if statistics.lost > 1 else 'is'} left out "
+            "of these heights: over missing posts at one of the stages, or without a place, as where their rays were "
+            "rejected."
         )
     return found
 
@@ -258,9 +260,9 @@ def _change(factor: float) -> str:
 # --- files
 
 
-def two_steps_json(merit: TwoStepStatistics) -> dict[str, Any]:
+def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
     """Everything but the single points, SI units but for mgon."""
-    steps = merit.steps
+    steps = statistics.steps
     return {
         "program": PROGRAM,
         "name": steps.fitted.name,
@@ -289,11 +291,11 @@ def two_steps_json(merit: TwoStepStatistics) -> dict[str, Any]:
         "rays_rejected": 0 if steps.free.rays_rejected is None else int(steps.free.rays_rejected.sum()),
         "heights_off": [steps.network.points.ids[i] for i in np.flatnonzero(steps.off).tolist()],
         "heights_at_rest": steps.at_rest,
-        "ties_without_height": merit.bare,
-        "ties_lost_from_heights": merit.lost,
-        "all": _group_json(merit.whole),
-        "strips": [_group_json(group) for group in merit.groups],
-        "statements": two_steps_statements(merit),
+        "ties_without_height": statistics.bare,
+        "ties_lost_from_heights": statistics.lost,
+        "all": _group_json(statistics.whole),
+        "strips": [_group_json(group) for group in statistics.groups],
+        "statements": two_steps_statements(statistics),
     }
 
 
@@ -322,15 +324,15 @@ def _by_stage(axes: tuple[str, ...], values: Array) -> dict[str, dict[str, float
     return {stage: dict(zip(axes, row, strict=True)) for stage, row in zip(STAGES, values, strict=True)}
 
 
-def _merit_table(merit: TwoStepStatistics) -> Table:
+def _statistics_table(statistics: TwoStepStatistics) -> Table:
     """One row per strip and quantity: before, after step 1, after step 2, and the factors of either."""
-    rows = [(group.name, *row) for group in (merit.whole, *merit.groups) for row in _quantities(group)]
+    rows = [(group.name, *row) for group in (statistics.whole, *statistics.groups) for row in _quantities(group)]
     names, quantities, units, values = zip(*rows, strict=True)
     stages = np.array(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.where(stages[:, 1:] > 0.0, stages[:, :1] / stages[:, 1:], np.nan)
     factors[[quantity.endswith("_mean_height") for quantity in quantities]] = np.nan  # a mean has a sign, and no factor
-    return Table("two_steps", "Figures of merit of both steps", (
+    return Table("two_steps", "Figures of statistics of both steps", (
         Column("strip", names), Column("quantity", quantities), Column("unit", units),
         Column("{}", stages, parts=STAGES), Column("factor_{}", factors, parts=("step_1", "step_2")),
     ))  # fmt: skip
@@ -345,16 +347,16 @@ def _quantities(group: GroupStatistics) -> list[tuple[str, str, Array]]:
     return [*found, ("terrain_rms_height", "m", group.heights.rms), ("terrain_mean_height", "m", group.heights.mean)]
 
 
-def _heights_table(merit: TwoStepStatistics) -> Table:
+def _heights_table(statistics: TwoStepStatistics) -> Table:
     """One row per point with a height row."""
-    network, points = merit.steps.network, merit.points
-    longitude, latitude, _ = planetocentric(merit.steps.fitted.places[points]).T
+    network, points = statistics.steps.network, statistics.points
+    longitude, latitude, _ = planetocentric(statistics.steps.fitted.places[points]).T
     return Table("heights", "Heights above the terrain", (
         Column("point", picked(network.points.ids, points)),
-        Column("used", merit.used),
+        Column("used", statistics.used),
         Column("longitude", longitude / DEG % 360.0, "deg", "planetocentric, east", scale=1.0),
         Column("latitude", latitude, "deg", "planetocentric"),
-        Column("height_{}", merit.heights.T, "m", "above the terrain model", STAGES),
+        Column("height_{}", statistics.heights.T, "m", "above the terrain model", STAGES),
     ))  # fmt: skip
 
 

@@ -4,7 +4,6 @@ import base64
 import io
 import zlib
 from collections.abc import Iterator, Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.files import fresh_file
 from mgsgraph.matching.chips import REACH, SIDE
+from mgsgraph.output.page import write_page
 from mgsgraph.review.selection import MatchReview
 from mgsgraph.review.verdicts import Verdict, Verdicts
 from mgsgraph.ties import PointKind
@@ -21,7 +20,7 @@ from mgsgraph.units import ISIS_OFFSET
 
 _MARKED = 0.75
 """Chip pixels, shift from which on the best match is marked."""
-_TEMPLATE = "templates/review.html"
+_TEMPLATE = "review/templates/review.html"
 
 
 def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = None) -> None:
@@ -29,23 +28,18 @@ def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = No
 
     The page begins with earlier verdicts; of points that it doesn't show they are kept in what it saves.
     """
-    import jinja2  # takes 0.1 s
-
     known = {} if verdicts is None else verdicts.of
     notes = {} if verdicts is None else verdicts.notes
     here = set(review.ties.ids)
-    source = (files("mgsgraph.review") / _TEMPLATE).read_text(encoding="utf-8")
-    page = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined)
-    with fresh_file(path, "a file that may be written", "choose another --out") as aside:
-        page.from_string(source).stream(
-            review=review,
-            store=_store(review, verdicts),
-            points=_points(review, known, notes),
-            others=[(one, known[one].value, notes.get(one, "")) for one in known if one not in here],
-            sorts=[order[:2] for order in _orders(review)],
-            side=SIDE,
-            reach=REACH,
-        ).dump(str(aside), encoding="utf-8")
+    write_page(_TEMPLATE, {
+        "review": review,
+        "store": _store(review, verdicts),
+        "points": _points(review, known, notes),
+        "others": [(one, known[one].value, notes.get(one, "")) for one in known if one not in here],
+        "sorts": [order[:2] for order in _orders(review)],
+        "side": SIDE,
+        "reach": REACH,
+    }, path)  # fmt: skip
 
 
 def _store(review: MatchReview, verdicts: Verdicts | None) -> str:

@@ -55,7 +55,7 @@ def render(
 
     def expose(block: int, noise: np.random.Generator) -> None:
         part = picture[block * _FAR : (block + 1) * _FAR]
-        sun = _local_sun(points[block, points.shape[1] // 2], terrain, sun_direction)
+        sun = local_sun(points[block, points.shape[1] // 2], terrain, sun_direction)
         east, north = _ground_of_pixels(terrain, [layer[block : block + 2] for layer in far], *part.shape)
         grey = _DARK + gain * np.maximum(_shade(east, north, terrain, sun), np.float32(0.0))
         grey += NOISE * noise.standard_normal(part.shape, dtype=np.float32)
@@ -125,7 +125,7 @@ def _rise(terrain: SiteTerrain, sight: Sequence[Float], start: Float, steps: int
     return rise
 
 
-def _local_sun(point: Array, terrain: SiteTerrain, sun_direction: Array) -> Array:
+def local_sun(point: Array, terrain: SiteTerrain, sun_direction: Array) -> Array:
     """The Sun's direction (3,) east, north and up of a point (3,), up being the regional level's normal."""
     lon, lat, radius = planetocentric(point[None]).T
     corners = planetocentric(point[None])[0] + np.array([[0.0, 0.0, 0.0], [1e-6, 0.0, 0.0], [0.0, 1e-6, 0.0]])

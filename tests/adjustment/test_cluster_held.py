@@ -11,7 +11,7 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.cluster import held
 from mgsgraph.adjustment.cluster.held import NOT_HELD, PLACES, Order, Source, carry_out
-from mgsgraph.adjustment.cluster.partitions import _own_blocks
+from mgsgraph.adjustment.cluster.partitions import blocks_of_partition
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_blocks
 from mgsgraph.adjustment.settings import SolverSettings
@@ -74,7 +74,7 @@ def test_blocks_of_some_groups_keep_their_places(data: st.DataObject) -> None:
     groups = make_groups(variables, first_member, np.array([v for mine in sets for v in mine], dtype=np.int64))
     whole = pair_blocks(variables, groups).target
     used = np.array(sorted(data.draw(st.sets(st.integers(0, len(sets) - 1), min_size=1))))
-    place, mine = _own_blocks(groups, whole, used)
+    place, mine = blocks_of_partition(groups, whole, used)
     assert np.unique(place).size == place.size == mine.size <= whole.size
     for one in used:
         width = groups.member_width[groups.member_first[one] : groups.member_first[one + 1]]

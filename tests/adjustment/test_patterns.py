@@ -65,7 +65,7 @@ def test_pieces_are_all_points_once(piece: int) -> None:
         made = lay_out(net, SolverSettings())
         n, found, expected = len(net.points), made.patterns, expected_observations(net)
         assert sorted(found.point_order.tolist()) == list(range(n))
-        np.testing.assert_array_equal(found.point_order[found.point_place], np.arange(n))
+        np.testing.assert_array_equal(found.point_order[found.point_index], np.arange(n))
         np.testing.assert_array_equal(made.network_order(found.point_order.astype(float)), np.arange(n))
         rows = made.rows
         np.testing.assert_array_equal(rows.piece[:, 1], np.cumsum(rows.piece[:, 2]) - rows.piece[:, 2])
@@ -152,13 +152,14 @@ def test_rows_left_out(seed: int) -> None:
     sizes = (net.rays.point.size, net.ranges.point.size, len(net.points))
     rays, ranges, out = (rng.random(size) < 0.8 for size in sizes)
     rows = made.active(rays, ranges, out)
-    every = np.concatenate([made.places.rays, made.places.ranges, made.places.heights])
+    among = made.observation_rows
+    every = np.concatenate([among.rays, among.ranges, among.heights])
     assert np.unique(every).size == every.size
-    np.testing.assert_array_equal(rows.weight[:, made.places.rays], np.where(rays, 1.0 / net.rays.sigmas.T, 0.0))
-    np.testing.assert_array_equal(rows.weight[0, made.places.ranges], np.where(ranges, 1.0 / net.ranges.sigmas, 0.0))
+    np.testing.assert_array_equal(rows.weight[:, among.rays], np.where(rays, 1.0 / net.rays.sigmas.T, 0.0))
+    np.testing.assert_array_equal(rows.weight[0, among.ranges], np.where(ranges, 1.0 / net.ranges.sigmas, 0.0))
     kept = made.network_order(rows.kind) != OUT
     np.testing.assert_array_equal(kept, ~out & (made.network_order(made.rows.kind) != OUT))
-    np.testing.assert_array_equal(made.rows.weight[:, made.places.rays], 1.0 / net.rays.sigmas.T)
+    np.testing.assert_array_equal(made.rows.weight[:, made.observation_rows.rays], 1.0 / net.rays.sigmas.T)
 
 
 def powers(u: float, degree: int, slope: float) -> tuple[np.ndarray, np.ndarray]:
@@ -226,7 +227,8 @@ def test_constants_are_the_networks() -> None:
     for seed in range(6):
         net = random_network(seed)
         made = lay_out(net, SolverSettings())
-        ray, shot = ({int(at): k for k, at in enumerate(t)} for t in (made.places.rays, made.places.ranges))
+        tables = made.observation_rows.rays, made.observation_rows.ranges
+        ray, shot = ({int(at): k for k, at in enumerate(table)} for table in tables)
         seen = Counter[int]()
         for place, point in enumerate(take_apart(made)):
             i = int(made.point_order[place])
@@ -255,7 +257,7 @@ def test_frozen_scale_is_the_nominal_image_motion() -> None:
     made = lay_out(net, SolverSettings(line="measured"))
     for place, point in enumerate(take_apart(made)):
         for observation in (s for s in point.observations if s.kind == IMAGE):
-            k = int(np.flatnonzero(made.places.rays == observation.among)[0])
+            k = int(np.flatnonzero(made.observation_rows.rays == observation.among)[0])
             image, (line, sample) = net.images[net.rays.image[k]], net.rays.places[k]
 
             def in_focal_plane(lines: float, image=image, line=line, place=place) -> np.ndarray:

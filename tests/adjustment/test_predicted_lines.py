@@ -163,7 +163,7 @@ def test_rows_carried_from_the_measured_line_are_not(jittery: Network) -> None:
     layout, solution = lay_out(jittery, SolverSettings()), adjust_network(jittery, SolverSettings())
     x = np.concatenate([part.ravel() for part in solution.coefficients])
     points = solution.places[layout.point_order]
-    carried = BundleGraph(layout).sweeper.residuals(layout, layout.rows, x, points)[layout.places.rays]
+    carried = BundleGraph(layout).sweeper.residuals(layout, layout.rows, x, points)[layout.observation_rows.rays]
     assert np.abs(carried - exact_residuals(solution)).max() > 1e-5
     again = about_predicted_lines(layout, x, points)
     assert again is not layout

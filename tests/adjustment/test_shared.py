@@ -77,10 +77,10 @@ def test_patches_follow_the_terrains_own_shift() -> None:
     points = plain.rows.start[np.argsort(plain.point_order)][felt.point_order]
     moved = np.zeros(felt.columns)
     moved[plain.columns - 2] = 900.0
-    expected = plain.following(plain.rows.start, moved[: plain.columns]).rows.terrain_cell[plain.patterns.point_place]
-    found = felt.following(points, moved).rows.terrain_cell[felt.patterns.point_place]
+    expected = plain.following(plain.rows.start, moved[: plain.columns]).rows.terrain_cell[plain.patterns.point_index]
+    found = felt.following(points, moved).rows.terrain_cell[felt.patterns.point_index]
     np.testing.assert_array_equal(found, expected)
-    assert np.any(found != felt.rows.terrain_cell[felt.patterns.point_place])
+    assert np.any(found != felt.rows.terrain_cell[felt.patterns.point_index])
     moved[:] = 0.0
     moved[-2:] = 900.0
     assert felt.following(felt.rows.start, moved) is felt

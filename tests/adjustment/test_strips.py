@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from networks import network, pair
+from networks import as_nodes, network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import lay_out
@@ -24,7 +24,6 @@ from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrio
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, NodePrior, Strip
-from mgsgraph.network.strips import as_nodes
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_points import PointMatching
 

@@ -17,10 +17,10 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import (
     Component,
     Judgement,
-    _components,
-    _judgements,
+    components_from_redundancy,
     components_of,
     iterated_components,
+    judge_groups,
 )
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.analysis.helmert import Redundancy, group_redundancy
@@ -392,8 +392,8 @@ def test_a_factor_that_hangs_on_the_sigmas_of_a_group_that_is_not_judged_says_so
     names = ("ties", "pointing", "position")
     found = Redundancy(names, np.array([200, 40, 40]), r, r, helmert, True)
     judgements = [Judgement.JUDGED, Judgement.JUDGED, Judgement.INSEPARABLE]
-    assert _judgements(found, {}).count(Judgement.INSEPARABLE) == 1
-    groups = _components(found, judgements, np.ones(3)).groups
+    assert judge_groups(found, {}).count(Judgement.INSEPARABLE) == 1
+    groups = components_from_redundancy(found, judgements, np.ones(3)).groups
     assert [one.given for one in groups] == ["", "position", ""]
     assert groups[1].beside == "ties"
     assert groups[2].beside == "pointing"

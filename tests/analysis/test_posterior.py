@@ -43,7 +43,7 @@ class Dense:
     def columns(self, name: str) -> slice:
         """Columns of a point by its name."""
         network = self.posterior.network
-        place = self.posterior.linearised.layout.patterns.point_place[network.points.ids.index(name)]
+        place = self.posterior.linearised.layout.patterns.point_index[network.points.ids.index(name)]
         return self.points[int(place)]
 
     def of(self, jacobian: np.ndarray, *parts: slice) -> np.ndarray:

@@ -135,7 +135,7 @@ def test_bundle_is_explicit_with_a_robust_loss(loss: str) -> None:
 def test_a_point_that_nothing_determines_is_as_if_left_out() -> None:
     """The layout leaves points of parallel rays out beforehand; here one gets through to the kernel."""
     weak, out = case(one_seen_twice_by_one_image()), case(one_seen_twice_by_one_image(), without=((), (), (0,)))
-    place = int(weak.layout.patterns.point_place[0])
+    place = int(weak.layout.patterns.point_index[0])
     kinds = weak.rows.kind.copy()
     assert kinds[place] == OUT
     kinds[place] = FREE

@@ -54,7 +54,7 @@ def observations_of(made: Layout, kind: int) -> list[tuple[int, int]]:
 def row_of(made: Layout, point: int, observation: int) -> tuple[int, int]:
     """Network ray of an image observation, and its image."""
     pattern, first, count, _, among = made.rows.piece[np.searchsorted(made.rows.piece[:, 1], point, side="right") - 1]
-    ray = int(np.flatnonzero(made.places.rays == among + observation * count + point - first)[0])
+    ray = int(np.flatnonzero(made.observation_rows.rays == among + observation * count + point - first)[0])
     return ray, made.patterns.observations[pattern][observation].image
 
 

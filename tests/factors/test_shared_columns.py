@@ -57,7 +57,7 @@ class Draft:
 
     def observations(self, kind: int) -> list[tuple[HandObservation, PushbroomImage, float]]:
         """All observations of a kind, each with its image and its line (or, of a range, its time past the epoch)."""
-        network, places = self.layout.network, self.layout.places
+        network, places = self.layout.network, self.layout.observation_rows
         table, among = (network.rays, places.rays) if kind == IMAGE else (network.ranges, places.ranges)
         row = {int(at): k for k, at in enumerate(among)}
         found = []

@@ -150,6 +150,7 @@ def test_records_of_lola(tmp_path: Path, packed: bool) -> None:
         (record(12.0, *GROUND), "12 s past J2000"),
         (record(305495504.0, (2.5, 91.0, 1735e3, 0), *GROUND[1:]), "record 1, spot 1, latitude: 91 degrees"),
         (b"\0" * 256, "unknown format"),
+        (b"\0", "1 bytes of an unknown format"),
         (b"", "an empty file"),
     ],
 )

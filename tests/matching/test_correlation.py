@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from mgsgraph.matching.coarse import window
-from mgsgraph.matching.correlation import _matched, _peaks, links_on_grid
+from mgsgraph.matching.correlation import correlation_peaks, links_on_grid, matched_nodes
 from mgsgraph.matching.patches import Patch, Tile
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.matching.tiles import tiling
@@ -32,7 +32,7 @@ def nodes(patch: Patch, spacing: int = 12) -> tuple[np.ndarray, np.ndarray]:
 def test_windows_are_found_where_they_went(shift: tuple[int, int]) -> None:
     one, other = patch(), patch(shift, noise=5.0)
     rows, columns = nodes(one)
-    chosen, shifts, score = _matched(one, other, rows, columns, (6, 6), SETTINGS)
+    chosen, shifts, score = matched_nodes(one, other, rows, columns, (6, 6), SETTINGS)
     inner = np.ones(rows.size, dtype=bool)
     for axis, by, size in zip((rows, columns), shift, one.grey.shape, strict=True):
         inner &= (np.minimum(axis, axis + by) >= 8) & (np.maximum(axis, axis + by) + 8 < size)
@@ -44,7 +44,7 @@ def test_windows_are_found_where_they_went(shift: tuple[int, int]) -> None:
 def test_scores_are_correlation_coefficients() -> None:
     one, other = patch(), patch((2, 1), noise=20.0)
     rows, columns = nodes(one)
-    shifts, best, second = _peaks(one.grey, one.valid, other.grey, other.valid, rows, columns, 6, 4, 4)
+    shifts, best, second = correlation_peaks(one.grey, one.valid, other.grey, other.valid, rows, columns, 6, 4, 4)
     for k in np.flatnonzero(best > 0.0)[:8]:
         r, c = rows[k], columns[k]
         mine = one.grey[r - 6 : r + 7, c - 6 : c + 7].ravel()
@@ -69,22 +69,22 @@ def test_a_pattern_that_repeats_is_no_match() -> None:
         Patch(grey + rng.integers(0, 6, grey.shape, dtype=np.uint8), np.full(grey.shape, 255, dtype=np.uint8))
         for _ in range(2)
     )
-    assert _matched(one, other, *nodes(one), (8, 8), SETTINGS)[0].size == 0
-    assert _matched(one, other, *nodes(one), (3, 3), SETTINGS)[0].size > 50
+    assert matched_nodes(one, other, *nodes(one), (8, 8), SETTINGS)[0].size == 0
+    assert matched_nodes(one, other, *nodes(one), (3, 3), SETTINGS)[0].size > 50
 
 
 def test_other_ground_and_bare_ground_are_no_match() -> None:
     one, bare = patch(), Patch(np.full((140, 150), 90, dtype=np.uint8), np.full((140, 150), 255, dtype=np.uint8))
-    assert _matched(one, patch(seed=5), *nodes(one), (6, 6), SETTINGS)[0].size == 0
+    assert matched_nodes(one, patch(seed=5), *nodes(one), (6, 6), SETTINGS)[0].size == 0
     for pair in ((one, bare), (bare, one)):
-        assert _matched(*pair, *nodes(one), (6, 6), SETTINGS)[0].size == 0
+        assert matched_nodes(*pair, *nodes(one), (6, 6), SETTINGS)[0].size == 0
 
 
 def test_windows_do_not_reach_into_what_is_missing() -> None:
     one, other = patch(), patch((1, 1))
     other.valid[:, 70:] = 0
     rows, columns = nodes(one)
-    chosen, _, _ = _matched(one, other, rows, columns, (3, 3), SETTINGS)
+    chosen, _, _ = matched_nodes(one, other, rows, columns, (3, 3), SETTINGS)
     assert chosen.size > 20
     assert columns[chosen].max() <= 70 - 1 - 1 - 8
 

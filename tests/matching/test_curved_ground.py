@@ -21,7 +21,7 @@ from textures import (
 
 from mgsgraph.errors import InputError
 from mgsgraph.matching.least_squares import LeastSquaresSettings, MatchStatus
-from mgsgraph.matching.window import _out_of_shape
+from mgsgraph.matching.window import out_of_shape
 
 
 @pytest.fixture(scope="module")
@@ -209,6 +209,6 @@ def test_folded_ground_is_no_match() -> None:
         rise = np.stack([2 * x[8] * down + x[9] * across, x[9] * down + 2 * x[10] * across], axis=-1) / HALF
         scale = np.linalg.det(affine + ALONG[:, None] * rise[:, None, :]) / np.linalg.det(AFFINE)
         bad = bool(scale.min() <= 0.25 or scale.max() >= 4.0)
-        assert _out_of_shape(x, ALONG, HALF, float(np.linalg.det(AFFINE))) == bad
+        assert out_of_shape(x, ALONG, HALF, float(np.linalg.det(AFFINE))) == bad
         wrong += bad
     assert 50 < wrong < 250

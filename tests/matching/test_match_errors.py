@@ -11,7 +11,7 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
-from mgsgraph.matching.coarse import _corrected
+from mgsgraph.matching.coarse import corrected_scene
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.pairs import Pair, pairs_of
 from mgsgraph.matching.scene import Picture, Pixels, Scene
@@ -113,9 +113,9 @@ def test_what_agrees_by_chance_does_not_count(height_sigma: float, radius: float
         np.column_stack([numbers, count + numbers]), np.ones(count),
     )  # fmt: skip
     with pytest.raises(InputError, match=f"of {count} matches on a coarse grid"):
-        _corrected(scene, Pair(0, 1, 1.0), links, 16.0, radius, np.random.default_rng(0))
+        corrected_scene(scene, Pair(0, 1, 1.0), links, 16.0, radius, np.random.default_rng(0))
     true = links._replace(plane=np.concatenate([plane[first[near]]] * 2))
-    assert _corrected(scene, Pair(0, 1, 1.0), true, 16.0, radius, np.random.default_rng(0))[1].agreed == count
+    assert corrected_scene(scene, Pair(0, 1, 1.0), true, 16.0, radius, np.random.default_rng(0))[1].agreed == count
 
 
 def test_unknown_orientation_needs_a_search() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.matching.checks import checked_measures
-from mgsgraph.matching.match import _cells, _checked
+from mgsgraph.matching.match import checked_matches, ground_cells
 from mgsgraph.matching.measuring import Measured
 from mgsgraph.matching.pairs import Pair, first_picture, next_pair, pairs_of
 from mgsgraph.matching.relative import (
@@ -135,9 +135,9 @@ def test_measures_that_do_not_meet_or_stand_out_are_told() -> None:
 def test_what_does_not_come_back_is_not_kept() -> None:
     scene, places = matched.scene(), planted(100)
     returns = np.arange(100) >= 30
-    cells = _cells(scene, pairs_of(scene), 10)
+    cells = ground_cells(scene, pairs_of(scene), 10)
     settings = replace(matched.SETTINGS, per_cell=100)
-    kept, losses, misfit = _checked(scene, measures(places, returns), np.ones(100), settings, 4.0, cells, 123)
+    kept, losses, misfit = checked_matches(scene, measures(places, returns), np.ones(100), settings, 4.0, cells, 123)
     assert set(kept.track.tolist()) == set(range(30, 100))
     assert losses == (123, 100, 100, 100, 70, 70, 70, 70)
     assert misfit.shape == (70,)

@@ -11,7 +11,7 @@ from projects import StopHere, four_images, images
 from mgsgraph.errors import InputError
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.parts import bundles, joined, part, without_images
-from mgsgraph.project.addition import Addition, ImageArgument, NewImage, _on_terrain, _unknown_alone, parse_image
+from mgsgraph.project.addition import Addition, ImageArgument, NewImage, on_terrain, parse_image, unknown_alone
 from mgsgraph.project.changes import put_in
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
@@ -45,7 +45,7 @@ def store(tmp_path: Path) -> Iterator[ProjectStore]:
 def test_of_a_whole_network_only_what_is_new_remains(store: ProjectStore) -> None:
     net = whole()
     before = sum(one.network.rays.point.size for one in map(store.bundle, store.members()))
-    left = _unknown_alone(net, store)
+    left = unknown_alone(net, store)
     assert left is not None
     new = next(j for j, image in enumerate(left.images) if image.name == "SIM/B")
     known = np.array([name in store.bundles_of(net.points.ids) for name in left.points.ids])
@@ -57,7 +57,7 @@ def test_of_a_whole_network_only_what_is_new_remains(store: ProjectStore) -> Non
 
 def test_put_in_one_after_the_other_is_put_in_at_once(store: ProjectStore, tmp_path: Path) -> None:
     net = whole()
-    added = _unknown_alone(net, store)
+    added = unknown_alone(net, store)
     assert added is not None
     new = next(known for known in images() if known.image.name == "SIM/B")
     put_in(store, Addition((NewImage(new, ()),), added))
@@ -75,7 +75,7 @@ def test_put_in_one_after_the_other_is_put_in_at_once(store: ProjectStore, tmp_p
 def test_a_measure_that_contradicts_is_not_dropped(store: ProjectStore) -> None:
     net = whole()
     moved = replace(net, rays=replace(net.rays, places=net.rays.places + 1e-9))
-    left = _unknown_alone(moved, store)
+    left = unknown_alone(moved, store)
     assert left is not None
     assert left.rays.point.size == net.rays.point.size
     with pytest.raises(InputError, match="measured there before"):
@@ -85,13 +85,13 @@ def test_a_measure_that_contradicts_is_not_dropped(store: ProjectStore) -> None:
 def test_new_ties_lie_on_the_terrain_model_of_the_project(store: ProjectStore) -> None:
     net = whole()
     bare = replace(part(net, np.flatnonzero(net.points.classes == PointClass.TIE)), surface=None)
-    on = _on_terrain(bare, store)
+    on = on_terrain(bare, store)
     assert on.surface is not None
     assert store.terrain is not None
     assert on.surface.grid is store.terrain[0]
     np.testing.assert_array_equal(on.surface.sigmas, 25.0)
     laser = replace(part(net, np.flatnonzero(net.points.classes == PointClass.LASER)), surface=None)
-    assert _on_terrain(laser, store).surface is None
+    assert on_terrain(laser, store).surface is None
 
 
 def test_names_before_paths(tmp_path: Path) -> None:

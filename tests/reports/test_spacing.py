@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.figures.spacing import course_sheet, spacing_sheet, spectrum_sheet
+from mgsgraph.figures.spacing import corrections_sheet, spacing_sheet, spectrum_sheet
 from mgsgraph.reports.spacing import node_statements, nodes_json, spacing_table, write_nodes
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_points import PointMatching
@@ -99,7 +99,7 @@ def test_figures_show_the_numbers() -> None:
     made = study()
     spacings = spacing_sheet(made.choice, made.name)
     spectrum = spectrum_sheet(made.strips[0], "spectrum")
-    over_time = course_sheet(made.corrections[0], made.choice.spacing, "course")
+    over_time = corrections_sheet(made.corrections[0], made.choice.spacing, "course")
     rms = spacings.figure.axes[0].containers[0].lines[0].get_ydata()
     np.testing.assert_allclose(rms, [one.rms for one in made.choice.candidates])
     pitch = spectrum.figure.axes[3]

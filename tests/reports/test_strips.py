@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mex import CHANGES
-from networks import network, pair
+from networks import as_nodes, network, pair
 from strip_files import block, write_block
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -24,7 +24,6 @@ from mgsgraph.figures.orientation import drawn_strip
 from mgsgraph.geometry.orientation_images import Basis, evenly_spaced
 from mgsgraph.network import Network, Strip
 from mgsgraph.network.passes import seconds
-from mgsgraph.network.strips import as_nodes
 from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.reports.inventory import inventory
 from mgsgraph.reports.results import solution_json

@@ -10,7 +10,7 @@ from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
-from mgsgraph.simulation.imagery import NOISE, Picture, _local_sun, render
+from mgsgraph.simulation.imagery import NOISE, Picture, local_sun, render
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.simulation.relief import PeriodicSurface
 
@@ -116,5 +116,5 @@ def test_east_is_where_longitudes_grow() -> None:
     places = np.array([[lon[0], lat[0], 3.39e6], [lon[0] + 1e-4, lat[0], 3.39e6], [lon[0], lat[0] + 1e-4, 3.39e6]])
     corners = from_planetocentric(places)
     for axis, direction in enumerate((corners[1] - corners[0], corners[2] - corners[0], corners[0])):
-        local = _local_sun(point, site, direction / np.linalg.norm(direction))
+        local = local_sun(point, site, direction / np.linalg.norm(direction))
         np.testing.assert_allclose(local, np.eye(3)[axis], atol=5e-3)  # the regional level tilts by 1 in 400

@@ -315,7 +315,8 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
     point = int(rows.piece[first, 1])
     observation = int(rows.piece[first, 4])
     own = (mine.kind, mine.start, mine.data, mine.weight, mine.terrain_cell)
-    blocks, target = _own_blocks(layout.groups, layout.blocks.target, np.unique(rows.pattern_group[mine.piece[:, 0]]))
+    used = np.unique(rows.pattern_group[mine.piece[:, 0]])
+    blocks, target = blocks_of_partition(layout.groups, layout.blocks.target, used)
     return _Part(
         uuid.uuid4().hex,
         slice(first, last),
@@ -327,7 +328,7 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
     )
 
 
-def _own_blocks(groups: Groups, target: Target, used: Index) -> tuple[Index, Target]:
+def blocks_of_partition(groups: Groups, target: Target, used: Index) -> tuple[Index, Target]:
     """Blocks of some groups by themselves: where they are among the whole's, and their target."""
     places, sizes = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     for group in used:

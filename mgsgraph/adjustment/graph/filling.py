@@ -13,13 +13,13 @@ make_equations_compilable()
 
 
 @compiled
-def destination(point, slot, point_place, piece_of, piece, before):
-    """Where an observation's constants begin in the data, the step to the next one, and its place among all
+def destination(point, slot, point_index, piece_of, piece, before):
+    """Where an observation's constants begin in the data, the step to the next one, and its index among all
     observations.
     """
-    place = point_place[point]
-    p = piece_of[place]
-    inside, stride = place - piece[p, 1], piece[p, 2]
+    index = point_index[point]
+    p = piece_of[index]
+    inside, stride = index - piece[p, 1], piece[p, 2]
     return piece[p, 3] + stride * before[piece[p, 0], slot] + inside, stride, piece[p, 4] + slot * stride + inside
 
 
@@ -45,8 +45,8 @@ def rows_of(matrix):
 @compiled
 def origin_of(point, slot, store):
     """Origin (m) of a nominal ray that `put_rays` has put there."""
-    point_place, piece_of, piece, before, data = store
-    at, s, _ = destination(point, slot, point_place, piece_of, piece, before)
+    point_index, piece_of, piece, before, data = store
+    at, s, _ = destination(point, slot, point_index, piece_of, piece, before)
     return data[at], data[at + s], data[at + 2 * s]
 
 
@@ -74,19 +74,19 @@ def put_rays(
 ):
     """Constants of one image's rays `mine` (m,), in the order in which `kernel.tile.load_observation` takes them.
 
-    `store` is (point_place, piece_of, piece, before, data), `pose` (positions, matrices, velocities, angular rates or
+    `store` is (point_index, piece_of, piece, before, data), `pose` (positions, matrices, velocities, angular rates or
     rates of the angles), `scales` (m, 4 or 0) where S of the measured-line form is known already, `offset` (m,)
     lines from the measured line, `u` (m, 1 or 0) the line of a polynomial, `basis` (m, b) values and rates of
-    nodes. What is filled beside the constants: the ray's place among all observations, weights, and unit
+    nodes. What is filled beside the constants: the ray's index among all observations, weights, and unit
     directions.
     """
-    point_place, piece_of, piece, before, data = store
+    point_index, piece_of, piece, before, data = store
     position, matrix, velocity, angular_rate = pose
     for r in range(mine.size):
         k = mine[r]
-        at, stride, place = destination(point[k], slot[k], point_place, piece_of, piece, before)
-        among[k] = place
-        weight[0, place], weight[1, place] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
+        at, stride, index = destination(point[k], slot[k], point_index, piece_of, piece, before)
+        among[k] = index
+        weight[0, index], weight[1, index] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
         at = put(data, at, stride, vector(position, r))
         attitude = rows_of(matrix[r])
         if angles == CAMERA:
@@ -113,21 +113,21 @@ def put_rays(
 @cached_kernel
 def put_scale(mine, point, slot, store, first, values):
     """The scale (m, 4) of the measured-line form, component `first` of each ray."""
-    point_place, piece_of, piece, before, data = store
+    point_index, piece_of, piece, before, data = store
     for r in range(mine.size):
-        at, stride, _ = destination(point[mine[r]], slot[mine[r]], point_place, piece_of, piece, before)
+        at, stride, _ = destination(point[mine[r]], slot[mine[r]], point_index, piece_of, piece, before)
         for c in range(4):
             data[at + (first + c) * stride] = values[r, c]
 
 
 @cached_kernel
-def crossings(point_order, begin, order, slot, store, units, wanted, places, apart):
+def crossings(point_order, begin, order, slot, store, units, wanted, positions, apart):
     """Where the nominal rays of points cross, and how far apart they point.
 
     Parameters
     ----------
     point_order : (n,)
-        Network point at each place of the layout.
+        Network point at each index of the layout.
     begin, order : (n + 1,), (k,)
         Rays of each point (`sorting.by_point`).
     slot : (k,)
@@ -136,7 +136,7 @@ def crossings(point_order, begin, order, slot, store, units, wanted, places, apa
     units : (k, 3)
         Directions of the rays, body-fixed.
     wanted : (n,)
-        Points whose place is asked for.
+        Points whose position is asked for.
     places : (n, 3)
         m: filled for these, unless the rays are closer to parallel than 2e-7 rad or meet behind a camera.
     apart : (n,)
@@ -158,4 +158,4 @@ def crossings(point_order, begin, order, slot, store, units, wanted, places, apa
                 ahead = subtract(add(found, origin), origin_of(i, slot[order[r]], store))
                 usable &= dot(ahead, vector(units, order[r])) > 0.0
             for j in range(3):
-                places[i, j] = found[j] + origin[j] if usable else places[i, j]
+                positions[i, j] = found[j] + origin[j] if usable else positions[i, j]

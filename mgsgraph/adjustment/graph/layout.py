@@ -58,7 +58,7 @@ class Layout:
     """Its normal matrix on strips' unknowns, flat in `blocks`; empty without strips."""
     patterns: Patterns
     """Points by pattern."""
-    places: ObservationRows
+    observation_rows: ObservationRows
     """Network rows among all observations."""
     lines: Array
     """(k,) line about which each network ray is laid out."""
@@ -99,20 +99,20 @@ class Layout:
 
     @property
     def point_order(self) -> Index:
-        """(n,) network point at each place of the layout."""
+        """(n,) network point at each index of the layout."""
         return self.patterns.point_order
 
     def network_order(self, values: NDArray[_Kind]) -> NDArray[_Kind]:
         """Values (n, ...) in the layout's order, back in the network's."""
-        return values[self.patterns.point_place]
+        return values[self.patterns.point_index]
 
     def columns_of(self, variable: int) -> slice:
         """Columns of one variable."""
         return self.variables.columns_of(variable)
 
     def following(self, points: Array, shared: Array) -> "Layout":
-        """The same layout with each point's terrain patch under its present place (n, 3), layout order, by the present
-        shared unknowns (columns,); itself when all patches are the same.
+        """The same layout with each point's terrain patch under its present position (n, 3), layout order, by the
+        present shared unknowns (columns,); itself when all patches are the same.
         """
         surface = self.network.surface
         if surface is None:
@@ -138,7 +138,7 @@ class Layout:
         return replace(self, stereo=anew).about(self.lines)
 
     def about(self, lines: Array) -> "Layout":
-        """The same network, points in and out, starting places, terrain patches and stereo rows, its rays laid
+        """The same network, points in and out, starting positions, terrain patches and stereo rows, its rays laid
         out about other lines (k,).
         """
         starts, kinds = self.network_order(self.rows.start), self.network_order(self.rows.kind)
@@ -155,12 +155,12 @@ class Layout:
         kind, weight = self.rows.kind, self.rows.weight
         if np.any(out[self.point_order] & (kind != OUT)):
             kind = np.where(out[self.point_order], OUT, kind).astype(kind.dtype)
-        without_stereo = not stereo and self.places.stereo.size > 0
+        without_stereo = not stereo and self.observation_rows.stereo.size > 0
         if without_stereo or not (np.all(rays) and np.all(ranges)):
             weight = weight.copy()
-            weight[:, self.places.stereo[: None if without_stereo else 0]] = 0.0
-            weight[:, self.places.rays[~rays]] = 0.0
-            weight[:, self.places.ranges[~ranges]] = 0.0
+            weight[:, self.observation_rows.stereo[: None if without_stereo else 0]] = 0.0
+            weight[:, self.observation_rows.rays[~rays]] = 0.0
+            weight[:, self.observation_rows.ranges[~ranges]] = 0.0
         return self.rows._replace(kind=kind, weight=weight)
 
 
@@ -173,8 +173,8 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
     settings : SolverSettings
     places : (n, 3), optional
         m, where its points are thought to be: there the inner solves begin. Where it is NaN, or absent, they begin at
-        the a-priori place or at the intersection of the nominal rays. Not heard in the papers' form, in which the
-        places where points begin are part of the model (image motion per line), and must be the nominal ones.
+        the a-priori position or at the intersection of the nominal rays. Not used in the papers' form, in which the
+        positions where points begin are part of the model (image motion per line), and must be the nominal ones.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def _lay_out(
     like: tuple[Array, NDArray[np.int8]] | None,
     stereo: StereoRows | None,
 ) -> Layout:
-    """The same with rays laid out about lines (k,); `like` are starting places and kinds to keep, network order."""
+    """The same with rays laid out about lines (k,); `like` are starting positions and kinds to keep, network order."""
     terms = Terms(network, variables, lines)
     patterns, rays_of = sort_points(network, terms, stereo)
     observations, rows = lay_out_rows(network, model, variables, patterns, rays_of, terms, known, like, stereo)

@@ -51,7 +51,7 @@ class Patterns:
     """
 
     first: Index
-    """(q + 1,) first observation of each pattern: rays by image, ranges by image, a-priori place, terrain, stereo
+    """(q + 1,) first observation of each pattern: rays by image, ranges by image, a-priori position, terrain, stereo
     surface."""
     fixed: Mask
     """(q,) whether the points are known."""
@@ -82,23 +82,23 @@ class Patterns:
     entry_inside: Index
     """(e,) first of the term's six columns, or the single one, within that variable."""
     entry_member: Index
-    """(e,) place of the variable among those of the group."""
+    """(e,) index of the variable among those of the group."""
     point_order: Index
-    """(n,) network point at each place of the layout."""
-    point_place: Index
-    """(n,) the way back: place of each network point."""
+    """(n,) network point at each index of the layout."""
+    point_index: Index
+    """(n,) the way back: index in the layout of each network point."""
     piece_pattern: Index
     """(m,) pattern of each piece."""
     piece_first: Index
     """(m + 1,) first point of each piece."""
     ray_slot: NDArray[np.int32]
-    """(k,) place of each network ray among its point's observations."""
+    """(k,) index of each network ray among its point's observations."""
     range_slot: NDArray[np.int32]
     """(r,) the same of each network range."""
 
-    def piece_of(self, places: Index | int) -> Index:
-        """Piece of each place of the layout."""
-        return np.asarray(np.searchsorted(self.piece_first, places, side="right") - 1)
+    def piece_of(self, indices: Index | int) -> Index:
+        """Piece of each index of the layout."""
+        return np.asarray(np.searchsorted(self.piece_first, indices, side="right") - 1)
 
     @cached_property
     def group_variables(self) -> tuple[tuple[int, ...], ...]:
@@ -151,7 +151,7 @@ def sort_points(
     order = np.lexsort([np.arange(example.size), group, shape])
     rank = np.empty_like(order)
     rank[order] = np.arange(order.size)
-    point_order, point_place, count = counted(rank[number], order.size)
+    point_order, point_index, count = counted(rank[number], order.size)
     pieces = -(-count // PIECE)
     inside = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     of_order, first = _runs(of_example.first, order)
@@ -161,7 +161,7 @@ def sort_points(
         first, fixed[order], shape[order], group[order], group_first, group_member, of_example.kind[of_order],
         of_example.image[of_order], of_example.node[of_order], of_example.width[of_order], of_example.terms[of_order],
         of_example.shared[of_order], entry, of_example.variable[entries], of_example.inside[entries], member[entries],
-        point_order, point_place, np.repeat(np.arange(order.size), pieces),
+        point_order, point_index, np.repeat(np.arange(order.size), pieces),
         np.append(np.repeat(np.cumsum(count) - count, pieces) + inside * PIECE, number.size), of_rays[2], range_slot,
     )  # fmt: skip
     return patterns, of_rays[:2]
@@ -185,7 +185,7 @@ def _on_stereo(n: int, stereo: StereoRows | None) -> tuple[Index, Index]:
 
 
 def _moved(network: Network) -> Index:
-    """(n,) variable of the shift that moves each point's a-priori place; -1 for none."""
+    """(n,) variable of the shift that moves each point's a-priori position; -1 for none."""
     if network.shifts is None:
         return np.full(len(network.points), -1, dtype=np.int64)
     profile = network.shifts.profile
@@ -193,7 +193,7 @@ def _moved(network: Network) -> Index:
 
 
 def _beams(network: Network) -> list[Index]:
-    """(n,) of each altimeter's boresight: its variable where it moves a point's a-priori place, -1 elsewhere."""
+    """(n,) of each altimeter's boresight: its variable where it moves a point's a-priori position, -1 elsewhere."""
     found = []
     for k, shared in enumerate(network.shared):
         if shared.kind is SharedKind.ALTIMETER_BORESIGHT:

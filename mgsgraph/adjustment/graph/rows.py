@@ -1,7 +1,8 @@
 """What of an observation doesn't change during an adjustment, worked out once.
 
-Nominal pose at the measured line and its rates, basis values, the undistorted focal-plane place, the a-priori places
-and the axes along which shifts move them: the constants that the kernel reads, in the order in which it loads them.
+Nominal pose at the measured line and its rates, basis values, the undistorted focal-plane coordinates, the a-priori
+positions and the axes along which shifts move them: the constants that the kernel reads, in the order in which it loads
+them.
 """
 
 import math
@@ -68,13 +69,13 @@ class _Store:
     def tables(self) -> tuple[Index, NDArray[np.int32], Index, Index, Array]:
         """The same for compiled code (`filling.put_rays`)."""
         piece_of = np.repeat(np.arange(self.piece.shape[0], dtype=np.int32), self.piece[:, 2])
-        return self.patterns.point_place, piece_of, self.piece, self.before, self.data
+        return self.patterns.point_index, piece_of, self.piece, self.before, self.data
 
     def place(self, points: Index, slots: NDArray[np.integer[Any]]) -> tuple[Index, Index, Index]:
-        """For the `slots`-th observations of network `points`: first place in `data`, step to the next component, and
+        """For the `slots`-th observations of network `points`: first index in `data`, step to the next component, and
         place among all observations.
         """
-        at = self.patterns.point_place[points]
+        at = self.patterns.point_index[points]
         pattern, first, stride, start, observations = self.piece[self.patterns.piece_of(at)].T
         inside = at - first
         return start + stride * self.before[pattern, slots] + inside, stride, observations + slots * stride + inside
@@ -116,8 +117,8 @@ def lay_out_rows(
 ) -> tuple[ObservationRows, Rows]:
     """Rows of a network in the kernel's order, and where each is.
 
-    `rays_of` are the rays of each point (`sorting.by_point`: begin, order), `known` (n, 3) places at which to
-    begin; `like` starting places (n, 3) and kinds (n,) to keep as they are, network order.
+    `rays_of` are the rays of each point (`sorting.by_point`: begin, order), `known` (n, 3) positions at which to
+    begin; `like` starting positions (n, 3) and kinds (n,) to keep as they are, network order.
     """
     tables = _observation_tables(network, model, variables, patterns)
     store = _make_store(patterns, tables)
@@ -130,7 +131,7 @@ def lay_out_rows(
     if model.line == MEASURED and model.angles != OPK_PEER:
         _fill_scales(network, model, store, parts, starts)
     on_terrain = _fill_surface(network, store, starts, weight)
-    places = ObservationRows(rays, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
+    observation_rows = ObservationRows(rays, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
     order, surface = patterns.point_order, network.surface
     grid = None if surface is None else surface.grid
     rows = Rows(
@@ -146,7 +147,7 @@ def lay_out_rows(
         else np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
         terrain_cell=np.zeros((0, 3), dtype=np.int64) if grid is None else grid.cells(starts[order]),
     )
-    return places, rows
+    return observation_rows, rows
 
 
 def _make_store(patterns: Patterns, tables: Mapping[str, Index]) -> _Store:
@@ -237,7 +238,7 @@ def _fill_rays(
 
 
 def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Index], starts: Array) -> None:
-    """The scale of the measured-line form, from the image motion of points at their starting places."""
+    """The scale of the measured-line form, from the image motion of points at their starting positions."""
     rays, first = network.rays, 5 + (4 if model.angles == CAMERA else 3)
 
     def fill(j: int) -> None:
@@ -275,7 +276,7 @@ def _observations_before(network: Network) -> Index:
 
 
 def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
-    """A-priori places: upper triangular square root U of their information, |U (P - P0)|^2, and where shifts go."""
+    """A-priori positions: upper triangular square root U of their information, |U (P - P0)|^2, and where shifts go."""
     known = np.flatnonzero(network.points.kinds == PointKind.CONSTRAINED)
     if known.size == 0:
         return
@@ -300,7 +301,7 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
 def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array) -> tuple[Index, Index]:
     """Heights above the terrain model: their weights, and how its unknowns move it.
 
-    Returned are their places among all observations, and the points that they belong to.
+    Returned are their indices among all observations, and the points that they belong to.
     """
     if network.surface is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

@@ -107,9 +107,9 @@ def counted(number, count):
     for i in range(number.size):
         sizes[number[i]] += 1
     at = np.cumsum(sizes) - sizes
-    order, place = np.empty(number.size, dtype=np.int64), np.empty(number.size, dtype=np.int64)
+    order, index = np.empty(number.size, dtype=np.int64), np.empty(number.size, dtype=np.int64)
     for i in range(number.size):
         k = at[number[i]]
-        order[k], place[i] = i, k
+        order[k], index[i] = i, k
         at[number[i]] = k + 1
-    return order, place, sizes
+    return order, index, sizes
