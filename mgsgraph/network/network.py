@@ -179,7 +179,8 @@ class Network:
         for one in self.shared:
             where = f"shared unknown {one.name!r}"
             if one.kind.moves_footprints:
-                rows, observed = "laser footprint", self.footprints_moved(one).size > 0
+                rows = "shot" if one.profile else "laser footprint with a range"
+                observed = self.footprints_moved(one).size > 0
             else:
                 rows = "range" if one.kind is SharedKind.RANGE_BIAS else "measured point"
                 observed = one.kind.acts_on_rays and bool(np.any(np.isin(self.rays.image, one.images)))
