@@ -47,7 +47,7 @@ from mgsgraph.kernel.rows import (
     Rows,
     numbers_stored,
 )
-from mgsgraph.network import Network, SharedKind
+from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 _Component = TypeVar("_Component", int, Index)
@@ -292,7 +292,7 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
         store.put(place[moved], stride[moved], 9, east_north(network.points.places[known[moved]]))
         after[moved] += 6
     for one in network.shared:
-        if one.kind is SharedKind.ALTIMETER_BORESIGHT:
+        if one.kind.moves_footprints:
             points, motion = footprint_motion(network, one)
             mine = np.searchsorted(known, points)
             after[mine] = store.put(place[mine], stride[mine], after[mine], motion)
