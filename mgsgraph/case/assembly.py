@@ -93,25 +93,11 @@ class Parts:
         """
         seen = footprints_in_images(self.images, shots)
         usable = shots.ground & np.isfinite(shots.ranges)
-        owners = (
-            [wanted.image]
-            if wanted.image
-            else [
-                image.name for image, mine in zip(self.images, seen.simultaneous, strict=True) if np.any(mine & usable)
-            ]
-        )
-        if len(owners) > 1:
-            raise InputError(
-                shots.source,
-                f"shots simultaneous with {' and '.join(owners)}",
-                "one image",
-                "name it: image = ... in [[mola]]",
-            )
-        owner = self._image(owners[0], shots.source) if owners else None
-        if owner is None:
-            usable &= np.any(seen.inside, axis=0)
+        if wanted.image:
+            owner: int | None = self._image(wanted.image, shots.source)
         else:
-            usable &= seen.inside[owner] & seen.simultaneous[owner]
+            owner = seen.simultaneous_image(seen.simultaneous & usable, "name it: image = ... in [[mola]]")
+        usable &= seen.shots_with(owner)
         if not np.any(usable):
             where = f"image {self.images[owner].name}" if owner is not None else "any image"
             raise InputError(

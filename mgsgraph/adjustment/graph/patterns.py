@@ -14,7 +14,7 @@ from mgsgraph.adjustment.graph.stereo import StereoRows, columns
 from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, Target, shapes
+from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
@@ -330,7 +330,7 @@ class PairBlocks:
     """(p,) second variable, not before the first."""
     offset: Index
     """(p,) where its block begins, first variable's columns down, second's across."""
-    target: Target
+    target: NormalBlocks
     """The same, as the kernel wants it."""
 
     def filled(self, joint: JointCovariance) -> Array:
@@ -358,19 +358,19 @@ def pair_blocks(variables: Variables, groups: Groups, more: Sequence[tuple[int, 
     first, second = unique // count, unique % count
     sizes = variables.width[first] * variables.width[second]
     offset = np.cumsum(sizes) - sizes
-    target = Target(
+    target = NormalBlocks(
         offset[np.searchsorted(unique, table)], variables.first[member], int(sizes.sum()), int(variables.sigmas.size)
     )
     return PairBlocks(first, second, offset, target)
 
 
-def group_blocks(groups: Groups) -> Target:
+def group_blocks(groups: Groups) -> NormalBlocks:
     """Blocks of each group by itself, not shared with others: what a bundle factor of its own needs."""
     one, other = _member_pairs(groups)
     sizes = groups.member_width[one] * groups.member_width[other]
     pair, at = np.cumsum(sizes) - sizes, int(sizes.sum())
     right = np.cumsum(groups.member_width) - groups.member_width
-    return Target(pair, right.astype(np.int64), at, int(groups.member_width.sum()))
+    return NormalBlocks(pair, right.astype(np.int64), at, int(groups.member_width.sum()))
 
 
 def _member_pairs(groups: Groups) -> tuple[Index, Index]:

@@ -378,7 +378,7 @@ def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> Non
 
 
 def _angle_rates(pose: Pose, angles: int) -> Array:
-    """(k, 3) rates per line of omega, phi, kappa in the papers' or the peer's product."""
+    """(k, 3) rates per line of omega, phi, kappa in the product M' = R3 R2 R1 (papers) or M = R3 R2 R1."""
     paper = angles == OPK_PAPER
     found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
     chain = rotation.angle_axes(found, camera_to_body=paper)
@@ -386,7 +386,7 @@ def _angle_rates(pose: Pose, angles: int) -> Array:
 
 
 def _peer_scale(slope: Array) -> Array:
-    """(k, 4) focal-plane m to residuals in the peer's convention: pixels of the detector's size along and across it."""
+    """(k, 4) focal-plane m to residuals as opk-peer has them: pixels of the detector's size along and across it."""
     square = slope[:, 0] ** 2 + slope[:, 1] ** 2
     return np.stack([slope[:, 1], -slope[:, 0], -slope[:, 0], -slope[:, 1]], axis=1) / square[:, None]
 
