@@ -1,4 +1,4 @@
-"""Do laser and images agree after registration by relief, and are its sigmas right? Simulated sites against their truth.
+"""Do laser and images agree after registration by relief, as its sigmas say? Simulated sites against their truth.
 
 Each draw takes the errors of the kernels and the profiles' shifts from the priors that the case states, renders the
 images, writes the mission's formats, reads them, matches the images densely and registers the profiles
@@ -20,8 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from study import at_least, chi_square_band, command, machine, number, show, table, write_page
 
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.registration.relief import ReliefRegistration, register_by_relief
@@ -32,11 +35,13 @@ from mgsgraph.wording import root_mean_square as rms
 
 WORDS = """# Registration by relief against truth
 
-Made by `scripts/relief.py` ({machine}), seeds {first} to {last}: kernel errors and shifts of the profiles drawn from the
-priors that the case states (position {position}, angles and trends by site, shifts 100 m), rendered images, own dense
-matches, no terrain model. *before*, *after*: misplacement of a profile against the stereo surface, found minus true, rms
-of both axes over all profiles and draws. *shifts*: NEES of the profiles' shifts per axis. *ties*: rms error of the tie
-points' positions without and with the rows, and the NEES of their mean position in the plane. 99 % bands in brackets.
+Made by `scripts/relief.py` ({machine}), seeds {first} to {last}: kernel errors and shifts of the profiles drawn from
+the priors that the case states (position {position}, angles and trends by site, shifts 100 m), rendered images, own
+dense matches, no terrain model. *captured*: profiles whose search came within {captured:g} m of the true misplacement.
+*before*, *after*: misplacement of a profile against the stereo surface, found minus true, rms of both axes over all
+profiles and draws, as the search found it and as the adjustment left it. *shifts*: NEES of the profiles' shifts per
+axis. *ties*: rms error of the tie points' positions without and with the rows, and the NEES of their mean position in
+the plane. 99 % bands in brackets.
 """
 HEAD = (
     "site", "draws", "captured", "before, m", "after, m", "shifts", "ties before, m", "ties after, m", "times better",
@@ -81,7 +86,9 @@ def main(arguments: list[str] | None = None) -> int:
     def make() -> str:
         seeds = range(given.first, given.first + given.seeds)
         draws = [draw for seed in seeds for settings in sites for draw in _drawn(settings, seed)]
-        words = WORDS.format(machine=machine(), first=seeds[0], last=seeds[-1], position="100 and 200 m")
+        words = WORDS.format(
+            machine=machine(), first=seeds[0], last=seeds[-1], position="100 and 200 m", captured=_CAPTURED
+        )
         return "\n".join([words, *table(HEAD, [_row(site.name, draws) for site in sites]), ""])
 
     return write_page(parser, given.page, make)
@@ -125,19 +132,40 @@ def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: 
     truth = np.array([known[name] for name in names])
     errors = [one.places[ties] - truth for one in (found.before, found.solution)]
     ways = east_north(truth.mean(axis=0)[None])[0]
-    of_surface = [error.mean(axis=0) @ ways.T for error in errors]
     shifts = {image.settings.profile: -image.profile.shift for image in site.images}
     true = np.array([shifts[one.name] for one in found.profiles])
-    before = np.array([one.misplacement_before for one in found.profiles]) - (true + of_surface[0])
-    after = np.array([one.shift for one in found.profiles]) - (true + of_surface[1])
+    old, new = (_surface_errors(site, found, one) for one in (found.before, found.solution))
+    before = np.array([one.misplacement_before for one in found.profiles]) - (true + old)
+    after = np.array([one.shift for one in found.profiles]) - (true + new)
     nees = [
         float(error @ np.linalg.solve(one.covariance, error))
         for one, error in zip(found.profiles, np.array([one.shift for one in found.profiles]) - true, strict=True)
     ]
     plane = np.einsum("ak,nkl,bl->nab", ways, found.solution.covariances[ties], ways).mean(axis=0)
-    mean = float(of_surface[1] @ np.linalg.solve(plane, of_surface[1]))
+    of_ties = errors[1].mean(axis=0) @ ways.T
+    mean = float(of_ties @ np.linalg.solve(plane, of_ties))
     sizes = tuple(rms(np.linalg.norm(error, axis=1)) for error in errors)
     return Draw(site.settings.name, seed, before, after, np.array(nees), (sizes[0], sizes[1]), mean, seconds)
+
+
+def _surface_errors(site: SimulatedSite, found: ReliefRegistration, solution: Solution) -> Array:
+    """(p, 2) m east and north by which the stereo surface is misplaced at each profile: where the rays of the shots'
+    true pixels meet with the adjusted orientation, minus the true ground.
+    """
+    posterior, errors = Posterior.of(solution), []
+    for one in found.profiles:
+        (profile,) = (image.profile for image in site.images if image.settings.profile == one.name)
+        size = np.array([[image.true.lines, image.true.samples] for image in site.images])
+        seen = np.all((profile.true_pixels > 0.0) & (profile.true_pixels < size), axis=(1, 2))
+        rays = [
+            posterior.image(j).sightlines(*profile.true_pixels[seen, j].T, posterior.correction(j)) for j in (0, 1)
+        ]
+        origins, directions = (np.concatenate(part) for part in zip(*rays, strict=True))
+        count = int(seen.sum())
+        met, _, _ = intersect_rays(origins, directions, np.tile(np.arange(count), 2), count)
+        truth = profile.true_footprints[seen]
+        errors.append(np.einsum("nki,ni->nk", east_north(truth), met - truth).mean(axis=0))
+    return np.array(errors)
 
 
 def _row(site: str, draws: list[Draw]) -> list[str]:

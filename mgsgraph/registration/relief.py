@@ -27,7 +27,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, geodetic
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface, SurfaceHeights, averaged_surface, heights_above
-from mgsgraph.network import Network
+from mgsgraph.matching.scene import Scene
+from mgsgraph.network import Network, PointClass
 from mgsgraph.network.records import StereoControl
 from mgsgraph.registration.search import REACH, CostSurface, StereoPair, search
 from mgsgraph.stages import Progress, no_progress
@@ -39,6 +40,8 @@ MOLA_FOOTPRINT = 168.0
 """m, diameter of MOLA's spot on the ground (Neumann et al. 2003)."""
 _WIDTHS = 4.0
 """Standard deviations of the Gaussian footprint in its diameter."""
+_SCATTERS = 3.0
+"""Robust standard deviations of the tie points about the ground, within which the ground is sought."""
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
 _NEAR = 400.0
@@ -193,7 +196,7 @@ def stereo_pairs(
     """
     wanted = decode(path)
     _, scene = read_scene(path, *expected_ground(posterior, wanted))
-    scene = adjusted_scene(scene, posterior, settings.images)
+    scene = _over_adjusted_ground(adjusted_scene(scene, posterior, settings.images), posterior)
     matches, window = densely_matched(scene, settings.spacing or settings.footprint / 4.0, workers, progress)
     progress("stereo surface", 0, len(matches))
     pairs, numbers = list[StereoPair](), list[tuple[int, int]]()
@@ -206,6 +209,24 @@ def stereo_pairs(
         numbers.append((first, second))
         progress("stereo surface", k + 1, len(matches))
     return tuple(pairs), tuple(numbers)
+
+
+def _over_adjusted_ground(scene: Scene, posterior: Posterior) -> Scene:
+    """The scene with its ground raised to where the adjusted tie points lie, and as uncertain as they scatter about it:
+    before registration the images' heights may be hundreds of metres off the terrain model's.
+    """
+    network, places = posterior.network, posterior.linearised.points
+    ties = places[(network.points.classes == PointClass.TIE) & (np.linalg.norm(places, axis=1) > 0.0)]
+    if not len(ties):
+        return scene
+    ground = scene.ground
+    above = np.linalg.norm(ties, axis=1) - np.linalg.norm(ground.points(ground.chart.plane(ties)), axis=1)
+    above = above[np.isfinite(above)]
+    level = float(np.median(above))
+    scatter = 1.4826 * float(np.median(np.abs(above - level)))
+    terrain = None if ground.terrain is None else replace(ground.terrain, radii=ground.terrain.radii + level)
+    sigma = max(ground.height_sigma, _SCATTERS * scatter)
+    return replace(scene, ground=replace(ground, terrain=terrain, height=ground.height + level, height_sigma=sigma))
 
 
 def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: float, window: float) -> StereoSurface:
