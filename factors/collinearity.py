@@ -72,7 +72,7 @@ def to_lines_and_samples(motion, slope):
 
 @equation
 def residual(scale, image, detector, beyond):
-    """R = S e - (beyond, 0): lines, samples."""
+    """Residuals r = S e - (beyond, 0): lines, samples."""
     x, y = image[0] - detector[0], image[1] - detector[1]
     return scale[0][0] * x + scale[0][1] * y - beyond, scale[1][0] * x + scale[1][1] * y
 
@@ -119,7 +119,7 @@ class ImageRay(NamedTuple):
     angular_rate: Vector
     """(3,) rad per line."""
     detector: Vector
-    """(2,) m, place of the measured sample."""
+    """(2,) m, focal-plane coordinates of the measured sample."""
     slope: Vector
     """(2,) m per sample."""
     scale: tuple[Vector, Vector] | None
@@ -150,9 +150,9 @@ class ImageRay(NamedTuple):
                 break
             line_offset -= step_back
         of_ray = by_ray(scale, ray, focal)
-        points = np.array([by_point(row, attitude) for row in of_ray])
-        state_rows: list[Any] = [-points, [by_rotation(row, ray, axes) for row in of_ray]]
+        by_points = np.array([by_point(row, attitude) for row in of_ray])
+        state_rows: list[Any] = [-by_points, [by_rotation(row, ray, axes) for row in of_ray]]
         if len(state) > 6:
             state_rows.append([[by_focal(row, ray, focal)] for row in of_ray])
         values = residual(scale, image, self.detector, self.offset + line_offset)
-        return Linear(np.array(values), points, np.hstack(state_rows), line_offset)
+        return Linear(np.array(values), by_points, np.hstack(state_rows), line_offset)

@@ -24,7 +24,7 @@ def upper_triangle(u):
 
 @equation
 def ground_residual(root, point, known, shift):
-    """R (3), of U as rows."""
+    """Residuals r (3), whitened; `root` is U as rows."""
     return transform(root, subtract(subtract(point, known), shift))
 
 

@@ -111,7 +111,7 @@ def opk_paper_axes(angles):
 
 @equation
 def opk_peer_axes(angles):
-    """The same where M = R3 R2 R1 (shared/peer)."""
+    """Axes A about which omega, phi, kappa turn the camera where M = R3 R2 R1 (body-fixed to camera)."""
     (sp, cp), (sk, ck) = sine_cosine(angles[1]), sine_cosine(angles[2])
     zero = 0.0 * sp
     return (cp * ck, sk, zero), (-cp * sk, ck, zero), (sp, zero, zero + 1.0)

@@ -78,8 +78,9 @@ def cached_kernel(function: Function, **options: Any) -> Function:
     from numba.core.caching import FunctionCache
 
     class Cache(FunctionCache):
-        def _index_key(self, signature: Any, codegen: Any) -> Any:
-            return *super()._index_key(signature, codegen), digest
+        def __init__(self, function: Callable[..., Any]) -> None:
+            super().__init__(function)
+            self._cache_file._version += digest  # compared before anything is unpickled: classes may be gone or renamed
 
     files = function.__code__.co_filename, find_spec("mgsgraph.factors").origin  # type: ignore[union-attr]
     digest = _digest_of(*(Path(str(file)).parent for file in files))

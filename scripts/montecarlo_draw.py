@@ -183,7 +183,7 @@ def of_projections(posterior: Posterior, draw: Draw, rays: Index) -> Answers:
     found = [
         posterior.projection(network.points.ids[i], network.images[j].name) for i, j in zip(points, images, strict=True)
     ]
-    return [(one.position - true, one.covariance) for one, true in zip(found, truth, strict=True)]
+    return [(one.pixel - true, one.covariance) for one, true in zip(found, truth, strict=True)]
 
 
 def seen(network: Network, draw: Draw, places: Array, images: Index) -> Array:

@@ -7,7 +7,16 @@ from functools import cache
 import numpy as np
 from networks import network
 
-from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKind, SharedUnknown
+from mgsgraph.network import (
+    GroundPoints,
+    ImageRays,
+    Network,
+    PointClass,
+    ProfileShifts,
+    Ranges,
+    SharedKind,
+    SharedUnknown,
+)
 from mgsgraph.simulation.camera import InstrumentErrors
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
@@ -22,19 +31,26 @@ SIGMAS: Mapping[SharedKind, float] = {
     SharedKind.ALTIMETER_BORESIGHT: 1e-4,
     SharedKind.RANGE_BIAS: 5.0,
     SharedKind.FOCAL_LENGTH: 0.01,
+    SharedKind.PROFILE_HEIGHT: 10.0,
 }
 """s, rad and m."""
 
 
 def shared(kind: SharedKind, images: Sequence[int], sigma: float | None = None) -> SharedUnknown:
-    """An unknown called by its kind."""
-    return SharedUnknown(str(kind), kind, np.array(images), np.full(kind.width, sigma or SIGMAS[kind]))
+    """An unknown called by its kind; a profile's height is that of `with_all_kinds`."""
+    of_profile = kind is SharedKind.PROFILE_HEIGHT
+    members = np.zeros(0, dtype=int) if of_profile else np.array(images)
+    sigmas = np.full(kind.width, sigma or SIGMAS[kind])
+    return SharedUnknown(str(kind), kind, members, sigmas, "profile" if of_profile else "")
 
 
 def with_all_kinds(net: Network) -> Network:
     """The same with an unknown of each kind, shared by all images that have rows of it."""
     owners = np.unique(net.ranges.image).tolist()
     every = list(range(len(net.images)))
+    if net.shifts is None:
+        laser = net.points.classes == PointClass.LASER
+        net = replace(net, shifts=ProfileShifts(("profile",), np.where(laser, 0, -1), np.array([100.0])))
     return replace(net, shared=tuple(shared(kind, owners if kind.of_laser else every) for kind in SharedKind))
 
 

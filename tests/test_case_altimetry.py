@@ -9,6 +9,7 @@ import mgsgraph
 from mgsgraph.case.reading import read_altimetry
 from mgsgraph.case.schema import AltimetryInput, decode
 from mgsgraph.errors import InputError
+from mgsgraph.network import PointClass, SharedKind
 from mgsgraph.simulation.mars import MARS
 
 TABLE = """
@@ -76,6 +77,31 @@ def test_wrong_keys_are_said_in_one_line(case_file: Path, old: str, new: str, pl
     assert "\n" not in message
 
 
-def test_an_adjustment_refuses_what_it_would_leave_out(case_file: Path) -> None:
-    with pytest.raises(InputError, match="altimetry"):
-        mgsgraph.read_case(case_with(case_file, TABLE))
+def test_shots_over_the_images_become_points_of_profiles(case_file: Path) -> None:
+    """Those beside them don't; each profile has a shift, a height and a drift of its own."""
+    alone = mgsgraph.read_case(case_file).network
+    ties = alone.points.places[alone.points.classes == PointClass.TIE]
+    ground = alone.images[0].image_to_ground(np.array([900.0, 1200.0, 1500.0]), np.full(3, 300.0))[0]
+    assert np.linalg.norm(ground - ties.mean(axis=0), axis=1).max() < 50e3 or np.isnan(ties).all()
+    rows = "".join(f"{x!r},{y!r},{z!r},{orbit}\n" for (x, y, z), orbit in zip(ground.tolist(), (7, 7, 8), strict=True))
+    far = "3396190.0,0.0,0.0,9\n"
+    (case_file.parent / "cloud.csv").write_text("x_m,y_m,z_m,orbit\n" + rows + far, encoding="utf-8")
+    network = mgsgraph.read_case(case_with(case_file, TABLE.replace("20.0, 30.0", "20.0, 20.0"))).network
+    new = np.arange(len(alone.points), len(network.points))
+
+    assert new.size == 3
+    np.testing.assert_allclose(network.points.places[new], ground, atol=1e-6)
+    up = ground[0] / np.linalg.norm(ground[0])
+    assert up @ network.points.covariances[new[0]] @ up == pytest.approx(0.25)
+    assert network.shifts is not None
+    assert network.shifts.names[-2:] == ("cloud:7", "cloud:8")
+    assert network.shifts.profile[new].tolist() == [len(network.shifts.names) - 2] * 2 + [len(network.shifts.names) - 1]
+    heights = [one for one in network.shared if one.kind is SharedKind.PROFILE_HEIGHT]
+    assert [one.profile for one in heights] == ["cloud:7", "cloud:8"]
+    np.testing.assert_allclose(heights[0].sigmas, [2.0, 1.5])
+
+
+def test_shots_that_no_image_shows_are_refused(case_file: Path) -> None:
+    (case_file.parent / "cloud.csv").write_text("x_m,y_m,z_m\n3396190.0,0.0,0.0\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"cloud\.csv.*1 shots"):
+        mgsgraph.read_case(case_with(case_file, TABLE.replace("20.0, 30.0", "20.0, 20.0")))

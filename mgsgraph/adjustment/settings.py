@@ -23,11 +23,13 @@ class SolverSettings:
     form: Form = "bundle"
     """bundle: points eliminated inside their factors; explicit: one factor per row set, points are variables."""
     method: Method = "levenberg-marquardt"
-    """Our own optimiser, or one of GTSAM's by name."""
+    """levenberg-marquardt: our own optimiser, the damping in whitened units; gauss-newton and dogleg: GTSAM's."""
     line: Line = "predicted"
     """predicted: pose at the predicted line (strict); measured: pose at the measured line (the papers' form)."""
     angles: Angles = "camera"
-    """Rotation corrections about the camera axes, or added to omega, phi, kappa (the papers' or the peer's product)."""
+    """Rotation corrections about the camera axes, or added to omega, phi, kappa: of the papers' product M' = R3 R2 R1
+    (opk-paper), or of M = R3 R2 R1 (opk-peer, as in the C++ program of `scripts/peer_problem.py`).
+    """
     loss: Loss = "none"
     """Robust loss on the norm of each image row pair and on each range."""
     loss_width: float | None = None
@@ -35,7 +37,7 @@ class SolverSettings:
     reject: float = 0.0
     """Blunder limit in robust standard deviations of each class of rows; 0 switches the blunder pass off."""
     max_iterations: int = 50
-    """Most Levenberg-Marquardt iterations."""
+    """Maximum number of iterations."""
     cost_tolerance: float = 1e-11
     """Stop when a step lowers the cost, or promises to, by less than this share of it."""
     step_tolerance: float = 1e-6
@@ -58,5 +60,5 @@ class SolverSettings:
 
     @property
     def width(self) -> float:
-        """Loss width in sigmas; never a whole number's type, for which the kernel would be compiled anew."""
+        """Loss width in sigmas; always a float: an int would make numba compile the kernel anew."""
         return LOSS_WIDTHS[self.loss] if self.loss_width is None else float(self.loss_width)

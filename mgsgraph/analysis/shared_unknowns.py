@@ -72,7 +72,7 @@ def _columns(solution: Solution, k: int) -> list[SharedEstimate]:
         compared = size >= _COMPARED * size.max(initial=0.0)  # a pitch of an image that it does not move is no rival
         rival = np.where(compared, np.maximum(np.abs(correlation[c]), likeness[c]), -1.0)
         nearest = int(np.argmax(rival)) if images.size else -1
-        named = images[nearest] if images.size else shared.images[0]
+        named = images[nearest] if images.size else next(iter(shared.images.tolist()), 0)
         strong = np.abs(shares[c]) > _TAKES_PART * np.abs(shares[c]).max(initial=0.0)
         found.append(SharedEstimate(
             shared.name, shared.kind, axis, "mrad" if factor == MRAD else shared.kind.unit,

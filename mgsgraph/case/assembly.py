@@ -7,19 +7,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.case.schema import LaserInput, MolaInput, TerrainInput
+from mgsgraph.case.schema import AltimetryInput, LaserInput, MolaInput, TerrainInput
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import AltimeterShots, LaserProfile
+from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud, LaserProfile
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
+from mgsgraph.network import (
+    GroundPoints,
+    ImageRays,
+    Network,
+    PointClass,
+    ProfileShifts,
+    Ranges,
+    SharedKind,
+    SharedUnknown,
+    Surface,
+)
 from mgsgraph.network.observations import nominal_ground, require_inside
 from mgsgraph.network.terrain_control import coverage, terrain_ground
-from mgsgraph.registration.footprints import footprints_in_images
+from mgsgraph.registration.footprints import footprints_in_images, points_in_images
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import KM, MRAD
+
+MOLA_FOOTPRINT = 168.0
+"""m, diameter of MOLA's spot on the ground (Neumann et al. 2003)."""
+_NO_DRIFT = 1e-3
+"""m, sigma of a drift that is none."""
 
 
 class Parts:
@@ -35,6 +51,10 @@ class Parts:
         self._ranges: list[tuple[NDArray[Any], ...]] = []
         self._back_projected: list[Mask] = []
         self._shifts: list[tuple[str, float, Index]] = []
+        self.heights: list[SharedUnknown] = []
+        """Unknown heights and drifts of profiles."""
+        self.footprints: dict[str, float] = {}
+        """Diameter of the laser's spots on the ground, m, by profile."""
 
     def require_measures(self, points: TiePoints) -> None:
         """Raise InputError unless all measures of a control network lie on images of the case."""
@@ -73,25 +93,11 @@ class Parts:
         """
         seen = footprints_in_images(self.images, shots)
         usable = shots.ground & np.isfinite(shots.ranges)
-        owners = (
-            [wanted.image]
-            if wanted.image
-            else [
-                image.name for image, mine in zip(self.images, seen.simultaneous, strict=True) if np.any(mine & usable)
-            ]
-        )
-        if len(owners) > 1:
-            raise InputError(
-                shots.source,
-                f"shots simultaneous with {' and '.join(owners)}",
-                "one image",
-                "name it: image = ... in [[mola]]",
-            )
-        owner = self._image(owners[0], shots.source) if owners else None
-        if owner is None:
-            usable &= np.any(seen.inside, axis=0)
+        if wanted.image:
+            owner: int | None = self._image(wanted.image, shots.source)
         else:
-            usable &= seen.inside[owner] & seen.simultaneous[owner]
+            owner = seen.simultaneous_image(seen.simultaneous & usable, "name it: image = ... in [[mola]]")
+        usable &= seen.shots_with(owner)
         if not np.any(usable):
             where = f"image {self.images[owner].name}" if owner is not None else "any image"
             raise InputError(
@@ -113,9 +119,37 @@ class Parts:
             self._ranges.append((mine, np.full(n, owner), profile.times, profile.ranges, profile.range_sigmas))
         if wanted.shift_sigma_m is not None:
             self._shifts.append((name, wanted.shift_sigma_m, np.arange(first, first + n)))
+            self.footprints[name] = MOLA_FOOTPRINT
         if wanted.image_rows == "back-projected":
             self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)
         return taken
+
+    def add_altimetry(self, cloud: AltimetryCloud, wanted: AltimetryInput) -> None:
+        """Shots in an image or its margin: constrained points in profiles of unknown shift, height and drift."""
+        taken = cloud.chosen(np.any(points_in_images(self.images, cloud.points, wanted.margin_px), axis=0))
+        if not taken.ids:
+            raise InputError(
+                cloud.source, f"{len(cloud.ids)} shots, none within {wanted.margin_px:g} pixels of an image",
+                "altimetry that crosses the images", "take the table out, or check file and images",
+            )  # fmt: skip
+        name, (horizontal, vertical) = Path(cloud.source).name.split(".")[0], wanted.sigma_m
+        first, n = self._claim(tuple(f"{name}:{one}" for one in taken.ids), cloud.source), len(taken.ids)
+        up = taken.points / np.linalg.norm(taken.points, axis=1, keepdims=True)
+        ways = east_north(taken.points)
+        covariances = horizontal**2 * np.einsum("nki,nkj->nij", ways, ways) + vertical**2 * up[:, :, None] * up[:, None]
+        kinds, classes = np.full(n, int(PointKind.CONSTRAINED)), np.full(n, int(PointClass.LASER))
+        self._points.append((classes, kinds, taken.points, covariances))
+        east, north, upward = wanted.shift_sigma_m
+        if east != north:
+            found = f"{east:g} m east and {north:g} m north"
+            raise InputError(f"{cloud.source}, shift_sigma_m", found, "the same number eastward and northward")
+        for p, profile in enumerate(taken.profiles):
+            full = f"{name}:{profile}"
+            self._shifts.append((full, east, first + np.flatnonzero(taken.profile == p)))
+            sigmas = np.array([upward, wanted.drift_sigma_m or _NO_DRIFT])
+            none = np.zeros(0, dtype=np.int64)
+            self.heights.append(SharedUnknown(f"height of {full}", SharedKind.PROFILE_HEIGHT, none, sigmas, full))
+            self.footprints[full] = taken.footprint
 
     def _add_back_projections(self, first: int, places: Array, inside: Mask, sigma: float) -> None:
         """Image coordinates (images, n, 2) of footprints by the nominal orientation: they repeat what it says."""

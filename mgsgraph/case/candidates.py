@@ -38,6 +38,7 @@ from mgsgraph.units import DEG
 _MOST_TIES, _MOST_SHOTS = 100_000, 1_000_000
 _SAME_TIME, _SAME_LOOK = 1e-3, 1e-4
 """s and rad: images nearer to each other than this are one; a spacecraft's two cameras look apart, or elsewhere."""
+_NAME_THE_IMAGE = "name it: image = ... in [[profiles]]"
 _FAR = 0.1
 """Share of the body's radius by which a control point may be off it."""
 
@@ -249,10 +250,12 @@ def _track(coverage: ImageCoverage, entry: CandidateProfile, where: str) -> _Sho
 def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
     """Shots of ISIS lidar data that were taken along with one image of the network (or with the one named)."""
     profile = read_lidar(path)
-    named = {name for names in profile.simultaneous for name in names if name in coverage.views}
-    owner = entry.image or _only(sorted(named), str(path))
-    if owner is None:
+    named = sorted({name for names in profile.simultaneous for name in names if name in coverage.views})
+    if entry.image is None and len(named) > 1:
+        raise InputError(str(path), f"shots simultaneous with {' and '.join(named)}", "one image", _NAME_THE_IMAGE)
+    if not (entry.image or named):
         return profile.times, profile.footprints, None
+    owner = entry.image or named[0]
     mine = np.array([owner in names for names in profile.simultaneous], dtype=bool)
     return profile.times[mine], profile.footprints[mine], owner
 
@@ -262,19 +265,12 @@ def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _S
     shots, views = read_shots(path), list(coverage.views.values())
     images, corrections = [view.image for view in views], [view.correction for view in views]
     seen = footprints_in_images(images, shots, corrections)
-    along = seen.inside & seen.simultaneous & shots.ground
-    owners = [image.name for image, mine in zip(images, along, strict=True) if np.any(mine)]
-    owner = entry.image or _only(owners, str(path))
-    number = {image.name: j for j, image in enumerate(images)}
-    taken = np.any(seen.inside, axis=0) & shots.ground if owner is None else along[number[owner]]
-    return shots.times[taken], shots.footprints[taken], owner
-
-
-def _only(owners: list[str], source: str) -> str | None:
-    if len(owners) > 1:
-        found = f"shots simultaneous with {' and '.join(owners[:3])}"
-        raise InputError(source, found, "one image", "name it: image = ... in [[profiles]]")
-    return owners[0] if owners else None
+    if entry.image is not None:
+        owner: int | None = [image.name for image in images].index(entry.image)
+    else:
+        owner = seen.simultaneous_image(seen.inside & seen.simultaneous & shots.ground, _NAME_THE_IMAGE)
+    taken = seen.shots_with(owner) & shots.ground
+    return shots.times[taken], shots.footprints[taken], None if owner is None else images[owner].name
 
 
 def _control(coverage: ImageCoverage, entry: CandidateControl, path: Path, k: int) -> Candidate:

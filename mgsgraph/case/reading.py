@@ -3,8 +3,8 @@
 Paths are relative to the case file.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.network import Network, PointClass
+from mgsgraph.network import Network, PointClass, SharedUnknown
 from mgsgraph.ties import TiePoints
 
 
@@ -56,6 +56,8 @@ class Case:
     """File of each image's pixels, where the case names one."""
     fits: tuple[PolynomialFit, ...] = ()
     """What the polynomials of the nominal orientation cost, for each image where they are used."""
+    footprints: Mapping[str, float] = field(default_factory=dict)
+    """m, diameter of the laser's spots on the ground, of each profile with an unknown shift."""
 
     def __repr__(self) -> str:
         return f"Case({self.name!r}: {self.network!r})"
@@ -82,8 +84,6 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     wanted = decode(path)
     if ties is not None:
         wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
-    if wanted.altimetry:
-        raise InputError(f"{path}, altimetry", "a table that the adjustment doesn't take yet", remedy="leave it out")
     folder = path.parent
     orientations = wanted.orientations
     of_strips = members(wanted.strips, [image.name for image in wanted.images], str(path))
@@ -103,10 +103,10 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     held = np.array([image.held for image in wanted.images])
     network = parts.network(priors, held, *_read_terrain(wanted, path, images), wanted.terrain)
     network = _with_strips(network, wanted, of_strips, path)
-    network = _with_shared(network, wanted, path, laser)
+    network = _with_shared(network, wanted, path, laser, parts.heights)
     _require_seeing_images(network)
     pictures = tuple(picture_of(image, folder) for image in wanted.images)
-    return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits)
+    return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits, parts.footprints)
 
 
 def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]], path: Path) -> Network:
@@ -126,14 +126,19 @@ def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]]
         return replace(network, strips=strips)
 
 
-def _with_shared(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
-    """The network with the unknowns that its images share; those of the laser go with its rows."""
-    if not wanted.shared:
+def _with_shared(
+    network: Network, wanted: CaseInput, path: Path, laser: bool, heights: Sequence[SharedUnknown]
+) -> Network:
+    """The network with the unknowns that its images share, and with heights of profiles; those of the laser go with its
+    rows.
+    """
+    if not (wanted.shared or heights):
         return network
     names = [image.name for image in network.images]
     shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
     if not laser:
         shared = tuple(one for one in shared if not one.kind.of_laser)
+    shared += tuple(heights)
     with errors_from(str(path)):
         network = replace(network, shared=shared)
         network.require_observed()
@@ -182,11 +187,13 @@ def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> TiePoints | Non
 
 
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
-    """Shots of ISIS lidar files and of MOLA profiles; those of the latter are returned."""
+    """Shots of ISIS lidar files, of other altimetry, and of MOLA profiles; those of the latter are returned."""
     if wanted.laser is True:
         raise InputError(f"{path}, laser", "true", "false, or a table (or several) with the shots' file")
     for group in wanted.laser_groups:
         parts.add_profile(read_lidar(path.parent / group.file), group)
+    for altimetry in wanted.altimetry:
+        parts.add_altimetry(read_altimetry(altimetry, path.parent, parts.images[0].body), altimetry)
     return tuple(parts.add_mola(read_mola(entry, path.parent), entry) for entry in wanted.mola)
 
 

@@ -21,6 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import Locator, LogLocator
 from numpy.typing import NDArray
 
@@ -151,9 +152,22 @@ def encoded(sheet: Sheet, kind: str, **options: Any) -> bytes:
     file = BytesIO()
     canvas = (FigureCanvasSVG if kind == "svg" else FigureCanvasAgg)(sheet.figure)  # savefig would draw twice
     sheet.figure.align_labels()
+    _lay_out(sheet.figure)
     getattr(canvas, f"print_{kind}")(file, **options)
-    sheet.figure.set_layout_engine("none")  # places stay as they are, should it be drawn again
     return file.getvalue()
+
+
+def _lay_out(figure: Figure) -> None:
+    """Put panels where constrained layout wants them, once; to a millionth of the sheet, for the last digits of its
+    solver differ from run to run.
+    """
+    engine = figure.get_layout_engine()
+    if not isinstance(engine, ConstrainedLayoutEngine):
+        return
+    engine.execute(figure)
+    figure.set_layout_engine("none")
+    for axes in figure.axes:
+        axes.set_position(np.round(axes.get_position(original=True).bounds, 6).tolist())
 
 
 def save(sheets: Iterable[Sheet], folder: Path) -> list[str]:

@@ -2,9 +2,9 @@
 
 The coefficients c_k are 6-vectors: position in m along the body-fixed axes, then a rotation vector in rad about the
 camera axes, so that the camera frame is turned by it: M = Exp([theta]x)' M_nominal; or, by choice, additions to the
-nominal omega, phi, kappa, in the papers' product (camera to body) or the peer's (body to camera). B_k(u) = u^k (Yoon &
-Shan 2005, Eq. 2, as corrections to SPICE), or the basis of a strip's orientation images (Hofmann et al. 1982), or both:
-whatever acts linearly on the pose.
+nominal omega, phi, kappa, of the papers' product M' = R3 R2 R1 (camera to body, opk-paper) or of M = R3 R2 R1 (body to
+camera, opk-peer). B_k(u) = u^k (Yoon & Shan 2005, Eq. 2, as corrections to SPICE), or the basis of a strip's
+orientation images (Hofmann et al. 1982), or both: whatever acts linearly on the pose.
 """
 
 from collections.abc import Callable

@@ -104,7 +104,7 @@ def from_omega_phi_kappa(angles: Array) -> Array:
 def angle_axes(angles: Array, camera_to_body: bool) -> Array:
     """Axes about which omega, phi, kappa (..., 3) turn the camera: columns of T in d(M d) = [M d]x T da; (..., 3, 3).
 
-    `camera_to_body` True for the papers' product M' = R3 R2 R1, False for the peer's M = R3 R2 R1.
+    `camera_to_body` True for the papers' product M' = R3 R2 R1 (opk-paper), False for M = R3 R2 R1 (opk-peer).
     """
     parts = components(angles)
     return matrices(equations.opk_paper_axes(parts) if camera_to_body else equations.opk_peer_axes(parts))

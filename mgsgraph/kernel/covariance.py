@@ -16,8 +16,8 @@ from mgsgraph.kernel.lanes import (
     MIDDLE,
     PAIR,
     PRODUCT,
-    STATE,
     STATE_WIDTH,
+    STATUS,
     TILE,
     WIDTH,
     inlined,
@@ -171,7 +171,7 @@ def store(rows, point, first, last, w, covariances):
         c[2, 2] = i22 * a22
         if rows.kind[point + l] == OUT:
             c[:, :] = 0.0
-        elif w[STATE + l] == WEAK:
+        elif w[STATUS + l] == WEAK:
             c[:, :] = np.nan
 
 

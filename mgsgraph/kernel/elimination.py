@@ -1,6 +1,6 @@
 """Exact elimination of the points (Schur complement) and the sum of what is left over all of them.
 
-With J the rows by the unknowns, B by the point and V = B'B = L L', a point leaves J'J - W V^-1 W' with W = J'B. A
+With J the rows by the unknowns, B by the point and V = B'B = L L', a point leaves J'J - W V^-1 W' with W = J'B. An
 observation feels the unknowns through its state (pose correction at its line): J = G' J_state with G its basis values
 and directions. So the small matrices K_ij between states are formed per point, and only their sums over points,
 weighted with products of basis values, reach the size of the unknowns: 36 x 9 products for two polynomials of degree
@@ -28,8 +28,8 @@ from mgsgraph.kernel.lanes import (
     RESULT,
     RIGHT,
     ROW,
-    STATE,
     STATE_WIDTH,
+    STATUS,
     TILE,
     WIDTH,
     accumulate_nine,
@@ -77,7 +77,7 @@ def leave_out_unsolved(count, w, s):
         for a in range(STATE_WIDTH):
             state = s + RESULT + BY_STATE + row * ROW + a * LANES
             for l in range(LANES):
-                w[state + l] = w[state + l] if w[STATE + l] == GOOD else 0.0
+                w[state + l] = w[state + l] if w[STATUS + l] == GOOD else 0.0
 
 
 @inlined

@@ -58,10 +58,10 @@ from mgsgraph.kernel.lanes import (
     ROOT,
     ROW,
     ROWS,
+    ROWS_SQUARED,
     SCALE,
     SLOPE,
-    SQUARES,
-    STATE,
+    STATUS,
     TILE,
     VELOCITY,
     WEIGHT,
@@ -85,7 +85,7 @@ from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_o
 make_equations_compilable()
 
 _C = CONSTANTS
-_LINE, _SAMPLE, _STATE = ROWS + BY_POINT, ROWS + BY_POINT + ROW, ROWS + BY_STATE
+_FIRST_ROW, _SECOND_ROW, _BY_STATE = ROWS + BY_POINT, ROWS + BY_POINT + ROW, ROWS + BY_STATE
 
 
 @inlined
@@ -139,21 +139,21 @@ def _image_loop(attitude_of, predicted):
             front, wanted = ray[2] > 0.0, weight_line > 0.0
             used = front & wanted
             w[ROWS + FRONT + l] = 1.0 if front else 0.0
-            w[STATE + l] = w[STATE + l] if front | (not wanted) else BEHIND
+            w[STATUS + l] = w[STATUS + l] if front | (not wanted) else BEHIND
             w[NEWTON_STEP + l] = line + beyond if used else 0.0
             w[ROWS + RESIDUAL + l] = weight_line * line if used else 0.0
             w[ROWS + RESIDUAL + ROW + l] = weight_sample * sample if used else 0.0
             of_line = weight_line * of_line[0], weight_line * of_line[1], weight_line * of_line[2]
             of_sample = weight_sample * of_sample[0], weight_sample * of_sample[1], weight_sample * of_sample[2]
-            put(w, _LINE, l, by_point(of_line, attitude), used)
-            put(w, _SAMPLE, l, by_point(of_sample, attitude), used)
-            put(w, _STATE + 3 * LANES, l, by_rotation(of_line, ray, axes), used)
-            put(w, _STATE + ROW + 3 * LANES, l, by_rotation(of_sample, ray, axes), used)
-            w[_STATE + 6 * LANES + l] = by_focal(of_line, ray, focal) if used else 0.0
-            w[_STATE + ROW + 6 * LANES + l] = by_focal(of_sample, ray, focal) if used else 0.0
+            put(w, _FIRST_ROW, l, by_point(of_line, attitude), used)
+            put(w, _SECOND_ROW, l, by_point(of_sample, attitude), used)
+            put(w, _BY_STATE + 3 * LANES, l, by_rotation(of_line, ray, axes), used)
+            put(w, _BY_STATE + ROW + 3 * LANES, l, by_rotation(of_sample, ray, axes), used)
+            w[_BY_STATE + 6 * LANES + l] = by_focal(of_line, ray, focal) if used else 0.0
+            w[_BY_STATE + ROW + 6 * LANES + l] = by_focal(of_sample, ray, focal) if used else 0.0
         for row in range(2):  # by position: minus by point
             for r in range(3 * LANES):
-                w[_STATE + row * ROW + r] = -w[_LINE + row * ROW + r]
+                w[_BY_STATE + row * ROW + r] = -w[_FIRST_ROW + row * ROW + r]
 
     return loop
 
@@ -210,9 +210,9 @@ def range_rows(w):
         value, of_point = range_residual(w[_C + DISTANCE + l], vector(w, POINT, l), centre, bias)
         of_point = weight * of_point[0], weight * of_point[1], weight * of_point[2]
         w[ROWS + RESIDUAL + l] = weight * value if used else 0.0
-        put(w, _LINE, l, of_point, used)
-        put(w, _STATE, l, (-of_point[0], -of_point[1], -of_point[2]), used)
-        w[_STATE + 3 * LANES + l] = -weight
+        put(w, _FIRST_ROW, l, of_point, used)
+        put(w, _BY_STATE, l, (-of_point[0], -of_point[1], -of_point[2]), used)
+        w[_BY_STATE + 3 * LANES + l] = -weight
 
 
 @lane
@@ -225,8 +225,8 @@ def ground_rows(w):
         for row in range(3):
             w[ROWS + RESIDUAL + row * ROW + l] = values[row] if used else 0.0
             of_point = root[row]
-            put(w, _LINE + row * ROW, l, of_point, used)
-            put(w, _STATE + row * ROW, l, (-of_point[0], -of_point[1], -of_point[2]), used)
+            put(w, _FIRST_ROW + row * ROW, l, of_point, used)
+            put(w, _BY_STATE + row * ROW, l, (-of_point[0], -of_point[1], -of_point[2]), used)
 
 
 @inlined
@@ -237,7 +237,7 @@ def surface_rows(rows, segments, count, w):
     for r in range(LANES):
         w[ROWS + RESIDUAL + r] = 0.0
     for r in range(3 * LANES):
-        w[_LINE + r] = 0.0
+        w[_FIRST_ROW + r] = 0.0
     for k in range(count):
         point = point_of(rows, segments, k)
         for l in range(segments[k, BEGIN], segments[k, END]):
@@ -249,9 +249,9 @@ def surface_rows(rows, segments, count, w):
                 east, south = cell_position(moved, first, step, left, row)
                 height, slope = height_above(moved, bilinear(east, south, corners), step)
                 w[ROWS + RESIDUAL + l] = weight * height
-                put(w, _LINE, l, (weight * slope[0], weight * slope[1], weight * slope[2]), True)
+                put(w, _FIRST_ROW, l, (weight * slope[0], weight * slope[1], weight * slope[2]), True)
     for r in range(3 * LANES):
-        w[_STATE + r] = -w[_LINE + r]
+        w[_BY_STATE + r] = -w[_FIRST_ROW + r]
 
 
 @lane
@@ -263,8 +263,8 @@ def stereo_rows(w):
         point, reference = vector(w, POINT, l), vector(w, _C + POSITION, l)
         value = stereo_height(w[_C + DISTANCE + l], normal, point, reference, w[DELTA + l])
         w[ROWS + RESIDUAL + l] = weight * value if used else 0.0
-        put(w, _LINE, l, (weight * normal[0], weight * normal[1], weight * normal[2]), used)
-        w[_STATE + l] = weight
+        put(w, _FIRST_ROW, l, (weight * normal[0], weight * normal[1], weight * normal[2]), used)
+        w[_BY_STATE + l] = weight
 
 
 @inlined
@@ -275,12 +275,12 @@ def row_count(kind):
 
 @lane
 def sum_squares(count, w):
-    """Squared norm of the rows, in SQUARES."""
+    """Squared norm of the rows, in ROWS_SQUARED."""
     for l in range(LANES):
-        w[SQUARES + l] = w[ROWS + RESIDUAL + l] * w[ROWS + RESIDUAL + l]
+        w[ROWS_SQUARED + l] = w[ROWS + RESIDUAL + l] * w[ROWS + RESIDUAL + l]
     for row in range(1, count):
         for l in range(LANES):
-            w[SQUARES + l] += w[ROWS + RESIDUAL + row * ROW + l] * w[ROWS + RESIDUAL + row * ROW + l]
+            w[ROWS_SQUARED + l] += w[ROWS + RESIDUAL + row * ROW + l] * w[ROWS + RESIDUAL + row * ROW + l]
 
 
 def _loss_loop(loss):
@@ -290,13 +290,13 @@ def _loss_loop(loss):
     def loop(width, count, components, w):
         """Add an observation's loss to COST and scale its rows by the root of the loss's weight."""
         for l in range(LANES):
-            cost, weight = loss(w[SQUARES + l], width)
+            cost, weight = loss(w[ROWS_SQUARED + l], width)
             w[COST + l] += cost
-            w[SQUARES + l] = np.sqrt(weight)
+            w[ROWS_SQUARED + l] = np.sqrt(weight)
         for row in range(count):
             for c in range(1 + 3 + components):
                 for l in range(LANES):
-                    w[ROWS + RESIDUAL + row * ROW + c * LANES + l] *= w[SQUARES + l]
+                    w[ROWS + RESIDUAL + row * ROW + c * LANES + l] *= w[ROWS_SQUARED + l]
 
     return loop
 
@@ -313,7 +313,7 @@ def add_rows(model, robust, kind, width, w):
     sum_squares(count, w)
     if not robust:
         for l in range(LANES):
-            w[COST + l] += 0.5 * w[SQUARES + l]
+            w[COST + l] += 0.5 * w[ROWS_SQUARED + l]
     elif model.loss == HUBER:
         _huber(model.width, count, width, w)
     elif model.loss == CAUCHY:
@@ -321,7 +321,7 @@ def add_rows(model, robust, kind, width, w):
     else:
         _tukey(model.width, count, width, w)
     for row in range(count):
-        p, r = _LINE + row * ROW, ROWS + RESIDUAL + row * ROW
+        p, r = _FIRST_ROW + row * ROW, ROWS + RESIDUAL + row * ROW
         for l in range(LANES):
             (a, b, c), value = vector(w, p, l), w[r + l]
             w[NORMAL + l] += a * a

@@ -11,8 +11,8 @@ from mgsgraph.kernel.lanes import (
     LANES,
     NORMAL,
     POINT,
-    SQUARE,
-    STATE,
+    STATUS,
+    STEP_SQUARED,
     inlined,
     lane,
     summing,
@@ -34,7 +34,7 @@ _SINGULAR = 1e-13
 
 @lane
 def factorise(w):
-    """FACTOR L of NORMAL = L L', FORWARD L^-1 g, SQUARE its squared length; STATE WEAK where a pivot is lost.
+    """FACTOR L of NORMAL = L L', FORWARD L^-1 g, STEP_SQUARED its squared length; STATUS WEAK where a pivot is lost.
 
     Weak points and those that don't take part get an endless L: they neither move nor couple.
     """
@@ -50,8 +50,8 @@ def factorise(w):
         d2 = v22 - l20 * l20 - l21 * l21
         i22 = 1.0 / np.sqrt(d2)
         strong = (d0 > 0.0) & (d1 > _SINGULAR * v11) & (d2 > _SINGULAR * v22)
-        weak = (not strong) & (w[ACTIVE + l] > 0.0) & (w[STATE + l] == GOOD)
-        w[STATE + l] = WEAK if weak else w[STATE + l]
+        weak = (not strong) & (w[ACTIVE + l] > 0.0) & (w[STATUS + l] == GOOD)
+        w[STATUS + l] = WEAK if weak else w[STATUS + l]
         i00, i11, i22 = (i00 if strong else 0.0), (i11 if strong else 0.0), (i22 if strong else 0.0)
         l10, l20, l21 = (l10 if strong else 0.0), (l20 if strong else 0.0), (l21 if strong else 0.0)
         y0 = w[GRADIENT + l] * i00
@@ -60,7 +60,7 @@ def factorise(w):
         w[FACTOR + l], w[FACTOR + LANES + l], w[FACTOR + 2 * LANES + l] = i00, l10, i11
         w[FACTOR + 3 * LANES + l], w[FACTOR + 4 * LANES + l], w[FACTOR + 5 * LANES + l] = l20, l21, i22
         w[FORWARD + l], w[FORWARD + LANES + l], w[FORWARD + 2 * LANES + l] = y0, y1, y2
-        w[SQUARE + l] = y0 * y0 + y1 * y1 + y2 * y2
+        w[STEP_SQUARED + l] = y0 * y0 + y1 * y1 + y2 * y2
 
 
 @lane
@@ -73,7 +73,7 @@ def step_points(w):
         w[POINT + l] -= x0
         w[POINT + LANES + l] -= x1
         w[POINT + 2 * LANES + l] -= x2
-        w[COST + l] -= 0.5 * w[SQUARE + l]
+        w[COST + l] -= 0.5 * w[STEP_SQUARED + l]
 
 
 @summing
@@ -81,13 +81,13 @@ def largest_step(w):
     """Largest squared step of the lanes that take part."""
     value = 0.0
     for l in range(LANES):
-        value = max(value, w[SQUARE + l] * w[ACTIVE + l])
+        value = max(value, w[STEP_SQUARED + l] * w[ACTIVE + l])
     return value
 
 
 @inlined
 def solve_tile(rows, model, segments, count, x, points, move, everything, w, depth, kept):
-    """Coordinates of a tile's points of least cost with the orientation held: POINT, COST and STATE, and, if `kept`,
+    """Coordinates of a tile's points of least cost with the orientation held: POINT, COST and STATUS, and, if `kept`,
     rows there.
 
     Begins at `points` (n, 3); rows, FACTOR and FORWARD stay those of the coordinates before the last, short step.
@@ -123,4 +123,4 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
 def take_back(w):
     """Where the steps ran out before they were short, the linear model's promise of the last one doesn't count."""
     for l in range(LANES):
-        w[COST + l] += 0.5 * w[SQUARE + l] if w[SQUARE + l] > _PLAIN_TOLERANCE * _PLAIN_TOLERANCE else 0.0
+        w[COST + l] += 0.5 * w[STEP_SQUARED + l] if w[STEP_SQUARED + l] > _PLAIN_TOLERANCE * _PLAIN_TOLERANCE else 0.0

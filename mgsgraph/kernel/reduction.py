@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.kernel.reliability import NUMBERS
-from mgsgraph.kernel.rows import NO_LOSS, Groups, Model, Rows, Target
+from mgsgraph.kernel.rows import NO_LOSS, Groups, Model, NormalBlocks, Rows
 from mgsgraph.kernel.sweep import COVARIANCES, DESIGN, RELIABILITY, RESIDUALS, ROW_NUMBERS, SYSTEM, sweep_all
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ class Reduction:
     piece_cost: Array
     """(m,) the same by piece."""
     blocks: Array | None
-    """Reduced normal matrix in the blocks of a `Target`; None unless it was asked for."""
+    """Reduced normal matrix in the blocks of a `NormalBlocks`; None unless it was asked for."""
     gradient: Array
     """(columns,) reduced gradient; empty unless it was asked for."""
     points: Array
@@ -45,7 +45,7 @@ class Reduction:
 def reduce(
     rows: Rows,
     groups: Groups,
-    target: Target,
+    target: NormalBlocks,
     model: Model,
     orientation: Array,
     task: int = SYSTEM,
@@ -64,7 +64,7 @@ def reduce(
 
 
 def point_covariances(
-    rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, joint: Array, points: Array
+    rows: Rows, groups: Groups, target: NormalBlocks, model: Model, orientation: Array, joint: Array, points: Array
 ) -> Array:
     """Covariances (n, 3, 3) in m^2 of points (n, 3) for sigma0 = 1; zero for known ones and those left out.
 
@@ -76,7 +76,7 @@ def point_covariances(
 
 
 def reliability(
-    rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, joint: Array, points: Array
+    rows: Rows, groups: Groups, target: NormalBlocks, model: Model, orientation: Array, joint: Array, points: Array
 ) -> Array:
     """What each row of each observation says of itself (t, 3, 7): whitened residual, its row of H, effect on its point.
 
@@ -90,7 +90,7 @@ def reliability(
     return values
 
 
-def design(rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, points: Array) -> Array:
+def design(rows: Rows, groups: Groups, target: NormalBlocks, model: Model, orientation: Array, points: Array) -> Array:
     """Whitened rows of observations (t, 3, 4 + c) with points at (n, 3): the residual, its derivatives by the point per
     m, and by the unknowns that the observation depends on per m and rad: six columns of each basis term, then single
     ones.
@@ -104,7 +104,9 @@ def design(rows: Rows, groups: Groups, target: Target, model: Model, orientation
     return values
 
 
-def all_residuals(rows: Rows, groups: Groups, target: Target, model: Model, orientation: Array, points: Array) -> Array:
+def all_residuals(
+    rows: Rows, groups: Groups, target: NormalBlocks, model: Model, orientation: Array, points: Array
+) -> Array:
     """Residuals (t, 2) of all observations with points at (n, 3), measured minus predicted, of rows in and out alike.
 
     An image ray's in pixels, a range's in m and a point's height above the terrain in m, the latter two in the first
@@ -116,7 +118,7 @@ def all_residuals(rows: Rows, groups: Groups, target: Target, model: Model, orie
     return values[:, :, 0]
 
 
-def dense(reduction: Reduction, groups: Groups, target: Target, group: int) -> tuple[Array, Array]:
+def dense(reduction: Reduction, groups: Groups, target: NormalBlocks, group: int) -> tuple[Array, Array]:
     """Reduced normal matrix (d, d) and gradient (d,) of a group, which the target keeps by itself."""
     assert reduction.blocks is not None
     first, last = groups.member_first[group : group + 2]
@@ -130,7 +132,7 @@ def dense(reduction: Reduction, groups: Groups, target: Target, group: int) -> t
     return block, reduction.gradient[at : at + d]
 
 
-def sparse(block: Array, groups: Groups, target: Target, group: int) -> Array:
+def sparse(block: Array, groups: Groups, target: NormalBlocks, group: int) -> Array:
     """Blocks of the target with the dense matrix (d, d) of one group; zero elsewhere."""
     blocks = np.zeros(target.size)
     for rows, columns, at in _blocks(groups, target, group):
@@ -139,7 +141,7 @@ def sparse(block: Array, groups: Groups, target: Target, group: int) -> Array:
     return blocks
 
 
-def _blocks(groups: Groups, target: Target, group: int) -> Iterator[tuple[slice, slice, int]]:
+def _blocks(groups: Groups, target: NormalBlocks, group: int) -> Iterator[tuple[slice, slice, int]]:
     """Of the pairs of a group's members: rows and columns in its dense matrix, and where the target has their block."""
     first, last = groups.member_first[group : group + 2]
     ends = np.concatenate([[0], np.cumsum(groups.member_width[first:last])]).tolist()

@@ -1,10 +1,11 @@
-"""How far each measure controls itself: its share H of its own adjusted value, and what an error in it does.
+"""How much each measure determines its own adjusted value, and what an error in it does to the point.
 
 With A the whitened rows and Q the covariance of all unknowns, the adjusted measures have the covariance H = A Q A' and
-the residuals 1 - H (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). Per point, with P = B L^-T, Y = W L^-T and S
-the covariance of the observations' states, all that is needed of Q is U_i = sum_j S_ij Y_j and M = 1 + sum_i Y_i' U_i:
-H_i = P_i M P_i' - P_i (J_i U_i)' - (J_i U_i) P_i' + J_i S_ii J_i'; an error e in the rows moves the point by
--L^-T (M P_i' - (J_i U_i)') e.
+the residuals I - H (Baarda 1968; Foerstner & Wrobel 2016, section 4.6). The diagonal of H is the measures' leverage,
+that of I - H their redundancy numbers. Per point, with B, W, L and J as in `mgsgraph.kernel.elimination`, P = B L^-T,
+Y = W L^-T and S the covariance of the observations' states, all that is needed of Q is U_i = sum_j S_ij Y_j and
+M = 1 + sum_i Y_i' U_i: H_i = P_i M P_i' - P_i (J_i U_i)' - (J_i U_i) P_i' + J_i S_ii J_i'. An error e in the rows
+moves the point by -L^-T (M P_i' - (J_i U_i)') e.
 """
 
 import numpy as np
@@ -27,7 +28,7 @@ from mgsgraph.kernel.lanes import (
     RESULT,
     ROW,
     SHARED_PART,
-    STATE,
+    STATUS,
     TILE,
     WIDTH,
     inlined,
@@ -131,7 +132,7 @@ def share(row, other, l, w):
 def store_observation(rows, count, linked, at, point, first, last, w, s, values):
     """`NUMBERS` of each row of an observation, lanes first .. last; NaN where the point is out or weak."""
     for l in range(first, last):
-        known = (rows.kind[point + l] != OUT) & (w[STATE + l] != WEAK)
+        known = (rows.kind[point + l] != OUT) & (w[STATUS + l] != WEAK)
         index = 0
         for row in range(count):
             values[at + l, row, 0] = w[s + RESULT + RESIDUAL + row * ROW + l] if known else np.nan

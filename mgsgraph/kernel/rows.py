@@ -32,7 +32,7 @@ NO_LOSS, HUBER, CAUCHY, TUKEY = 0, 1, 2, 3
 """Robust loss on the norm of an image row pair and on each range."""
 
 GOOD, BEHIND, WEAK = 0, 1, 2
-"""State of a point after its inner solve: solved, behind a camera, not determined by its rows."""
+"""Status of a point after its inner solve: solved, behind a camera, not determined by its rows."""
 
 PIECE = 2048
 """Most points of a piece: what a thread takes at a time, and what a cluster's worker may get."""
@@ -132,11 +132,11 @@ class Groups(NamedTuple):
     member_width: Index
     """(b,) its columns."""
     pair_first: Index
-    """(g + 1,) index of the group's table of pairs (members x members) in `Target.pair`."""
+    """(g + 1,) index of the group's table of pairs (members x members) in `NormalBlocks.pair`."""
 
 
-class Target(NamedTuple):
-    """Where a reduced system is summed: dense blocks of variable pairs in one flat array, and a flat gradient."""
+class NormalBlocks(NamedTuple):
+    """Layout of reduced normal equations: dense blocks of variable pairs in one flat array, and a flat gradient."""
 
     pair: Index
     """For each group its members x members table of first indices; used for first member <= second member."""

@@ -27,7 +27,7 @@ from mgsgraph.kernel.lanes import (
     RESIDUAL,
     RESULT,
     ROW,
-    STATE,
+    STATUS,
     TILE,
     WIDTH,
     blocks_of,
@@ -40,7 +40,7 @@ from mgsgraph.kernel.lanes import (
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.points import solve_tile
 from mgsgraph.kernel.reliability import reliability_tile
-from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, PREDICTED, SURFACE, Groups, Model, Rows, Target
+from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, PREDICTED, SURFACE, Groups, Model, NormalBlocks, Rows
 from mgsgraph.kernel.tile import (
     BEGIN,
     END,
@@ -79,8 +79,8 @@ def store_points(rows, segments, count, w, points, states, costs):
         for l in range(segments[k, BEGIN], segments[k, END]):
             for j in range(3):
                 points[point + l, j] = w[POINT + j * LANES + l]
-            states[point + l] = w[STATE + l]
-            cost += np.inf if w[STATE + l] == BEHIND else w[COST + l]
+            states[point + l] = w[STATUS + l]
+            cost += np.inf if w[STATUS + l] == BEHIND else w[COST + l]
         costs[segments[k, PIECE_OF]] += cost
 
 
@@ -249,7 +249,7 @@ def writable(values: NDArray[Any]) -> NDArray[Any]:
 def sweep_all(
     rows: Rows,
     groups: Groups,
-    target: Target,
+    target: NormalBlocks,
     model: Model,
     x: Array,
     task: int,

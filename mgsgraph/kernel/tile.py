@@ -25,8 +25,8 @@ from mgsgraph.kernel.lanes import (
     ROWS,
     SCALE,
     SLOPE,
-    STATE,
     STATE_WIDTH,
+    STATUS,
     TILE,
     VELOCITY,
     WEIGHT,
@@ -96,7 +96,7 @@ def load(rows, model, segments, count, w, depth, points):
         point = point_of(rows, segments, k)
         for l in range(segments[k, BEGIN], segments[k, END]):
             w[ACTIVE + l] = 0.0 if rows.kind[point + l] == OUT else 1.0
-            w[STATE + l] = GOOD
+            w[STATUS + l] = GOOD
             for j in range(3):
                 w[POINT + j * LANES + l] = points[point + l, j]
     begin, end = observations_of(rows, segments)
@@ -209,14 +209,14 @@ def correct(rows, segments, count, i, x, w, s, rates):
         first, last = segments[k, BEGIN], segments[k, END]
         entry = rows.observation_entry[rows.pattern_observation[segments[k, PATTERN]] + i - begin]
         for t in range(terms):
-            value, slope = s + BASIS + t * LANES, s + BASIS + (terms + t) * LANES
+            value, rate = s + BASIS + t * LANES, s + BASIS + (terms + t) * LANES
             column = rows.entry_column[entry + t]
             for a in range(components):
                 c = x[column + a]
                 if rates:
                     for l in range(first, last):
-                        w[DELTA + a * LANES + l] += (w[value + l] + w[ROWS + LINE_OFFSET + l] * w[slope + l]) * c
-                        w[RATE + a * LANES + l] += w[slope + l] * c
+                        w[DELTA + a * LANES + l] += (w[value + l] + w[ROWS + LINE_OFFSET + l] * w[rate + l]) * c
+                        w[RATE + a * LANES + l] += w[rate + l] * c
                 else:
                     for l in range(first, last):
                         w[DELTA + a * LANES + l] += w[value + l] * c
@@ -233,7 +233,7 @@ def all_good(w):
     """Whether every lane that takes part is GOOD."""
     lost = 0.0
     for l in range(LANES):
-        lost = max(lost, w[ACTIVE + l] * abs(w[STATE + l] - GOOD))
+        lost = max(lost, w[ACTIVE + l] * abs(w[STATUS + l] - GOOD))
     return lost == 0.0
 
 

@@ -95,6 +95,8 @@ class Network:
         for one in self.shared:
             for j in one.images[one.images >= m][:1]:
                 raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
+            if one.profile and one.profile not in (self.shifts.names if self.shifts else ()):
+                raise InputError(f"shared unknown {one.name!r}", f"profile {one.profile!r}", "one with a shift")
         self._require_strips()
         self._require_stereo()
 
@@ -176,14 +178,22 @@ class Network:
         """Raise InputError unless some rows depend on each shared unknown; called before an adjustment."""
         for one in self.shared:
             where = f"shared unknown {one.name!r}"
-            if one.kind is SharedKind.ALTIMETER_BORESIGHT:
-                rows, observed = "laser footprint with a range", self.beams(one)[0].size > 0
+            if one.kind.moves_footprints:
+                rows = "shot" if one.profile else "laser footprint with a range"
+                observed = self.footprints_moved(one).size > 0
             else:
                 rows = "range" if one.kind is SharedKind.RANGE_BIAS else "measured point"
                 observed = one.kind.acts_on_rays and bool(np.any(np.isin(self.rays.image, one.images)))
                 observed |= one.kind.acts_on_ranges and bool(np.any(np.isin(self.ranges.image, one.images)))
             if not observed:
                 raise InputError(where, f"no {rows} of its images", "some that depend on it", "take it out")
+
+    def footprints_moved(self, shared: SharedUnknown) -> Index:
+        """Constrained points, ascending, whose a-priori position a shared unknown moves."""
+        if shared.kind is not SharedKind.PROFILE_HEIGHT:
+            return self.beams(shared)[0]
+        assert self.shifts is not None
+        return np.flatnonzero(self.shifts.profile == self.shifts.names.index(shared.profile))
 
     def beams(self, shared: SharedUnknown) -> tuple[Index, Index]:
         """Constrained points whose footprint an altimeter's boresight moves, ascending, and the range of each: the

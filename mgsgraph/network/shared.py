@@ -43,11 +43,15 @@ class SharedKind(StrEnum):
     """m: what measured ranges are too long."""
     FOCAL_LENGTH = "focal length"
     """m: to be added to the nominal one."""
+    PROFILE_HEIGHT = "profile height"
+    """m: what the shots of a laser profile are too low, in its middle, and how much more at its end (drift)."""
 
     @property
     def width(self) -> int:
-        """Number of columns: three angles, or one."""
-        return 3 if self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT) else 1
+        """Number of columns: three angles, height and drift, or one."""
+        if self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT):
+            return 3
+        return 2 if self is SharedKind.PROFILE_HEIGHT else 1
 
     @property
     def unit(self) -> str:
@@ -74,12 +78,17 @@ class SharedKind(StrEnum):
     @property
     def of_laser(self) -> bool:
         """Whether it acts on laser rows alone."""
-        return self in (SharedKind.ALTIMETER_BORESIGHT, SharedKind.RANGE_BIAS)
+        return self is SharedKind.RANGE_BIAS or self.moves_footprints
+
+    @property
+    def moves_footprints(self) -> bool:
+        """Whether it moves a-priori positions of laser footprints."""
+        return self in (SharedKind.ALTIMETER_BORESIGHT, SharedKind.PROFILE_HEIGHT)
 
     @property
     def components(self) -> tuple[str, ...]:
         """Names of its columns; one empty name where there is but one."""
-        return ("x", "y", "z") if self.width == 3 else ("",)
+        return {1: ("",), 2: ("middle", "drift"), 3: ("x", "y", "z")}[self.width]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,16 +100,21 @@ class SharedUnknown:
     kind: SharedKind
     """What it is."""
     images: Index
-    """(m,) images that share it, each once."""
+    """(m,) images that share it, each once; none of a profile's height."""
     sigmas: Array
-    """(1,) or, of a boresight, (3,): a-priori, about zero, in the kind's unit; finite."""
+    """(kind.width,) a-priori, about zero, in the kind's unit; finite."""
+    profile: str = ""
+    """Laser profile (`ProfileShifts.names`) whose height it is."""
 
     def __post_init__(self) -> None:
         where = f"shared unknown {self.name!r}"
         if not self.name:
             raise InputError("shared unknown", "an empty name", "what to call it")
         images = frozen_index(self.images, f"{where}, images", np.size(self.images), 2**31)
-        if images.size == 0 or np.unique(images).size != images.size:
+        of_profile = self.kind is SharedKind.PROFILE_HEIGHT
+        if bool(self.profile) != of_profile:
+            raise InputError(where, f"profile {self.profile!r}", "a profile for a profile's height alone")
+        if (images.size == 0) != of_profile or np.unique(images).size != images.size:
             raise InputError(f"{where}, images", f"{images.tolist()[:10]}", "at least one image, each once")
         sigmas = frozen(self.sigmas, f"{where}, sigmas", (self.kind.width,))
         if sigmas.min() <= 0.0:

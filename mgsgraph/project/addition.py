@@ -272,17 +272,13 @@ def _profile(
     pictures = images or [store.image(name).image for name in store.image_names()]
     seen = footprints_in_images(tuple(pictures), shots)
     usable = shots.ground & np.isfinite(shots.ranges)
-    mine = seen.inside & seen.simultaneous & usable
-    owners = np.flatnonzero(np.any(mine, axis=1))
-    if owners.size != 1:
+    remedy = "use [[mola]] of a case file"
+    owner = seen.simultaneous_image(seen.inside & seen.simultaneous & usable, remedy)
+    if owner is None:
         found = "no shot that was taken along with one of the images and falls in it"
-        if owners.size:
-            found = f"shots simultaneous with {' and '.join(pictures[j].name for j in owners.tolist())}"
-        raise InputError(str(path), found, "one image that the profile crosses", "use [[mola]] of a case file")
-    taken = shots.chosen(mine[owners[0]])
-    return taken.profile(
-        sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[int(owners[0])].name, path.stem
-    )
+        raise InputError(str(path), found, "one image that the profile crosses", remedy)
+    taken = shots.chosen(seen.shots_with(owner) & usable)
+    return taken.profile(sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[owner].name, path.stem)
 
 
 # --- points that are there already

@@ -75,6 +75,21 @@ class Registration:
         ]
         return tuple(sorted(found, key=lambda one: (not one.simultaneous, one.orbit)))
 
+    def simultaneous_image(self, along: Mask, remedy: str) -> int | None:
+        """Index of the only image with shots in `along` (m, n), whose trajectory carries their ranges; None for none.
+
+        Raises InputError with the remedy when there are several.
+        """
+        found = np.flatnonzero(np.any(along, axis=1)).tolist()
+        if len(found) > 1:
+            names = " and ".join(self.images[j].name for j in found)
+            raise InputError(self.shots.source, f"shots simultaneous with {names}", "one image", remedy)
+        return found[0] if found else None
+
+    def shots_with(self, image: int | None) -> Mask:
+        """(n,) True for shots that fall in an image and were fired while it was taken; without one, in any image."""
+        return np.any(self.inside, axis=0) if image is None else self.inside[image] & self.simultaneous[image]
+
     def __repr__(self) -> str:
         counts = ", ".join(
             f"{image.name}: {n}" for image, n in zip(self.images, self.inside.sum(axis=1).tolist(), strict=True)

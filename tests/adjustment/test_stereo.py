@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.stereo_surface import StereoSurface, averaged_surface, heights_above
-from mgsgraph.network import Network, PointClass, ProfileShifts
+from mgsgraph.network import Network, PointClass, ProfileShifts, Ranges, SharedKind, SharedUnknown
 from mgsgraph.network.records import StereoControl
+from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.simulation.ground import rays_to_sines
 from mgsgraph.simulation.pair import SimulatedPair
 
@@ -155,3 +158,39 @@ def test_points_that_the_images_do_not_see_are_refused() -> None:
     far = np.where(net.stereo.surface[:, None] >= 0, -1.0, 1.0) * np.nan_to_num(net.points.places)
     with pytest.raises(InputError, match="stereo surface"):
         lay_out(replace(net, stereo=replace(net.stereo, starts=far)), SolverSettings())
+
+
+def test_a_profile_of_unknown_height_and_drift_is_raised_to_the_surface() -> None:
+    """Its shots lie 12 m low, and 5 m more at one end; without ranges the images hold the height."""
+    made = pair(40, 60)
+    net = stereo_network(made, displaced=False)
+    assert net.shifts is not None
+    laser = np.flatnonzero(net.shifts.profile == 0)
+    along = np.linspace(-1.0, 1.0, laser.size)  # shots follow one another
+    places = net.points.places.copy()
+    up = places[laser] / np.linalg.norm(places[laser], axis=1, keepdims=True)
+    places[laser] -= (12.0 + 5.0 * along)[:, None] * up
+    height = SharedUnknown(
+        "height", SharedKind.PROFILE_HEIGHT, np.zeros(0, dtype=int), np.array([30.0, 20.0]), "profile"
+    )
+    none = Ranges(*(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float)))
+    net = replace(net, points=replace(net.points, places=places), ranges=none, shared=(height,))
+    bundle, explicit = (adjust_network(net, SolverSettings(form=form)) for form in ("bundle", "explicit"))
+    assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
+    np.testing.assert_allclose(bundle.shared_covariance(0), explicit.shared_covariance(0), rtol=1e-6)
+    sigmas = np.sqrt(np.diag(bundle.shared_covariance(0)))
+    middle, drift = bundle.shared[0]
+    assert abs(middle - 12.0) < 4.0 * sigmas[0] < 120.0
+    assert abs(abs(drift) - 5.0) < 4.0 * sigmas[1] < 80.0
+
+
+def test_a_solution_with_stereo_rows_is_archived_whole(tmp_path: Path) -> None:
+    found = adjust_network(stereo_network(pair()), SolverSettings())
+    write_archive(found, tmp_path / "solution.npz")
+    read = read_solution(tmp_path / "solution.npz")
+    assert read.network.stereo is not None
+    np.testing.assert_array_equal(read.network.stereo.surfaces[0].places, surface(pair()).places)
+    posterior = Posterior.of(read)
+    shot = found.network.points.ids[-1]
+    scale = np.abs(found.covariances[-1]).max()
+    np.testing.assert_allclose(posterior.point(shot).covariance, found.covariances[-1], atol=1e-6 * scale)

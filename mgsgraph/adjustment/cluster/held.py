@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
-from mgsgraph.kernel.rows import Groups, Model, Rows, Target
+from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows
 from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RESIDUALS, SYSTEM, writable
 
 HOLD, PLACES = -1, -2
@@ -39,7 +39,7 @@ class Source(NamedTuple):
     """Its rows."""
     groups: Groups
     """The whole's groups."""
-    target: Target
+    target: NormalBlocks
     """Blocks of the pairs of variables that its points depend on."""
     model: Model
     """The measurement model."""

@@ -37,7 +37,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import Groups, Rows, Target, partition
+from mgsgraph.kernel.rows import Groups, NormalBlocks, Rows, partition
 from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, even_parts
 
 _COPIES = 2.0
@@ -68,7 +68,7 @@ class _Part:
     observations: slice
     blocks: Index
     """Where its blocks are among the whole's."""
-    target: Target
+    target: NormalBlocks
     """Its blocks by themselves."""
     size: int
     """bytes of its source."""
@@ -328,7 +328,7 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
     )
 
 
-def blocks_of_partition(groups: Groups, target: Target, used: Index) -> tuple[Index, Target]:
+def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tuple[Index, NormalBlocks]:
     """Blocks of some groups by themselves: where they are among the whole's, and their target."""
     places, sizes = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
     for group in used:

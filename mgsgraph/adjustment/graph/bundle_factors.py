@@ -12,7 +12,7 @@ import numpy as np
 
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import Reduction, dense, reduce
-from mgsgraph.kernel.rows import Groups, Model, Rows, Target
+from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
 
 _ROUNDING = tuple(10.0**k for k in range(-15, -7))
@@ -85,7 +85,7 @@ class Bundles:
         self,
         rows: Rows,
         groups: Groups,
-        target: Target,
+        target: NormalBlocks,
         model: Model,
         keys: Sequence[Sequence[int]],
         columns: Sequence[Sequence[slice]],

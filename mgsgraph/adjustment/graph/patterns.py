@@ -14,8 +14,8 @@ from mgsgraph.adjustment.graph.stereo import StereoRows, columns
 from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, Target, shapes
-from mgsgraph.network import Network, SharedKind
+from mgsgraph.kernel.rows import GROUND, IMAGE, PIECE, RANGE, STEREO, SURFACE, Groups, NormalBlocks, shapes
+from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 
@@ -129,7 +129,7 @@ def sort_points(
     rays, ranges, n = network.rays, network.ranges, len(network.points)
     of_rays = by_point(rays.point, rays.image, terms.of_rays, n)
     of_ranges = by_point(ranges.point, ranges.image, terms.of_ranges, n)
-    moved, beams = _moved(network), _beams(network)
+    moved, footprints = _moved(network), _footprints(network)
     signature = np.zeros(n, dtype=np.uint64)
     mix_rows(signature, of_rays[0], of_rays[1], rays.image, terms.of_rays, 1)
     mix_rows(signature, of_ranges[0], of_ranges[1], ranges.image, terms.of_ranges, 2)
@@ -137,11 +137,11 @@ def sort_points(
     if network.surface is not None:
         on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
     on_stereo, sides = _on_stereo(n, stereo)
-    for values in (network.points.kinds, moved, on_surface, on_stereo, *beams):
+    for values in (network.points.kinds, moved, on_surface, on_stereo, *(variable for variable, _ in footprints)):
         mix_values(signature, values)
     example, number = distinct(signature)
     of_example = _PatternObservations(
-        network, terms, example, of_rays, of_ranges, moved, on_surface, (on_stereo, sides), beams
+        network, terms, example, of_rays, of_ranges, moved, on_surface, (on_stereo, sides), footprints
     )
     member, group_first, group_member, group = _groups(of_example.pattern_of_entry, of_example.variable, example.size)
     fixed = network.points.kinds[example] == PointKind.FIXED
@@ -192,14 +192,16 @@ def _moved(network: Network) -> Index:
     return np.where(profile >= 0, len(network.images) + profile, -1)
 
 
-def _beams(network: Network) -> list[Index]:
-    """(n,) of each altimeter's boresight: its variable where it moves a point's a-priori position, -1 elsewhere."""
+def _footprints(network: Network) -> list[tuple[Index, int]]:
+    """Of each shared unknown that moves footprints (n,) its variable where it moves a point's a-priori position, -1
+    elsewhere, and the number of its columns.
+    """
     found = []
     for k, shared in enumerate(network.shared):
-        if shared.kind is SharedKind.ALTIMETER_BORESIGHT:
+        if shared.kind.moves_footprints:
             affected = np.full(len(network.points), -1, dtype=np.int64)
-            affected[network.beams(shared)[0]] = network.first_shared + k
-            found.append(affected)
+            affected[network.footprints_moved(shared)] = network.first_shared + k
+            found.append((affected, shared.kind.width))
     return found
 
 
@@ -208,7 +210,7 @@ class _PatternObservations:
 
     def __init__(
         self, network: Network, terms: Terms, example: Index, of_rays: _Rows, of_ranges: _Rows, moved: Index,
-        on_surface: Index, on_stereo: tuple[Index, Index], beams: list[Index],
+        on_surface: Index, on_stereo: tuple[Index, Index], footprints: list[tuple[Index, int]],
     ) -> None:  # fmt: skip
         known = network.points.kinds[example] == PointKind.CONSTRAINED
         surfaces, of_stereo = on_surface[example] > 0, on_stereo[0][example]
@@ -232,9 +234,12 @@ class _PatternObservations:
         self.kind[ground], self.kind[surface], self.kind[stereo] = GROUND, SURFACE, STEREO
         self._on_stereo = [columns(network, tuple(one)) for one in on_stereo[1].tolist()]
         self._stereo, self._combination = stereo, of_stereo[of_stereo >= 0]
-        self._add_unknowns(network, terms, ground, surface, [affected[example[known]] for affected in (moved, *beams)])
+        moves = [(variable[example[known]], width) for variable, width in ((moved, 2), *footprints)]
+        self._add_unknowns(network, terms, ground, surface, moves)
 
-    def _add_unknowns(self, network: Network, terms: Terms, ground: Index, surface: Index, moved: list[Index]) -> None:
+    def _add_unknowns(
+        self, network: Network, terms: Terms, ground: Index, surface: Index, moved: list[tuple[Index, int]]
+    ) -> None:
         """Numbers of terms and single columns, widths, and the entries."""
         carried = self.image >= 0
         self.terms = np.where(carried, terms.counts[self.image], 0)
@@ -250,9 +255,8 @@ class _PatternObservations:
         if network.terrain_moves and network.surface is not None:
             moved_terrain = np.full(surface.size, network.first_shared - 1)
             _add_singles(observation, variable, inside, surface, moved_terrain, len(network.surface.terms))
-        _add_singles(observation, variable, inside, ground[moved[0] >= 0], moved[0][moved[0] >= 0], 2)
-        for beam in moved[1:]:
-            _add_singles(observation, variable, inside, ground[beam >= 0], beam[beam >= 0], 3)
+        for affected, width in moved:
+            _add_singles(observation, variable, inside, ground[affected >= 0], affected[affected >= 0], width)
         for k, shared in enumerate(network.shared):
             of_image = np.zeros(len(network.images) + 1, dtype=bool)  # the last one is that of no image
             of_image[shared.images] = True
@@ -326,7 +330,7 @@ class PairBlocks:
     """(p,) second variable, not before the first."""
     offset: Index
     """(p,) where its block begins, first variable's columns down, second's across."""
-    target: Target
+    target: NormalBlocks
     """The same, as the kernel wants it."""
 
     def filled(self, joint: JointCovariance) -> Array:
@@ -354,19 +358,19 @@ def pair_blocks(variables: Variables, groups: Groups, more: Sequence[tuple[int, 
     first, second = unique // count, unique % count
     sizes = variables.width[first] * variables.width[second]
     offset = np.cumsum(sizes) - sizes
-    target = Target(
+    target = NormalBlocks(
         offset[np.searchsorted(unique, table)], variables.first[member], int(sizes.sum()), int(variables.sigmas.size)
     )
     return PairBlocks(first, second, offset, target)
 
 
-def group_blocks(groups: Groups) -> Target:
+def group_blocks(groups: Groups) -> NormalBlocks:
     """Blocks of each group by itself, not shared with others: what a bundle factor of its own needs."""
     one, other = _member_pairs(groups)
     sizes = groups.member_width[one] * groups.member_width[other]
     pair, at = np.cumsum(sizes) - sizes, int(sizes.sum())
     right = np.cumsum(groups.member_width) - groups.member_width
-    return Target(pair, right.astype(np.int64), at, int(groups.member_width.sum()))
+    return NormalBlocks(pair, right.astype(np.int64), at, int(groups.member_width.sum()))
 
 
 def _member_pairs(groups: Groups) -> tuple[Index, Index]:

@@ -47,7 +47,7 @@ from mgsgraph.kernel.rows import (
     Rows,
     numbers_stored,
 )
-from mgsgraph.network import Network, SharedKind
+from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 _Component = TypeVar("_Component", int, Index)
@@ -292,7 +292,7 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
         store.put(place[moved], stride[moved], 9, east_north(network.points.places[known[moved]]))
         after[moved] += 6
     for one in network.shared:
-        if one.kind is SharedKind.ALTIMETER_BORESIGHT:
+        if one.kind.moves_footprints:
             points, motion = footprint_motion(network, one)
             mine = np.searchsorted(known, points)
             after[mine] = store.put(place[mine], stride[mine], after[mine], motion)
@@ -378,7 +378,7 @@ def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> Non
 
 
 def _angle_rates(pose: Pose, angles: int) -> Array:
-    """(k, 3) rates per line of omega, phi, kappa in the papers' or the peer's product."""
+    """(k, 3) rates per line of omega, phi, kappa in the product M' = R3 R2 R1 (papers) or M = R3 R2 R1."""
     paper = angles == OPK_PAPER
     found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
     chain = rotation.angle_axes(found, camera_to_body=paper)
@@ -386,7 +386,7 @@ def _angle_rates(pose: Pose, angles: int) -> Array:
 
 
 def _peer_scale(slope: Array) -> Array:
-    """(k, 4) focal-plane m to residuals in the peer's convention: pixels of the detector's size along and across it."""
+    """(k, 4) focal-plane m to residuals as opk-peer has them: pixels of the detector's size along and across it."""
     square = slope[:, 0] ** 2 + slope[:, 1] ** 2
     return np.stack([slope[:, 1], -slope[:, 0], -slope[:, 0], -slope[:, 1]], axis=1) / square[:, None]
 

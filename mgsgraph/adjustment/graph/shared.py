@@ -48,10 +48,14 @@ class SharedEffects:
 
 
 def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:
-    """Points (p,), ascending, whose footprint an altimeter's boresight moves, and how: (p, 3, 3) m per rad, a row per
-    camera axis.
+    """Points (p,), ascending, whose footprint a shared unknown moves, and how: (p, width, 3) m per rad of an
+    altimeter's boresight, a row per camera axis; m per m of a profile's height and drift.
     """
-    assert shared.kind is SharedKind.ALTIMETER_BORESIGHT
+    if shared.kind is SharedKind.PROFILE_HEIGHT:
+        points = network.footprints_moved(shared)
+        places = network.points.places[points]
+        up = places / np.linalg.norm(places, axis=1, keepdims=True)
+        return points, np.stack([up, _along_track(places)[:, None] * up], axis=1)
     points, chosen = network.beams(shared)
     ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
     for j in np.unique(ranges.image).tolist():
@@ -59,6 +63,16 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
         since = ranges.times[mine] - image.trajectory.epoch
         motion[mine] = beam_motion(image, since, network.points.places[points[mine]])
     return points, motion
+
+
+def _along_track(places: Array) -> Array:
+    """(p,) where shots (p, 3) of a profile lie along it, from -1 at one end to 1 at the other."""
+    if len(places) < 2:
+        return np.zeros(len(places))
+    apart = places - places.mean(axis=0)
+    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    low, high = along.min(), along.max()
+    return np.asarray((2.0 * along - low - high) / max(high - low, 1.0))
 
 
 def shared_values(network: Network, variables: Variables, orientation: Array) -> tuple[Array, ...]:
@@ -96,7 +110,7 @@ def footprint_shifts(network: Network, values: tuple[Array, ...]) -> Array:
     """(n, 3) m by which the values of all shared unknowns move a-priori places."""
     moved = np.zeros((len(network.points), 3))
     for shared, value in zip(network.shared, values, strict=True):
-        if shared.kind is SharedKind.ALTIMETER_BORESIGHT:
+        if shared.kind.moves_footprints:
             points, motion = footprint_motion(network, shared)
             moved[points] += np.einsum("k,pkc->pc", value, motion)
     return moved
