@@ -20,7 +20,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case
-from mgsgraph.case.scene import read_scene
+from mgsgraph.case.scene import picture_file, read_scene
 from mgsgraph.case.schema import decode
 from mgsgraph.dem.production import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.errors import InputError
@@ -77,6 +77,7 @@ def register_by_relief(
     """
     settings, solver = settings or ReliefSettings(), solver or case.settings
     _require_profiles(case)
+    _require_pictures(case, settings)
     if before is not None:
         _require_same(case, before)
     before = before or adjust_network(case.network, solver, case.name, _counted(progress, "adjustment", solver))
@@ -106,6 +107,19 @@ def _require_profiles(case: Case) -> None:
             str(case.path), "no laser profile whose shift is unknown", "[[mola]] entries with shift_sigma_m",
             "state what is known of the profile's horizontal error, such as shift_sigma_m = 100.0",
         )  # fmt: skip
+
+
+def _require_pictures(case: Case, settings: ReliefSettings) -> None:
+    """Raise InputError unless a case has the images that are wanted, and pixels, before anything takes long."""
+    names = [image.name for image in case.network.images]
+    for name in settings.images:
+        if name not in names:
+            raise InputError(str(case.path), f"no image {name}", f"one of {some(names, len(names))}")
+    if len(names) < 2:
+        raise InputError(str(case.path), "one image", "two that overlap, at least")
+    wanted = decode(case.path)
+    for j in range(len(wanted.images)):
+        picture_file(wanted, j, case.path)
 
 
 def _require_same(case: Case, before: Solution) -> None:
