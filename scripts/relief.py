@@ -135,7 +135,7 @@ def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: 
     shifts = {image.settings.profile: -image.profile.shift for image in site.images}
     true = np.array([shifts[one.name] for one in found.profiles])
     old, new = (_surface_errors(site, found, one) for one in (found.before, found.solution))
-    before = np.array([one.misplacement_before for one in found.profiles]) - (true + old)
+    before = np.array([one.before.misplacement for one in found.profiles]) - (true + old)
     after = np.array([one.shift for one in found.profiles]) - (true + new)
     nees = [
         float(error @ np.linalg.solve(one.covariance, error))
