@@ -61,7 +61,7 @@ def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
     for k, p in enumerate(large):
         yield _profile(registration, registration.profiles[p], sheet_name("profiles", k + 1, sheets))
     if small:
-        yield _heights_of_all(registration, f"profiles_{sheets}")
+        yield _heights_of_all(registration, sheet_name("profiles", sheets, sheets))
     yield _map(registration)
 
 
@@ -181,7 +181,8 @@ def _small_costs(registration: ReliefRegistration, chosen: Sequence[int], offere
         f"Misfit of {len(chosen)} more profiles over shifts up to {registration.settings.reach:.0f} m east (to the "
         f"right) and north (upward), before the adjustment with stereo rows{omitted}."
     )
-    sheet = new_sheet("costs_2", 1.35 * columns + 0.6, 1.5 * rows + 0.6, "Misfit over shifts: all others", caption)
+    name, title = sheet_name("costs", 2, 2), "Misfit over shifts: all others"
+    sheet = new_sheet(name, 1.35 * columns + 0.6, 1.5 * rows + 0.6, title, caption)
     grid = sheet.panels(rows, columns).ravel()
     top = _top([registration.profiles[p].before.cost for p in chosen])
     shown = None
@@ -225,7 +226,8 @@ def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) ->
         lower.plot(along, off, color=INK, lw=0.7, marker=".", ms=3.0, zorder=2)
         lower.set_xlabel("along the track (km)")
         known = np.abs(off[np.isfinite(off)])
-        widest = max(widest, float(np.quantile(known, 0.99)) if known.size else 0.0)
+        if known.size:
+            widest = max(widest, min(float(known.max()), _CLIPPED * float(np.quantile(known, 0.95))))
     grid[0, 0].set_ylabel("height above the ellipsoid (m)")
     grid[1, 0].set_ylabel("shot minus surface (m)")
     grid[1, 0].set_ylim(-1.15 * max(widest, 1.0), 1.15 * max(widest, 1.0))
@@ -237,6 +239,8 @@ def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) ->
     return sheet
 
 
+_CLIPPED = 4.0
+"""Times the 95 % quantile of differences, beyond which single ones are cut off."""
 _LASER = CLASS_COLOUR[PointClass.LASER]
 
 
