@@ -7,7 +7,7 @@ row more per shot: its height above the surface, which moves with the orientatio
 orientation and the shots' own places contribute, their covariances decide.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -156,7 +156,7 @@ def _require_same(case: Case, before: Solution) -> None:
             )  # fmt: skip
 
 
-def _counted(progress: Progress, what: str, solver: SolverSettings):  # type: ignore[no-untyped-def]
+def _counted(progress: Progress, what: str, solver: SolverSettings) -> Callable[[Iteration], None]:
     """A callback of the adjustment that counts its iterations."""
     count = iter(range(1, 10**9))
 
