@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
-NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write tables only.")
+NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write no figures.")
 _OPTIONS = (
     click.option(
         "--form",
