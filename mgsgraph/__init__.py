@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from mgsgraph.matching.settings import MatchSettings as MatchSettings
     from mgsgraph.network import Network as Network
     from mgsgraph.network.parts import KnownImage as KnownImage
+    from mgsgraph.registration.relief import register_by_relief as register_by_relief
+    from mgsgraph.registration.relief_files import write_coregistration as write_coregistration
+    from mgsgraph.registration.relief_records import ReliefSettings as ReliefSettings
     from mgsgraph.reports.archive import read_solution as read_solution
     from mgsgraph.reports.page import write_report as write_report
     from mgsgraph.reports.results import write_results as write_results
@@ -69,9 +72,12 @@ _HOME = {
     "read_case": "mgsgraph.case.reading",
     "read_scene": "mgsgraph.case.scene",
     "read_solution": "mgsgraph.reports.archive",
+    "register_by_relief": "mgsgraph.registration.relief",
+    "ReliefSettings": "mgsgraph.registration.relief_records",
     "Solution": "mgsgraph.adjustment.solution",
     "SolverSettings": "mgsgraph.adjustment.settings",
     "TiePoints": "mgsgraph.ties",
+    "write_coregistration": "mgsgraph.registration.relief_files",
     "write_report": "mgsgraph.reports.page",
     "write_results": "mgsgraph.reports.results",
 }

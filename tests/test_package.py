@@ -21,10 +21,13 @@ STOREYS = [
     (
         "mgsgraph.reports", "mgsgraph.registration.relief", "mgsgraph.dem.production",
         "mgsgraph.dem.files", "mgsgraph.matching.files",
-        "mgsgraph.registration.tables",
+        "mgsgraph.registration.tables", "mgsgraph.registration.relief_files",
     ),
     ("mgsgraph.figures",),
-    ("mgsgraph.dem", "mgsgraph.registration.case", "mgsgraph.registration.measured"),
+    (
+        "mgsgraph.dem", "mgsgraph.registration.case", "mgsgraph.registration.measured",
+        "mgsgraph.registration.relief_records",
+    ),
     ("mgsgraph.case",),
     (
         "mgsgraph.analysis", "mgsgraph.incremental", "mgsgraph.planning",

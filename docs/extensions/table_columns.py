@@ -20,9 +20,13 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.dem.checking import HeightChecks
 from mgsgraph.dem.files import shots_table
+from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.matching.files import matches_table
 from mgsgraph.output.table import Column, Table
 from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.registration.relief_files import costs_table, profiles_table, relief_shots_table
+from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
+from mgsgraph.registration.search import CostSurface
 from mgsgraph.registration.tables import discrepancy_table, registration_table
 from mgsgraph.reports.analysis import components_table
 from mgsgraph.reports.plan import judged_table
@@ -31,6 +35,7 @@ from mgsgraph.reports.shared import shared_table
 from mgsgraph.reports.strips import nodes_table
 from mgsgraph.reports.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.simulation.files import write_pair, write_site
+from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 
@@ -100,6 +105,22 @@ def _without_rows() -> Iterator[tuple[str, Table]]:
     yield "plan.csv", judged_table(())
     yield "matches.csv", matches_table(matches)
     yield "shots.csv", shots_table(dem)
+    relief = _relief_without_shots()
+    yield "profiles.csv", profiles_table(relief)
+    yield "shots.csv of coregister", relief_shots_table(relief)
+    yield "costs.csv", costs_table(relief)
+
+
+def _relief_without_shots() -> Any:
+    """A registration by relief of one profile without shots."""
+    none, index, mask = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+    vectors = np.zeros((0, 3))
+    heights = SurfaceHeights(none, vectors, np.zeros((0, 2, 7)), np.zeros((0, 2)), mask, none, none, none)
+    state = ProfileState(vectors, heights, CostSurface("", none, np.zeros((0, 0)), 0, ()))
+    profile = ReliefProfile("", index, mask, none, state, state, np.zeros(2), np.zeros((2, 2)))
+    points, image = SimpleNamespace(ids=()), SimpleNamespace(body=MARS)
+    network = SimpleNamespace(points=points, images=(image,), shifts=SimpleNamespace(sigmas=np.zeros(1)))
+    return SimpleNamespace(profiles=(profile,), solution=SimpleNamespace(network=network))
 
 
 def _section(file: str, table: Table) -> list[str]:

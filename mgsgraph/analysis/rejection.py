@@ -90,12 +90,14 @@ def without(network: Network, taken: Taken) -> Network:
     if np.any(out):
         covariances = np.where(out[:, None, None], 0.0, points.covariances)
         points = replace(points, kinds=np.where(out, PointKind.FREE, points.kinds), covariances=covariances)
-    shifts, surface = network.shifts, network.surface
+    shifts, surface, stereo = network.shifts, network.surface, network.stereo
     if shifts is not None:
         shifts = replace(shifts, profile=np.where(out, -1, shifts.profile))
     if surface is not None:
         surface = replace(surface, sigmas=np.where(taken.heights, np.inf, surface.sigmas))
-    return replace(network, points=points, shifts=shifts, surface=surface)
+    if stereo is not None:  # on which a point stands by its a-priori position alone
+        stereo = replace(stereo, surface=np.where(out, -1, stereo.surface))
+    return replace(network, points=points, shifts=shifts, surface=surface, stereo=stereo)
 
 
 def selection(network: Network, taken: Taken) -> Selection:

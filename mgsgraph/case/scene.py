@@ -63,7 +63,7 @@ def read_scene(
     images, _ = read_images(wanted, wanted.orientations, of_strips, path)
     priors = image_priors(wanted, of_strips, path)
     pictures = tuple(
-        Picture(image, read_picture(_pixels(wanted, j, path)), prior)
+        Picture(image, read_picture(picture_file(wanted, j, path)), prior)
         for j, (image, prior) in enumerate(zip(images, priors, strict=True))
     )
     return wanted.name, Scene(pictures, _ground(wanted, images, path, height, height_sigma))
@@ -76,7 +76,8 @@ def _require_sound(height: float | None, height_sigma: float | None) -> None:
         raise InputError("sigma of the ground's height", f"{height_sigma}", "a positive number of metres")
 
 
-def _pixels(wanted: CaseInput, image: int, path: Path) -> Path:
+def picture_file(wanted: CaseInput, image: int, path: Path) -> Path:
+    """File of an image's pixels; InputError where the case at `path` names none."""
     file = picture_of(wanted.images[image], path.parent)
     if file is None:
         where = f"{path}, image {wanted.images[image].name}"

@@ -1,4 +1,6 @@
-"""Verbs for a case: check it, adjust it, adjust many, choose the spacing of its orientation images, register it."""
+"""Verbs for a case: check it, adjust it, adjust many, choose the spacing of its orientation images; register it, by
+projection or by relief.
+"""
 
 import threading
 from collections.abc import Iterator
@@ -9,7 +11,17 @@ from typing import TYPE_CHECKING
 import click
 from tqdm import tqdm
 
-from mgsgraph.cli.options import NO_FIGURES, PATH, TIES, overruling, print_sentences, print_solution
+from mgsgraph.cli.options import (
+    NO_FIGURES,
+    PAIR,
+    PATH,
+    TIES,
+    WORKERS,
+    image_pair,
+    overruling,
+    print_sentences,
+    print_solution,
+)
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster import Connection
@@ -280,3 +292,57 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
     write_registration(registration, out, figures=not no_figures)
     print_sentences(registration_statements(registration))
     click.echo(f"Results are in {out}")
+
+
+@click.command()
+@click.argument("case", type=PATH)
+@click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
+@click.option("--solution", type=PATH, help="Results of `mgsgraph adjust` CASE, to begin with.")
+@click.option(
+    "--footprint", type=float, default=168.0, show_default=True, metavar="M",
+    help="Diameter of a laser spot on the ground; MOLA's when absent.",
+)  # fmt: skip
+@click.option(
+    "--reach", type=float, default=1500.0, show_default=True, metavar="M", help="Up to which shifts are searched."
+)
+@click.option("--spacing", type=float, metavar="M", help="Between dense matches; a quarter of the footprint.")
+@PAIR
+@WORKERS
+@TIES
+@NO_FIGURES
+@click.pass_context
+def coregister(
+    ctx: click.Context, case: Path, out: Path, solution: Path | None, footprint: float, reach: float,
+    spacing: float | None, pair: str | None, workers: int | None, ties: Path | None, no_figures: bool,
+) -> None:
+    """Move the laser profiles of CASE and its images onto each other by relief, and adjust them together.
+
+    The images are matched densely; each profile with an unknown shift is searched for on the surface that they show;
+    the case is adjusted again with one row more per shot, its height above that surface. OUT holds what `mgsgraph
+    adjust` writes, and coregistration.json, profiles.csv, shots.csv, costs.csv (misfit by shift) and figures: see
+    docs/coregister.md.
+
+    Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
+    """
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import counting_bars
+    from mgsgraph.output.folders import require_replaceable
+    from mgsgraph.registration.relief import register_by_relief
+    from mgsgraph.registration.relief_files import profiles_table, relief_statements, write_coregistration
+    from mgsgraph.registration.relief_records import ReliefSettings
+    from mgsgraph.reports.archive import read_solution
+
+    settings = ReliefSettings(footprint, reach, spacing, image_pair(pair))
+    require_replaceable(out)
+    if solution is not None and out.resolve() in (solution.resolve(), solution.resolve().parent):
+        raise click.UsageError("--out would replace --solution: give another folder")
+    before = None if solution is None else read_solution(solution)
+    read = read_case(case, ties=ties)
+    with counting_bars() as show:
+        registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
+        show("tables" if no_figures else "tables and figures", 0, 1)
+        write_coregistration(registration, out, figures=not no_figures)
+    click.echo("\n".join(profiles_table(registration).text()))
+    print_sentences(relief_statements(registration))
+    click.echo(f"Results are in {out}")
+    ctx.exit(0 if registration.solution.converged else 1)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
 NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write no figures.")
+PAIR = click.option("--pair", metavar="A,B", help="Names of the two images to take; all that overlap when absent.")
+WORKERS = click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
 _OPTIONS = (
     click.option(
         "--form",
@@ -53,6 +55,14 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     for option in reversed(_OPTIONS):
         option(with_overrides)
     return with_overrides
+
+
+def image_pair(pair: str | None) -> tuple[str, ...]:
+    """Names of the two images that --pair gives; none without it."""
+    images = () if pair is None else tuple(name.strip() for name in pair.split(","))
+    if pair is not None and (len(images) != 2 or len({*images, ""}) != 3):
+        raise click.UsageError(f"--pair {pair}: two different names, with a comma between them")
+    return images
 
 
 def print_sentences(sentences: Iterable[str]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import NO_FIGURES, PATH, print_sentences, print_solution
+from mgsgraph.cli.options import NO_FIGURES, PAIR, PATH, WORKERS, image_pair, print_sentences, print_solution
 
 if TYPE_CHECKING:
     from mgsgraph.fetch.folder import Planned
@@ -286,8 +286,8 @@ def _match(
     "--mola", type=PATH, multiple=True, metavar="FILE", help="More laser shots to check by; repeatable."
 )
 @click.option("--ortho-pixel", type=float, metavar="M", help="Pixel of the ortho image; default: the image's own.")
-@click.option("--pair", metavar="A,B", help="Names of the two images to take; all that overlap when absent.")
-@click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
+@PAIR
+@WORKERS
 @NO_FIGURES
 def dem(
     solution: Path, case: Path | None, out: Path, post: float | None, spacing: float | None, heights: str,
@@ -307,10 +307,7 @@ def dem(
     from mgsgraph.dem.production import make_dem
     from mgsgraph.project.reading import read_posterior, results_of
 
-    images = () if pair is None else tuple(name.strip() for name in pair.split(","))
-    if pair is not None and (len(images) != 2 or len({*images, ""}) != 3):
-        raise click.UsageError(f"--pair {pair}: two different names, with a comma between them")
-    settings = DemSettings(post, spacing, cast(Heights, heights), ortho_pixel, images, mola)
+    settings = DemSettings(post, spacing, cast(Heights, heights), ortho_pixel, image_pair(pair), mola)
     _, posterior, warning = read_posterior(solution)
     case = case or results_of(solution).case
     if case is None:

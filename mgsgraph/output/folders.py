@@ -31,6 +31,8 @@ DEM = "dem.json"
 """File that makes a folder without any of them a terrain model by this program."""
 EXPORT = "export.json"
 """File that makes a folder without any of them an export by this program; it names all others."""
+COREGISTRATION = "coregistration.json"
+"""Record of a registration by relief, beside the solution that makes the folder a result."""
 
 _KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, EXPORT)
 """The first of these in a folder says of what kind its results are."""
@@ -44,12 +46,13 @@ TABLES = (
     NODES, "spacings.csv", "course.csv", "spectra.csv",
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
     DEM, "dem.tif", "ortho.tif", "shots.csv",
+    COREGISTRATION, "profiles.csv", "costs.csv",
 )  # fmt: skip
 """Files of results but for figures."""
 FIGURES = (
     "residuals", "orientation", "strips", "registration", "map", "connectivity", "height_map",
     "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "spacings", "spectrum", "course", "matches",
-    "dem",
+    "dem", "costs", "profiles", "shifts",
 )  # fmt: skip
 """Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
 _INPUTS = "inputs"

@@ -20,7 +20,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case
-from mgsgraph.case.scene import read_scene
+from mgsgraph.case.scene import picture_file, read_scene
 from mgsgraph.case.schema import decode
 from mgsgraph.dem.production import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.errors import InputError
@@ -29,89 +29,20 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface, SurfaceHeights, averaged_surface, heights_above
 from mgsgraph.network import Network
 from mgsgraph.network.records import StereoControl
-from mgsgraph.registration.search import REACH, CostSurface, StereoPair, search
+from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
+from mgsgraph.registration.search import CostSurface, StereoPair, search
 from mgsgraph.stages import Progress, no_progress
+from mgsgraph.wording import some
 
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches
 
-MOLA_FOOTPRINT = 168.0
-"""m, diameter of MOLA's spot on the ground (Neumann et al. 2003)."""
 _WIDTHS = 4.0
 """Standard deviations of the Gaussian footprint in its diameter."""
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
 _NEAR = 400.0
 """m, reach of the search that looks for what the adjustment has left."""
-
-
-@dataclass(frozen=True, slots=True)
-class ReliefSettings:
-    """How laser and images are registered by relief."""
-
-    footprint: float = MOLA_FOOTPRINT
-    """m, diameter on the ground."""
-    reach: float = REACH
-    """m, up to which shifts are searched."""
-    spacing: float | None = None
-    """m between dense matches; a quarter of the footprint when None."""
-    images: tuple[str, ...] = ()
-    """Names of those to match; all of the case when empty."""
-
-    def __post_init__(self) -> None:
-        for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing or 1.0)):
-            if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReliefProfile:
-    """One laser profile against the stereo surface."""
-
-    name: str
-    """Of the profile."""
-    shots: int
-    """In the network."""
-    on_surface: int
-    """Of these, those that lie on the surface and take part."""
-    cost: CostSurface
-    """Misfit over shifts, before the adjustment with stereo rows."""
-    rms_before: float
-    """m, of the heights of the shots above the surface, before."""
-    rms_after: float
-    """m, after, the shots where the profile's adjusted shift puts them."""
-    shift: Array
-    """(2,) m east and north, adjusted; zero where the case has no shift for the profile."""
-    covariance: Array
-    """(2, 2) m^2, of the shift."""
-    left: CostSurface
-    """Misfit over shifts after the adjustment: its minimum is at zero where images and laser agree."""
-
-    @property
-    def misplacement_before(self) -> Array:
-        """(2,) m east and north, by which the profile had to move onto the surface; NaN where relief doesn't tie it."""
-        return self.cost.minima[0].shift if self.cost.tied else np.full(2, np.nan)
-
-    @property
-    def misplacement_after(self) -> Array:
-        """(2,) m, the same after the adjustment."""
-        return self.left.minima[0].shift if self.left.tied else np.full(2, np.nan)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReliefRegistration:
-    """Laser and images, registered."""
-
-    name: str
-    """Of the case."""
-    settings: ReliefSettings
-    """Choices."""
-    before: Solution
-    """Adjusted without stereo rows."""
-    solution: Solution
-    """Adjusted with them."""
-    profiles: tuple[ReliefProfile, ...]
-    """Those of the network."""
 
 
 def register_by_relief(
@@ -146,6 +77,9 @@ def register_by_relief(
     """
     settings, solver = settings or ReliefSettings(), solver or case.settings
     _require_profiles(case)
+    _require_pictures(case, settings)
+    if before is not None:
+        _require_same(case, before)
     before = before or adjust_network(case.network, solver, case.name, _counted(progress, "adjustment", solver))
     posterior = Posterior.of(before)
     pairs, numbers = stereo_pairs(case.path, posterior, settings, workers, progress)
@@ -173,6 +107,34 @@ def _require_profiles(case: Case) -> None:
             str(case.path), "no laser profile whose shift is unknown", "[[mola]] entries with shift_sigma_m",
             "state what is known of the profile's horizontal error, such as shift_sigma_m = 100.0",
         )  # fmt: skip
+
+
+def _require_pictures(case: Case, settings: ReliefSettings) -> None:
+    """Raise InputError unless a case has the images that are wanted, and pixels, before anything takes long."""
+    names = [image.name for image in case.network.images]
+    for name in settings.images:
+        if name not in names:
+            raise InputError(str(case.path), f"no image {name}", f"one of {some(names, len(names))}")
+    if len(names) < 2:
+        raise InputError(str(case.path), "one image", "two that overlap, at least")
+    wanted = decode(case.path)
+    for j in range(len(wanted.images)):
+        picture_file(wanted, j, case.path)
+
+
+def _require_same(case: Case, before: Solution) -> None:
+    """Raise InputError unless a solution has the images and the profiles of a case."""
+    networks = case.network, before.network
+    for what, (wanted, found) in (
+        ("images", [[image.name for image in one.images] for one in networks]),
+        ("laser profiles of unknown shift", [list(profile_names(one)) for one in networks]),
+    ):
+        if wanted != found:
+            there = some(found, len(found)) if found else "none"
+            raise InputError(
+                f"solution {before.name!r}", f"other {what} ({there})",
+                f"those of the case ({some(wanted, len(wanted))})", "adjust the case again, or leave --solution out",
+            )  # fmt: skip
 
 
 def _counted(progress: Progress, what: str, solver: SolverSettings):  # type: ignore[no-untyped-def]
@@ -305,21 +267,15 @@ def _profile(
     settings: ReliefSettings,
 ) -> ReliefProfile:
     """What the adjustment has made of a profile."""
-    points, on = network.points.places[found.mine], control.surface[found.mine] >= 0
-    shift, covariance = solution.shifts[p], solution.shift_covariance(p)
+    points, shift = network.points.places[found.mine], solution.shifts[p]
     moved = points + np.einsum("k,nkj->nj", shift, east_north(points))
-    rms = [
-        _rms(heights_above(pair.surface, *pair.images, places, pair.corrections), on)
+    old, new = (
+        heights_above(pair.surface, *pair.images, places, pair.corrections)
         for pair, places in ((before[found.pair], points), (after[found.pair], moved))
-    ]
+    )
     reach, sigmas = min(_NEAR, settings.reach), _height_sigmas(network, found.mine)
     left = search(after[found.pair], moved, sigmas, found.cost.name, reach)
     return ReliefProfile(
-        found.cost.name, found.mine.size, int(on.sum()), found.cost, *rms, shift, covariance, left
-    )
-
-
-def _rms(found: SurfaceHeights, on: Array) -> float:
-    """Of the heights of some shots that are on the surface; NaN without any."""
-    taken = found.covered & on.astype(bool)
-    return float(np.sqrt(np.mean(found.heights[taken] ** 2))) if np.any(taken) else float("nan")
+        found.cost.name, found.mine, control.surface[found.mine] >= 0, control.sigmas[found.mine],
+        ProfileState(points, old, found.cost), ProfileState(moved, new, left), shift, solution.shift_covariance(p),
+    )  # fmt: skip

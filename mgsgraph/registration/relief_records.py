@@ -1,0 +1,111 @@
+"""What a registration by relief says: its choices, and each laser profile against the surface that the images show,
+before and after the adjustment with stereo rows.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.stereo_surface import SurfaceHeights
+from mgsgraph.registration.search import REACH, CostSurface
+
+MOLA_FOOTPRINT = 168.0
+"""m, diameter of MOLA's spot on the ground (Neumann et al. 2003)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefSettings:
+    """How laser and images are registered by relief."""
+
+    footprint: float = MOLA_FOOTPRINT
+    """m, diameter on the ground."""
+    reach: float = REACH
+    """m, up to which shifts are searched."""
+    spacing: float | None = None
+    """m between dense matches; a quarter of the footprint when None."""
+    images: tuple[str, ...] = ()
+    """Names of those to match; all of the case when empty."""
+
+    def __post_init__(self) -> None:
+        for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing or 1.0)):
+            if not (np.isfinite(value) and value > 0.0):
+                raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
+
+
+class ProfileState(NamedTuple):
+    """A laser profile and the surface by one orientation of the images; n shots."""
+
+    points: Array
+    """(n, 3) m, body-fixed, of the footprints."""
+    heights: SurfaceHeights
+    """Of the footprints above the surface."""
+    cost: CostSurface
+    """Misfit over shifts of the profile from here: its minimum is at zero where images and laser agree."""
+
+    @property
+    def misplacement(self) -> Array:
+        """(2,) m east and north, by which the profile has to move onto the surface; NaN where relief doesn't tie it."""
+        return self.cost.minima[0].shift if self.cost.tied else np.full(2, np.nan)
+
+    @property
+    def misplacement_covariance(self) -> Array:
+        """(2, 2) m^2, of the misplacement; NaN where relief doesn't tie the profile."""
+        return self.cost.minima[0].covariance if self.cost.tied else np.full((2, 2), np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReliefProfile:
+    """One laser profile against the stereo surface."""
+
+    name: str
+    """Of the profile."""
+    mine: Index
+    """(n,) its points in the network, in the order of their times."""
+    taken: Mask
+    """(n,) whether they lie on the surface and take part."""
+    sigmas: Array
+    """(n,) m, of the heights above the surface, along its normal; of no meaning for shots that don't take part."""
+    before: ProfileState
+    """Before the adjustment with stereo rows, the footprints as archived."""
+    after: ProfileState
+    """After it, the footprints where the profile's adjusted shift puts them."""
+    shift: Array
+    """(2,) m east and north, adjusted."""
+    covariance: Array
+    """(2, 2) m^2, of the shift."""
+
+    @property
+    def rms_before(self) -> float:
+        """m, of the heights of the shots above the surface, before."""
+        return _rms(self.before.heights, self.taken)
+
+    @property
+    def rms_after(self) -> float:
+        """m, after."""
+        return _rms(self.after.heights, self.taken)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReliefRegistration:
+    """Laser and images, registered."""
+
+    name: str
+    """Of the case."""
+    settings: ReliefSettings
+    """Choices."""
+    before: Solution
+    """Adjusted without stereo rows."""
+    solution: Solution
+    """Adjusted with them."""
+    profiles: tuple[ReliefProfile, ...]
+    """Those of the network."""
+
+
+def _rms(found: SurfaceHeights, taken: Mask) -> float:
+    """Of the heights of the shots taken, where the surface is known; NaN without any."""
+    taken = found.covered & taken
+    return float(np.sqrt(np.mean(found.heights[taken] ** 2))) if np.any(taken) else float("nan")
