@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -45,7 +46,7 @@ def strip_settings(site: str, images: int | None, ties: int | None, steps: bool)
     given = {name: value for name, value in (("images", images), ("ties", ties)) if value is not None}
     for name in (*given, *(["steps"] if steps else [])) if site != STRIP else ():
         raise InputError(name, f"given for {site}", f"the site {STRIP}", "leave it out")
-    return StripSettings(**given)
+    return replace(StripSettings(), **given)
 
 
 def write_simulation(
