@@ -1,8 +1,8 @@
 """What `mgsgraph simulate` offers: study sites and campaigns, in a folder that is there whole or not at all."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
