@@ -125,6 +125,7 @@ def test_starting_at_the_answer_moves_nothing() -> None:
     assert again.cost_final == pytest.approx(found.cost_final, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_relief_finds_the_shift_and_states_its_error() -> None:
     """Of the profile against the images: they share their own error, which relief between them doesn't see."""
     off, sigmas, ratio = [], [], []
