@@ -176,7 +176,7 @@ def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: f
     ground = geodetic(points[np.linalg.norm(points, axis=1) > 0.0], image.body)[:, 2]
     middle = matches.anchors.mean(axis=0, keepdims=True)
     _, slopes = image.image_to_ground(middle[:, 0], middle[:, 1], float(np.median(ground)), posterior.correction(first))
-    variances = np.linalg.eigvalsh(matches.covariances)[:, 1]
+    variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 1], dtype=np.float64)
     pixel = np.linalg.norm(slopes[0], axis=0)
     return averaged_surface(matches.anchors, matches.pixels, variances, pixel, width, window)
 
@@ -217,7 +217,7 @@ def _height_sigmas(network: Network, points: Index) -> Array:
     """(n,) m, a-priori, of the heights of network points."""
     up = network.points.places[points]
     up = up / np.linalg.norm(up, axis=1, keepdims=True)
-    return np.sqrt(np.einsum("ni,nij,nj->n", up, network.points.covariances[points], up))
+    return np.asarray(np.sqrt(np.einsum("ni,nij,nj->n", up, network.points.covariances[points], up)))
 
 
 def _control(

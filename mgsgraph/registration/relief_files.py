@@ -272,23 +272,28 @@ def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
     if not one.before.cost.tied:
         adjusted = float(np.sqrt(np.trace(one.covariance) / 2.0))
         return [
-            f"{one.name}: relief does not tie it; the sigma of its shift stays {adjusted:.3g} m (a-priori {prior:.3g} "
-            "m).", carried,
+            f"{one.name}: relief does not tie it; the sigma of its shift is {adjusted:.3g} m, a-priori {prior:.3g} m.",
+            carried,
         ]  # fmt: skip
     return [_disagreement(one), _uniqueness(one, reach), carried]
 
 
 def _disagreement(one: ReliefProfile) -> str:
     """By how much profile and images disagreed, and disagree."""
-    east, north = one.before.misplacement
+    off = one.before.misplacement
     words = (
-        f"Before, profile {one.name} and the images disagreed by {np.hypot(east, north):.0f} m ({east:+.0f} m east, "
-        f"{north:+.0f} m north); after, "
+        f"Before, profile {one.name} and the images disagreed by {np.linalg.norm(off):.0f} m ({_east_north(off)}); after, "
     )
     if not one.after.cost.tied:
         return words + "relief does not say by how much."
     left, sigma = np.linalg.norm(one.after.misplacement), np.sqrt(np.trace(one.after.misplacement_covariance))
     return words + f"by {left:.1f} +- {sigma:.1f} m."
+
+
+def _east_north(shift: Array) -> str:
+    """A shift (2,) in m, in words."""
+    east, north = (round(part) for part in shift.tolist())
+    return f"{east:+d} m east, {north:+d} m north"
 
 
 def _uniqueness(one: ReliefProfile, reach: float) -> str:
@@ -302,10 +307,10 @@ def _uniqueness(one: ReliefProfile, reach: float) -> str:
             f"{minima[1].misfit / minima[0].misfit:.2g} times worse."
         )
     possible = [found for found in minima if found.weight >= _POSSIBLE]
-    places = [f"{100.0 * k.weight:.0f} % at {k.shift[0]:+.0f} m east, {k.shift[1]:+.0f} m north" for k in possible]
+    where = "; ".join(f"{100.0 * found.weight:.0f} % at {_east_north(found.shift)}" for found in possible)
     return (
-        f"{one.name}: {many(len(possible), 'minimum').replace('minimums', 'minima')} may be the right one: "
-        f"{'; '.join(places)}. The covariance holds for the first alone."
+        f"{one.name}: {len(possible)} {'minimum' if len(possible) == 1 else 'minima'} may be the right one: {where}. The "
+        "covariance holds for the first alone."
     )
 
 
@@ -328,7 +333,7 @@ def _of_many(registration: ReliefRegistration) -> list[str]:
     for which, words in (
         ([one for one in tied if one.before.cost.clear], "have one clear minimum"),
         ([one for one in tied if not one.before.cost.clear], "have several possible minima"),
-        ([one for one in taken if not one.before.cost.tied], "are not tied by relief: their sigmas stay a-priori"),
+        ([one for one in taken if not one.before.cost.tied], "are not tied by relief: their shifts are known as before"),
         ([one for one in profiles if not np.any(one.taken)], "have too few shots on the surface to take part"),
     ):
         if which:

@@ -31,7 +31,8 @@ class ReliefSettings:
     """Names of those to match; all of the case when empty."""
 
     def __post_init__(self) -> None:
-        for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing or 1.0)):
+        spacing = 1.0 if self.spacing is None else self.spacing
+        for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", spacing)):
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
 
