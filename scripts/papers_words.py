@@ -14,8 +14,9 @@ TABLE_2 = """Means can't match: the real errors of the kernels are unknown, and 
 their place. Position and pointing move the image alike, so that the adjustment splits one correction between them by
 their sigmas, and, as phi lies between -75 and -85 deg, also between omega and kappa: the papers' case doesn't find the
 injected elements one by one, and neither can theirs have. Comparable are the orders of magnitude, the opposite signs of
-the pair, and the RMSE of the angles at Gusev and Isidis, which is the noise of the CK. Eos' errors are design.md's; the
-published 417.8 m and 20' there lie in directions that a pair leaves undetermined, and are not expected.
+the pair, and the RMSE of the angles at Gusev and Isidis, which is the noise of the CK. Eos' errors are those that
+`simulation/sites.py` states; the published 417.8 m and 20' there lie in directions that a pair leaves undetermined, and
+are not expected.
 """
 TABLE_3 = """Ties depend on the kernels' errors: not comparable but in size. Footprints hardly move in either (10 m a
 priori, ranges 10 m).
@@ -28,7 +29,7 @@ images):
 """
 IMPLIED = """At Gusev that accounts for the tie sigmas in which the case falls short; at Isidis it mends X and Z and
 spoils Y; at Eos it spoils them. The case keeps what the papers state: 30 px, and at Eos the 125 px and unit trends of
-design.md, without which its tie sigmas are a quarter of the published ones.
+`simulation/case_files.py`, without which its tie sigmas are a quarter of the published ones.
 """
 TABLE_5 = """The corrections of the two images together make up the injected relative error: comparable. The split
 follows from the weights, about equal in pixels; the published one at Isidis is another (35 to 25 px), so that

@@ -65,6 +65,7 @@ def adjust_network(
     progress: Progress = lambda _: None,
     cluster: Connection | None = None,
     left_in: Selection | None = None,
+    begin: Solution | None = None,
 ) -> Solution:
     """Adjust a network.
 
@@ -80,6 +81,8 @@ def adjust_network(
         Whose workers hold the points, in partitions (`cluster.open_cluster`); this process when absent.
     left_in : Selection, optional
         Rays and ranges that take part; all when absent. Not together with a blunder limit, which judges all anew.
+    begin : Solution, optional
+        Of the same unknowns, where the stereo rows are linear first; the images' own adjustment when absent.
 
     Returns
     -------
@@ -113,10 +116,17 @@ def adjust_network(
         places = _places_before(layout, before)
         nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places))
         clock.stop("residuals")
-        solved = solve_in_passes(layout, settings, selection, before, progress, sweeper)
+        orientation = None if begin is None else _orientation(layout, begin)
+        solved = solve_in_passes(layout, settings, selection, before, progress, sweeper, orientation)
         del before, layout, places  # the posterior needs the memory
         clock.stop("solve")
         return _posterior(settings, name, solved, nominal, clock, sweeper)
+
+
+def _orientation(layout: Layout, solution: Solution) -> Array:
+    """(columns,) shared unknowns of a layout, as a solution has them."""
+    values = solution.values
+    return np.concatenate([np.zeros(0), *(values[v] for v in layout.variables.adjusted())])
 
 
 class Adjustment:

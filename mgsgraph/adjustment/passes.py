@@ -107,20 +107,28 @@ def solve_in_passes(
     before: Reduction,
     progress: Progress,
     sweeper: Sweeper = IN_PROCESS,
+    begin: Array | None = None,
 ) -> Solved:
     """Solve, and solve again until nothing changes: terrain patches follow their points, and, when blunders are sought,
     rows are rejected and re-admitted. Where the passes run in a circle (points on the edge of two patches), the best of
     it counts. `before` is the reduction of these rows at the nominal orientation. Stereo surfaces wait until the images
-    agree with one another: what they show before is no ground.
+    agree with one another: what they show before is no ground; or they begin where the shared unknowns `begin`
+    (columns,) put them.
     """
     history, initial = tuple[Iteration, ...](), float("nan")
     seen: dict[bytes, Solved] = {}
     orientation = np.zeros(layout.columns)
     known: Reduction | None = before
     if layout.network.stereo is not None:
-        first = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
-        layout, selection, orientation = _on_surfaces(first), replace(selection, stereo=True), first.orientation
-        history, initial, known = first.history, first.cost_initial, None
+        if begin is None:
+            first = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
+            layout, orientation = first.layout, first.orientation
+            history, initial = first.history, first.cost_initial
+        else:
+            orientation = begin
+        graph = BundleGraph(layout, selection.rows(layout), sweeper)
+        points = graph.reduction(orientation, COSTS).points
+        layout, selection, known = _on_surfaces(layout, orientation, points), replace(selection, stereo=True), None
     for number in range(1, _MOST_PASSES + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
         layout, history = solved.layout, history + solved.history
@@ -138,13 +146,14 @@ def solve_in_passes(
     return replace(best, history=history, circling=True)
 
 
-def _on_surfaces(solved: Solved) -> Layout:
-    """Layout with stereo rows about an orientation, and about where a search has put their points."""
-    layout, control = solved.layout, solved.layout.network.stereo
-    points = layout.network_order(solved.points)
+def _on_surfaces(layout: Layout, orientation: Array, points: Array) -> Layout:
+    """Layout with stereo rows about an orientation, and about where a search has put their points, else about points
+    (n, 3), layout order.
+    """
+    control, places = layout.network.stereo, layout.network_order(points)
     if control is not None and control.starts is not None:
-        points = np.where(np.isfinite(control.starts), control.starts, points)
-    return layout.about_stereo(points, solved.orientation)
+        places = np.where(np.isfinite(control.starts), control.starts, places)
+    return layout.about_stereo(places, orientation)
 
 
 def _solve_exactly(

@@ -3,7 +3,7 @@ estimates that the posterior gives: positions, differences, poses, pixels, each 
 
 Every question to the posterior is put in one form: dq = sum_v J_v dx_v + sum_i N_i e_i, x_v the shared unknowns
 (covariance S), e_i noise of unit covariance that point i keeps for itself when x is known (S_p = V^-1 + V^-1 W' S W
-V^-1, design.md section 3). Two quantities covary by J1 S J2' + sum_i N1_i N2_i'.
+V^-1, docs/theory.md, Sigmas). Two quantities covary by J1 S J2' + sum_i N1_i N2_i'.
 """
 
 import math

@@ -48,7 +48,7 @@ class HeightStatistics:
 
     @property
     def factors(self) -> Array:
-        """(stages,) by how much less than before, as a factor."""
+        """(stages,) reduction factor: rms of the stage `before` over that of each stage."""
         return ratio(self.rms[0], self.rms)
 
 
@@ -65,13 +65,14 @@ class GroupStatistics:
     median: Array
     """(stages, 3) m, median of the same."""
     poses: Array
-    """(stages, 6) m and rad, mean sigma of the orientation over evenly spaced lines, as POSE_AXES."""
+    """(stages, 6) m and rad, mean sigma of the orientation over evenly spaced lines, as POSE_AXES: of the image, of a
+    strip's middle image alone, or the mean of these over all groups."""
     heights: HeightStatistics
     """Of tie points over the terrain model."""
 
     @property
     def point_factors(self) -> Array:
-        """(stages, 3) by how much smaller than before the mean sigmas are."""
+        """(stages, 3) reduction factor: mean sigma of the stage `before` over that of each stage."""
         return ratio(self.mean[0], self.mean)
 
 
@@ -92,10 +93,10 @@ class TwoStepStatistics:
     it."""
     used: Mask
     """(m,) whose row took part in step 2; the others were judged to be off."""
-    bare: int
+    without_row: int
     """Tie points without a height row: beside the model, or of whose four posts some are missing."""
-    lost: int
-    """Tie points with one that lie there at some stage, or have no place: left out of `heights`."""
+    left_out: int
+    """Tie points with a height row that lie there at some stage, or have no place: left out of `heights`."""
 
 
 def ratio(before: Array, after: Array) -> Array:
@@ -115,8 +116,8 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     heights, others = _heights(steps, before)
     assert network.surface is not None
     of_ties, with_row = network.points.classes == PointClass.TIE, np.isfinite(network.surface.sigmas)
-    whole = np.all(np.isfinite(heights), axis=0) & np.all(np.isfinite(others), axis=0) & of_ties & with_row
-    used = whole & ~steps.off
+    complete = np.all(np.isfinite(heights), axis=0) & np.all(np.isfinite(others), axis=0) & of_ties & with_row
+    used = complete & ~steps.off
     groups = []
     first = np.full(len(network.points), -1, dtype=np.int64)
     for name, images in owners(network):
@@ -135,9 +136,10 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
         np.mean([group.poses for group in groups], axis=0),
         _height_statistics(heights, others, np.flatnonzero(used & (first >= 0))),
     )
-    points = np.flatnonzero(whole)
-    bare, lost = (int(np.count_nonzero(of_ties & one)) for one in (~with_row, with_row & ~whole))
-    return TwoStepStatistics(steps, everything, tuple(groups), points, heights[:, points], used[points], bare, lost)
+    points = np.flatnonzero(complete)
+    without_row, left_out = (int(np.count_nonzero(of_ties & one)) for one in (~with_row, with_row & ~complete))
+    of_points = points, heights[:, points], used[points]
+    return TwoStepStatistics(steps, everything, tuple(groups), *of_points, without_row, left_out)
 
 
 def owners(network: Network) -> list[tuple[str, Index]]:
@@ -186,8 +188,8 @@ def _poses(steps: TwoSteps, image: int) -> Array:
         result[k] = pose_sigmas(solution.network, image, correction, joint, lines).mean(axis=0)
     prior = steps.rays_alone.joint
     if prior is not None:
-        whole = steps.free.correction(image)
-        nominal = OrientationCorrection(np.zeros_like(whole.coefficients), whole.angles, whole.nodes)
+        adjusted = steps.free.correction(image)
+        nominal = OrientationCorrection(np.zeros_like(adjusted.coefficients), adjusted.angles, adjusted.nodes)
         result[0] = pose_sigmas(steps.free.network, image, nominal, prior, lines).mean(axis=0)
     return result
 

@@ -299,7 +299,7 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
 @click.option("--solution", type=PATH, help="Results of `mgsgraph adjust` CASE, to begin with.")
 @click.option(
-    "--footprint", type=float, default=168.0, show_default=True, metavar="M",
+    "--footprint", type=float, metavar="M",
     help="Diameter of a laser spot on the ground; MOLA's when absent.",
 )  # fmt: skip
 @click.option(

@@ -5,9 +5,9 @@ from pathlib import Path
 import click
 
 from mgsgraph.cli.options import PATH, print_sentences
-from mgsgraph.export import Target
+from mgsgraph.export import Format, Target
 
-_FORMATS = click.Choice(["pvl", "net", "csv", "match", "match-text", "gcp", "nvm"])
+_FORMATS = click.Choice([one.value for one in Format])
 
 
 @click.command()
@@ -80,7 +80,7 @@ def _print_lost(lost: tuple[str, ...]) -> None:
 
 @click.command()
 @click.argument("solution", type=PATH)
-@click.option("--to", "target", type=click.Choice([one.value for one in Target]), required=True, help="For whom.")
+@click.option("--to", "target", type=click.Choice([one.value for one in Target]), required=True, help="Export target.")
 @click.option("--out", type=PATH, required=True, help="Folder for the files; made anew.")
 @click.option("--scaled", is_flag=True, help="Covariances times sigma0 squared, as jigsaw's; else for sigma0 = 1.")
 @click.option("--case", type=PATH, help="The case, for what its image support data say besides geometry (csm, asp).")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
-NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write tables only.")
+NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write no figures.")
 PAIR = click.option("--pair", metavar="A,B", help="Names of the two images to take; all that overlap when absent.")
 WORKERS = click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
 _OPTIONS = (

@@ -1,5 +1,7 @@
 """Verbs that make what is adjusted: a simulated site, files of the archives, tie points and terrain of the images."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,24 @@ if TYPE_CHECKING:
     from mgsgraph.fetch.folder import Planned
     from mgsgraph.matching.settings import MatchSettings
 
+_SEED = click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of everything drawn."
+)
+_ATTITUDE_TIME_BIAS = click.option(
+    "--attitude-time-bias", type=float, help="Seconds by which the nadir image's CK is off, instead of 0.7."
+)
+_OUT_MISSING = "Missing option '--out'"
+
+
+@contextmanager
+def _interruptible(kept: str) -> Iterator[None]:
+    """Say what an interrupted run has kept, and exit with 130."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"mgsgraph: interrupted; {kept}, the same command goes on", err=True)
+        raise click.exceptions.Exit(130) from None
+
 
 @click.command()
 @click.argument("site", default="gusev")
@@ -21,8 +41,8 @@ if TYPE_CHECKING:
     show_default=True,
     help="Folder for inputs and results; made anew.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of everything drawn.")
-@click.option("--attitude-time-bias", type=float, help="Seconds by which the nadir image's CK is off, instead of 0.7.")
+@_SEED
+@_ATTITUDE_TIME_BIAS
 @NO_FIGURES
 @click.pass_context
 def demo(
@@ -60,9 +80,9 @@ def demo(
 @click.command()
 @click.argument("site")
 @click.option("--out", type=PATH, required=True, help="Folder for the files; absent or empty.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of everything drawn.")
-@click.option("--attitude-time-bias", type=float, help="Seconds by which the nadir image's CK is off, instead of 0.7.")
-@click.option("--no-pictures", is_flag=True, help="Images of one grey, which is enough for geometry.")
+@_SEED
+@_ATTITUDE_TIME_BIAS
+@click.option("--no-pictures", is_flag=True, help="Uniform grey images, which are enough for geometry.")
 @click.option("--images", type=int, help="Of a strip: number of images, 2 to 500.  [default: 40]")
 @click.option("--ties", type=int, help="Of a strip: new tie points with each further image.  [default: 2000]")
 @click.option("--steps", is_flag=True, help="Of a strip: write what each image adds to those before it, too.")
@@ -106,7 +126,7 @@ def simulate(
 @click.option("--mirrors", type=PATH, help="TOML file with addresses of single archives; also $MGSGRAPH_MIRRORS.")
 @click.option("--dry-run", is_flag=True, help="List what would be fetched, with sizes; write nothing.")
 @click.option("--update", is_flag=True, help="Ask the archives for everything anew, and take what has changed.")
-@click.option("--verify", type=PATH, metavar="FOLDER", help="Hold a folder against its fetch.lock; fetches nothing.")
+@click.option("--verify", type=PATH, metavar="FOLDER", help="Compare a folder with its fetch.lock; fetches nothing.")
 def fetch(
     images: tuple[str, ...], out: Path | None, terrain: str, volumes: tuple[str, ...], mirror: str | None,
     mirrors: Path | None, dry_run: bool, update: bool, verify: Path | None,
@@ -126,7 +146,7 @@ def fetch(
     if dry_run and update:
         raise click.UsageError("--dry-run tells what is not here, not what has changed: leave --update out")
     if out is None and not dry_run:
-        raise click.UsageError("Missing option '--out'")
+        raise click.UsageError(_OUT_MISSING)
     from mgsgraph.cli.progress import counting_bar, passing_word
     from mgsgraph.fetch.archives import Archives
     from mgsgraph.fetch.folder import fetch_images, survey
@@ -140,15 +160,11 @@ def fetch(
             )
         _print_plan(plan, terrain)
         return
-    try:
-        with counting_bar("fetching", "B") as show:
-            fetched = fetch_images(
-                images, out, terrain=terrain, archives=archives, volumes=volumes, update=update, progress=show,
-                say=passing_word,
-            )
-    except KeyboardInterrupt:
-        click.echo("mgsgraph: interrupted; what has come is kept, the same command goes on", err=True)
-        raise click.exceptions.Exit(130) from None
+    with _interruptible("what has come is kept"), counting_bar("fetching", "B") as show:
+        fetched = fetch_images(
+            images, out, terrain=terrain, archives=archives, volumes=volumes, update=update, progress=show,
+            say=passing_word,
+        )
     print_sentences(fetched.sentences())
     click.echo(f"The case is {fetched.case}")
     if commands := fetched.commands():
@@ -177,7 +193,7 @@ def _print_plan(plan: "tuple[Planned, ...]", terrain: str) -> None:
     size = f"{sum(one.size or 0 for one in coming) / 1e6:.1f} MB{unknown}"
     click.echo(f"{len(coming)} files to fetch and their labels, {size}")
     if terrain == "128":
-        click.echo("and tiles of 128 pixels per degree, 260 MB each: which ones shows when the kernels are there")
+        click.echo("and tiles of 128 pixels per degree, 260 MB each: which tiles is known once the kernels are fetched")
 
 
 @click.command()
@@ -187,18 +203,18 @@ def _print_plan(plan: "tuple[Planned, ...]", terrain: str) -> None:
     "--method", type=click.Choice(["sift", "grid"]), default="sift", show_default=True,
     help="At distinct features, or at the nodes of a regular grid.",
 )  # fmt: skip
-@click.option("--step", type=float, metavar="M", help="Pixel of the common ground grid; as the coarsest image's.")
+@click.option("--step", type=float, metavar="M", help="Pixel of the common ground grid; default: the coarsest image's.")
 @click.option("--spacing", type=float, metavar="M", help="Between nodes of the regular grid.")
 @click.option(
     "--search", type=float, metavar="M",
-    help="By how much the nominal orientations may contradict each other on the ground; three a-priori sigmas.",
+    help="By how much the nominal orientations may contradict each other on the ground; default: 3 a-priori sigmas.",
 )  # fmt: skip
 @click.option("--height", type=float, metavar="M", help="Of the ground above the ellipsoid, without a terrain model.")
 @click.option("--height-sigma", type=float, metavar="M", help="By how much the ground may be higher or lower.")
-@click.option("--cells", type=int, default=250, show_default=True, help="Into which an overlap is divided, about.")
-@click.option("--per-cell", type=int, default=2, show_default=True, help="Matches kept in each.")
+@click.option("--cells", type=int, default=250, show_default=True, help="Approximate number of cells per overlap.")
+@click.option("--per-cell", type=int, default=2, show_default=True, help="Matches kept in each cell.")
 @click.option("--workers", type=click.IntRange(1), help="Tiles at a time; one per processor when absent.")
-@click.option("--no-figures", is_flag=True, help="Write networks and tables only.")
+@NO_FIGURES
 def match(
     case: Path, out: Path | None, method: str, step: float | None, spacing: float | None, search: float | None,
     height: float | None, height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
@@ -229,7 +245,7 @@ def match(
     if out is None:
         if not case.is_file():
             raise InputError(str(case), "neither a case file nor a project", "one of the two", "check the path")
-        raise click.UsageError("Missing option '--out'")
+        raise click.UsageError(_OUT_MISSING)
     _match(case, out, settings, height, height_sigma, workers, not no_figures)
     if project is not None:
         with open_project(project, write=True) as opened:
@@ -250,12 +266,8 @@ def _match(
 
     require_replaceable(out, MATCH)
     name, scene = read_scene(case, height, height_sigma)
-    try:
-        with counting_bars() as show:
-            matches = match_into(name, scene, out, settings, workers, figures, show)
-    except KeyboardInterrupt:
-        click.echo("mgsgraph: interrupted; tiles that are done are kept, the same command goes on", err=True)
-        raise click.exceptions.Exit(130) from None
+    with _interruptible("tiles that are done are kept"), counting_bars() as show:
+        matches = match_into(name, scene, out, settings, workers, figures, show)
     print_sentences(match_statements(matches, scene))
     click.echo(f"The network is {out / 'network.pvl'}")
 
@@ -264,18 +276,19 @@ def _match(
 @click.argument("solution", type=PATH)
 @click.option("--case", type=PATH, help="Case that was adjusted, for its pixels. A demo's is found.")
 @click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
-@click.option("--post", type=float, metavar="M", help="Between posts of the terrain model; as the matches'.")
-@click.option("--spacing", type=float, metavar="M", help="Between matches; five pixels of the ground grid.")
+@click.option("--post", type=float, metavar="M", help="Between posts of the terrain model; default: as the matches.")
+@click.option("--spacing", type=float, metavar="M", help="Between matches; default: five pixels of the ground grid.")
 @click.option(
-    "--heights", type=click.Choice(["sphere", "areoid"]), default="sphere", show_default=True, help="Above what."
+    "--heights", type=click.Choice(["sphere", "areoid"]), default="sphere", show_default=True,
+    help="Reference surface of the heights.",
 )
 @click.option(
     "--mola", type=PATH, multiple=True, metavar="FILE", help="More laser shots to check by; repeatable."
 )
-@click.option("--ortho-pixel", type=float, metavar="M", help="Pixel of the ortho image; as the image's own.")
+@click.option("--ortho-pixel", type=float, metavar="M", help="Pixel of the ortho image; default: the image's own.")
 @PAIR
 @WORKERS
-@click.option("--no-figures", is_flag=True, help="Write rasters and tables only.")
+@NO_FIGURES
 def dem(
     solution: Path, case: Path | None, out: Path, post: float | None, spacing: float | None, heights: str,
     mola: tuple[Path, ...], ortho_pixel: float | None, pair: str | None, workers: int | None, no_figures: bool,

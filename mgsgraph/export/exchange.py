@@ -9,7 +9,8 @@ from pathlib import Path
 from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.export.exchange_losses import Format, losses
+from mgsgraph.export import Format
+from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
 from mgsgraph.io.asp.gcp import ground_control_text, read_ground_control_network
 from mgsgraph.io.asp.match import MatchFile, joined, match_files, read_match, read_match_text

@@ -2,11 +2,11 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
+from mgsgraph.export import Format
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.asp.gcp import keeps_ids
 from mgsgraph.io.asp.match import one_sigma
@@ -23,32 +23,14 @@ from mgsgraph.io.control.record import (
 )
 from mgsgraph.wording import listed, many
 
-
-class Format(StrEnum):
-    """Formats of networks, by the names that `--from` and `--to` take."""
-
-    PVL = "pvl"
-    """ISIS control network, text."""
-    NET = "net"
-    """ISIS control network, binary."""
-    CSV = "csv"
-    """Table, one measure a row."""
-    MATCH = "match"
-    """Match files of the Ames Stereo Pipeline, binary."""
-    MATCH_TEXT = "match-text"
-    """The same as text."""
-    GCP = "gcp"
-    """Ground control points of the Ames Stereo Pipeline."""
-    NVM = "nvm"
-    """VisualSFM's, as the Ames Stereo Pipeline uses it."""
-
-
 _ALL = frozenset(PointType)
 _TAKEN = {
     Format.MATCH: (frozenset({PointType.FREE}), 2), Format.MATCH_TEXT: (frozenset({PointType.FREE}), 2),
     Format.GCP: (_ALL - {PointType.FREE}, 0), Format.NVM: (_ALL, 2),
 }  # fmt: skip
 """Types of points that a format takes, and by how many images they must be seen; ignored ones are left out."""
+
+
 def _keys(*tables: dict[str, str]) -> dict[str, str]:
     """ISIS's keywords by what they are in the record."""
     return {attribute: key for table in tables for key, attribute in table.items()}

@@ -89,7 +89,7 @@ def export_solution(
     path : path
         Folder of a solution.
     target : Target or str
-        spice, csm, isis, asp or gis.
+        One of `Target`, or its value.
     out : path
         Absent, empty, or an earlier export to the same target, which is replaced.
     settings : ExportSettings, optional

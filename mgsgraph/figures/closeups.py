@@ -16,9 +16,9 @@ from mgsgraph.figures.overlay import (
     STATE_COLOURS,
     STATE_WORDS,
     averaged,
+    draw_numbers,
     footprint_heights,
     ground_size,
-    numbers,
     picture,
     stretch,
 )
@@ -167,7 +167,7 @@ def _contrast(pixels: Pixels, lines: tuple[float, float], samples: tuple[float, 
     """Standard deviation of the coarse grey values in a window; what lies outside the image counts against it."""
     low, high = [max(0, int(lines[0])), max(0, int(samples[0]))], [max(0, int(lines[1])), max(0, int(samples[1]))]
     steps = [max(1, int(ends[1] - ends[0]) // _CONTRAST) for ends in (lines, samples)]
-    # every fourth pixel each way will do
+    # some four pixels of each block, each way, will do
     part = pixels[low[0] : high[0] : max(1, steps[0] // 4), low[1] : high[1] : max(1, steps[1] // 4)]
     if min(part.shape) < _CONTRAST:
         return 0.0
@@ -184,7 +184,7 @@ def _draw(panel: Axes, places: Array, inside: Mask, chosen: int, state: str) -> 
         places[which, 1], places[which, 0], ls="", marker="o", ms=4.0, mew=0.6, mec="black", mfc=colour, zorder=5
     )
     for some, size in ((which[which != chosen], 7.0), (which[which == chosen], 9.5)):
-        numbers(panel, places[:, ::-1], some, colour, "right", size)
+        draw_numbers(panel, places[:, ::-1], some, colour, "right", size)
 
 
 def _transferred(panel: Axes, places: Array, off: Misregistration) -> None:
@@ -199,7 +199,7 @@ def _transferred(panel: Axes, places: Array, off: Misregistration) -> None:
     )
     squares = np.full_like(places, np.nan)
     squares[off.shots] = ends[:, 0]
-    numbers(panel, squares[:, ::-1], off.shots[start], _TRANSFERRED, "left", 6.0)
+    draw_numbers(panel, squares[:, ::-1], off.shots[start], _TRANSFERRED, "left", 6.0)
 
 
 def _seen(panel: Axes, places: Array) -> Mask:
@@ -225,4 +225,4 @@ def _lengths(registration: CaseRegistration, pair: _Pair) -> str:
         f"{number(float(np.mean(np.hypot(*one.metres.T))))} m {'apart before' if row == 0 else 'after'} the adjustment"
         for row, one in enumerate(pair.found)
     ]
-    return f"on the average square and mark are {' and '.join(parts)}"
+    return f"on average square and mark are {' and '.join(parts)}"

@@ -111,6 +111,6 @@ def _caption(statistics: TwoStepStatistics, found: HeightCells, sides: tuple[str
         text += "; after step 2 the model is where that puts it"
     left = int(np.count_nonzero(~statistics.used))
     text += f"; {many(left, 'point')} judged to be off the terrain left out" if left else ""
-    bare = statistics.bare + statistics.lost
-    text += f"; {bare} without a place, beside the model or over missing posts left out" if bare else ""
+    missing = statistics.without_row + statistics.left_out
+    text += f"; {missing} without a place, beside the model or over missing posts left out" if missing else ""
     return f"{text}."

@@ -187,7 +187,7 @@ def _marks(
             if first:
                 side = "above" if (state == _upper(registration, j, p)) else "below"
                 step = _number_step(places[found.inside[j], 0], lines_per_inch)
-                numbers(panel, places, shown[(shown + 1) % step == 0], STATE_COLOURS[state], side, 6.2)
+                draw_numbers(panel, places, shown[(shown + 1) % step == 0], STATE_COLOURS[state], side, 6.2)
 
 
 def _upper(registration: CaseRegistration, j: int, p: int) -> str:
@@ -204,7 +204,7 @@ def _number_step(lines: Array, lines_per_inch: float) -> int:
     return next((step for step in (1, 2, 5, 10, 20, 50) if step * gap > _ROOM), 100)
 
 
-def numbers(panel: Axes, places: Array, which: Index, colour: str, side: str, size: float) -> None:
+def draw_numbers(panel: Axes, places: Array, which: Index, colour: str, side: str, size: float) -> None:
     """Footprint numbers above, below, right or left of (`side`) their marks at places (n, 2), x and y.
 
     Drawn as outlines in one go: matplotlib lays each text out twice, which takes longer than all the rest.

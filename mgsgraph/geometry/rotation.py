@@ -91,7 +91,7 @@ def omega_phi_kappa(camera_matrix: Array) -> Array:
     """Angles (..., 3) omega, phi, kappa in rad of body-to-camera matrices M (..., 3, 3).
 
     The papers' product is camera to Mars: M' = R3(kappa) R2(phi) R1(omega), passive, third column the boresight
-    (Shan, Yoon et al. 2005; design.md section 5).
+    (Shan, Yoon et al. 2005).
     """
     return stacked(equations.opk_angles(transpose(rows(camera_matrix))))
 

@@ -1,7 +1,8 @@
 """What an incremental adjustment keeps between two changes: bundles with their reduced systems, and shared unknowns.
 
-A bundle is all points that feel the same shared unknowns. Its reduced system (points solved and eliminated at one
-orientation) is all that the tree of iSAM2 ever sees of it; its points are asked for only when a change touches them.
+A bundle is all points that depend on the same shared unknowns (not the bundle of rays of one image). Its reduced system
+(points solved and eliminated at one orientation) is all that the tree of iSAM2 ever sees of it; its points are asked
+for only when a change touches them.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -53,10 +54,10 @@ def stretches(unknowns: Sequence[Unknown], vectors: Mapping[Unknown, Array]) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bundle:
-    """Points that feel the same shared unknowns, and where they are."""
+    """Points that depend on the same shared unknowns, and their coordinates."""
 
     network: Network
-    """The points with their rows, the images and shifts that they feel."""
+    """The points with their rows, and the images and shifts that they depend on."""
     reduced: ReducedSystem | None
     """None where no point is determined, or only held images see them."""
     places: Array

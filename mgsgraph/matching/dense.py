@@ -25,9 +25,9 @@ _SPACING = 5.0
 _COARSER = 2.0
 """How much coarser than the ground grid pictures are compared first."""
 _SIGMAS = 3.0
-"""Of the ground's height about its model, within which it is sought; at least"""
+"""Standard deviations of the ground's height about its model within which the parallax is sought."""
 _LEAST_REACH = 16
-"""pixels."""
+"""pixels to each side within which the parallax is sought at least."""
 _MARGIN = 32
 """pixels more that neighbouring tiles share: semi-global matching looks at what is around."""
 _LEAST_PARALLAX = 0.02

@@ -24,9 +24,9 @@ FINEST = 0.01
 _LEAST_PARALLAX = 1e-3
 """pixels per m of height below which two views see no relief."""
 _WAY_BACK = 3.0
-"""Sigmas, and"""
+"""Sigmas by which matching back may miss the pixel that a match began at."""
 _WAY_BACK_PIXELS = 0.1
-"""pixels by which the way back may miss the pixel that a match began at."""
+"""pixels that are added to this limit."""
 
 
 class Sharp(NamedTuple):

@@ -25,12 +25,14 @@ _STEEPEST = 0.6
 """Change of the displacement per m: a window cannot follow ground that is foreshortened more."""
 _LEAST_SQUARES = LeastSquaresSettings(tolerance=5e-3, reach=2.5)
 _LIMIT = 4.0
-"""Robust standard deviations of displacements across the parallax, or along it from the neighbours', at least"""
+"""Robust standard deviations by which displacements may differ: across the parallax from zero, along it from those of
+the neighbours."""
 _ACROSS, _ALONG = 0.3, 1.0
-"""pixels of the tile."""
+"""pixels of the tile: lower bounds of these two limits."""
 _AROUND = 2
-"""Posts on each side that are neighbours, of whom there have to be"""
+"""Posts on each side that count as neighbours."""
 _FEWEST = 6
+"""Least number of neighbours with which a post is compared."""
 
 
 @dataclass(frozen=True, slots=True)

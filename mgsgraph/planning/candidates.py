@@ -28,7 +28,7 @@ class Candidate:
     name: str
     """Of the image, the profile or the control point."""
     kind: Kind
-    """Which of them."""
+    """Kind of candidate."""
     addition: Network | None
     """The measures it would bring, points at their planned places; None where there are none."""
     reason: str = ""
@@ -109,12 +109,12 @@ def planned_image(coverage: ImageCoverage, known: KnownImage, ties: PlannedTies)
     if not near:
         return Candidate(name, "image", None, "no overlap with an image of the network", overlap=0.0)
     area = sum(common for _, common, _ in near)
-    parts = (_new_ties(coverage, view, [one for one, _, _ in near], ties), _again(coverage, view, ties))
-    there = [one for one in parts if one is not None]
-    if not there:
-        reason = "no tie point can be had where it overlaps: too little ground, or rays all but parallel"
+    parts = (_new_ties(coverage, view, [one for one, _, _ in near], ties), _existing_ties(coverage, view, ties))
+    additions = [one for one in parts if one is not None]
+    if not additions:
+        reason = "no tie point can be placed where it overlaps: too little ground, or rays nearly parallel"
         return Candidate(name, "image", None, reason, overlap=area)
-    addition = joined(there)
+    addition = joined(additions)
     seen = {image.name for image in addition.images} - {name}
     return Candidate(name, "image", addition, "", tuple(one for one in coverage.views if one in seen), area)
 
@@ -165,7 +165,7 @@ def _shared_pixels(shape: tuple[int, int], shows: CommonGround) -> float:
     return float(shows(raster).mean() * shape[0] * shape[1])
 
 
-def _again(coverage: ImageCoverage, view: OrientedImage, ties: PlannedTies) -> Network | None:
+def _existing_ties(coverage: ImageCoverage, view: OrientedImage, ties: PlannedTies) -> Network | None:
     """Tie points of the network that the candidate shows, each with its measure in it; None unless they're wanted."""
     if not ties.existing:
         return None
@@ -268,8 +268,8 @@ def _network(
     coverage: ImageCoverage, points: GroundPoints, rays: _Rays, new_image: KnownImage | None = None,
     ranges: _Ranges | None = None, shifts: ProfileShifts | None = None, old: bool = False,
 ) -> Network | None:  # fmt: skip
-    """Points with their rows and the images that they name; None without any row. `old` points lie on the terrain
-    already, as far as they do.
+    """Points with their rows and the images that they name; None without any row. `old` points have their
+    terrain rows already.
     """
     point, names, places, sigmas = rays
     used = {*names, *([ranges[1]] if ranges else [])}

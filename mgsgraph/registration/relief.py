@@ -7,15 +7,16 @@ row more per shot: its height above the surface, which moves with the orientatio
 orientation and the shots' own places contribute, their covariances decide.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.graph.shared import footprint_shifts
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
@@ -27,7 +28,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, geodetic
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface, SurfaceHeights, averaged_surface, heights_above
-from mgsgraph.network import Network
+from mgsgraph.matching.scene import Scene
+from mgsgraph.network import Network, PointClass
 from mgsgraph.network.records import StereoControl
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.search import CostSurface, StereoPair, search
@@ -39,10 +41,16 @@ if TYPE_CHECKING:
 
 _WIDTHS = 4.0
 """Standard deviations of the Gaussian footprint in its diameter."""
+_SCATTERS = 3.0
+"""Robust standard deviations of the tie points about the ground, within which the ground is sought."""
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
-_NEAR = 400.0
-"""m, reach of the search that looks for what the adjustment has left."""
+_MOST_ROUNDS = 4
+"""Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
+_LIKELY = 0.01
+"""Weight from which on a minimum counts as one where the profile may be."""
+_CLOSEST = 5.0
+"""pixels of the ground grid between dense matches, at least."""
 
 
 def register_by_relief(
@@ -81,18 +89,29 @@ def register_by_relief(
     if before is not None:
         _require_same(case, before)
     before = before or adjust_network(case.network, solver, case.name, _counted(progress, "adjustment", solver))
-    posterior = Posterior.of(before)
-    pairs, numbers = stereo_pairs(case.path, posterior, settings, workers, progress)
-    network = before.network
-    found = [_search_profile(network, posterior, pairs, p, settings) for p in range(len(profile_names(network)))]
-    control = _control(network, pairs, numbers, found)
-    solution = adjust_network(
-        replace(network, stereo=control), solver, case.name, _counted(progress, "adjustment with stereo rows", solver)
-    )
-    after = _with_orientation(pairs, numbers, Posterior.of(solution))
+    posterior, network = Posterior.of(before), before.network
+    footprints = [settings.footprint or case.footprints[name] for name in profile_names(network)]
+    surfaces = stereo_surfaces(case.path, posterior, footprints, settings, workers, progress)
+    first = _searched(network, surfaces, posterior, before, footprints, settings.reach, progress)
+    found, solution = first, before
+    for _ in range(_MOST_ROUNDS):
+        control = _control(network, surfaces, found)
+        shown = _counted(progress, "adjustment with stereo rows", solver)
+        anew = replace(network, stereo=control)
+        begin = None if solution is before else solution
+        solution = adjust_network(anew, solver, case.name, shown, begin=begin)
+        left = _searched(network, surfaces, Posterior.of(solution), solution, footprints, settings.reach, progress)
+        if all(one.at_rest for one in left):
+            break
+        found = left
     profiles = tuple(
-        _profile(network, solution, pairs, after, control, p, one, settings) for p, one in enumerate(found)
-    )
+        ReliefProfile(
+            one.cost.name, one.mine, control.surface[one.mine] >= 0, control.sigmas[one.mine],
+            ProfileState(one.points, one.here, one.cost), ProfileState(after.points, after.here, after.cost),
+            solution.shifts[p], solution.shift_covariance(p),
+        )
+        for p, (one, after) in enumerate(zip(first, left, strict=True))
+    )  # fmt: skip
     return ReliefRegistration(case.name, settings, before, solution, profiles)
 
 
@@ -137,7 +156,7 @@ def _require_same(case: Case, before: Solution) -> None:
             )  # fmt: skip
 
 
-def _counted(progress: Progress, what: str, solver: SolverSettings):  # type: ignore[no-untyped-def]
+def _counted(progress: Progress, what: str, solver: SolverSettings) -> Callable[[Iteration], None]:
     """A callback of the adjustment that counts its iterations."""
     count = iter(range(1, 10**9))
 
@@ -147,27 +166,69 @@ def _counted(progress: Progress, what: str, solver: SolverSettings):  # type: ig
     return show
 
 
-def stereo_pairs(
-    path: Path, posterior: Posterior, settings: ReliefSettings, workers: int | None, progress: Progress
-) -> tuple[tuple[StereoPair, ...], tuple[tuple[int, int], ...]]:
-    """Match the pictures of a case densely, and average the disparities over the footprint: surfaces of all stereo
-    pairs, as the images are adjusted; and the numbers of their images in the network.
+class AveragedPair(NamedTuple):
+    """The surface that two images show, averaged over one size of footprint."""
+
+    surface: StereoSurface
+    """What they show."""
+    images: tuple[int, int]
+    """First and second, in the network."""
+    footprint: float
+    """m."""
+
+    def oriented(self, posterior: Posterior) -> StereoPair:
+        """With the orientation of an adjustment."""
+        first, second = self.images
+        return StereoPair(
+            self.surface,
+            (posterior.image(first), posterior.image(second)),
+            (posterior.correction(first), posterior.correction(second)),
+        )
+
+
+def stereo_surfaces(
+    path: Path,
+    posterior: Posterior,
+    footprints: Sequence[float],
+    settings: ReliefSettings,
+    workers: int | None,
+    progress: Progress,
+) -> tuple[AveragedPair, ...]:
+    """Match the pictures of a case densely, as they are adjusted, and average the disparities of each stereo pair over
+    each size of footprint (m).
     """
     wanted = decode(path)
     _, scene = read_scene(path, *expected_ground(posterior, wanted))
-    scene = adjusted_scene(scene, posterior, settings.images)
-    matches, window = densely_matched(scene, settings.spacing or settings.footprint / 4.0, workers, progress)
-    progress("stereo surface", 0, len(matches))
-    pairs, numbers = list[StereoPair](), list[tuple[int, int]]()
-    for k, one in enumerate(matches):
+    scene = _over_adjusted_ground(adjusted_scene(scene, posterior, settings.images), posterior)
+    sizes = sorted(set(footprints))
+    spacing = settings.spacing or max(sizes[0] / _WIDTHS, _CLOSEST * scene.step)
+    matches, window = densely_matched(scene, spacing, workers, progress)
+    found = list[AveragedPair]()
+    for one in matches:
         first, second = (posterior.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
-        images = posterior.image(first), posterior.image(second)
-        corrections = posterior.correction(first), posterior.correction(second)
-        surface = _surface(posterior, one, first, settings.footprint / _WIDTHS, window)
-        pairs.append(StereoPair(surface, images, corrections))
-        numbers.append((first, second))
-        progress("stereo surface", k + 1, len(matches))
-    return tuple(pairs), tuple(numbers)
+        for size in sizes:
+            progress("stereo surface", len(found), len(matches) * len(sizes))
+            width = max(size / _WIDTHS, spacing)
+            found.append(AveragedPair(_surface(posterior, one, first, width, window), (first, second), size))
+    return tuple(found)
+
+
+def _over_adjusted_ground(scene: Scene, posterior: Posterior) -> Scene:
+    """The scene with its ground raised to where the adjusted tie points lie, and as uncertain as they scatter about it:
+    before registration the images' heights may be hundreds of metres off the terrain model's.
+    """
+    network, places = posterior.network, posterior.linearised.points
+    ties = places[(network.points.classes == PointClass.TIE) & (np.linalg.norm(places, axis=1) > 0.0)]
+    if not len(ties):
+        return scene
+    ground = scene.ground
+    above = np.linalg.norm(ties, axis=1) - np.linalg.norm(ground.points(ground.chart.plane(ties)), axis=1)
+    above = above[np.isfinite(above)]
+    level = float(np.median(above))
+    scatter = 1.4826 * float(np.median(np.abs(above - level)))
+    terrain = None if ground.terrain is None else replace(ground.terrain, radii=ground.terrain.radii + level)
+    sigma = max(ground.height_sigma, _SCATTERS * scatter)
+    return replace(scene, ground=replace(ground, terrain=terrain, height=ground.height + level, height_sigma=sigma))
 
 
 def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: float, window: float) -> StereoSurface:
@@ -183,34 +244,78 @@ def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: f
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """A profile as the search leaves it."""
+    """A profile as the search leaves it; n shots."""
 
     mine: Index
     """(n,) its points in the network."""
-    pair: int
-    """Stereo pair on which it lies."""
-    cost: CostSurface
-    """Over shifts."""
-    starts: Array
-    """(n, 3) m, where its shots lie after the best shift, or a-priori where relief doesn't tie it."""
-    heights: SurfaceHeights
+    surface: int
+    """On which it lies."""
+    points: Array
+    """(n, 3) m, where the adjustment has put its shots."""
+    here: SurfaceHeights
     """There."""
+    cost: CostSurface
+    """Over shifts from there."""
+    starts: Array
+    """(n, 3) m, after the best shift; the same points where relief doesn't tie the profile."""
+    moved: SurfaceHeights
+    """There."""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the profile fits where it is, or relief doesn't tie it."""
+        if not self.cost.tied:
+            return True
+        step = float(np.diff(self.cost.shifts[:2])[0])
+        near = [
+            np.all(np.abs(one.shift) <= np.maximum(3.0 * np.sqrt(np.diag(one.covariance)), step))
+            for one in self.cost.minima
+            if one.weight > _LIKELY
+        ]
+        return any(near)
+
+
+def _searched(
+    network: Network,
+    surfaces: Sequence[AveragedPair],
+    posterior: Posterior,
+    solution: Solution,
+    footprints: Sequence[float],
+    reach: float,
+    progress: Progress,
+) -> list[_Found]:
+    """All profiles, from where a solution has put their shots."""
+    oriented = [one.oriented(posterior) for one in surfaces]
+    lifted = network.points.places + footprint_shifts(network, solution.shared)
+    found = []
+    for p, size in enumerate(footprints):
+        progress("search", p, len(footprints))
+        usable = [k for k, one in enumerate(surfaces) if one.footprint == size]
+        found.append(_search_profile(network, oriented, usable, lifted, solution.shifts[p], p, reach))
+    progress("search", len(footprints), len(footprints))
+    return found
 
 
 def _search_profile(
-    network: Network, posterior: Posterior, pairs: Sequence[StereoPair], p: int, settings: ReliefSettings
+    network: Network,
+    oriented: Sequence[StereoPair],
+    usable: Sequence[int],
+    lifted: Array,
+    shift: Array,
+    p: int,
+    reach: float,
 ) -> _Found:
+    """One profile on the surface, of those `usable`, that has most of its shots."""
     assert network.shifts is not None
     mine = np.flatnonzero(network.shifts.profile == p)
-    points, sigmas = network.points.places[mine], _height_sigmas(network, mine)
-    name = network.shifts.names[p]
-    costs = [search(pair, points, sigmas, name, settings.reach) for pair in pairs]
-    k = int(np.argmax([cost.shots for cost in costs]))
-    cost = costs[k]
-    shift = cost.minima[0].shift if cost.tied else np.zeros(2)
-    starts = points + np.einsum("k,nkj->nj", shift, east_north(points))
-    heights = heights_above(pairs[k].surface, *pairs[k].images, starts, pairs[k].corrections)
-    return _Found(mine, k, cost, starts, heights)
+    ways, sigmas = east_north(network.points.places[mine]), _height_sigmas(network, mine)
+    points = lifted[mine] + np.einsum("k,nkj->nj", shift, ways)
+    costs = [search(oriented[k], points, sigmas, network.shifts.names[p], reach) for k in usable]
+    best = int(np.argmax([cost.shots for cost in costs]))
+    pair, cost = oriented[usable[best]], costs[best]
+    starts = points + np.einsum("k,nkj->nj", cost.minima[0].shift if cost.tied else np.zeros(2), ways)
+    here, moved = (heights_above(pair.surface, *pair.images, places, pair.corrections) for places in (points, starts))
+    return _Found(mine, usable[best], points, here, cost, starts, moved)
 
 
 def _height_sigmas(network: Network, points: Index) -> Array:
@@ -220,18 +325,16 @@ def _height_sigmas(network: Network, points: Index) -> Array:
     return np.asarray(np.sqrt(np.einsum("ni,nij,nj->n", up, network.points.covariances[points], up)))
 
 
-def _control(
-    network: Network, pairs: Sequence[StereoPair], numbers: Sequence[tuple[int, int]], found: Sequence[_Found]
-) -> StereoControl:
+def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence[_Found]) -> StereoControl:
     """Shots on the surfaces of all profiles that have enough there."""
     n = len(network.points)
     surface, sigmas, starts = np.full(n, -1, dtype=np.int64), np.full(n, np.inf), np.full((n, 3), np.nan)
     for one in found:
-        on = one.heights.covered
+        on = one.moved.covered
         if int(on.sum()) < _LEAST_SHOTS:
             continue
-        surface[one.mine[on]] = one.pair
-        sigmas[one.mine[on]] = np.hypot(one.heights.sigmas, one.heights.roughness)[on]
+        surface[one.mine[on]] = one.surface
+        sigmas[one.mine[on]] = np.hypot(one.moved.sigmas, one.moved.roughness)[on]
         starts[one.mine[on]] = one.starts[on]
     if not np.any(surface >= 0):
         shots = sum(one.mine.size for one in found)
@@ -239,43 +342,5 @@ def _control(
             "laser profiles", f"none of {len(found)} with {_LEAST_SHOTS} shots on the stereo surface ({shots} in all)",
             "profiles that cross the ground that two images show", "check the images' overlap and the profiles' places",
         )  # fmt: skip
-    return StereoControl(tuple(pair.surface for pair in pairs), np.array(numbers), surface, sigmas, starts)
-
-
-def _with_orientation(
-    pairs: Sequence[StereoPair], numbers: Sequence[tuple[int, int]], posterior: Posterior
-) -> tuple[StereoPair, ...]:
-    """The same surfaces by another orientation."""
-    return tuple(
-        StereoPair(
-            pair.surface,
-            (posterior.image(first), posterior.image(second)),
-            (posterior.correction(first), posterior.correction(second)),
-        )
-        for pair, (first, second) in zip(pairs, numbers, strict=True)
-    )
-
-
-def _profile(
-    network: Network,
-    solution: Solution,
-    before: Sequence[StereoPair],
-    after: Sequence[StereoPair],
-    control: StereoControl,
-    p: int,
-    found: _Found,
-    settings: ReliefSettings,
-) -> ReliefProfile:
-    """What the adjustment has made of a profile."""
-    points, shift = network.points.places[found.mine], solution.shifts[p]
-    moved = points + np.einsum("k,nkj->nj", shift, east_north(points))
-    old, new = (
-        heights_above(pair.surface, *pair.images, places, pair.corrections)
-        for pair, places in ((before[found.pair], points), (after[found.pair], moved))
-    )
-    reach, sigmas = min(_NEAR, settings.reach), _height_sigmas(network, found.mine)
-    left = search(after[found.pair], moved, sigmas, found.cost.name, reach)
-    return ReliefProfile(
-        found.cost.name, found.mine, control.surface[found.mine] >= 0, control.sigmas[found.mine],
-        ProfileState(points, old, found.cost), ProfileState(moved, new, left), shift, solution.shift_covariance(p),
-    )  # fmt: skip
+    images = np.array([one.images for one in surfaces])
+    return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts)

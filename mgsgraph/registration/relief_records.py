@@ -13,27 +13,23 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.registration.search import REACH, CostSurface
 
-MOLA_FOOTPRINT = 168.0
-"""m, diameter of MOLA's spot on the ground (Neumann et al. 2003)."""
-
 
 @dataclass(frozen=True, slots=True)
 class ReliefSettings:
     """How laser and images are registered by relief."""
 
-    footprint: float = MOLA_FOOTPRINT
-    """m, diameter on the ground."""
+    footprint: float | None = None
+    """m, diameter on the ground of all shots; that of each profile's altimeter (`Case.footprints`) when None."""
     reach: float = REACH
     """m, up to which shifts are searched."""
     spacing: float | None = None
-    """m between dense matches; a quarter of the footprint when None."""
+    """m between dense matches; a quarter of the smallest footprint when None, but not less than the matching's own."""
     images: tuple[str, ...] = ()
     """Names of those to match; all of the case when empty."""
 
     def __post_init__(self) -> None:
-        spacing = 1.0 if self.spacing is None else self.spacing
-        for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", spacing)):
-            if not (np.isfinite(value) and value > 0.0):
+        for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing)):
+            if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
 
 
@@ -71,9 +67,9 @@ class ReliefProfile:
     sigmas: Array
     """(n,) m, of the heights above the surface, along its normal; of no meaning for shots that don't take part."""
     before: ProfileState
-    """Before the adjustment with stereo rows, the footprints as archived."""
+    """By the adjustment without stereo rows: its orientation, the footprints where it shifts the profile."""
     after: ProfileState
-    """After it, the footprints where the profile's adjusted shift puts them."""
+    """The same by the adjustment with them."""
     shift: Array
     """(2,) m east and north, adjusted."""
     covariance: Array

@@ -10,8 +10,8 @@ part: a footprint moves by a kilometre or two, the camera is 100 km and more awa
 
 Each minimum gets a weight: the probability that its neighbourhood is the right one when all shifts are alike
 beforehand, exp(-chi^2 / 2) times the root of its covariance's determinant, chi^2 being counted in units of the best
-one's misfit per shot when that is larger than one. Where no minimum lies clearly below the rest, relief doesn't tie the
-profile.
+one's misfit per shot: what is stated of a shot's height is mostly its profile's, which has gone with the level. Where
+no minimum lies clearly below the rest, relief doesn't tie the profile.
 """
 
 from collections.abc import Sequence
@@ -40,6 +40,8 @@ _ROUNDS = 3
 """Of reweighting."""
 _TIED = 25.0
 """By how much chi^2 of the best minimum has to lie below the median over all shifts: five sigmas."""
+_LEAST_SCALE = 1e-3
+"""Of the misfit per shot: nothing fits better than a thirtieth of what is stated."""
 _CLEAR = 1e-3
 """Weight of the second-best minimum up to which the best is the only one."""
 
@@ -87,7 +89,12 @@ class CostSurface:
     @property
     def tied(self) -> bool:
         """Whether relief ties the profile at all."""
-        return bool(self.minima) and float(np.nanmedian(self.misfits)) - self.minima[0].misfit > _TIED
+        return bool(self.minima) and float(np.nanmedian(self.misfits)) - self.minima[0].misfit > _TIED * self.scale
+
+    @property
+    def scale(self) -> float:
+        """Misfit of the best minimum per shot: in its units misfits are chi-square."""
+        return _scale(self.minima[0].misfit, self.shots) if self.minima else 1.0
 
     @property
     def clear(self) -> bool:
@@ -242,7 +249,7 @@ def minima(shifts: Array, misfits: Array, shots: int) -> tuple[Minimum, ...]:
     lowest = np.isfinite(inner) & np.all([inner <= one for one in around], axis=0)
     found = [_refined(shifts, filled, row + 1, column + 1) for row, column in np.argwhere(lowest)]
     best = min((misfit for _, misfit, _ in found), default=0.0)
-    scale = max(1.0, best / max(shots - 4, 1))
+    scale = _scale(best, shots)
     logs = np.array([-0.5 * (misfit - best) / scale + 0.5 * np.linalg.slogdet(one)[1] for _, misfit, one in found])
     weights = np.exp(logs - logs.max(initial=-np.inf)) if len(found) else logs
     every = [
@@ -250,6 +257,11 @@ def minima(shifts: Array, misfits: Array, shots: int) -> tuple[Minimum, ...]:
         for (shift, misfit, covariance), weight in zip(found, weights, strict=True)
     ]
     return tuple(sorted(every, key=lambda one: one.misfit))
+
+
+def _scale(best: float, shots: int) -> float:
+    """Misfit per shot of a minimum: level, slope and two shifts are fitted."""
+    return max(best / max(shots - 4, 1), _LEAST_SCALE)
 
 
 _NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]

@@ -7,7 +7,7 @@ from mgsgraph.incremental.impact import Impact
 from mgsgraph.io.files import beside, fresh_file
 
 _FIRST = "point,new,move_x_m,"
-"""How every such table begins."""
+"""How every table of `Impact.points_table` begins as CSV: its first columns, by which an earlier one is known."""
 _WRITABLE = "a file that may be written"
 
 

@@ -235,13 +235,13 @@ def _of_heights(statistics: TwoStepStatistics) -> list[str]:
                 "In step 2 the terrain model has moved to where the rays put it; above the model as it was given the "
                 f"rms is {heights.rms_given:.3g} m."
             )
-    if statistics.bare:
+    if count := statistics.without_row:
         found.append(
-            f"{many(statistics.bare, 'tie point')} had no height row, beside the terrain model or over missing posts."
+            f"{many(count, 'tie point')} had no height row, beside the terrain model or over missing posts."
         )
-    if statistics.lost:
+    if count := statistics.left_out:
         found.append(
-            f"{many(statistics.lost, 'tie point')} with a height row {'are' if statistics.lost > 1 else 'is'} left out "
+            f"{many(count, 'tie point')} with a height row {'are' if count > 1 else 'is'} left out "
             "of these heights: over missing posts at one of the stages, or without a place, as where their rays were "
             "rejected."
         )
@@ -291,8 +291,8 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
         "rays_rejected": 0 if steps.free.rays_rejected is None else int(steps.free.rays_rejected.sum()),
         "heights_off": [steps.network.points.ids[i] for i in np.flatnonzero(steps.off).tolist()],
         "heights_at_rest": steps.at_rest,
-        "ties_without_height": statistics.bare,
-        "ties_lost_from_heights": statistics.lost,
+        "ties_without_height": statistics.without_row,
+        "ties_lost_from_heights": statistics.left_out,
         "all": _group_json(statistics.whole),
         "strips": [_group_json(group) for group in statistics.groups],
         "statements": two_steps_statements(statistics),

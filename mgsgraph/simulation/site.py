@@ -138,13 +138,15 @@ class SimulatedSite:
         return f"SimulatedSite({self.settings.title}: {names}; {self.ties!r}; {shots} ground shots; seed {self.seed})"
 
 
-def simulate_site(site: str, seed: int = 1, options: SimulationOptions | None = None) -> SimulatedSite:
+def simulate_site(
+    site: str | SiteSettings, seed: int = 1, options: SimulationOptions | None = None
+) -> SimulatedSite:
     """Simulate a study site; the same site, seed and options give the same bytes when written.
 
     Parameters
     ----------
-    site : str
-        ``eos``, ``gusev`` or ``isidis``.
+    site : str or SiteSettings
+        ``eos``, ``gusev`` or ``isidis``; or its settings, changed (other errors of the kernels).
     seed : int
         zero or positive; ground, kernels, ties, profiles and pictures are drawn from streams of their own.
     options : SimulationOptions, optional
@@ -155,7 +157,8 @@ def simulate_site(site: str, seed: int = 1, options: SimulationOptions | None = 
     InputError
         If there is no such site, or the images do not share enough ground.
     """
-    settings, options = site_settings(site), options or SimulationOptions()
+    settings = site if isinstance(site, SiteSettings) else site_settings(site)
+    options = options or SimulationOptions()
     require_seed("simulated site", seed)
     terrain = make_terrain(settings.name, seed)
     streams = np.random.default_rng([seed, 3]).spawn(7)

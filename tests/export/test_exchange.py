@@ -9,8 +9,9 @@ import pytest
 from msgspec import structs
 
 from mgsgraph.errors import InputError
+from mgsgraph.export import Format
 from mgsgraph.export.exchange import Lossy, convert, format_of, read_networks
-from mgsgraph.export.exchange_losses import Format, losses
+from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, setting_of
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.io.asp.match import read_match, read_match_text

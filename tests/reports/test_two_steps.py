@@ -203,10 +203,11 @@ def above(net: Network, places: Array) -> Array:
 def test_points_over_missing_posts_are_counted() -> None:
     surface = networks("block").surface
     assert surface is not None
-    assert merit("block").bare == int(np.isinf(surface.sigmas).sum()) > 0
+    assert merit("block").without_row == int(np.isinf(surface.sigmas).sum()) > 0
     ties = len(networks("block").points)
-    assert merit("block").points.size + merit("block").bare + merit("block").lost == ties
-    assert f"{merit('block').bare} tie points had no height row" in " ".join(two_steps_statements(merit("block")))
+    assert merit("block").points.size + merit("block").without_row + merit("block").left_out == ties
+    said = " ".join(two_steps_statements(merit("block")))
+    assert f"{merit('block').without_row} tie points had no height row" in said
 
 
 # --- page, tables, map

@@ -86,7 +86,7 @@ class ControlPoint(msgspec.Struct, frozen=True, gc=False):
     ignore: bool = False
     jigsaw_rejected: bool = False
     reference: int | None = None
-    """Number of the reference measure, where one is chosen."""
+    """Index (from 0) of the reference measure, where one is chosen."""
     apriori_source: AprioriSource = AprioriSource.NONE
     apriori_source_file: str = ""
     apriori_radius_source: AprioriSource = AprioriSource.NONE

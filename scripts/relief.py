@@ -1,0 +1,205 @@
+"""Do laser and images agree after registration by relief, as its sigmas say? Simulated sites against their truth.
+
+Each draw takes the errors of the kernels and the profiles' shifts from the priors that the case states, renders the
+images, writes the mission's formats, reads them, matches the images densely and registers the profiles
+(`registration.relief`), without a terrain model.
+
+    python scripts/relief.py [--sites gusev,eos,isidis] [--seeds 20] [--first 1] [--page docs/relief.md]
+
+One line per draw goes to stdout. Exit status: 0 done, 2 bad input.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from study import at_least, chi_square_band, command, machine, number, show, table, write_page
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.reading import read_case
+from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, PointClass
+from mgsgraph.registration.relief import ReliefRegistration, register_by_relief
+from mgsgraph.simulation.files import write_site
+from mgsgraph.simulation.site import SimulatedSite, simulate_site
+from mgsgraph.simulation.sites import SITE_NAMES, ImageSettings, KernelErrors, SiteSettings, site_settings
+from mgsgraph.wording import root_mean_square as rms
+
+WORDS = """# Registration by relief against truth
+
+Made by `scripts/relief.py` ({machine}), seeds {first} to {last}: kernel errors and shifts of the profiles drawn from
+the priors that the case states (position {position}, angles and trends by site, shifts 100 m), rendered images, own
+dense matches, no terrain model, sigmas of ranges and footprints as drawn. *after*: misplacement of a profile against
+the stereo surface, found minus true, rms of both axes over all profiles and draws; *captured*: profiles for which it is
+below {captured:g} m; *before*: the same of the first search alone, in a surface that heights wrong by a kilometre
+distort. *shifts*: NEES of the profiles' shifts per axis. *ties*: rms error of the tie points' positions without and
+with the rows, and the NEES of their mean position in the plane. 99 % bands in brackets (two profiles of a draw share
+the size of their shift, and the orientation: they are not independent).
+"""
+HEAD = (
+    "site", "draws", "captured", "before, m", "after, m", "shifts", "ties before, m", "ties after, m", "times better",
+    "ties' mean", "seconds",
+)  # fmt: skip
+_SIGMAS = {False: 100.0, True: 200.0}
+"""m, a-priori position sigma of a nadir and of an inertially held image (`simulation.case_files`)."""
+_SHIFT = 100.0
+"""m, a-priori sigma of a profile's shift."""
+_CAPTURED = 50.0
+"""m, misplacement after which the right minimum was found."""
+
+
+class Draw(NamedTuple):
+    """What one draw gave; p profiles."""
+
+    site: str
+    seed: int
+    before: Array
+    """(p, 2) m, misplacement found before minus true."""
+    after: Array
+    """(p, 2) m, the same after."""
+    shifts: Array
+    """(p,) NEES of the shifts, of two degrees of freedom."""
+    ties: tuple[float, float]
+    """m, rms position error of the tie points before and after."""
+    mean: float
+    """NEES of the tie points' mean error in the plane, of two degrees of freedom."""
+    seconds: float
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Exit status."""
+    parser = command(__doc__)
+    parser.add_argument("--sites", default=",".join(SITE_NAMES), help="with commas between")
+    parser.add_argument("--seeds", type=at_least(1), default=20, help="draws of each site")
+    parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
+    parser.add_argument("--page", type=Path, help="file to write the table to")
+    given = parser.parse_args(arguments)
+    sites = [site_settings(name) for name in given.sites.split(",")]
+
+    def make() -> str:
+        seeds = range(given.first, given.first + given.seeds)
+        draws = [draw for seed in seeds for settings in sites for draw in _drawn(settings, seed)]
+        words = WORDS.format(
+            machine=machine(), first=seeds[0], last=seeds[-1], position="100 and 200 m", captured=_CAPTURED
+        )
+        return "\n".join([words, *table(HEAD, [_row(site.name, draws) for site in sites]), ""])
+
+    return write_page(parser, given.page, make)
+
+
+def _drawn(settings: SiteSettings, seed: int) -> Iterator[Draw]:
+    show(f"{settings.name}, seed {seed}")
+    begin = time.perf_counter()
+    rng = np.random.default_rng([seed, SITE_NAMES.index(settings.name)])
+    size = float(np.hypot(*rng.normal(0.0, _SHIFT, 2)))
+    images = tuple(_with_errors(settings, image, rng) for image in settings.images)
+    site = simulate_site(replace(settings, images=images, profile_shift=(size, size)), seed)
+    with tempfile.TemporaryDirectory() as folder:
+        case = read_case(write_site(site, Path(folder)))
+        found = register_by_relief(replace(case, network=_as_drawn(case.network, site)))
+    draw = _judged(site, found, seed, time.perf_counter() - begin)
+    print(
+        f"{draw.site} {draw.seed}: before {rms(draw.before):.1f}, after {rms(draw.after):.1f} m, shifts "
+        f"{draw.shifts.mean() / 2.0:.2f}, ties {draw.ties[0]:.0f} -> {draw.ties[1]:.0f} m, {draw.seconds:.0f} s",
+        file=sys.stderr,
+    )
+    yield draw
+
+
+def _with_errors(settings: SiteSettings, image: ImageSettings, rng: np.random.Generator) -> ImageSettings:
+    """The image with errors of its kernels drawn from the priors of its orientation."""
+    wide = 2.0 if image.held else 1.0
+    roll, pitch, yaw = (
+        (rng.normal(0.0, wide * sigma), rng.normal(0.0, wide * sigma * settings.trend[1]))
+        for sigma in settings.angle_sigmas
+    )
+    position = rng.normal(0.0, _SIGMAS[image.held], 3)
+    return replace(image, errors=KernelErrors(position, 0.0, pitch, roll, yaw, image.errors.noise))
+
+
+def _as_drawn(network: Network, site: SimulatedSite) -> Network:
+    """The network without its terrain model, and with the sigmas of which ranges and footprints were drawn: the case
+    has the papers' 10 m.
+    """
+    laser = network.points.classes == PointClass.LASER
+    places, noise = network.points.places[laser], site.options.footprint_noise
+    up = places / np.linalg.norm(places, axis=1, keepdims=True)
+    upward = up[:, :, None] * up[:, None]
+    covariances = network.points.covariances.copy()
+    covariances[laser] = noise**2 * (np.eye(3) - upward) + (noise / 3.0) ** 2 * upward
+    ranges = replace(network.ranges, sigmas=np.full(network.ranges.values.size, site.options.range_noise))
+    return replace(network, surface=None, points=replace(network.points, covariances=covariances), ranges=ranges)
+
+
+def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: float) -> Draw:
+    network = found.solution.network
+    ties = network.points.classes == PointClass.TIE
+    names = [network.points.ids[i] for i in np.flatnonzero(ties)]
+    known = dict(zip(site.ties.ids, site.true_ties, strict=True))
+    truth = np.array([known[name] for name in names])
+    errors = [one.places[ties] - truth for one in (found.before, found.solution)]
+    ways = east_north(truth.mean(axis=0)[None])[0]
+    shifts = {image.settings.profile: -image.profile.shift for image in site.images}
+    true = np.array([shifts[one.name] for one in found.profiles])
+    old, new = (_surface_errors(site, found, one) for one in (found.before, found.solution))
+    before = np.array([one.before.misplacement for one in found.profiles]) - (true + old)
+    after = np.array([one.shift for one in found.profiles]) - (true + new)
+    nees = [
+        float(error @ np.linalg.solve(one.covariance, error))
+        for one, error in zip(found.profiles, np.array([one.shift for one in found.profiles]) - true, strict=True)
+    ]
+    plane = np.einsum("ak,nkl,bl->nab", ways, found.solution.covariances[ties], ways).mean(axis=0)
+    of_ties = errors[1].mean(axis=0) @ ways.T
+    mean = float(of_ties @ np.linalg.solve(plane, of_ties))
+    sizes = tuple(rms(np.linalg.norm(error, axis=1)) for error in errors)
+    return Draw(site.settings.name, seed, before, after, np.array(nees), (sizes[0], sizes[1]), mean, seconds)
+
+
+def _surface_errors(site: SimulatedSite, found: ReliefRegistration, solution: Solution) -> Array:
+    """(p, 2) m east and north by which the stereo surface is misplaced at each profile: where the rays of the shots'
+    true pixels meet with the adjusted orientation, minus the true ground.
+    """
+    posterior, errors = Posterior.of(solution), []
+    for one in found.profiles:
+        (profile,) = (image.profile for image in site.images if image.settings.profile == one.name)
+        size = np.array([[image.true.lines, image.true.samples] for image in site.images])
+        seen = np.all((profile.true_pixels > 0.0) & (profile.true_pixels < size), axis=(1, 2))
+        rays = [
+            posterior.image(j).sightlines(*profile.true_pixels[seen, j].T, posterior.correction(j)) for j in (0, 1)
+        ]
+        origins, directions = (np.concatenate(part) for part in zip(*rays, strict=True))
+        count = int(seen.sum())
+        met, _, _ = intersect_rays(origins, directions, np.tile(np.arange(count), 2), count)
+        truth = profile.true_footprints[seen]
+        errors.append(np.einsum("nki,ni->nk", east_north(truth), met - truth).mean(axis=0))
+    return np.array(errors)
+
+
+def _row(site: str, draws: list[Draw]) -> list[str]:
+    mine = [draw for draw in draws if draw.site == site]
+    before, after = (np.concatenate([getattr(draw, name) for draw in mine]) for name in ("before", "after"))
+    nees = np.concatenate([draw.shifts for draw in mine])
+    ties = [rms(np.array([draw.ties[k] for draw in mine])) for k in range(2)]
+    captured = np.linalg.norm(after, axis=1) < _CAPTURED
+    return [
+        site, str(len(mine)), f"{int(captured.sum())} of {captured.size}", number(rms(before)), number(rms(after)),
+        _within(nees.sum(), 2 * len(nees)), number(ties[0]), number(ties[1]), number(ties[0] / ties[1]),
+        _within(sum(draw.mean for draw in mine), 2 * len(mine)), number(np.mean([draw.seconds for draw in mine])),
+    ]  # fmt: skip
+
+
+def _within(squares: float, degrees: int) -> str:
+    low, high = chi_square_band(degrees)
+    return f"{squares / degrees:.2f} ({low:.2f} .. {high:.2f})"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
