@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 
 NOISE = 0.1
 """pixels, of a match."""
-STEP = 24.0
+STEP = 14.0
 """pixels between matches."""
-WINDOW = 72.0
+WINDOW = 42.0
 """m, width of a matching window."""
 
 

@@ -28,12 +28,12 @@ from mgsgraph.registration.relief_files import (
     slopes_of,
 )
 from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
-from mgsgraph.registration.search import minima
+from mgsgraph.registration.search import CostSurface, minima
 
-APART = 30.0
-"""m, by which images and profiles may disagree after an adjustment with a footprint twice as large, to save time."""
-SETTINGS = ReliefSettings(footprint=336.0, reach=600.0)
-OPTIONS = ("--footprint", 336, "--reach", 600, "--workers", 1)
+APART = 20.0
+"""m, by which images and profiles may disagree after the adjustment."""
+SETTINGS = ReliefSettings(reach=600.0)
+OPTIONS = ("--reach", 600, "--workers", 1)
 TABLES = {
     "solution.json", "solution.npz", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
     "coregistration.json", "profiles.csv", "shots.csv", "costs.csv",
@@ -169,8 +169,9 @@ def test_sentences_of_one_profile_not_tied_and_of_several_minima(registration: R
     one = registration.profiles[0]
     shifts = np.arange(-500.0, 501.0, 20.0)
     east, north = np.meshgrid(shifts, shifts, indexing="ij")
-    misfits = np.minimum(((east + 200.0) / 20.0) ** 2, 1.0 + ((east - 200.0) / 20.0) ** 2) + (north / 20.0) ** 2
-    several = replace(one.before.cost, shifts=shifts, misfits=misfits, minima=minima(shifts, misfits, 100))
+    bowls = np.minimum(((east + 200.0) / 20.0) ** 2, 1.0 + ((east - 200.0) / 20.0) ** 2) + (north / 20.0) ** 2
+    misfits, shots = 96.0 + bowls, 100  # four unknowns: a misfit of one per shot
+    several = CostSurface("two", shifts, misfits, shots, minima(shifts, misfits, shots))
     made = with_profiles(registration, [
         untied(one, "plain"), replace(one, name="two", before=one.before._replace(cost=several)),
         aside(one, "aside"),
