@@ -1,9 +1,10 @@
 """What `mgsgraph simulate` offers: study sites and campaigns, in a folder that is there whole or not at all."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mgsgraph.errors import InputError
 from mgsgraph.output.folders import fresh_folder
@@ -42,10 +43,10 @@ def simulation_options(
 
 def strip_settings(site: str, images: int | None, ties: int | None, steps: bool) -> StripSettings:
     """Settings of a strip, the default ones of what isn't given; InputError where another site is given any."""
-    given = {name: value for name, value in (("images", images), ("ties", ties)) if value is not None}
+    given: dict[str, Any] = {name: value for name, value in (("images", images), ("ties", ties)) if value is not None}
     for name in (*given, *(["steps"] if steps else [])) if site != STRIP else ():
         raise InputError(name, f"given for {site}", f"the site {STRIP}", "leave it out")
-    return StripSettings(**given)
+    return replace(StripSettings(), **given)
 
 
 def write_simulation(

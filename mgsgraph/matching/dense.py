@@ -101,9 +101,9 @@ def dense_matches(
         first, second = (sharp[j].spline for j in view.numbers)
         for tile in tiles:
             reach = _reach(view, tile.step)
-            count, found = matches_on(view, (first, second), tile, reach, spacing, settings, step, workers)
+            count, matched = matches_on(view, (first, second), tile, reach, spacing, settings, step, workers)
             posts, done = posts + count, done + 1
-            parts.append(found)
+            parts.append(matched)
             progress("dense matching", done, most)
         matches = PostMatches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         results.append(DenseMatches(*view.numbers, spacing, posts, *matches))

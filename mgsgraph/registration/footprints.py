@@ -88,7 +88,8 @@ class Registration:
 
     def shots_with(self, image: int | None) -> Mask:
         """(n,) True for shots that fall in an image and were fired while it was taken; without one, in any image."""
-        return np.any(self.inside, axis=0) if image is None else self.inside[image] & self.simultaneous[image]
+        found: Mask = np.any(self.inside, axis=0) if image is None else self.inside[image] & self.simultaneous[image]
+        return found
 
     def __repr__(self) -> str:
         counts = ", ".join(

@@ -238,7 +238,7 @@ def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: f
     middle = matches.anchors.mean(axis=0, keepdims=True)
     _, slopes = image.image_to_ground(middle[:, 0], middle[:, 1], float(np.median(ground)), posterior.correction(first))
     variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 1], dtype=np.float64)
-    pixel = np.linalg.norm(slopes[0], axis=0)
+    pixel = np.asarray(np.linalg.norm(slopes[0], axis=0), dtype=np.float64)
     return averaged_surface(matches.anchors, matches.pixels, variances, pixel, width, window)
 
 

@@ -155,7 +155,7 @@ def search(
     moved = _moved(pair, footprints, sigmas)
     step = step or _node_size(pair)
     half = int(np.ceil(reach / step))
-    shifts = step * np.arange(-half, half + 1)
+    shifts = np.asarray(step * np.arange(-half, half + 1, dtype=np.float64))
     east, north = np.meshgrid(shifts, shifts, indexing="ij")
     misfits, shots = _misfits(pair.surface, moved, np.stack([east.ravel(), north.ravel()], axis=1))
     misfits = misfits.reshape(shifts.size, shifts.size)
@@ -270,8 +270,8 @@ _NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0
 def _refined(shifts: Array, misfits: Array, row: int, column: int) -> tuple[Array, float, Array]:
     """Shift (2,), misfit and covariance (2, 2) of the paraboloid through a minimum and its eight neighbours."""
     step = shifts[1] - shifts[0]
-    i, j = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
-    i, j, values = i.ravel(), j.ravel(), misfits[row - 1 : row + 2, column - 1 : column + 2].ravel()
+    i, j = (part.ravel() for part in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"))
+    values = misfits[row - 1 : row + 2, column - 1 : column + 2].ravel()
     here, at = misfits[row, column], np.array([shifts[row], shifts[column]])
     if not np.all(np.isfinite(values)):
         return at, float(here), np.eye(2) * step**2
