@@ -300,12 +300,12 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @click.option("--solution", type=PATH, help="Results of `mgsgraph adjust` CASE, to begin with.")
 @click.option(
     "--footprint", type=float, metavar="M",
-    help="Diameter of a laser spot on the ground; MOLA's when absent.",
+    help="Diameter of a laser spot on the ground; that of each profile's altimeter when absent.",
 )  # fmt: skip
 @click.option(
     "--reach", type=float, default=1500.0, show_default=True, metavar="M", help="Up to which shifts are searched."
 )
-@click.option("--spacing", type=float, metavar="M", help="Between dense matches; a quarter of the footprint.")
+@click.option("--spacing", type=float, metavar="M", help="Between dense matches; a quarter of the footprint at most.")
 @PAIR
 @WORKERS
 @TIES

@@ -44,6 +44,8 @@ _SMALL = 48
 _SMALL_COLUMNS = 8
 _NAMED_MINIMA = 1e-3
 """Weight from which on a minimum is marked, besides the best two."""
+_NEAR = 0.3
+"""Share of the reach that is drawn of cost surfaces after the adjustment."""
 _LEAST_TOP = 5.0
 """sigmas, upper end of the colours at least: what stays below it does not tie a profile."""
 _STATES = ("before", "after")
@@ -92,7 +94,7 @@ def _costs(registration: ReliefRegistration, chosen: Sequence[int], name: str) -
         one, prior = profiles[p], float(shifts.sigmas[p])
         for row, state in enumerate((one.before, one.after)):
             panel = grid[row, c]
-            shown = _draw_cost(panel, state.cost, top) or shown
+            shown = _draw_cost(panel, state.cost, top, 1.0 if row == 0 else _NEAR) or shown
             covariance = np.eye(2) * prior**2 if row == 0 else one.covariance
             if state.cost.minima:
                 _draw_ellipse(panel, np.zeros(2), covariance, "--" if row == 0 else "-")
@@ -121,15 +123,16 @@ def _top(costs: Sequence[CostSurface]) -> float:
 
 
 def _above_best(cost: CostSurface) -> Array:
-    return np.asarray(np.maximum(cost.misfits - cost.minima[0].misfit, 0.0))
+    """(k, k) chi-square above that of the best shift."""
+    return np.asarray(np.maximum(cost.misfits - cost.minima[0].misfit, 0.0) / cost.scale)
 
 
-def _draw_cost(panel: Axes, cost: CostSurface, top: float) -> AxesImage | None:
-    """The cost surface with its minima; words instead where too few shots are on the surface."""
+def _draw_cost(panel: Axes, cost: CostSurface, top: float, share: float = 1.0) -> AxesImage | None:
+    """The cost surface with its minima, a share of its reach; words where too few shots are on the surface."""
     panel.grid(visible=False)
     panel.set_facecolor("#DDDDDD")
     reach = float(cost.shifts[-1] + 0.5 * (cost.shifts[1] - cost.shifts[0]))
-    panel.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+    panel.set(xlim=(-share * reach, share * reach), ylim=(-share * reach, share * reach), aspect="equal")
     for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10], symmetric=True))
     if not cost.minima:

@@ -237,7 +237,7 @@ def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: f
     ground = geodetic(points[np.linalg.norm(points, axis=1) > 0.0], image.body)[:, 2]
     middle = matches.anchors.mean(axis=0, keepdims=True)
     _, slopes = image.image_to_ground(middle[:, 0], middle[:, 1], float(np.median(ground)), posterior.correction(first))
-    variances = np.linalg.eigvalsh(matches.covariances)[:, 1]
+    variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 1], dtype=np.float64)
     pixel = np.asarray(np.linalg.norm(slopes[0], axis=0), dtype=np.float64)
     return averaged_surface(matches.anchors, matches.pixels, variances, pixel, width, window)
 

@@ -23,8 +23,10 @@ FORMAT = 1
 """Version of coregistration.json's layout."""
 _MOST_MINIMA = 10
 """Of a cost surface that are written, best first."""
-_POSSIBLE = 0.01
+_POSSIBLE = 1e-3
 """Weight from which on a minimum is named in a sentence."""
+_MOST_NAMED = 4
+"""Minima in a sentence."""
 _MOST_PROFILES = 5
 """That have sentences of their own; more are summed up."""
 _WAYS = ("east", "north")
@@ -148,7 +150,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
             "the same after the adjustment with stereo rows", "after (m)",
         ),
         sigma("sigma_misplacement_after_{}", lambda one: one.after.misplacement_covariance),
-        Column("misfit", numbers(lambda one: _misfit(one, 0)), meaning="chi-square of the best shift, before"),
+        Column("misfit", numbers(lambda one: _misfit(one, 0)), meaning="of the best shift, before"),
         Column("runner_up_misfit", numbers(lambda one: _misfit(one, 1)), meaning="of the second-best minimum, before"),
         Column(
             "runner_up_weight", numbers(lambda one: _of_minimum(one, 1, lambda found: found.weight)),
@@ -179,7 +181,7 @@ def _misfit(profile: ReliefProfile, k: int) -> float:
 def relief_shots_table(registration: ReliefRegistration) -> Table:
     """One row per laser shot: its height above the stereo surface before and after."""
     profiles, network = registration.profiles, registration.solution.network
-    points = np.concatenate([one.before.points for one in profiles])
+    points = network.points.places[np.concatenate([one.mine for one in profiles])]
     longitude, latitude, _ = planetocentric(points).T
     taken = np.concatenate([one.taken for one in profiles])
     slopes = [np.where(one.taken[:, None], slopes_of(one.after), np.nan) for one in profiles]
@@ -194,7 +196,7 @@ def relief_shots_table(registration: ReliefRegistration) -> Table:
             Column(f"above_surface_{state}", np.concatenate([_known(one) for one in states]), "m", meaning)
             for state, states, meaning in (
                 ("before", [one.before for one in profiles], "along the surface's normal; unknown beside the surface"),
-                ("after", [one.after for one in profiles], "with the profile's adjusted shift"),
+                ("after", [one.after for one in profiles], "the same by the adjustment with stereo rows"),
             )
         ),
         Column(
@@ -233,7 +235,7 @@ def costs_table(registration: ReliefRegistration) -> Table:
         Column("shift_{}", np.concatenate(shifts), "m", "of the footprints of this state", _WAYS),
         Column(
             "misfit", np.concatenate([cost.misfits.ravel() for _, _, cost in found]),
-            meaning="chi-square; unknown where too few shots are on the surface",
+            meaning="robust sum of squares in sigmas; unknown where too few shots are on the surface",
         ),
     ))  # fmt: skip
 
@@ -272,23 +274,29 @@ def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
     if not one.before.cost.tied:
         adjusted = float(np.sqrt(np.trace(one.covariance) / 2.0))
         return [
-            f"{one.name}: relief does not tie it; the sigma of its shift stays {adjusted:.3g} m (a-priori {prior:.3g} "
-            "m).", carried,
+            f"{one.name}: relief does not tie it; the sigma of its shift is {adjusted:.3g} m, a-priori {prior:.3g} m.",
+            carried,
         ]  # fmt: skip
     return [_disagreement(one), _uniqueness(one, reach), carried]
 
 
 def _disagreement(one: ReliefProfile) -> str:
     """By how much profile and images disagreed, and disagree."""
-    east, north = one.before.misplacement
+    off = one.before.misplacement
     words = (
-        f"Before, profile {one.name} and the images disagreed by {np.hypot(east, north):.0f} m ({east:+.0f} m east, "
-        f"{north:+.0f} m north); after, "
+        f"Before, profile {one.name} and the images disagreed by {np.linalg.norm(off):.0f} m ({_east_north(off)}); "
+        "after, "
     )
     if not one.after.cost.tied:
         return words + "relief does not say by how much."
     left, sigma = np.linalg.norm(one.after.misplacement), np.sqrt(np.trace(one.after.misplacement_covariance))
     return words + f"by {left:.1f} +- {sigma:.1f} m."
+
+
+def _east_north(shift: Array) -> str:
+    """A shift (2,) in m, in words."""
+    east, north = (round(part) for part in shift.tolist())
+    return f"{east:+d} m east, {north:+d} m north"
 
 
 def _uniqueness(one: ReliefProfile, reach: float) -> str:
@@ -302,10 +310,11 @@ def _uniqueness(one: ReliefProfile, reach: float) -> str:
             f"{minima[1].misfit / minima[0].misfit:.2g} times worse."
         )
     possible = [found for found in minima if found.weight >= _POSSIBLE]
-    places = [f"{100.0 * k.weight:.0f} % at {k.shift[0]:+.0f} m east, {k.shift[1]:+.0f} m north" for k in possible]
+    where = "; ".join(
+        f"{100.0 * found.weight:.2g} % at {_east_north(found.shift)}" for found in possible[:_MOST_NAMED]
+    )
     return (
-        f"{one.name}: {many(len(possible), 'minimum').replace('minimums', 'minima')} may be the right one: "
-        f"{'; '.join(places)}. The covariance holds for the first alone."
+        f"{one.name}: {len(possible)} minima may be the right one: {where}. The covariance holds for the first alone."
     )
 
 
@@ -328,7 +337,7 @@ def _of_many(registration: ReliefRegistration) -> list[str]:
     for which, words in (
         ([one for one in tied if one.before.cost.clear], "have one clear minimum"),
         ([one for one in tied if not one.before.cost.clear], "have several possible minima"),
-        ([one for one in taken if not one.before.cost.tied], "are not tied by relief: their sigmas stay a-priori"),
+        ([one for one in taken if not one.before.cost.tied], "are not tied by relief"),
         ([one for one in profiles if not np.any(one.taken)], "have too few shots on the surface to take part"),
     ):
         if which:

@@ -67,9 +67,9 @@ class ReliefProfile:
     sigmas: Array
     """(n,) m, of the heights above the surface, along its normal; of no meaning for shots that don't take part."""
     before: ProfileState
-    """Before the adjustment with stereo rows, the footprints as archived."""
+    """By the adjustment without stereo rows: its orientation, the footprints where it shifts the profile."""
     after: ProfileState
-    """After it, the footprints where the profile's adjusted shift puts them."""
+    """The same by the adjustment with them."""
     shift: Array
     """(2,) m east and north, adjusted."""
     covariance: Array

@@ -1,0 +1,321 @@
+"""`mgsgraph coregister` as a person uses it: files, sentences, exit status; one line for bad input."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import dem_site
+import numpy as np
+import profiles as mola_profiles
+import pytest
+import relief_site
+from commands import run
+
+import mgsgraph
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
+from mgsgraph.figures.relief import relief_sheets
+from mgsgraph.figures.sheet import save
+from mgsgraph.geometry.body import east_north
+from mgsgraph.registration import relief
+from mgsgraph.registration.relief_files import (
+    coregistration_json,
+    profiles_table,
+    relief_shots_table,
+    relief_statements,
+    slopes_of,
+)
+from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
+from mgsgraph.registration.search import CostSurface, minima
+
+APART = 20.0
+"""m, by which images and profiles may disagree after the adjustment."""
+SETTINGS = ReliefSettings(reach=600.0)
+OPTIONS = ("--reach", 600, "--workers", 1)
+TABLES = {
+    "solution.json", "solution.npz", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
+    "coregistration.json", "profiles.csv", "shots.csv", "costs.csv",
+}  # fmt: skip
+
+
+def call(*arguments: object) -> int:
+    """A command in this process; its exit status."""
+    return group([str(one) for one in arguments], standalone_mode=False) or 0
+
+
+@pytest.fixture(scope="module")
+def registration() -> ReliefRegistration:
+    with pytest.MonkeyPatch.context() as patch:
+        relief_site.use_matches(patch)
+        case = mgsgraph.read_case(dem_site.case_path())
+        return mgsgraph.register_by_relief(case, SETTINGS, before=dem_site.solution())
+
+
+def with_profiles(registration: ReliefRegistration, profiles: list[ReliefProfile]) -> ReliefRegistration:
+    """A registration of other profiles, as its tables and figures see it."""
+    network = registration.solution.network
+    assert network.shifts is not None
+    names = tuple(one.name for one in profiles)
+    shifts = replace(network.shifts, names=names, profile=np.full(len(network.points), -1), sigmas=np.ones(len(names)))
+    solution = replace(registration.solution, network=replace(network, shifts=shifts))
+    return replace(registration, solution=solution, profiles=tuple(profiles))
+
+
+def untied(one: ReliefProfile, name: str) -> ReliefProfile:
+    """A profile that no shift suits better than others."""
+    cost = one.before.cost
+    level = np.full_like(cost.misfits, cost.minima[0].misfit + 4.0)
+    return replace(one, name=name, before=one.before._replace(cost=replace(cost, misfits=level)))
+
+
+def aside(one: ReliefProfile, name: str) -> ReliefProfile:
+    """A profile that takes no part."""
+    return replace(one, name=name, taken=np.zeros_like(one.taken))
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+# --- what is found and written
+
+
+def test_images_and_profiles_agree_afterwards(registration: ReliefRegistration) -> None:
+    assert registration.solution.converged
+    for one in registration.profiles:
+        assert one.before.cost.tied
+        assert np.linalg.norm(one.before.misplacement) > 50.0
+        assert np.linalg.norm(one.after.misplacement) < APART
+        assert one.rms_after < 0.5 * one.rms_before
+
+
+def test_the_adjusted_shift_is_true_within_its_sigma(registration: ReliefRegistration) -> None:
+    """By what the images' own error, which relief doesn't see, leaves of it: all of the sigma holds that too."""
+    for p, one in enumerate(registration.profiles):
+        prior = registration.solution.network.shifts
+        assert prior is not None
+        assert np.all(np.sqrt(np.diag(one.covariance)) < prior.sigmas[p])
+
+
+def test_slopes_are_those_of_the_surface(registration: ReliefRegistration) -> None:
+    """A horizontal step lowers the height above the surface by the slope."""
+    one = registration.profiles[0]
+    state, network = one.after, registration.solution.network
+    assert network.stereo is not None
+    up = state.points / np.linalg.norm(state.points, axis=1, keepdims=True)
+    vertical = np.einsum("ni,ni->n", state.heights.normals, up)
+    east = np.einsum("ni,ni->n", state.heights.normals, east_north(state.points)[:, 0])
+    assert slopes_of(state)[:, 0] == pytest.approx(-east / vertical, rel=1e-9, abs=1e-12)
+
+
+def test_the_command_writes_a_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Which other verbs take; figures and tables say the same; a second run takes its place."""
+    relief_site.use_matches(monkeypatch)
+    out, case = tmp_path / "out", dem_site.case_path()
+    result = dem_site.result()
+    assert call("coregister", case, "--solution", result, "--out", out, *OPTIONS) == 0
+    said = capsys.readouterr().out
+    figures = {path.stem for path in out.iterdir() if path.suffix == ".png"}
+    assert {"costs", "profiles_1", "profiles_2", "shifts"} <= figures
+    assert {path.name for path in out.iterdir() if path.suffix not in {".png", ".svg"}} == TABLES
+    record = json.loads((out / "coregistration.json").read_text(encoding="utf-8"))
+    assert (record["program"], record["status"]) == ("mgsgraph", "converged")
+    assert [line[2:] for line in said.splitlines() if line.startswith("- ")] == record["statements"]
+    profiles = rows_of(out / "profiles.csv")
+    assert [one["profile"] for one in profiles] == ["ap18933l", "ap19043l"]
+    shots = rows_of(out / "shots.csv")
+    for row, of_json in zip(profiles, record["profiles"], strict=True):
+        assert np.hypot(float(row["misplacement_after_east_m"]), float(row["misplacement_after_north_m"])) < APART
+        assert of_json["misplacement_before_m"][0] == float(row["misplacement_before_east_m"])
+        assert sum(one["weight"] for one in of_json["minima_before"]) == pytest.approx(1.0, abs=1e-3)
+        mine = [one for one in shots if one["profile"] == row["profile"] and one["on_surface"] == "true"]
+        assert len(mine) == int(row["on_surface"])
+        heights = np.array([float(value) for one in mine if (value := one["above_surface_after_m"])])
+        assert np.sqrt(np.mean(heights**2)) == pytest.approx(float(row["rms_after_m"]))
+    costs = [one for one in rows_of(out / "costs.csv") if (one["profile"], one["state"]) == ("ap18933l", "before")]
+    best = min((one for one in costs if one["misfit"]), key=lambda one: float(one["misfit"]))
+    assert float(best["shift_north_m"]) == pytest.approx(float(profiles[0]["misplacement_before_north_m"]), abs=42.0)
+
+    again = mgsgraph.read_solution(out)
+    assert again.network.stereo is not None
+    assert call("analyze", out) == 0
+    assert call("export", out, "--to", "csm", "--out", tmp_path / "csm") == 0
+    assert call("report", out, "--out", tmp_path / "report.html") == 0
+    assert call("coregister", case, "--solution", result, "--out", out, *OPTIONS, "--no-figures") == 0
+    assert {path.name for path in out.iterdir()} == TABLES
+
+
+def test_not_converged_is_written_and_is_exit_status_1(
+    registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solution = replace(registration.solution, converged=False, message="It is far away.")
+    monkeypatch.setattr(relief, "register_by_relief", lambda *_, **__: replace(registration, solution=solution))
+    assert call("coregister", dem_site.case_path(), "--out", tmp_path / "out", "--no-figures") == 1
+    assert "NOT CONVERGED" in capsys.readouterr().out
+    record = json.loads((tmp_path / "out" / "coregistration.json").read_text(encoding="utf-8"))
+    assert record["status"] == "not converged"
+
+
+# --- sentences and tables of what is not clear
+
+
+def test_sentences_of_one_profile_not_tied_and_of_several_minima(registration: ReliefRegistration) -> None:
+    one = registration.profiles[0]
+    shifts = np.arange(-500.0, 501.0, 20.0)
+    east, north = np.meshgrid(shifts, shifts, indexing="ij")
+    bowls = np.minimum(((east + 200.0) / 20.0) ** 2, 1.0 + ((east - 200.0) / 20.0) ** 2) + (north / 20.0) ** 2
+    misfits, shots = 96.0 + bowls, 100  # four unknowns: a misfit of one per shot
+    several = CostSurface("two", shifts, misfits, shots, minima(shifts, misfits, shots))
+    made = with_profiles(registration, [
+        untied(one, "plain"), replace(one, name="two", before=one.before._replace(cost=several)),
+        aside(one, "aside"),
+    ])  # fmt: skip
+    said = relief_statements(made)
+    assert any(line.startswith("plain: relief does not tie it") for line in said)
+    assert any("62 % at -200 m east, +0 m north; 38 % at +200 m east" in line for line in said)
+    assert any(line.startswith("aside: none of") for line in said)
+    table = {row["profile"]: row for row in profiles_table(made).records()}
+    assert table["plain"]["misplacement_before_m"] == [None, None]
+    assert (table["plain"]["tied"], table["two"]["tied"], table["two"]["clear"]) == (False, True, False)
+    assert table["two"]["runner_up_weight"] == pytest.approx(0.3775, abs=1e-3)
+    assert len(coregistration_json(made)["profiles"]) == 3
+    assert "\n".join(profiles_table(made).text())
+
+
+def test_forty_profiles_have_few_sentences_and_sheets(registration: ReliefRegistration, tmp_path: Path) -> None:
+    profiles = [replace(registration.profiles[k % 2], name=f"profile {k}") for k in range(38)]
+    profiles += [untied(profiles[0], "plain"), aside(profiles[0], "aside")]
+    made = with_profiles(registration, profiles)
+    said = relief_statements(made)
+    assert len(said) < 8
+    assert any(line.startswith("Before, 38 profiles") for line in said)
+    assert any(line.startswith("1 of 40 profiles are not tied") or "(plain)" in line for line in said)
+    names = save(relief_sheets(made), tmp_path)
+    assert len(names) == 2 * (2 + 5 + 1)
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in names)
+
+
+def test_shots_beside_the_surface_have_no_height(registration: ReliefRegistration) -> None:
+    table = {column.key: column.values for column in relief_shots_table(registration).columns}
+    taken = np.asarray(table["on_surface"])
+    for state in ("before", "after"):
+        covered = np.concatenate([getattr(one, state).heights.covered for one in registration.profiles])
+        assert np.array_equal(np.isfinite(np.asarray(table[f"above_surface_{state}"])), covered)
+        assert covered.sum() > 150
+    assert np.array_equal(np.isfinite(np.asarray(table["sigma"])), taken)
+
+
+# --- bad input
+
+
+def bad_case(tmp_path: Path, text: str) -> Path:
+    """A case of the same files."""
+    path = dem_site.case_path().with_name(f"{tmp_path.name}.toml")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: text.replace("shift_sigma_m = 100.0", ""), "no laser profile whose shift is unknown"),
+        (lambda text: text[: text.index("[[mola]]")] + text[text.index("[terrain]") :], "no laser profile"),
+    ],
+)
+def test_a_case_without_unknown_shifts_is_refused(change: Any, said: str, tmp_path: Path) -> None:
+    case = bad_case(tmp_path, change(relief_site.case_text()))
+    with pytest.raises(InputError, match=said):
+        call("coregister", case, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_case_without_pixels_is_refused(case_file: Path, tmp_path: Path) -> None:
+    case = mola_profiles.with_profile(case_file)
+    with pytest.raises(InputError, match="no pixels"):
+        call("coregister", case, "--out", tmp_path / "out")
+
+
+def test_images_that_do_not_overlap_are_refused(
+    registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By what matching says of them; nothing is written."""
+
+    def nothing(*_: Any) -> None:
+        raise InputError("images", "no two of them overlap", "images of common ground")
+
+    monkeypatch.setattr(relief, "densely_matched", nothing)
+    with pytest.raises(InputError, match="no two of them overlap"):
+        call("coregister", dem_site.case_path(), "--solution", dem_site.result(), "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_profiles_that_do_not_cross_the_images_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    relief_site.use_matches(monkeypatch)
+    solution = dem_site.solution()
+    network = solution.network
+    assert network.shifts is not None
+    mine = network.shifts.profile >= 0
+    positions = np.array(network.points.places)
+    positions[mine] += 20e3 * east_north(positions[mine])[:, 0]
+    away = replace(network, points=replace(network.points, places=positions))
+    with pytest.raises(InputError, match="none of 2 with 12 shots on the stereo surface"):
+        mgsgraph.register_by_relief(
+            mgsgraph.read_case(dem_site.case_path()), SETTINGS, before=replace(solution, network=away)
+        )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--pair", "E02-00665,E02-00666"), "no image E02-00666"),
+        (("--pair", "E02-00665"), "two different names"),
+        (("--footprint", "-3"), "footprint: -3.0 m"),
+        (("--reach", "nan"), "reach: nan m"),
+        (("--spacing", "0"), "spacing"),
+        (("--solution", "none"), "none"),
+    ],
+)
+def test_bad_options_are_one_line(options: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    done = run("coregister", dem_site.case_path(), "--out", tmp_path / "out", *options)
+    assert done.returncode == 2, done.stdout
+    assert len(done.stderr.splitlines()) == 1, done.stderr
+    assert said in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_others_is_refused_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mine.txt").touch()
+    monkeypatch.setattr(relief, "register_by_relief", None)
+    with pytest.raises(InputError, match="not a result of mgsgraph"):
+        call("coregister", dem_site.case_path(), "--out", tmp_path)
+
+
+def test_a_solution_of_another_case_is_refused(case_file: Path, tmp_path: Path) -> None:
+    assert call("adjust", case_file, "--out", tmp_path / "result", "--no-figures") == 0
+    with pytest.raises(InputError, match="other images"):
+        call("coregister", dem_site.case_path(), "--solution", tmp_path / "result", "--out", tmp_path / "out")
+
+
+# --- with pixels
+
+
+@pytest.mark.slow
+def test_the_whole_road_on_the_simulated_gusev_site(tmp_path: Path) -> None:
+    """Pictures rendered, matched by least squares, registered: images and laser agree."""
+    assert call("simulate", "gusev", "--out", tmp_path / "site") == 0
+    done = run("coregister", tmp_path / "site" / "case.toml", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    for row in rows_of(tmp_path / "out" / "profiles.csv"):
+        before, after = (
+            np.hypot(float(row[f"misplacement_{state}_east_m"]), float(row[f"misplacement_{state}_north_m"]))
+            for state in ("before", "after")
+        )
+        assert row["clear"] == "true"
+        assert before > 50.0
+        assert after < 15.0
