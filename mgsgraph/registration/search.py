@@ -3,9 +3,10 @@
 For each shift the heights of the shots above the stereo surface are taken, a level and a slope along the track are
 fitted and removed (the orientation's part, which the adjustment finds), and what is left is the misfit
 
-    chi^2 = n / m sum_i rho(h_i / sigma_i),
+    chi^2 = sum_i rho(h_i / sigma_i) + (n - m) c,
 
-over the m of n shots that are on the surface, with Huber's loss. A shift moves a shot over the images by its linear
+over the m of n shots that are on the surface, with Huber's loss; each of the others counts as much as a shot does at a
+usual shift (c, the median over shifts). A shift moves a shot over the images by its linear
 part: a footprint moves by a kilometre or two, the camera is 100 km and more away.
 
 Each minimum gets a weight: the probability that its neighbourhood is the right one when all shifts are alike
@@ -222,8 +223,8 @@ def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Arra
         result[begin : begin + at_once] = _left(heights, weights, moved.along)
     most = int(counts.max(initial=0))
     enough = counts >= max(_LEAST_SHOTS, _LEAST_SHARE * most)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(enough, result * (most / counts), np.nan), most
+    usual = float(np.median(result[enough] / counts[enough])) if np.any(enough) else 0.0
+    return np.where(enough, result + (most - counts) * usual, np.nan), most
 
 
 def _left(heights: Array, weights: Array, along: Array) -> Array:
