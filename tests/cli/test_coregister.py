@@ -66,7 +66,7 @@ def with_profiles(registration: ReliefRegistration, profiles: list[ReliefProfile
 def untied(one: ReliefProfile, name: str) -> ReliefProfile:
     """A profile that no shift suits better than others."""
     cost = one.before.cost
-    level = np.full_like(cost.misfits, cost.minima[0].misfit + 4.0)
+    level = np.full_like(cost.misfits, cost.minima[0].misfit + 4.0 * cost.scale)
     return replace(one, name=name, before=one.before._replace(cost=replace(cost, misfits=level)))
 
 
