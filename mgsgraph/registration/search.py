@@ -5,9 +5,10 @@ fitted and removed (the orientation's part, which the adjustment finds), and wha
 
     chi^2 = sum_i rho(h_i / sigma_i) + (n - m) c,
 
-over the m of n shots that are on the surface, with Huber's loss; each of the others counts as much as a shot does at a
-usual shift (c, the median over shifts). A shift moves a shot over the images by its linear
-part: a footprint moves by a kilometre or two, the camera is 100 km and more away.
+over the m of n shots that are on the surface, with Huber's loss; each of the others counts as much as a shot does where
+the profile fits best (c, the least misfit per shot of shifts that keep most shots on the surface), so that neither few
+shots nor many are the better fit. A shift moves a shot over the images by its linear part: a footprint moves by a
+kilometre or two, the camera is 100 km and more away.
 
 Each minimum gets a weight: the probability that its neighbourhood is the right one when all shifts are alike
 beforehand, exp(-chi^2 / 2) times the root of its covariance's determinant, chi^2 being counted in units of the best
@@ -35,6 +36,8 @@ _LEAST_SHOTS = 12
 """On the surface, below which a shift says nothing."""
 _LEAST_SHARE = 0.5
 """Of the most shots that any shift has on the surface."""
+_NEARLY_ALL = 0.9
+"""Of the most shots: shifts by whose best a shot beside the surface counts."""
 _HUBER = 2.0
 """Sigmas from which on a shot counts linearly."""
 _ROUNDS = 3
@@ -223,8 +226,9 @@ def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Arra
         result[begin : begin + at_once] = _left(heights, weights, moved.along)
     most = int(counts.max(initial=0))
     enough = counts >= max(_LEAST_SHOTS, _LEAST_SHARE * most)
-    usual = float(np.median(result[enough] / counts[enough])) if np.any(enough) else 0.0
-    return np.where(enough, result + (most - counts) * usual, np.nan), most
+    nearly_all = enough & (counts >= _NEARLY_ALL * most)
+    each = float(np.min(result[nearly_all] / counts[nearly_all])) if np.any(nearly_all) else 0.0
+    return np.where(enough, result + (most - counts) * each, np.nan), most
 
 
 def _left(heights: Array, weights: Array, along: Array) -> Array:
