@@ -118,7 +118,7 @@ def _relief_without_shots() -> Any:
     heights = SurfaceHeights(none, vectors, np.zeros((0, 2, 7)), np.zeros((0, 2)), mask, none, none, none)
     state = ProfileState(vectors, heights, CostSurface("", none, np.zeros((0, 0)), 0, ()))
     profile = ReliefProfile("", index, mask, none, state, state, np.zeros(2), np.zeros((2, 2)))
-    points, image = SimpleNamespace(ids=()), SimpleNamespace(body=MARS)
+    points, image = SimpleNamespace(ids=(), places=vectors), SimpleNamespace(body=MARS)
     network = SimpleNamespace(points=points, images=(image,), shifts=SimpleNamespace(sigmas=np.zeros(1)))
     return SimpleNamespace(profiles=(profile,), solution=SimpleNamespace(network=network))
 

@@ -370,7 +370,7 @@ def _draw_arrows(panel: Axes, profiles: Sequence[ReliefProfile], tracks: Sequenc
 def _start(one: ReliefProfile, track: Array, p: int) -> Array:
     """(2,) km, where the arrow of the p-th profile begins: neighbours' at different parts of their tracks."""
     shots = np.flatnonzero(one.taken) if np.any(one.taken) else np.arange(len(track))
-    return np.asarray(track[shots[int((0.1 + 0.2 * (2 * p % 5)) * (shots.size - 1))]])
+    return np.asarray(track[shots[int((0.3 + 0.1 * (2 * p % 5)) * (shots.size - 1))]])
 
 
 def _map_caption(profiles: Sequence[ReliefProfile]) -> str:
