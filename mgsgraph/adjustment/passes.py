@@ -176,6 +176,10 @@ def _solve_exactly(
         graph = BundleGraph(anew, selection.rows(anew), sweeper)
         solved = _solve(graph, selection, solved.orientation, None, settings, progress)
         history += solved.history
+    else:
+        if solved.layout.stereo is not None:
+            message = f"Heights above stereo surfaces have not come to rest in {_MOST_LAYOUTS} rounds."
+            solved = replace(solved, outcome=replace(solved.outcome, converged=False, message=message))
     return replace(solved, cost_initial=initial, history=history)
 
 
