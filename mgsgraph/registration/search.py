@@ -34,8 +34,8 @@ _MOST_SHOTS = 600
 """Of a profile, evenly taken, that are enough to find a minimum."""
 _LEAST_SHOTS = 12
 """On the surface, below which a shift says nothing."""
-_LEAST_SHARE = 0.5
-"""Of the most shots that any shift has on the surface."""
+_LEAST_SHARE = 0.8
+"""Of the most shots that any shift has on the surface, below which a shift is none: half of them fit by chance."""
 _NEARLY_ALL = 0.9
 """Of the most shots: shifts by whose best a shot beside the surface counts."""
 _HUBER = 2.0

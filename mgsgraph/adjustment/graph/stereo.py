@@ -1,8 +1,8 @@
 """Heights above stereo surfaces as rows: linear in the point and in the orientation of both images, about a state.
 
 The orientation acts through single columns, one for each coefficient of either image and for what these share with
-others, each with its direction: metres of height per unit. `Layout.about_stereo` makes the rows anew about the state that
-an optimisation has found, until they stay what they are: then they are exact where they count.
+others, each with its direction: metres of height per unit. `Layout.about_stereo` makes the rows anew about the state
+that an optimisation has found, until they stay what they are: then they are exact where they count.
 """
 
 from typing import NamedTuple
