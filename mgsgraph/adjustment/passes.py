@@ -25,7 +25,7 @@ from mgsgraph.ties import PointKind
 Progress = Callable[[Iteration], None]
 
 _MOST_PASSES = 10
-_MOST_LAYOUTS = 30
+_MOST_LAYOUTS = 60
 """Times that rays are laid out anew in one pass."""
 _FLOOR = 0.1
 """A-priori sigmas below which a class's spread is not taken at its word when blunders are sought."""

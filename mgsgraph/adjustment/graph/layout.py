@@ -11,7 +11,7 @@ from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows
-from mgsgraph.adjustment.graph.stereo import StereoRows, at_rest, linear_rows
+from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
@@ -135,7 +135,12 @@ class Layout:
             return self
         if at_rest(self.stereo, anew, self.network, self.variables, shared):
             return self
-        return replace(self, stereo=anew).about(self.lines)
+        places = points.copy()
+        places[anew.points] = accelerated(self.stereo, anew)
+        step, earlier = anew.reference - self.stereo.reference, self.stereo.reference
+        anew = linear_rows(self.network, self.model, self.variables, shared, places, self.stereo)
+        assert anew is not None
+        return replace(self, stereo=anew._replace(step=step, earlier=earlier)).about(self.lines)
 
     def about(self, lines: Array) -> "Layout":
         """The same network, points in and out, starting positions, terrain patches and stereo rows, its rays laid

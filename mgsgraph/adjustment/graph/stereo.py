@@ -22,7 +22,9 @@ from mgsgraph.network import Network
 from mgsgraph.network.corrections import adjusted_image, whole_correction
 
 _TOLERANCE = 1e-6
-"""Sigmas by which a row may differ from the one about the present state, and its normal from that one's."""
+"""Sigmas by which a row may differ from the one about the present state, and by how much its normal may."""
+_FARTHEST = 5.0
+"""Times the last change, by which a step may go on."""
 
 
 class StereoRows(NamedTuple):
@@ -40,6 +42,10 @@ class StereoRows(NamedTuple):
     """(k, 3) unit, body-fixed."""
     directions: tuple[Array, ...]
     """Of each surface (k_s, c) m per unit of each column that a row depends on: `columns` of both images."""
+    step: Array | None = None
+    """(k, 3) m, from `earlier` to where the points were found with the rows about it; None at first."""
+    earlier: Array | None = None
+    """(k, 3) m, about which the rows before were linear."""
 
     @property
     def parts(self) -> list[tuple[slice, Array]]:
@@ -187,7 +193,23 @@ def at_rest(before: StereoRows, after: StereoRows, network: Network, variables: 
     said, say = (heights_at(rows, network, variables, shared, after.reference) for rows in (before, after))
     off = np.abs(said - say) / network.stereo.sigmas[after.points]
     turned = np.abs(before.normals - after.normals)
-    return bool(max(off.max(initial=0.0), turned.max(initial=0.0)) <= _TOLERANCE)
+    return bool(off.max(initial=0.0) <= _TOLERANCE and turned.max(initial=0.0) <= _TOLERANCE)
+
+
+def accelerated(before: StereoRows, after: StereoRows) -> Array:
+    """(k, 3) m, about which rows are to be linear next: where a secant step (Anderson's method of depth one, point by
+    point) takes them, for on a steep wall whole steps go to and fro; where the points are (`after`) if the surface has
+    not turned.
+    """
+    turned = np.linalg.norm(after.normals - before.normals, axis=1) > _TOLERANCE
+    step = after.reference - before.reference
+    if before.step is None or before.earlier is None or not np.any(turned):
+        return after.reference
+    change, size = step - before.step, np.einsum("kc,kc->k", step - before.step, step - before.step)
+    share = np.einsum("kc,kc->k", step, change) / np.maximum(size, 1e-12)
+    moved = before.reference - before.earlier + change
+    taken = np.where(turned, np.clip(share, -_FARTHEST, 0.9), 0.0)
+    return np.asarray(after.reference - taken[:, None] * moved)
 
 
 def _counted(network: Network, variables: Variables, shared: Array, sides: Index, directions: Array) -> Array:
