@@ -47,7 +47,7 @@ STOREYS = [
 ]
 """Rooms from above to below; of a room whose writers draw, these stand above the figures, and the rest below them."""
 ONLY_IN = {
-    "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment", "mgsgraph.incremental", "mgsgraph.analysis.forward"),
+    "gtsam": ("mgsgraph.factors", "mgsgraph.adjustment", "mgsgraph.incremental"),
     "matplotlib": ("mgsgraph.figures",),
     "numba": (
         "mgsgraph.compiled", "mgsgraph.kernel", "mgsgraph.adjustment.graph.rows",

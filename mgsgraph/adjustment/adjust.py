@@ -116,17 +116,11 @@ def adjust_network(
         places = _places_before(layout, before)
         nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places))
         clock.stop("residuals")
-        orientation = None if begin is None else _orientation(layout, begin)
+        orientation = None if begin is None else layout.variables.joined(begin.values)
         solved = solve_in_passes(layout, settings, selection, before, progress, sweeper, orientation)
         del before, layout, places  # the posterior needs the memory
         clock.stop("solve")
         return _posterior(settings, name, solved, nominal, clock, sweeper)
-
-
-def _orientation(layout: Layout, solution: Solution) -> Array:
-    """(columns,) shared unknowns of a layout, as a solution has them."""
-    values = solution.values
-    return np.concatenate([np.zeros(0), *(values[v] for v in layout.variables.adjusted())])
 
 
 class Adjustment:

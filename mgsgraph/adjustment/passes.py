@@ -122,12 +122,11 @@ def solve_in_passes(
     if layout.network.stereo is not None:
         if begin is None:
             first = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
-            layout, orientation = first.layout, first.orientation
+            layout, orientation, points = first.layout, first.orientation, first.points
             history, initial = first.history, first.cost_initial
         else:
             orientation = begin
-        graph = BundleGraph(layout, selection.rows(layout), sweeper)
-        points = graph.reduction(orientation, COSTS).points
+            points = BundleGraph(layout, selection.rows(layout), sweeper).reduction(orientation, COSTS).points
         layout, selection, known = _on_surfaces(layout, orientation, points), replace(selection, stereo=True), None
     for number in range(1, _MOST_PASSES + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)

@@ -220,8 +220,7 @@ def at_values(network: Network, settings: SolverSettings, values: Sequence[Array
 
 def _placed(layout: Layout, values: Sequence[Array], places: Array) -> tuple[Array, Array]:
     """Shared unknowns (columns,) of the values of all variables, and places (n, 3) in the layout's order."""
-    adjusted = (values[v] for v in layout.variables.adjusted())
-    return np.concatenate([np.zeros(0), *adjusted]), places[layout.point_order]
+    return layout.variables.joined(values), places[layout.point_order]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,7 +61,7 @@ def _three_sigmas(value: float | list[float], where: str) -> Array:
 
 
 class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """One image."""
+    """One image of the case: its geometry, its pixels, and what is known of its orientation."""
 
     name: Annotated[str, msgspec.Meta(min_length=1)]
     """By which networks and shots refer to it (ISIS serial number)."""
@@ -115,7 +115,7 @@ class ControlInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Laser shots."""
+    """Laser shots in a file of ISIS, and the sigmas that they get."""
 
     file: str
     """ISIS lidar JSON."""
@@ -346,7 +346,7 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def tie_groups(self) -> tuple[TiesInput, ...]:
-        """Control networks."""
+        """Tables of control networks, one or several."""
         return (self.ties,) if isinstance(self.ties, TiesInput) else self.ties
 
     @property

@@ -124,7 +124,7 @@ class PushbroomImage:
 
     @property
     def normalised_rate(self) -> float:
-        """du/dline."""
+        """Derivative of the normalised line u by the line, per line."""
         return 2.0 / self.lines
 
     @property

@@ -158,7 +158,7 @@ class StateStore(Protocol):
         """Add unknowns or replace their values."""
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
-        """Remove unknowns."""
+        """Remove shared unknowns from the store."""
 
     def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
         """Take bundles out and put others in, none of which is there."""
@@ -241,7 +241,7 @@ class InMemory:
         self._shared |= shared
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
-        """Remove unknowns."""
+        """Remove shared unknowns from the store."""
         for unknown in unknowns:
             del self._shared[unknown]
 

@@ -183,7 +183,7 @@ def load_observation(rows, model, segments, count, begin, i, at, w, s):
 
 @lane
 def copy_block(w, source, sink, size):
-    """Copy registers."""
+    """Copy `size` registers from register `source` on to those from `sink` on."""
     for r in range(size):
         w[sink + r] = w[source + r]
 

@@ -42,7 +42,7 @@ class Displacements:
         return np.asarray(self.apart + self.design @ coefficients)
 
     def of(self, some: Mask | Index) -> "Displacements":
-        """Some matches."""
+        """The displacements of some of the matches (a mask or indices)."""
         return Displacements(self.apart[some], self.design[some], self.parallax[some])
 
 

@@ -44,6 +44,6 @@ def geotiff(
         ) as file:  # fmt: skip
             yield file
         if smaller := [factor for factor in _OVERVIEWS if factor * _BLOCK < max(rows, columns)]:
-            with rasterio.open(memory.name, "r+") as file:
+            with rasterio.open(memory.name, "r+", driver="GTiff") as file:
                 file.build_overviews(smaller, Resampling.average)
         path.write_bytes(memory.getbuffer())

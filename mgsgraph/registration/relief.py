@@ -20,6 +20,7 @@ from mgsgraph.adjustment.graph.shared import footprint_shifts
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.reading import Case
 from mgsgraph.case.scene import picture_file, read_scene
 from mgsgraph.case.schema import decode
@@ -308,7 +309,8 @@ def _search_profile(
     """One profile on the surface, of those `usable`, that has most of its shots."""
     assert network.shifts is not None
     mine = np.flatnonzero(network.shifts.profile == p)
-    ways, sigmas = east_north(network.points.places[mine]), _height_sigmas(network, mine)
+    given = network.points.places[mine]
+    ways, sigmas = east_north(given), local_sigmas(network.points.covariances[mine], given)[:, 2]
     points = lifted[mine] + np.einsum("k,nkj->nj", shift, ways)
     costs = [search(oriented[k], points, sigmas, network.shifts.names[p], reach) for k in usable]
     best = int(np.argmax([cost.shots for cost in costs]))
@@ -316,13 +318,6 @@ def _search_profile(
     starts = points + np.einsum("k,nkj->nj", cost.minima[0].shift if cost.tied else np.zeros(2), ways)
     here, moved = (heights_above(pair.surface, *pair.images, places, pair.corrections) for places in (points, starts))
     return _Found(mine, usable[best], points, here, cost, starts, moved)
-
-
-def _height_sigmas(network: Network, points: Index) -> Array:
-    """(n,) m, a-priori, of the heights of network points."""
-    up = network.points.places[points]
-    up = up / np.linalg.norm(up, axis=1, keepdims=True)
-    return np.asarray(np.sqrt(np.einsum("ni,nij,nj->n", up, network.points.covariances[points], up)))
 
 
 def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence[_Found]) -> StereoControl:

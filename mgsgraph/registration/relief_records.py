@@ -82,7 +82,7 @@ class ReliefProfile:
 
     @property
     def rms_after(self) -> float:
-        """m, after."""
+        """m, of the heights of the shots above the surface, after."""
         return _rms(self.after.heights, self.taken)
 
 

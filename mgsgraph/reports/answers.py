@@ -58,7 +58,7 @@ class Questions:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """One answer."""
+    """What is said of one question to the covariance."""
 
     text: str
     """Lines for a person."""

@@ -13,7 +13,7 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
-from mgsgraph.reports.archive_arrays import BROKEN, Arrays, put_together, read_members, taken_apart
+from mgsgraph.reports.archive_arrays import BROKEN, Arrays, from_arrays, read_members, to_arrays
 
 FORMAT = 2
 """Version of the layout, raised whenever an older reader would misread it: 2 holds the joint covariance by blocks."""
@@ -28,7 +28,7 @@ _ANEW = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph
 def write_archive(solution: Solution, path: Path) -> None:
     """Write a solution to an .npz file."""
     arrays: Arrays = {}
-    record = json.dumps(taken_apart(solution, "", arrays), allow_nan=False)
+    record = json.dumps(to_arrays(solution, "", arrays), allow_nan=False)
     head = {"format": np.array(FORMAT), "record": np.frombuffer(record.encode(), dtype=np.uint8)}
     with path.open("wb") as file:
         np.savez(file, **head, **arrays)  # type: ignore[arg-type]  # NumPy's stub takes any name for allow_pickle
@@ -56,7 +56,7 @@ def read_solution(path: str | Path) -> Solution:
         version = int(arrays["format"])
         if version == FORMAT:
             record = json.loads(arrays["record"].tobytes().decode())
-            solution: Solution = put_together(record, Solution, "", arrays)
+            solution: Solution = from_arrays(record, Solution, "", arrays)
             _require_shapes(solution)
             return solution
     except InputError as error:

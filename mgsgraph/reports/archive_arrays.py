@@ -54,7 +54,7 @@ _ANEW = "write it anew with the program that made it"
 def pack(record: Any) -> bytes:
     """A record as the bytes of an .npz file; the same record gives the same bytes."""
     arrays: Arrays = {}
-    text = json.dumps(taken_apart(record, "", arrays), allow_nan=False)
+    text = json.dumps(to_arrays(record, "", arrays), allow_nan=False)
     file = io.BytesIO()
     np.savez(file, record=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)  # type: ignore[arg-type]
     return file.getvalue()
@@ -64,7 +64,7 @@ def unpack(data: bytes, kind: type[Kind], where: str) -> Kind:
     """The record of a kind that `pack` made the bytes of; InputError naming `where` for anything else."""
     try:
         arrays = read_members(io.BytesIO(data))
-        record: Kind = put_together(json.loads(arrays["record"].tobytes().decode()), kind, "", arrays)
+        record: Kind = from_arrays(json.loads(arrays["record"].tobytes().decode()), kind, "", arrays)
     except InputError as error:
         raise error.within(where) from None
     except BROKEN as error:
@@ -93,22 +93,22 @@ def read_members(file: Path | BinaryIO) -> Arrays:
 # --- taking a record apart
 
 
-def taken_apart(value: Any, where: str, arrays: Arrays) -> Any:
+def to_arrays(value: Any, where: str, arrays: Arrays) -> Any:
     """JSON of a value; the arrays in it go to `arrays`, under the path that leads to them."""
     if isinstance(value, np.ndarray):
         arrays[where] = value
         return {"array": where}
     if is_dataclass(value):
-        parts = {field.name: taken_apart(getattr(value, field.name), _at(where, field.name), arrays)
+        parts = {field.name: to_arrays(getattr(value, field.name), _at(where, field.name), arrays)
                  for field in fields(value)}
         return parts | ({"kind": type(value).__name__} if type(value).__name__ in _KIND_NAMES else {})
     if isinstance(value, Mapping):
-        return {key: taken_apart(item, _at(where, key), arrays) for key, item in value.items()}
+        return {key: to_arrays(item, _at(where, key), arrays) for key, item in value.items()}
     if isinstance(value, tuple):
         names = _as_text_array(value)
         if names is not None:
-            return taken_apart(names, where, arrays)
-        return [taken_apart(item, _at(where, str(k)), arrays) for k, item in enumerate(value)]
+            return to_arrays(names, where, arrays)
+        return [to_arrays(item, _at(where, str(k)), arrays) for k, item in enumerate(value)]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, float):
@@ -133,7 +133,7 @@ def _at(where: str, name: str) -> str:
 # --- putting it together again
 
 
-def put_together(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
+def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
     """The value of type `kind` (as the records' fields declare it) that was taken apart to the JSON `value`."""
     origin, options = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
@@ -144,15 +144,15 @@ def put_together(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
             return _array(value, options, where, arrays)
         if len(options) > 1:  # records, of which the value says which it is
             return _record(value, {kind.__name__: kind for kind in options}[value["kind"]], where, arrays)
-        return put_together(value, options[0], where, arrays)
+        return from_arrays(value, options[0], where, arrays)
     if origin is np.ndarray:
         return _array(value, (kind,), where, arrays)
     if origin is tuple:
         if isinstance(value, dict):
             return tuple(_array(value, (NDArray[np.str_],), where, arrays).tolist())
-        return tuple(put_together(item, options[0], _at(where, str(k)), arrays) for k, item in enumerate(value))
+        return tuple(from_arrays(item, options[0], _at(where, str(k)), arrays) for k, item in enumerate(value))
     if origin is Mapping:
-        return {key: put_together(item, options[1], _at(where, key), arrays) for key, item in value.items()}
+        return {key: from_arrays(item, options[1], _at(where, key), arrays) for key, item in value.items()}
     if kind in _KINDS:
         return _record(value, _KINDS[kind][value["kind"]], where, arrays)
     return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
@@ -171,7 +171,7 @@ def _record(value: dict[str, Any], kind: Any, where: str, arrays: Arrays) -> Any
     for name in sorted(set(value) - set(hints) - {"kind"})[:1]:
         raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
     # a field that the writer didn't know yet takes its default; one that has none fails there
-    parts = {name: put_together(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}
+    parts = {name: from_arrays(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}
     record = kind(**parts)
     if kind is AttitudeTable:
         assign(record, quaternions=parts["quaternions"])  # checked above; a second division by the norm moves last bits

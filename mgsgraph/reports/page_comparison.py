@@ -51,7 +51,7 @@ def compare(solution: Solution, earlier: Solution) -> Comparison:
         _only([image.name for image in solution.network.images], [image.name for image in earlier.network.images]),
         "" if earlier.converged else "The earlier solution had NOT CONVERGED.",
     ) if sentence]  # fmt: skip
-    tables = [table for table in (_merit(solution, earlier), images, points) if len(table)]
+    tables = [table for table in (_fit_figures(solution, earlier), images, points) if len(table)]
     return Comparison(earlier.name, [_METHOD, *sentences, *about_points, *others], tables)
 
 
@@ -81,7 +81,7 @@ def _only(here: list[str], there: list[str]) -> str:
     return f"Images that only one of both has, {'; '.join(parts)}." if parts else ""
 
 
-def _merit(solution: Solution, earlier: Solution) -> Table:
+def _fit_figures(solution: Solution, earlier: Solution) -> Table:
     both = [
         ("cost with the nominal orientation", earlier.cost_initial, solution.cost_initial),
         ("cost at the solution", earlier.cost_final, solution.cost_final),

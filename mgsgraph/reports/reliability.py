@@ -58,7 +58,7 @@ def _line(found: Reliability, group: Suspect, k: int, first: bool) -> str:
 
 
 def reliability_record(found: Reliability, worst: Sequence[Suspect]) -> dict[str, Any]:
-    """For analysis.json."""
+    """Figures of the reliability and its worst measures, as analysis.json has them."""
     return {
         "alpha": found.levels.alpha, "power": found.levels.power, "critical": found.critical,
         "shift_sigmas": found.levels.shift, "measures": len(found), "redundancy": found.degrees_of_freedom,
@@ -113,7 +113,7 @@ def snooping_text(found: Snooping) -> str:
 
 
 def snooping_record(found: Snooping) -> dict[str, Any]:
-    """For analysis.json."""
+    """What data snooping has removed, as analysis.json has it."""
     return {
         "adjustments": found.adjustments, "complete": found.complete, "sigma0": found.solution.sigma0,
         "removed": [

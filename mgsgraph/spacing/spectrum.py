@@ -44,7 +44,7 @@ prior doesn't allow it."""
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """A vibration."""
+    """A vibration of the camera: a peak of the spectrum."""
 
     frequency: float
     """Hz."""
@@ -247,7 +247,7 @@ class _WhitenedAxis:
 
     @property
     def nyquist(self) -> float:
-        """Hz."""
+        """Largest frequency in Hz that the times resolve on the average."""
         return 0.5 * (self.times.size - 1) / float(np.ptp(self.times))
 
     def grid(self) -> Array:

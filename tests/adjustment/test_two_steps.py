@@ -11,6 +11,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.datum.frames import flight_axes, flight_frame
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.passes import everything
+from mgsgraph.adjustment.posterior import prior_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.two_steps import (
@@ -23,7 +24,7 @@ from mgsgraph.adjustment.two_steps import (
     without_terrain,
 )
 from mgsgraph.analysis.flight import flight_axes_at, pose_sigmas
-from mgsgraph.analysis.forward import RaysAlone, prior_covariance
+from mgsgraph.analysis.forward import RaysAlone
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior

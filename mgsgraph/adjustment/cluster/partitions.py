@@ -60,7 +60,7 @@ def require_bundles(settings: SolverSettings, where: str) -> None:
 
 @dataclass(slots=True, eq=False)
 class _Part:
-    """One partition."""
+    """Some neighbouring pieces of a layout's points, and the worker that holds them."""
 
     token: str
     pieces: slice

@@ -138,8 +138,9 @@ class Layout:
         places = points.copy()
         places[anew.points] = accelerated(self.stereo, anew)
         step, earlier = anew.reference - self.stereo.reference, self.stereo.reference
-        anew = linear_rows(self.network, self.model, self.variables, shared, places, self.stereo)
-        assert anew is not None
+        if not np.array_equal(places[anew.points], points[anew.points]):
+            anew = linear_rows(self.network, self.model, self.variables, shared, places, self.stereo)
+            assert anew is not None
         return replace(self, stereo=anew._replace(step=step, earlier=earlier)).about(self.lines)
 
     def about(self, lines: Array) -> "Layout":

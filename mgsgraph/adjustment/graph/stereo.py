@@ -92,8 +92,9 @@ def linear_rows(
     control = network.stereo
     if control is None:
         return None
+    values, effects = variables.split(orientation), SharedEffects(network, model)
     found = [
-        _of_surface(network, model, variables, orientation, s, np.flatnonzero(control.surface == s), points)
+        _of_surface(network, model, values, effects, s, np.flatnonzero(control.surface == s), points)
         for s in range(len(control.surfaces))
     ]
     mine, sides, heights, normals, directions = zip(*found, strict=True)
@@ -128,16 +129,12 @@ def _kept(unseen: Mask, before: StereoRows, rows: StereoRows) -> StereoRows:
 
 
 def _of_surface(
-    network: Network, model: Model, variables: Variables, orientation: Array, s: int, mine: Index, points: Array
+    network: Network, model: Model, values: list[Array], effects: SharedEffects, s: int, mine: Index, points: Array
 ) -> tuple[Index, Index, Array, Array, Array]:
     """Points, sides, heights, normals and directions of the rows of one surface."""
     assert network.stereo is not None
     first, second = network.stereo.images[s].tolist()
-    angles, effects = angles_of(model), SharedEffects(network, model)
-    values = [
-        orientation[variables.columns_of(v)] if variables.first[v] >= 0 else np.zeros(variables.width[v])
-        for v in range(variables.first.size)
-    ]
+    angles = angles_of(model)
     at = heights_above(
         network.stereo.surfaces[s],
         adjusted_image(network, first, values),
@@ -151,7 +148,7 @@ def _of_surface(
         sides[:, 2 * side + 1], part = _directions(network, effects, image, at.lines[:, side], at.by_pose[:, side])
         parts.append(part)
     directions = np.hstack(parts)
-    counted = _counted(network, variables, orientation, sides, directions)
+    counted = _counted(network, values, sides, directions)
     return mine, sides, at.heights - counted, at.normals, directions
 
 
@@ -179,9 +176,10 @@ def _directions(
 
 def heights_at(rows: StereoRows, network: Network, variables: Variables, shared: Array, points: Array) -> Array:
     """(k,) m above the surfaces, by the rows, of points (k, 3) with shared unknowns (columns,)."""
+    values = variables.split(shared)
     found = rows.heights + np.einsum("kc,kc->k", rows.normals, points - rows.reference)
     for part, directions in rows.parts:
-        found[part] += _counted(network, variables, shared, rows.sides[part], directions)
+        found[part] += _counted(network, values, rows.sides[part], directions)
     return np.asarray(found)
 
 
@@ -205,18 +203,18 @@ def accelerated(before: StereoRows, after: StereoRows) -> Array:
     step = after.reference - before.reference
     if before.step is None or before.earlier is None or not np.any(turned):
         return after.reference
-    change, size = step - before.step, np.einsum("kc,kc->k", step - before.step, step - before.step)
-    share = np.einsum("kc,kc->k", step, change) / np.maximum(size, 1e-12)
+    change = step - before.step
+    share = np.einsum("kc,kc->k", step, change) / np.maximum(np.einsum("kc,kc->k", change, change), 1e-12)
     moved = before.reference - before.earlier + change
     taken = np.where(turned, np.clip(share, -_FARTHEST, 0.9), 0.0)
     return np.asarray(after.reference - taken[:, None] * moved)
 
 
-def _counted(network: Network, variables: Variables, shared: Array, sides: Index, directions: Array) -> Array:
-    """(n,) m by which shared unknowns (columns,) move the surface, of rows with sides (n, 4) and directions (n, c)."""
+def _counted(network: Network, values: list[Array], sides: Index, directions: Array) -> Array:
+    """(n,) m by which the values of all variables move the surface, of rows with sides (n, 4), directions (n, c)."""
     found = np.zeros(len(sides))
     for one in np.unique(sides, axis=0):
         rows = np.all(sides == one, axis=1)
         variable, inside = columns(network, tuple(one.tolist()))
-        found[rows] = directions[rows] @ shared[variables.first[variable] + inside]
+        found[rows] = directions[rows] @ [values[v][c] for v, c in zip(variable.tolist(), inside.tolist(), strict=True)]
     return found

@@ -2,6 +2,7 @@
 basis terms by which those of orientation act on image rays and laser ranges.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,17 @@ class Variables:
     def adjusted(self) -> list[int]:
         """Variables that have columns."""
         return [int(v) for v in np.flatnonzero(self.first >= 0)]
+
+    def joined(self, values: Sequence[Array]) -> Array:
+        """(columns,) vector of the values (width,) of all variables."""
+        return np.concatenate([np.zeros(0), *(values[v] for v in self.adjusted())])
+
+    def split(self, vector: Array) -> list[Array]:
+        """Values (width,) of all variables in a vector (columns,); zeros where a variable has no columns."""
+        return [
+            vector[self.columns_of(v)] if first >= 0 else np.zeros(int(self.width[v]))
+            for v, first in enumerate(self.first.tolist())
+        ]
 
 
 def make_variables(network: Network) -> Variables:
