@@ -243,3 +243,6 @@ class StereoControl:
     starts: Array | None = None
     """(n, 3) m, body-fixed, where a search has found the points to lie: their rows begin there. NaN, or None,
     for the a-priori positions."""
+    level: Mask | None = None
+    """(n,) points whose height counts as if the ground were level, so that relief moves nothing horizontally: those
+    whose horizontal position the search has not found, or not yet. None for none."""

@@ -33,7 +33,7 @@ from mgsgraph.matching.scene import Scene
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.records import StereoControl
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
-from mgsgraph.registration.search import CostSurface, StereoPair, search
+from mgsgraph.registration.search import CostSurface, StereoPair, search, shots_alike
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.wording import some
 
@@ -46,7 +46,7 @@ _SCATTERS = 3.0
 """Robust standard deviations of the tie points about the ground, within which the ground is sought."""
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
-_MOST_ROUNDS = 4
+_MOST_ROUNDS = 6
 """Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
 _LIKELY = 0.01
 """Weight from which on a minimum counts as one where the profile may be."""
@@ -94,17 +94,17 @@ def register_by_relief(
     footprints = [settings.footprint or case.footprints[name] for name in profile_names(network)]
     surfaces = stereo_surfaces(case.path, posterior, footprints, settings, workers, progress)
     first = _searched(network, surfaces, posterior, before, footprints, settings.reach, progress)
-    found, solution = first, before
+    left, solution = first, before
     for _ in range(_MOST_ROUNDS):
+        found = left
         control = _control(network, surfaces, found)
         shown = _counted(progress, "adjustment with stereo rows", solver)
         anew = replace(network, stereo=control)
         begin = None if solution is before else solution
         solution = adjust_network(anew, solver, case.name, shown, begin=begin)
         left = _searched(network, surfaces, Posterior.of(solution), solution, footprints, settings.reach, progress)
-        if all(one.at_rest for one in left):
+        if all(new.at_rest(old) for old, new in zip(found, left, strict=True)):
             break
-        found = left
     profiles = tuple(
         ReliefProfile(
             one.cost.name, one.mine, control.surface[one.mine] >= 0, control.sigmas[one.mine],
@@ -262,11 +262,12 @@ class _Found:
     moved: SurfaceHeights
     """There."""
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether the profile fits where it is, or relief doesn't tie it."""
-        if not self.cost.tied:
-            return True
+    def at_rest(self, before: "_Found") -> bool:
+        """Whether the profile fits where it is, or relief ties it as little as it did `before` the last adjustment."""
+        if not self.cost.clear:
+            return not before.cost.clear and len(self.cost.possible) == len(before.cost.possible)
+        if not before.cost.clear:
+            return False
         step = float(np.diff(self.cost.shifts[:2])[0])
         near = [
             np.all(np.abs(one.shift) <= np.maximum(3.0 * np.sqrt(np.diag(one.covariance)), step))
@@ -315,7 +316,7 @@ def _search_profile(
     costs = [search(oriented[k], points, sigmas, network.shifts.names[p], reach) for k in usable]
     best = int(np.argmax([cost.shots for cost in costs]))
     pair, cost = oriented[usable[best]], costs[best]
-    starts = points + np.einsum("k,nkj->nj", cost.minima[0].shift if cost.tied else np.zeros(2), ways)
+    starts = points + np.einsum("nk,nkj->nj", cost.best(mine.size), ways) if cost.clear else points
     here, moved = (heights_above(pair.surface, *pair.images, places, pair.corrections) for places in (points, starts))
     return _Found(mine, usable[best], points, here, cost, starts, moved)
 
@@ -324,12 +325,16 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
     """Shots on the surfaces of all profiles that have enough there."""
     n = len(network.points)
     surface, sigmas, starts = np.full(n, -1, dtype=np.int64), np.full(n, np.inf), np.full((n, 3), np.nan)
+    level = np.zeros(n, dtype=bool)
     for one in found:
         on = one.moved.covered
         if int(on.sum()) < _LEAST_SHOTS:
             continue
         surface[one.mine[on]] = one.surface
+        level[one.mine] = not one.cost.clear
         sigmas[one.mine[on]] = np.hypot(one.moved.sigmas, one.moved.roughness)[on]
+        if not one.cost.clear:
+            sigmas[one.mine[on]] = _level_sigma(one.moved.heights[on])
         starts[one.mine[on]] = one.starts[on]
     if not np.any(surface >= 0):
         shots = sum(one.mine.size for one in found)
@@ -338,4 +343,14 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
             "profiles that cross the ground that two images show", "check the images' overlap and the profiles' places",
         )  # fmt: skip
     images = np.array([one.images for one in surfaces])
-    return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts)
+    return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts, level)
+
+
+def _level_sigma(heights: Array) -> float:
+    """m, of heights (n,) above ground of unknown horizontal position: what they differ by from a line along the track,
+    as often as successive ones count as one.
+    """
+    along = np.linspace(-1.0, 1.0, heights.size)
+    left = heights - np.polyval(np.polyfit(along, heights, 1), along)
+    return float(np.sqrt(np.mean(left**2) * shots_alike(left)))
+
