@@ -1,11 +1,12 @@
 """The simulated sites as their files tell them: read back through the real formats, against the truth beside them."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from sites import PLAIN, plain_site
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
@@ -23,8 +24,6 @@ from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOp
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import ARCSEC, DEG
 
-PLAIN = SimulationOptions(pictures=False)
-
 
 @dataclass
 class Written:
@@ -35,7 +34,7 @@ class Written:
 @pytest.fixture(scope="module", params=SITE_NAMES)
 def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp(request.param)
-    site = simulate_site(request.param, 1, PLAIN)
+    site = plain_site(request.param)
     write_site(site, folder)
     return Written(site, folder)
 
@@ -43,7 +42,7 @@ def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 @pytest.fixture(scope="module")
 def gusev(tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp("gusev")
-    site = simulate_site("gusev", 1, PLAIN)
+    site = plain_site()
     write_site(site, folder)
     return Written(site, folder)
 
@@ -193,7 +192,7 @@ def along_flight(site: SimulatedSite) -> dict[bool, np.ndarray]:
     ("name", "bias", "total"), [("gusev", None, 229.0), ("isidis", None, 225.0), ("gusev", 0.95, 325.0)]
 )
 def test_images_of_a_pair_disagree_as_published(name: str, bias: float | None, total: float) -> None:
-    site = simulate_site(name, 1, SimulationOptions(pictures=False, attitude_time_bias=bias))
+    site = plain_site(name) if bias is None else simulate_site(name, 1, replace(PLAIN, attitude_time_bias=bias))
     along = along_flight(site)
     assert along[False].mean() - along[True].mean() == pytest.approx(total, abs=6.0)  # the mean of noise of 4"
     assert along[False].mean() > 0.0  # corrections are negative in nadir images (Table 5)
@@ -201,7 +200,7 @@ def test_images_of_a_pair_disagree_as_published(name: str, bias: float | None, t
 
 
 def test_eos_disagrees_differently_along_the_image() -> None:
-    along = along_flight(simulate_site("eos", 1, PLAIN))
+    along = along_flight(plain_site("eos"))
     assert np.ptp(along[False]) > 1000.0
 
 
