@@ -32,7 +32,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface, SurfaceHeights, averaged_surface, heights_above
 from mgsgraph.matching.scene import Scene
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.records import StereoControl
+from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.search import CostSurface, StereoPair, search
 from mgsgraph.stages import Progress, no_progress
