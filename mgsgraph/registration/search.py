@@ -63,6 +63,8 @@ _FITTED = 4
 """Level, slope and two shifts, which misfits have lost."""
 _CHANGE = 50.0
 """m, sigma of the change of a shift from the middle of a profile to its end."""
+_ONE_PLACE = 13.8
+"""chi-square of two degrees of freedom (99.9 %), up to which two minima are one place."""
 _STEPS = 12
 """Of the fit of a shift and its change."""
 
@@ -333,7 +335,7 @@ def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[_Bowl], ste
     heights, weights = _heights(surface, moved, fitted.along(moved))
     misfits, left = _left(heights, weights, moved.along)
     each = (misfits + fitted.penalty) / np.maximum(np.count_nonzero(weights, axis=1), 1)
-    apart = _apart(fitted.shifts, each, step)
+    apart = _apart(fitted, each, step)
     fitted = _Bent(*(part[apart] for part in fitted))
     heights, weights, left = heights[apart], weights[apart], left[apart]
     first = int(np.argmin(each[apart]))
@@ -355,15 +357,6 @@ def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[_Bowl], ste
         )
     ]
     return weighted(found, misfits, lowest, np.count_nonzero(both, axis=1), variances, alike)
-
-
-def _apart(shifts: Array, misfits: Array, step: float) -> Index:
-    """Which of shifts (s, 2) in m are minima by themselves, not `step` m from a lower one: where fits have met."""
-    apart = list[int]()
-    for k in np.argsort(misfits).tolist():
-        if all(np.linalg.norm(shifts[k] - shifts[j]) > step for j in apart):
-            apart.append(k)
-    return np.array(apart)
 
 
 class _Bent(NamedTuple):
@@ -408,6 +401,18 @@ def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float) -> _
         move *= np.minimum(1.0, step / np.maximum(np.abs(move).max(axis=1, keepdims=True), 1e-12))
         found = _Bent(found.shifts + move[:, :2], found.changes + move[:, 2:], np.linalg.inv(normal)[:, :2, :2])
     return found
+
+
+def _apart(fitted: _Bent, misfits: Array, step: float) -> Index:
+    """Minima that are places of their own: further from a lower one than `step` m and than the sigmas of both allow."""
+    apart = list[int]()
+    for k in np.argsort(misfits).tolist():
+        off = fitted.shifts[k] - fitted.shifts[apart]
+        both = misfits[k] * (fitted.covariances[k] + fitted.covariances[apart])
+        ratio = np.einsum("si,si->s", off, np.linalg.solve(both, off[:, :, None])[:, :, 0])
+        if np.all((np.linalg.norm(off, axis=1) > step) & (ratio > _ONE_PLACE)):
+            apart.append(k)
+    return np.array(apart)
 
 
 def weighted(

@@ -25,6 +25,8 @@ _TOLERANCE = 1e-6
 """Sigmas by which a row may differ from the one about the present state, and by how much its normal may."""
 _DEPTH = 6
 """Steps that are looked back upon (`accelerated`)."""
+_FARTHEST = 10.0
+"""Sum of the moduli of their shares up to which they are mixed."""
 
 
 class StereoRows(NamedTuple):
@@ -219,6 +221,8 @@ def accelerated(
     begun, ended = (np.stack(part, axis=1) for part in zip(*steps, strict=True))
     left = ended - begun
     share = np.linalg.lstsq(left[:, -1:] - left[:, :-1], left[:, -1], rcond=1e-6)[0]
+    if np.abs(share).sum() > _FARTHEST:
+        share = np.zeros_like(share)
     mixed = ended[:, -1] - (ended[:, -1:] - ended[:, :-1]) @ share
     return mixed[: scales.size] * scales, mixed[scales.size :].reshape(-1, 3) * sigmas, steps
 
