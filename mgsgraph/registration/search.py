@@ -334,7 +334,9 @@ def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[_Bowl], ste
     fitted = _bent(surface, moved, np.array([one.shift for one in bowls]), step)
     heights, weights = _heights(surface, moved, fitted.along(moved))
     misfits, left = _left(heights, weights, moved.along)
-    each = (misfits + fitted.penalty) / np.maximum(np.count_nonzero(weights, axis=1), 1)
+    counts = np.count_nonzero(weights, axis=1)
+    each = (misfits + fitted.penalty) / np.maximum(counts, 1)
+    each[counts < _LEAST_SHARE * counts.max()] = np.inf
     apart = _apart(fitted, each, step)
     fitted = _Bent(*(part[apart] for part in fitted))
     heights, weights, left = heights[apart], weights[apart], left[apart]
@@ -404,9 +406,12 @@ def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float) -> _
 
 
 def _apart(fitted: _Bent, misfits: Array, step: float) -> Index:
-    """Minima that are places of their own: further from a lower one than `step` m and than the sigmas of both allow."""
+    """Minima that are places of their own: further from a lower one than `step` m and than the sigmas of both allow.
+
+    Misfits (s,) are per shot, infinite for fits that have left the surface.
+    """
     apart = list[int]()
-    for k in np.argsort(misfits).tolist():
+    for k in np.argsort(misfits)[: np.count_nonzero(np.isfinite(misfits))].tolist():
         off = fitted.shifts[k] - fitted.shifts[apart]
         both = misfits[k] * (fitted.covariances[k] + fitted.covariances[apart])
         ratio = np.einsum("si,si->s", off, np.linalg.solve(both, off[:, :, None])[:, :, 0])
