@@ -22,7 +22,6 @@ from mgsgraph.network import (
     PointClass,
     ProfileShifts,
     Ranges,
-    SharedKind,
     SharedUnknown,
     Surface,
 )
@@ -34,8 +33,6 @@ from mgsgraph.units import KM, MRAD
 
 MOLA_FOOTPRINT = 168.0
 """m, diameter of MOLA's spot on the ground (Neumann et al. 2003)."""
-_NO_DRIFT = 1e-3
-"""m, sigma of a drift that is none."""
 
 
 class Parts:
@@ -146,9 +143,7 @@ class Parts:
         for p, profile in enumerate(taken.profiles):
             full = f"{name}:{profile}"
             self._shifts.append((full, east, first + np.flatnonzero(taken.profile == p)))
-            sigmas = np.array([upward, wanted.drift_sigma_m or _NO_DRIFT])
-            none = np.zeros(0, dtype=np.int64)
-            self.heights.append(SharedUnknown(f"height of {full}", SharedKind.PROFILE_HEIGHT, none, sigmas, full))
+            self.heights.append(SharedUnknown.of_height(full, upward, wanted.drift_sigma_m))
             self.footprints[full] = taken.footprint
 
     def _add_back_projections(self, first: int, places: Array, inside: Mask, sigma: float) -> None:

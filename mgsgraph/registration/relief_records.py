@@ -3,7 +3,7 @@ before and after the adjustment with stereo rows.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,9 @@ class ReliefSettings:
     """m between dense matches; a quarter of the smallest footprint when None, but not less than the matching's own."""
     images: tuple[str, ...] = ()
     """Names of those to match; all of the case when empty."""
+    terrain: Literal["cells", "patches"] = "cells"
+    """Posts of terrain models lie on the surface that the images show, or tie points stay on the bilinear patches of
+    the first model, as in an adjustment without relief."""
 
     def __post_init__(self) -> None:
         for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing)):
