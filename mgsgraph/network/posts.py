@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import SPOT_WIDTHS, footprint_covariances
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
@@ -22,7 +23,7 @@ from mgsgraph.ties import PointKind
 
 PLACE_SIGMA = 0.1
 """m, a-priori, east and north of each post by itself: files round longitudes and latitudes so."""
-_WIDTH = 4.0 / np.sqrt(12.0)
+_WIDTH = SPOT_WIDTHS / np.sqrt(12.0)
 """Diameter of the Gaussian footprint (four standard deviations) that is as wide as a square cell, in sides of it."""
 _LEAST_SHARE = 0.5
 """Of a cell's posts that have to be there."""
@@ -73,9 +74,8 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
     """
     grid = model.grid
     rows, columns = grid.radii.shape
-    latitudes = grid.first_latitude - grid.latitude_step * np.arange(rows)
-    radius = float(np.nanmean(radii))
-    sides = radius * np.array([grid.latitude_step, grid.longitude_step * np.cos(latitudes.mean())])
+    narrower = np.cos(grid.first_latitude - 0.5 * (rows - 1) * grid.latitude_step)
+    sides = float(np.nanmean(grid.radii)) * np.array([grid.latitude_step, grid.longitude_step * narrower])
     wanted = max(least, *sides.tolist())
     high, wide = np.maximum(np.rint(wanted / sides), 1.0).astype(int).tolist()
     radii = np.asarray(grid.radii, dtype=np.float64)
@@ -119,15 +119,12 @@ def with_posts(network: Network, models: Sequence[tuple[TerrainModel, Posts]]) -
     points, shared = network.points, list(network.shared)
     for model, posts in models:
         n, first = len(posts.ids), len(shifts.names)
-        up = posts.points / np.linalg.norm(posts.points, axis=1, keepdims=True)
-        upward = up[:, :, None] * up[:, None]
-        variances = posts.sigmas[:, None, None] ** 2
         points = GroundPoints(
             points.ids + posts.ids,
             np.append(points.classes, np.full(n, PointClass.POST)),
             np.append(points.kinds, np.full(n, PointKind.CONSTRAINED)),
             np.concatenate([points.places, posts.points]),
-            np.concatenate([points.covariances, PLACE_SIGMA**2 * (np.eye(3) - upward) + variances * upward]),
+            np.concatenate([points.covariances, footprint_covariances(posts.points, PLACE_SIGMA, posts.sigmas)]),
         )
         shifts = ProfileShifts(
             (*shifts.names, model.name),

@@ -12,6 +12,7 @@ from mgsgraph.case.scene import read_scene
 from mgsgraph.case.schema import decode
 from mgsgraph.dem.production import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import SPOT_WIDTHS
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import StereoSurface, averaged_surface
@@ -26,8 +27,6 @@ from mgsgraph.stages import Progress
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches
 
-_WIDTHS = 4.0
-"""Standard deviations of the Gaussian footprint in its diameter."""
 _SCATTERS = 3.0
 """Robust standard deviations of the tie points about the ground, within which the ground is sought."""
 _CLOSEST = 5.0
@@ -55,7 +54,7 @@ def cells_of(
     """
     images = range(len(posterior.network.images))
     pixel = max(float(_ground_pixel(posterior, j).max()) for j in images)
-    least = max(_CELL_PIXELS * pixel, _WIDTHS * (settings.spacing or 0.0))
+    least = max(_CELL_PIXELS * pixel, SPOT_WIDTHS * (settings.spacing or 0.0))
     found = list[Cells]()
     for model in models:
         posts = posts_of(model, least)
@@ -118,7 +117,7 @@ def stereo_surfaces(
     _, scene = read_scene(path, *expected_ground(posterior, wanted))
     scene = _over_adjusted_ground(adjusted_scene(scene, posterior, settings.images), posterior)
     of_cells = [posts.footprint for _, posts in cells]
-    closest = min([size / _WIDTHS for size in footprints] + [size / _MATCHES_ACROSS for size in of_cells])
+    closest = min([size / SPOT_WIDTHS for size in footprints] + [size / _MATCHES_ACROSS for size in of_cells])
     spacing = settings.spacing or max(closest, _CLOSEST * scene.step)
     matches, window = densely_matched(scene, spacing, workers, progress)
     found, sizes = list[AveragedPair](), sorted({*footprints, *of_cells})
@@ -156,7 +155,7 @@ def averaged_pair(
     """
     variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 1], dtype=np.float64)
     pixel = _ground_pixel(posterior, images[0], matches.anchors.mean(axis=0))
-    width = max(size / _WIDTHS, spacing)
+    width = max(size / SPOT_WIDTHS, spacing)
     return AveragedPair(
         averaged_surface(matches.anchors, matches.pixels, variances, pixel, width, window), images, size
     )
