@@ -43,6 +43,8 @@ HEIGHT_SIGMA = 5.0
 """m, a-priori sigma of the model's height as a whole, from which it is drawn."""
 STEP, NOISE, WINDOW = 14.0, 0.1, 42.0
 """pixels between matches and of their noise; m, width of a matching window."""
+REACH = 1000.0
+"""m, up to which shifts are searched."""
 KINDS = {"terrain": 3, "mean tie": 3, "ties": 3, "profiles": 2, "laser": 3}
 """Degrees of freedom of each normalised error."""
 ALONE = ("terrain", "mean tie")
@@ -130,7 +132,7 @@ def one_draw(name: str, seed: int) -> Draw:
 
 def by_cells(case: Case, before: Solution, site: SimulatedSite, rng: np.random.Generator) -> Solution:
     """Adjusted with posts and shots on the surface of dense matches."""
-    settings, posterior = ReliefSettings(), Posterior.of(before)
+    settings, posterior = ReliefSettings(reach=REACH), Posterior.of(before)
     matches = true_matches(site.terrain, *(image.true for image in site.images), STEP, NOISE, rng)
     assert before.network.shifts is not None
     footprints = [case.footprints[name] for name in before.network.shifts.names]

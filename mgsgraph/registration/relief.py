@@ -153,7 +153,8 @@ def registered(
         found = left
     profiles = tuple(
         ReliefProfile(
-            one.cost.name, one.mine, control.surface[one.mine] >= 0, control.sigmas[one.mine],
+            one.cost.name, PointClass(network.points.classes[one.mine[0]]), one.mine, control.surface[one.mine] >= 0,
+            control.sigmas[one.mine],
             ProfileState(one.points, one.here, one.cost), ProfileState(after.points, after.here, after.cost),
             solution.shifts[p], solution.shift_covariance(p),
         )
@@ -294,7 +295,10 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
     n = len(network.points)
     surface, sigmas, starts = np.full(n, -1, dtype=np.int64), np.full(n, np.inf), np.full((n, 3), np.nan)
     for one in found:
-        on = one.moved.covered
+        pair = [network.images[j] for j in surfaces[one.surface].images]
+        # rows begin at the nominal orientation, which may not show what lies at an image's end
+        seen = np.all([np.isfinite(image.ground_to_image(one.starts)[0][:, 0]) for image in pair], axis=0)
+        on = one.moved.covered & seen
         if int(on.sum()) < _LEAST_SHOTS:
             continue
         # a post is the mean of its cell: how rough the ground is within makes it no less certain

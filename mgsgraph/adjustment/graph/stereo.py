@@ -22,7 +22,8 @@ from mgsgraph.network import Network
 from mgsgraph.network.corrections import adjusted_image, whole_correction
 
 _TOLERANCE = 1e-6
-"""Sigmas by which a row may differ from the one about the present state, and by how much its normal may."""
+"""Sigmas, of point and surface together, by which a row may differ from the one about the present state, and by how
+much its normal may."""
 _FARTHEST = 5.0
 """Times the last change, by which a step may go on."""
 
@@ -169,7 +170,7 @@ def _directions(
         basis = nodes.around(node, moments.times, moments.epoch)[0]
     elif network.with_polynomial[image]:
         basis = polynomial(moments.u, network.priors[image].degree)[0]
-    own = np.einsum("nt,nc->ntc", basis, by_pose[:, :6]).reshape(lines.size, -1)
+    own = np.einsum("nt,nc->ntc", basis, by_pose[:, :6]).reshape(lines.size, 6 * basis.shape[1])
     shared = effects.of(IMAGE, image, moments.u)
     return node, np.hstack([own, np.einsum("nce,ne->nc", shared, by_pose[:, : shared.shape[2]])])
 
@@ -189,7 +190,9 @@ def at_rest(before: StereoRows, after: StereoRows, network: Network, variables: 
     if not np.array_equal(before.sides, after.sides):
         return False
     said, say = (heights_at(rows, network, variables, shared, after.reference) for rows in (before, after))
-    off = np.abs(said - say) / network.stereo.sigmas[after.points]
+    own = network.points.covariances[after.points]
+    known = np.einsum("ki,kij,kj->k", after.normals, own, after.normals)
+    off = np.abs(said - say) / np.sqrt(network.stereo.sigmas[after.points] ** 2 + known)
     turned = np.abs(before.normals - after.normals)
     return bool(off.max(initial=0.0) <= _TOLERANCE and turned.max(initial=0.0) <= _TOLERANCE)
 
