@@ -13,6 +13,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.stereo_surface import heights_above
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, Surface
 from mgsgraph.simulation.strip_truth import drawn_nodes, strip_correction
 from mgsgraph.ties import PointKind
@@ -57,7 +58,7 @@ def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera"
     """
     corrections = _drawn_corrections(network, rng, angles)
     terrain = _drawn_terrain(network.surface, rng)
-    truth = _true_places(network, terrain, rng)
+    truth = _on_stereo(network, _true_places(network, terrain, rng), corrections, rng)
     shifts, points = _drawn_points(network, truth, rng)
     level = 2 if network.surface is not None and network.surface.shift_sigma else 0
     if network.terrain_moves:
@@ -115,6 +116,29 @@ def _true_places(network: Network, terrain: Array, rng: np.random.Generator) -> 
         move = np.where(np.isfinite(network.surface.sigmas) & np.isfinite(above), heights - above, 0.0)
         up = places / np.linalg.norm(places, axis=1, keepdims=True)
         places = places + (move / np.where(move == 0.0, 1.0, np.einsum("ni,ni->n", normal, up)))[:, None] * up
+    return places
+
+
+def _on_stereo(
+    network: Network, places: Array, corrections: tuple[OrientationCorrection, ...], rng: np.random.Generator
+) -> Array:
+    """(n, 3) m: true places (n, 3), but for a drawn height on the stereo surfaces where the true orientation has
+    them.
+    """
+    control = network.stereo
+    if control is None:
+        return places
+    sigmas = np.where(control.surface >= 0, control.sigmas, 0.0)
+    heights, places = rng.standard_normal(len(places)) * sigmas, places.copy()
+    for s, images in enumerate(control.images.tolist()):
+        mine = np.flatnonzero(control.surface == s)
+        first, second = (network.images[j] for j in images)
+        both = corrections[images[0]], corrections[images[1]]
+        for _ in range(_HEIGHT_STEPS):
+            found = heights_above(control.surfaces[s], first, second, places[mine], both)
+            up = places[mine] / np.linalg.norm(places[mine], axis=1, keepdims=True)
+            move = (heights[mine] - found.heights) / np.einsum("ni,ni->n", found.normals, up)
+            places[mine] += move[:, None] * up
     return places
 
 

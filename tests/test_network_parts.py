@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import network, pair, terrain, with_shift_and_surface
 from odd_networks import random_network
+from stereo_pair import stereo_network
 
 from mgsgraph.errors import InputError
 from mgsgraph.network import GroundPoints, Network, PointClass, Ranges, Surface
@@ -19,6 +20,7 @@ from mgsgraph.network.parts import (
     Unknown,
     bundles,
     joined,
+    known_images,
     part,
     unknowns,
     with_images,
@@ -43,6 +45,7 @@ def rows(net: Network, points: Iterable[int] | None = None) -> dict[str, Any]:
     """All that a network says of its points (or of some that have rows), by names instead of numbers."""
     names, ids = [image.name for image in net.images], net.points.ids
     seen = set(net.rays.point.tolist()) | set(net.ranges.point.tolist())
+    seen |= set() if net.stereo is None else set(np.flatnonzero(net.stereo.surface >= 0).tolist())
     some = seen if points is None else seen & set(points)
     rays, ranges, own, sigmas = net.rays, net.ranges, net.points, {}
     marks = [np.zeros(net.rays.point.size) if m is None else m for m in (rays.back_projected, rays.rejected)]
@@ -67,6 +70,13 @@ def rows(net: Network, points: Iterable[int] | None = None) -> dict[str, Any]:
     if net.surface is not None:
         on = {ids[i]: float(net.surface.sigmas[i]) for i in some if np.isfinite(net.surface.sigmas[i])}
         found["surface"] = (on, net.surface.shift_sigma, id(net.surface.grid)) if on else None
+    if net.stereo is not None:
+        control, names = net.stereo, [image.name for image in net.images]
+        found["stereo"] = {
+            ids[i]: (id(control.surfaces[s]), [names[j] for j in control.images[s]], control.sigmas[i],
+                     bool(control.rejected is not None and control.rejected[i]))
+            for i in some for s in control.surface[[i]].tolist() if s >= 0
+        }  # fmt: skip
     return {key: value for key, value in found.items() if value}
 
 
@@ -127,6 +137,24 @@ def test_joining_heeds_no_order(seed: int, shuffled: Any) -> None:
     half = len(parts) // 2
     if half:
         assert rows(joined([joined(parts[:half]), joined(parts[half:])])) == before
+
+
+def test_shots_on_stereo_surfaces_keep_them() -> None:
+    """Both images that show the surface are members, for shots that no range ties, too; without one it is gone."""
+    net = stereo_network(pair(), displaced=False)
+    assert net.stereo is not None
+    net = replace(net, stereo=replace(net.stereo, rejected=np.arange(18) == 14))
+    bare = replace(net, ranges=net.ranges.chosen(net.ranges.point != 13))
+    for one in (net, bare):
+        parts = bundles(one)
+        assert rows(joined(list(parts.values()))) == rows(one)
+        shots = next(members for members, one in parts.items() if "SHOT00002" in one.points.ids)
+        assert shots == (*(Unknown("image", image.name) for image in net.images), Unknown("shift", "profile"))
+    assert rows(with_images(part(net, np.array([14, 15])), known_images(net)[::-1])) == rows(net, [14, 15])
+    left = without_images(net, {net.images[1].name})
+    assert left is not None
+    assert left.stereo is None
+    assert len(left.points) == 18
 
 
 def test_points_that_only_held_images_see_have_a_bundle_without_members() -> None:

@@ -193,8 +193,8 @@ def _nominal(
 
     Raises PointBehindCamera, and WeakNetwork where nothing determines some direction of the orientation.
     """
-    selection = replace(left_in or everything(layout.network), stereo=False)
-    nominal = np.zeros(layout.columns)
+    wanted, nominal = left_in or everything(layout.network), np.zeros(layout.columns)
+    selection = wanted.without_stereo()
     before = BundleGraph(layout, selection.rows(layout), sweeper).reduction(nominal)
     strong = without_weak(layout, before, selection)
     if np.all(strong.out):
@@ -211,7 +211,7 @@ def _nominal(
         return BundleGraph(anew, selection.rows(anew), sweeper).reduction(nominal)
 
     layout, before = settled(layout, before, again)
-    return layout, selection, before
+    return layout, replace(selection, stereo=wanted.stereo), before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,6 +289,8 @@ def _posterior(
         terrain_cells=None if network.surface is None else layout.rows.terrain_cell[layout.patterns.point_index],
         rays_rejected=~solved.selection.rays,
         ranges_rejected=~solved.selection.ranges,
+        stereo_rejected=~solved.selection.stereo,
+        stereo_heights=np.where(determined, found.stereo, np.nan),
         shared=shared_values(network, layout.variables, orientation),
         nodes=nodes,
         trends=trends,
@@ -322,9 +324,8 @@ def _sigmas_without_laser(layout: Layout, solved: Solved, sweeper: Sweeper) -> A
     laser = classes == PointClass.LASER
     if not (np.any(ties) and np.any(laser)):
         return None
-    rows = Selection(solved.selection.rays, np.zeros_like(solved.selection.ranges), solved.selection.out | laser).rows(
-        layout
-    )
+    left = solved.selection
+    rows = replace(left, ranges=np.zeros_like(left.ranges), out=left.out | laser).rows(layout)
     if np.any(np.isinf(layout.sigmas)):
         return None  # without the laser nothing may hold the datum
     graph = BundleGraph(layout, rows, sweeper)

@@ -10,7 +10,7 @@ import numpy as np
 from mgsgraph.adjustment.batch import Iteration, Outcome
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
-from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.posterior import Residuals, residuals
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
@@ -41,12 +41,18 @@ class Selection:
     """(r,)"""
     out: Mask
     """(n,) points that nothing determines, whatever is rejected."""
-    stereo: bool = True
-    """Whether heights above stereo surfaces take part, if there are any."""
+    stereo: Mask
+    """(n,) points whose height above a stereo surface takes part, if they lie on one."""
 
     def same(self, other: "Selection") -> bool:
-        """Whether the same rays and ranges take part."""
-        return np.array_equal(self.rays, other.rays) and np.array_equal(self.ranges, other.ranges)
+        """Whether the same rays, ranges and heights take part."""
+        return all(
+            np.array_equal(getattr(self, name), getattr(other, name)) for name in ("rays", "ranges", "stereo")
+        )
+
+    def without_stereo(self) -> "Selection":
+        """The same without heights above stereo surfaces."""
+        return replace(self, stereo=np.zeros_like(self.stereo))
 
     def rows(self, layout: Layout) -> Rows:
         """The layout's rows that take part; free points that rejection has left with fewer than two rays go too."""
@@ -58,16 +64,20 @@ class Selection:
 
 def everything(network: Network) -> Selection:
     """All rows; points that nothing determines stay out."""
-    rays, ranges = np.ones(network.rays.point.size, dtype=bool), np.ones(network.ranges.point.size, dtype=bool)
-    return Selection(rays, ranges, network.undetermined.copy())
+    sizes = network.rays.point.size, network.ranges.point.size, len(network.points)
+    rays, ranges, stereo = (np.ones(size, dtype=bool) for size in sizes)
+    return Selection(rays, ranges, network.undetermined.copy(), stereo)
 
 
 def unmarked(network: Network) -> Selection:
     """All rows but known blunders, as the network marks them."""
-    rays, ranges = network.rays.rejected, network.ranges.rejected
+    whole, rays, ranges = everything(network), network.rays.rejected, network.ranges.rejected
     assert rays is not None  # a network fills them in
     assert ranges is not None
-    return Selection(~rays, ~ranges, network.undetermined.copy())
+    found = replace(whole, rays=~rays, ranges=~ranges)
+    if network.stereo is None or network.stereo.rejected is None:
+        return found
+    return replace(found, stereo=~network.stereo.rejected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,14 +130,15 @@ def solve_in_passes(
     orientation = np.zeros(layout.columns)
     known: Reduction | None = before
     if layout.network.stereo is not None:
+        bare = selection.without_stereo()
         if begin is None:
-            first = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
+            first = _solve_exactly(layout, bare, orientation, known, settings, progress, sweeper)
             layout, orientation, points = first.layout, first.orientation, first.points
             history, initial = first.history, first.cost_initial
         else:
             orientation = begin
-            points = BundleGraph(layout, selection.rows(layout), sweeper).reduction(orientation, COSTS).points
-        layout, selection, known = _on_surfaces(layout, orientation, points), replace(selection, stereo=True), None
+            points = BundleGraph(layout, bare.rows(layout), sweeper).reduction(orientation, COSTS).points
+        layout, known = _on_surfaces(layout, orientation, points), None
     for number in range(1, _MOST_PASSES + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
         layout, history = solved.layout, history + solved.history
@@ -152,7 +163,7 @@ def _on_surfaces(layout: Layout, orientation: Array, points: Array) -> Layout:
     control, places = layout.network.stereo, layout.network_order(points)
     if control is not None and control.starts is not None:
         places = np.where(np.isfinite(control.starts), control.starts, places)
-    return layout.about_stereo(places, orientation)
+    return layout.without_steps.about_stereo(places, orientation)
 
 
 def _solve_exactly(
@@ -165,6 +176,7 @@ def _solve_exactly(
     sweeper: Sweeper,
 ) -> Solved:
     """One pass: solve, and again with rays laid out about their predicted lines until every row is exact."""
+    layout = layout.without_steps
     graph = BundleGraph(layout, selection.rows(layout), sweeper)
     solved = _solve(graph, selection, orientation, known, settings, progress)
     initial, history = solved.cost_initial, solved.history
@@ -186,7 +198,7 @@ def _state(layout: Layout, selection: Selection) -> bytes:
     """What a pass depends on beside its start."""
     cells = layout.rows.terrain_cell
     cells = layout.network_order(cells) if cells.size else cells  # rays laid out anew may change the order
-    return cells.tobytes() + selection.rays.tobytes() + selection.ranges.tobytes()
+    return b"".join(part.tobytes() for part in (cells, selection.rays, selection.ranges, selection.stereo))
 
 
 def _solve(
@@ -248,7 +260,16 @@ def select(layout: Layout, solved: Solved, limit: float, sweeper: Sweeper = IN_P
         mine = class_of_ray == point_class
         keep[mine] = _within(rays[mine], limit, 1.1774)
     keep = _worst_alone(keep, solved.selection.rays, rays, network.rays.point)
-    return Selection(keep, _within(shots, limit, 0.6745), solved.selection.out)
+    return Selection(keep, _within(shots, limit, 0.6745), solved.selection.out, _on_surface(network, found, limit))
+
+
+def _on_surface(network: Network, found: Residuals, limit: float) -> Mask:
+    """(n,) points whose height above a stereo surface stays, and those that lie on none."""
+    keep = np.ones(len(network.points), dtype=bool)
+    if network.stereo is not None:
+        on = np.isfinite(found.stereo)
+        keep[on] = _within(np.abs(found.stereo[on]) / network.stereo.sigmas[on], limit, 0.6745)
+    return keep
 
 
 def _worst_alone(keep: Mask, taken: Mask, sizes: Array, points: Index) -> Mask:
@@ -263,7 +284,7 @@ def _worst_alone(keep: Mask, taken: Mask, sizes: Array, points: Index) -> Mask:
 def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS) -> Array:
     """(n, 3) m, layout order: solved places; for points whose rays were rejected, the place that all its rays give."""
     selection = solved.selection
-    whole = Selection(np.ones_like(selection.rays), np.ones_like(selection.ranges), selection.out)
+    whole = replace(everything(layout.network), out=selection.out)
     by_all = BundleGraph(layout, whole.rows(layout), sweeper).reduction(solved.orientation, COSTS).points
     return np.where(determined_points(solved.rows)[:, None], solved.points, by_all)
 

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, mar
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.adjustment.square_root import SquareRoot, in_cliques, is_indeterminate
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import CAUCHY, FIXED, HUBER, NO_LOSS, OUT, PRIOR, Model, Rows
 
@@ -83,12 +83,11 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
     ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
     on_surface = np.isfinite(found.heights) & (kind != OUT)
     sigmas = network.surface.sigmas[on_surface] if network.surface is not None else np.zeros(0)
-    on_stereo = np.isfinite(found.stereo) & (kind != OUT)
-    stereo_sigmas = network.stereo.sigmas[on_stereo] if network.stereo is not None else np.zeros(0)
+    on_stereo, stereo_squares = _stereo_squares(layout, rows, found)
     corrections = layout.prior.residuals(orientation)
     parts = [_weighted(image_squares, layout.model), _weighted(range_squares, layout.model), np.sum(offset * ground)]
     parts.append(np.sum((found.heights[on_surface] / sigmas) ** 2))
-    parts.append(np.sum((found.stereo[on_stereo] / stereo_sigmas) ** 2))
+    parts.append(_weighted(stereo_squares, layout.model))
     priors = layout.prior.rows + 3 * known.size
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
@@ -96,6 +95,18 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
         observations=sum(int(mask.sum()) for mask in (used, used, range_used, on_surface, on_stereo)) + priors,
         unknowns=layout.columns + 3 * free,
     )
+
+
+def _stereo_squares(layout: Layout, rows: Rows, found: Residuals) -> tuple[Mask, Array]:
+    """(k,) which heights above stereo surfaces take part, and their squares in sigmas."""
+    control, stereo = layout.network.stereo, layout.stereo
+    if control is None or stereo is None:
+        return np.zeros(0, dtype=bool), np.zeros(0)
+    used = (rows.weight[0, layout.observation_rows.stereo] > 0.0) & (
+        layout.network_order(rows.kind)[stereo.points] != OUT
+    )
+    points = stereo.points[used]
+    return used, (found.stereo[points] / control.sigmas[points]) ** 2
 
 
 def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:

@@ -79,6 +79,11 @@ class Solution:
     """(k,) True for blunders, as the last pass judged; None where an older version didn't say."""
     ranges_rejected: Mask | None = None
     """(r,) the same."""
+    stereo_rejected: Mask | None = None
+    """(n,) the same of the points' heights above stereo surfaces."""
+    stereo_heights: Array | None = None
+    """(n,) m, of each point above its stereo surface, along the normal; NaN for points on none. None where an older
+    version didn't say."""
     terrain_cells: Index | None = None
     """(n, 3) the patch of the terrain model that each point was held to lie on (`TerrainGrid.cells`); a point on the
     edge of two may end on another one. None without a terrain model, or where an older version didn't say."""
@@ -91,6 +96,15 @@ class Solution:
     lift: Array | None = None
     """(w,) m and rad, of the terrain model's upward shift and of its tilts about east and north those that are unknown
     (`Surface.terms` after the horizontal shift); None where none is."""
+
+    @property
+    def stereo_used(self) -> Mask:
+        """(n,) True for points whose height above a stereo surface took part."""
+        control = self.network.stereo
+        if control is None:
+            return np.zeros_like(self.determined)
+        used = (control.surface >= 0) & self.determined
+        return used if self.stereo_rejected is None else used & ~self.stereo_rejected
 
     @property
     def sigma0(self) -> float:

@@ -140,7 +140,8 @@ def selection_of(network: Network, free: Solution) -> Selection:
     whole = everything(network)
     rays = whole.rays if free.rays_rejected is None else ~free.rays_rejected
     ranges = whole.ranges if free.ranges_rejected is None else ~free.ranges_rejected
-    return Selection(rays, ranges, whole.out)
+    stereo = whole.stereo if free.stereo_rejected is None else ~free.stereo_rejected
+    return Selection(rays, ranges, whole.out, stereo)
 
 
 def heights_above(network: Network, places: Array, solution: Solution | None = None) -> tuple[Array, Array]:

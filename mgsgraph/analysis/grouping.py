@@ -18,7 +18,7 @@ POSITION, POINTING, SHIFTS, TILTS = "position priors", "pointing priors", "shift
 _SHIFT = {"m": SHIFTS, "rad": TILTS}
 NODE_POSITION, NODE_POINTING = "position priors of nodes", "pointing priors of nodes"
 POSITION_TREND, POINTING_TREND = "position trends", "pointing trends"
-RANGES, GROUND_PRIORS, HEIGHTS = "ranges", "ground priors", "surface heights"
+RANGES, GROUND_PRIORS, HEIGHTS, STEREO_HEIGHTS = "ranges", "ground priors", "surface heights", "stereo heights"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +35,13 @@ class Grouping:
     """(n,) of the a-priori place of each point; of no meaning for points without one."""
     heights: Index
     """(n,) of each point's height above the terrain model; of no meaning where it has none."""
+    stereo: Index
+    """(n,) of each point's height above a stereo surface; of no meaning where it has none."""
     unknowns: tuple[Index, ...]
     """Of the priors of each variable's columns: images, then shifts, then shared unknowns, then those of strips."""
 
     def __post_init__(self) -> None:
-        parts = [self.rays, self.ranges, self.ground, self.heights, *self.unknowns]
+        parts = [self.rays, self.ranges, self.ground, self.heights, self.stereo, *self.unknowns]
         if any(part.size and not 0 <= part.min() <= part.max() < len(self.names) for part in parts):
             raise InputError("grouping", "a group without a name", f"numbers 0 .. {len(self.names) - 1}")
 
@@ -49,6 +51,8 @@ class Grouping:
         found = np.full(rows.weight.shape[1], -1)
         found[places.rays], found[places.ranges] = self.rays, self.ranges
         found[places.heights] = self.heights[places.on_terrain]
+        if layout.stereo is not None:
+            found[places.stereo] = self.stereo[layout.stereo.points]
         for pattern, first, count, _, among in rows.piece.tolist():
             observations = slice(rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1])
             for i in np.flatnonzero(rows.observation_kind[observations] == GROUND).tolist():
@@ -63,9 +67,9 @@ class Grouping:
 
 
 def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Grouping:
-    """The usual groups: image points of ties, of laser shots and of control, ranges, ground priors, heights, position
-    and pointing priors, shifts, tilts of the terrain, one of each kind of shared unknown, and position and pointing of
-    strips' nodes and trends. Groups without any row are left out.
+    """The usual groups: image points of ties, of laser shots and of control, ranges, ground priors, heights above
+    the terrain and above stereo surfaces, position and pointing priors, shifts, tilts of the terrain, one of each kind
+    of shared unknown, and position and pointing of strips' nodes and trends. Groups without any row are left out.
 
     Image places that are projections with the nominal orientation are no measures and make a group of their own.
 
@@ -91,8 +95,9 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
     parts += [part for strip in network.strips for part in _of_strip(strip)]
     n = len(network.points)
     ground = np.full(n if np.any(network.points.covariances) else 0, GROUND_PRIORS)
+    stereo = np.full(0 if network.stereo is None else n, STEREO_HEIGHTS)
     heights = np.full(0 if network.surface is None else n, HEIGHTS)
-    labels = [of_ray.astype(str), np.full(network.ranges.point.size, RANGES), ground, heights]
+    labels = [of_ray.astype(str), np.full(network.ranges.point.size, RANGES), ground, heights, stereo]
     own = network.with_polynomial
     labels += [part for j, part in enumerate(parts) if j >= own.size or own[j]]
     names = list(dict.fromkeys(name for part in labels for name in dict.fromkeys(part.tolist())))
@@ -110,6 +115,7 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
         every(RANGES, network.ranges.point.size),
         every(GROUND_PRIORS, n),
         every(HEIGHTS, n),
+        every(STEREO_HEIGHTS, n),
         tuple(numbered(part.tolist()) for part in parts),
     )
 
@@ -129,13 +135,15 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
     images, shifts = len(network.images), len(network.shift_names)
     of_unknown = [factors[part] for part in grouping.unknowns]
     firsts = network.first_of_strips[:-1].tolist()
-    profiles, surface = network.shifts, network.surface
+    profiles, surface, stereo = network.shifts, network.surface, network.stereo
     if profiles is not None:
         own = np.array([of_unknown[images + p][0] for p in range(len(profiles.names))]).reshape(-1)
         profiles = ProfileShifts(profiles.names, profiles.profile, profiles.sigmas * own)
     if surface is not None:
         own = of_unknown[images + shifts - 1] if network.terrain_moves else np.zeros(0)
         surface = surface.scaled(factors[grouping.heights], own)
+    if stereo is not None:
+        stereo = replace(stereo, sigmas=stereo.sigmas * factors[grouping.stereo])
     own_covariances = network.points.covariances * factors[grouping.ground][:, None, None] ** 2
     return replace(
         network,
@@ -148,6 +156,7 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
         ranges=replace(network.ranges, sigmas=network.ranges.sigmas * factors[grouping.ranges]),
         shifts=profiles,
         surface=surface,
+        stereo=stereo,
         shared=tuple(
             replace(shared, sigmas=shared.sigmas * of_unknown[images + shifts + k])
             for k, shared in enumerate(network.shared)

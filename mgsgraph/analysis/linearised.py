@@ -199,7 +199,8 @@ def at_solution(solution: Solution) -> Linearised:
         layout = replace(layout, rows=layout.rows._replace(terrain_cell=solution.terrain_cells[layout.point_order]))
     points[layout.rows.kind == OUT] = 0.0
     layout, points = exactly(layout, orientation, points)
-    rows = layout.active(solution.rays_used | out[network.rays.point], solution.ranges_used, out)
+    rays = solution.rays_used | out[network.rays.point]
+    rows = layout.active(rays, solution.ranges_used, out, solution.stereo_used)
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance)
 
 
@@ -212,7 +213,7 @@ def at_values(network: Network, settings: SolverSettings, values: Sequence[Array
     orientation, points = _placed(layout, values, np.where(out[:, None], 0.0, places))
     layout, points = exactly(layout.following(points, orientation), orientation, points)
     present = unmarked(network)
-    rows = layout.active(present.rays, present.ranges, out)
+    rows = layout.active(present.rays, present.ranges, out, present.stereo)
     graph = BundleGraph(layout, rows)
     joint = orientation_covariance(graph, graph.reduction(orientation, points=points))
     return Linearised(layout, settings, rows, orientation, points, joint)

@@ -92,7 +92,9 @@ class MeasureKind(IntEnum):
     """A-priori place of a point: body-fixed x, y, z, m."""
     HEIGHT = 3
     """Height above the terrain model, m."""
-    PRIOR = 4
+    STEREO = 4
+    """Height above a stereo surface, along its normal, m."""
+    PRIOR = 5
     """A-priori value of an unknown that points share: orientation, shift, bias."""
 
 
@@ -105,7 +107,7 @@ class ScalarMeasures:
     component: Small
     """(m,) line 0, sample 1; x, y, z; of a prior, which of its variable's columns; else 0."""
     row: Indices
-    """(m,) ray, range, point (a-priori place, height) of the network; of a prior, its column among the unknowns."""
+    """(m,) ray, range, point (a-priori place, heights) of the network; of a prior, its column among the unknowns."""
     point: Indices
     """(m,) ground point; -1 for priors."""
     image: Indices
@@ -318,6 +320,7 @@ _WHAT = {
     MeasureKind.RANGE: ("range",),
     MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
     MeasureKind.HEIGHT: ("height above the terrain",),
+    MeasureKind.STEREO: ("height above the stereo surface",),
 }
 
 

@@ -13,13 +13,13 @@ from mgsgraph.analysis.linearised import Linearised, PointRows
 from mgsgraph.analysis.measures import UNCONTROLLED, MeasureKind
 from mgsgraph.analysis.suspects import PointIndex
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.kernel.rows import GROUND, OUT, SURFACE
+from mgsgraph.kernel.rows import GROUND, OUT, STEREO, SURFACE
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 ObservationKey = tuple[MeasureKind, int]
-"""A whole ray, range, a-priori place or height, and its row in the network (of the latter two, the point)."""
+"""A whole ray, range, a-priori place or height, and its row in the network (of places and heights, the point)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,38 +54,40 @@ class Taken:
     """(n,) points whose a-priori place is out."""
     heights: Mask
     """(n,) points whose height above the terrain is out."""
+    stereo: Mask
+    """(n,) points whose height above a stereo surface is out, as `StereoControl.rejected`."""
+
+    @property
+    def _masks(self) -> dict[MeasureKind, Mask]:
+        """By kind, in the order of the fields."""
+        every = self.rays, self.ranges, self.places, self.heights, self.stereo
+        return dict(zip(MeasureKind, every, strict=False))
 
     def changed(self, observations: Iterable[ObservationKey], out: bool) -> "Taken":
         """Marks with some observations taken out or put back."""
-        masks = {
-            MeasureKind.RAY: self.rays.copy(),
-            MeasureKind.RANGE: self.ranges.copy(),
-            MeasureKind.GROUND: self.places.copy(),
-            MeasureKind.HEIGHT: self.heights.copy(),
-        }
+        masks = {kind: mask.copy() for kind, mask in self._masks.items()}
         for kind, row in observations:
             masks[kind][row] = out
         return Taken(*masks.values())
 
     def marked(self, network: Network) -> Network:
-        """A network whose rays and ranges carry the marks, and whose points lack what else is out."""
-        return without(network, self).with_rejected(self.rays, self.ranges)
+        """A network whose rays, ranges and stereo heights carry the marks, and whose points lack what else is out."""
+        return without(network, self).with_rejected(self.rays, self.ranges, self.stereo)
 
     def holds(self, observation: ObservationKey) -> bool:
         """Whether an observation is rejected."""
         kind, row = observation
-        masks = (self.rays, self.ranges, self.places, self.heights)
-        return bool(masks[kind][row])
+        return bool(self._masks[kind][row])
 
 
 def nothing_rejected(network: Network) -> Taken:
     """Marks of a network of which nothing is rejected."""
-    sizes = network.rays.point.size, network.ranges.point.size, len(network.points), len(network.points)
+    sizes = network.rays.point.size, network.ranges.point.size, *[len(network.points)] * 3
     return Taken(*(np.zeros(size, dtype=np.bool_) for size in sizes))
 
 
 def without(network: Network, taken: Taken) -> Network:
-    """A network without some a-priori places and heights; rays and ranges are left out by a `selection`."""
+    """A network without some a-priori places and heights above the terrain; a `selection` leaves out the rest."""
     points, out = network.points, taken.places
     if np.any(out):
         covariances = np.where(out[:, None, None], 0.0, points.covariances)
@@ -101,8 +103,8 @@ def without(network: Network, taken: Taken) -> Network:
 
 
 def selection(network: Network, taken: Taken) -> Selection:
-    """Rays and ranges of a network that take part."""
-    return Selection(~taken.rays, ~taken.ranges, everything(network).out)
+    """Rays, ranges and heights above stereo surfaces of a network that take part."""
+    return Selection(~taken.rays, ~taken.ranges, everything(network).out, ~taken.stereo)
 
 
 class ObservationIndex:
@@ -132,6 +134,8 @@ class ObservationIndex:
                 found[MeasureKind.GROUND, point] = slot
             elif rows.observation_kind[k] == SURFACE:
                 found[MeasureKind.HEIGHT, point] = slot
+            elif rows.observation_kind[k] == STEREO:
+                found[MeasureKind.STEREO, point] = slot
         return found
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -48,6 +48,17 @@ _MISFIT, _SHARE, _EFFECT, _BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
 several: whitened residuals; diagonal of H; m that an error of one sigma moves the point; H between the two rows."""
 _EXACT = 1e-12
 """Residual in sigmas below which its robust weight is taken as one."""
+
+
+class _Roots(NamedTuple):
+    """Roots of robust weights."""
+
+    rays: Array
+    """(k,) network order."""
+    ranges: Array
+    """(r,) network order."""
+    stereo: Array
+    """(q,) of heights above stereo surfaces, in the order of the layout's `StereoRows.points`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,18 +151,19 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     places = _ground_indices(at, points)
     numbers, ground = _swept(at, places)
     roots = _robust_roots(at, numbers)
-    used, shots, heights = _taking_part(at, roots)
+    used, shots, heights, stereo = _taking_part(at, roots)
     known = prior_rows(at)
-    sizes = [2 * int(np.count_nonzero(used)), shots.size, 3 * points.size, heights.size, known.about.size]
-    ends = np.cumsum([0, *sizes]).tolist()
+    counts = shots.size, 3 * points.size, heights.size, stereo.size, known.about.size
+    ends = np.cumsum([0, 2 * int(np.count_nonzero(used)), *counts]).tolist()
     out = empty_measures(ends[-1])
-    rays, ranges, apriori, surface, priors = (out.part(a, b) for a, b in pairwise(ends))
+    rays, ranges, apriori, surface, on_stereo, priors = (out.part(a, b) for a, b in pairwise(ends))
     squares = sum(_rays(rays, at, numbers, used, roots, levels))
     squares += _ranges(ranges, at, numbers, shots, roots, levels)
     thrice = np.repeat(points, 3)
     apriori.say(MeasureKind.GROUND, np.tile(np.arange(3), points.size), thrice, thrice, -1, np.repeat(places, 3))
     squares += judge_ground_priors(apriori, at.network.points.covariances[points], ground, levels)
     squares += _heights(surface, at, numbers, heights, levels) + _priors(priors, at, known, levels)
+    squares += _stereo(on_stereo, at, numbers, stereo, roots, levels)
     degrees = float(out.redundancy.sum())
     sigma0 = float(np.sqrt(squares / degrees)) if degrees > 0.0 else float("nan")
     if levels.scaled:
@@ -163,15 +175,21 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     return Reliability(at, levels, out, critical, sigma0, degrees)
 
 
-def _taking_part(at: Linearised, roots: tuple[Array, Array] | None) -> tuple[Mask, Index, Index]:
-    """Which rays (k,) take part; ranges, and heights by their place among the network's."""
+def _taking_part(at: Linearised, roots: _Roots | None) -> tuple[Mask, Index, Index, Index]:
+    """Which rays (k,) take part; ranges, heights above the terrain and above stereo surfaces by their place among the
+    network's.
+    """
     network, places = at.network, at.layout.observation_rows
-    used = _used(at, places.rays, network.rays.point, None if roots is None else roots[0])
-    shots = np.flatnonzero(_used(at, places.ranges, network.ranges.point, None if roots is None else roots[1]))
+    used = _used(at, places.rays, network.rays.point, None if roots is None else roots.rays)
+    shots = np.flatnonzero(_used(at, places.ranges, network.ranges.point, None if roots is None else roots.ranges))
+    stereo = np.zeros(0, dtype=np.int64)
+    if at.layout.stereo is not None:
+        of_stereo = None if roots is None else roots.stereo
+        stereo = np.flatnonzero(_used(at, places.stereo, at.layout.stereo.points, of_stereo))
     if network.surface is None:
-        return used, shots, np.zeros(0, dtype=np.int64)
+        return used, shots, stereo[:0], stereo
     there = at.rows.terrain_cell[at.layout.patterns.point_index[places.on_terrain], 0] >= 0
-    return used, shots, np.flatnonzero(there & _used(at, places.heights, places.on_terrain, None))
+    return used, shots, np.flatnonzero(there & _used(at, places.heights, places.on_terrain, None)), stereo
 
 
 def _ground_indices(at: Linearised, points: Index) -> Index:
@@ -220,23 +238,31 @@ def _in_threads(part: Callable[[int, int], _Part], edges: list[int]) -> list[_Pa
         return list(pool.map(part, edges[:-1], edges[1:]))
 
 
-def _robust_roots(at: Linearised, numbers: Array) -> tuple[Array, Array] | None:
-    """Roots of the robust weights of all rays (k,) and ranges (r,), network order; None without a loss."""
+def _robust_roots(at: Linearised, numbers: Array) -> _Roots | None:
+    """Roots of the robust weights; None without a loss."""
     if at.layout.model.loss == NO_LOSS:
         return None
     network, places = at.network, at.layout.observation_rows
     found = residuals(at.layout, at.orientation, at.points)
-    plain = np.linalg.norm(found.image / network.rays.sigmas, axis=1), np.abs(found.ranges / network.ranges.sigmas)
-    scaled = np.linalg.norm(numbers[places.rays, _MISFIT], axis=1), np.abs(numbers[places.ranges, 0])
-    rays, ranges = (
+    on, sigmas = np.zeros(0, dtype=np.int64), np.zeros(0)
+    if at.layout.stereo is not None and network.stereo is not None:
+        on, sigmas = at.layout.stereo.points, network.stereo.sigmas
+    plain = (
+        np.linalg.norm(found.image / network.rays.sigmas, axis=1), np.abs(found.ranges / network.ranges.sigmas),
+        np.abs(found.stereo[on] / sigmas[on]),
+    )  # fmt: skip
+    scaled = (
+        np.linalg.norm(numbers[places.rays, _MISFIT], axis=1), np.abs(numbers[places.ranges, 0]),
+        np.abs(numbers[places.stereo, 0]),
+    )  # fmt: skip
+    return _Roots(*(
         np.where(whole > _EXACT, part / np.maximum(whole, _EXACT), 1.0)
         for part, whole in zip(scaled, plain, strict=True)
-    )
-    return rays, ranges
+    ))  # fmt: skip
 
 
 def _rays(
-    out: ScalarMeasures, at: Linearised, numbers: Array, used: Mask, roots: tuple[Array, Array] | None, levels: Levels
+    out: ScalarMeasures, at: Linearised, numbers: Array, used: Mask, roots: _Roots | None, levels: Levels
 ) -> list[float]:
     """Fill in the rays; their sums of squares, part by part."""
     rays, places = at.network.rays, at.layout.observation_rows.rays
@@ -249,7 +275,7 @@ def _rays(
         chosen: slice | Index = slice(first, last)
         if begins[last] - begins[first] < 2 * number.size:
             number, chosen = number[used[first:last]], np.flatnonzero(used[first:last]) + first
-        index, root = places[chosen], None if roots is None else roots[0][chosen]
+        index, root = places[chosen], None if roots is None else roots.rays[chosen]
         found, mine = numbers[index], out.part(begins[first], begins[last])
         point, image = np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
         mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(index, 2))
@@ -264,12 +290,12 @@ def _rays(
 
 
 def _ranges(
-    out: ScalarMeasures, at: Linearised, numbers: Array, shots: Index, roots: tuple[Array, Array] | None, levels: Levels
+    out: ScalarMeasures, at: Linearised, numbers: Array, shots: Index, roots: _Roots | None, levels: Levels
 ) -> float:
     """Fill in the ranges; their sum of squares."""
     ranges, index = at.network.ranges, at.layout.observation_rows.ranges[shots]
     out.say(MeasureKind.RANGE, _zeros(shots), shots, ranges.point[shots], ranges.image[shots], index)
-    root = None if roots is None else roots[1][shots]
+    root = None if roots is None else roots.ranges[shots]
     misfit, share, effect = numbers[index][:, [0, 2, 4]].T
     judge_scalars(out, ranges.sigmas[shots], misfit, share, effect, root, levels)
     return float(misfit @ misfit)
@@ -284,6 +310,21 @@ def _heights(out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index,
     misfit, share, effect = numbers[index][:, [0, 2, 4]].T
     # the kernel's are heights of the points above the terrain: predicted, where 0 is measured
     judge_scalars(out, at.network.surface.sigmas[point], -misfit, share, effect, None, levels)
+    return float(misfit @ misfit)
+
+
+def _stereo(
+    out: ScalarMeasures, at: Linearised, numbers: Array, chosen: Index, roots: _Roots | None, levels: Levels
+) -> float:
+    """Fill in the heights above stereo surfaces; their sum of squares."""
+    if at.network.stereo is None or at.layout.stereo is None:
+        return 0.0
+    point, index = at.layout.stereo.points[chosen], at.layout.observation_rows.stereo[chosen]
+    out.say(MeasureKind.STEREO, _zeros(point), point, point, -1, index)
+    misfit, share, effect = numbers[index][:, [0, 2, 4]].T
+    # as of the terrain, the kernel's are heights: predicted, where 0 is measured
+    root = None if roots is None else roots.stereo[chosen]
+    judge_scalars(out, at.network.stereo.sigmas[point], -misfit, share, effect, root, levels)
     return float(misfit @ misfit)
 
 

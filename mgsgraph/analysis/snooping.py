@@ -39,6 +39,11 @@ _MOST_COLUMNS = 4000
 """Shared unknowns whose dense covariance (128 MB) is made to compare candidates: the others wait."""
 _MOST_CANDIDATES = 2000
 """Points that are compared at a time."""
+_OF_POINT = {
+    MeasureKind.GROUND: "a-priori place",
+    MeasureKind.HEIGHT: "height above the terrain",
+    MeasureKind.STEREO: "height above the stereo surface",
+}
 
 Progress = Callable[[Removal], None]
 
@@ -220,8 +225,7 @@ def _name(at: Linearised, kind: MeasureKind, row: int) -> str:
     if kind is MeasureKind.RANGE:
         of, image = network.points.ids[network.ranges.point[row]], network.images[network.ranges.image[row]].name
         return f"range of point {of} in image {image}"
-    what = "a-priori place" if kind is MeasureKind.GROUND else "height above the terrain"
-    return f"{what} of point {network.points.ids[row]}"
+    return f"{_OF_POINT[kind]} of point {network.points.ids[row]}"
 
 
 def _independent(candidates: Sequence[_Candidate], at: Linearised, scale: float) -> list[_Candidate]:

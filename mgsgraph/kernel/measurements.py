@@ -360,6 +360,7 @@ def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
                 stereo_rows(w)
             else:
                 surface_rows(rows, segments, count, w)
-        add_rows(model, robust and (kind == IMAGE or kind == RANGE), kind, rows.observation_width[i], w)
+        measured = kind == IMAGE or kind == RANGE or kind == STEREO
+        add_rows(model, robust and measured, kind, rows.observation_width[i], w)
         if kept:
             copy_block(w, ROWS, s + RESULT, OF_ROWS[row_count(kind)])

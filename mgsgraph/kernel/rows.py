@@ -29,7 +29,7 @@ CAMERA, OPK_PAPER, OPK_PEER = 0, 1, 2
 """Rotation corrections: a rotation vector about the camera axes, or additions to omega, phi, kappa."""
 
 NO_LOSS, HUBER, CAUCHY, TUKEY = 0, 1, 2, 3
-"""Robust loss on the norm of an image row pair and on each range."""
+"""Robust loss on the norm of an image row pair, on each range and on each height above a stereo surface."""
 
 GOOD, BEHIND, WEAK = 0, 1, 2
 """Status of a point after its inner solve: solved, behind a camera, not determined by its rows."""

@@ -17,10 +17,10 @@ from mgsgraph.network.records import (
     ProfileShifts,
     Ranges,
     ShiftTerm,
-    StereoControl,
     Surface,
 )
 from mgsgraph.network.shared import SharedKind, SharedUnknown
+from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.network.strips import Strip
 from mgsgraph.notebook import card
 from mgsgraph.ties import PointKind
@@ -115,11 +115,17 @@ class Network:
             raise InputError(f"ground point {self.points.ids[i]}", found, "both")
         for array in (surface, images, sigmas):
             array.flags.writeable = False
-        assign(self, stereo=replace(self.stereo, images=images, surface=surface, sigmas=sigmas))
+        rejected = frozen_mask(self.stereo.rejected, "stereo control: marks of rejection", n)
+        stereo = replace(self.stereo, images=images, surface=surface, sigmas=sigmas, rejected=rejected)
+        assign(self, stereo=stereo)
 
-    def with_rejected(self, rays: Mask | None, ranges: Mask | None) -> "Network":
-        """The network with rays (k,) and ranges (r,) marked as blunders; None marks none."""
-        return replace(self, rays=replace(self.rays, rejected=rays), ranges=replace(self.ranges, rejected=ranges))
+    def with_rejected(self, rays: Mask | None, ranges: Mask | None, stereo: Mask | None = None) -> "Network":
+        """The network with rays (k,), ranges (r,) and heights of points (n,) above stereo surfaces marked as blunders;
+        None marks none.
+        """
+        control = None if self.stereo is None else replace(self.stereo, rejected=stereo)
+        rays_of, ranges_of = replace(self.rays, rejected=rays), replace(self.ranges, rejected=ranges)
+        return replace(self, rays=rays_of, ranges=ranges_of, stereo=control)
 
     def _require_strips(self) -> None:
         require_unique(tuple(strip.name for strip in self.strips), "strips")

@@ -13,6 +13,7 @@ from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import GroundPoints, ImageRays, ProfileShifts, Ranges, Surface
+from mgsgraph.network.stereo_control import joined_control
 from mgsgraph.ties import PointKind
 
 
@@ -95,7 +96,9 @@ def part(network: Network, points: Index) -> Network:
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)
-    images, image = _renumbered(network.rays.image[rays], network.ranges.image[ranges])
+    stereo = None if network.stereo is None else network.stereo.chosen(points)
+    pairs = [] if stereo is None else [stereo.images.ravel()]
+    images, image = _renumbered(network.rays.image[rays], network.ranges.image[ranges], *pairs)
     own, seen, shot = network.points, network.rays.chosen(rays), network.ranges.chosen(ranges)
     return Network(
         tuple(network.images[j] for j in images),
@@ -113,6 +116,7 @@ def part(network: Network, points: Index) -> Network:
         _shifts_of(network, points),
         _surface_of(network, points),
         network.areoid,
+        stereo=None if stereo is None else replace(stereo, images=image[stereo.images]),
     )
 
 
@@ -142,7 +146,7 @@ def _surface_of(network: Network, points: Index) -> Surface | None:
 
 
 def bundles(network: Network) -> dict[Members, Network]:
-    """A network by bundle; points that no ray and no range holds are left out."""
+    """A network by bundle; points that no ray, no range and no stereo surface holds are left out."""
     names = unknowns(network)
     unknown, owner, seen = _unknowns_of_points(network)
     marks = np.random.default_rng(0).integers(0, 2**64, len(names), dtype=np.uint64)
@@ -161,18 +165,22 @@ def bundles(network: Network) -> dict[Members, Network]:
 
 def _unknowns_of_points(network: Network) -> tuple[Index, Index, Mask]:
     """Which point depends on which shared unknown: pairs (unknown, point), each once, by point; and (n,) whether a
-    point has a ray or a range.
+    point has a ray, a range or a height above a stereo surface.
     """
     m, count = len(network.images), network.first_shared
     pairs = [network.rays.point * count + network.rays.image, network.ranges.point * count + network.ranges.image]
+    seen = np.zeros(len(network.points), dtype=bool)
+    seen[network.rays.point] = seen[network.ranges.point] = True
     if network.shifts is not None:
         moved = np.flatnonzero(network.shifts.profile >= 0)
         pairs.append(moved * count + m + network.shifts.profile[moved])
     if network.surface is not None and network.terrain_moves:
         on = np.flatnonzero(np.isfinite(network.surface.sigmas))
         pairs.append(on * count + count - 1)
-    seen = np.zeros(len(network.points), dtype=bool)
-    seen[network.rays.point] = seen[network.ranges.point] = True
+    if network.stereo is not None:
+        on = np.flatnonzero(network.stereo.surface >= 0)
+        pairs += [on * count + side for side in network.stereo.images[network.stereo.surface[on]].T]
+        seen[on] = True
     point, unknown = np.divmod(np.unique(np.concatenate(pairs)), count)
     free = np.append(~network.held, np.ones(count - m, dtype=bool))[unknown]
     return unknown[free], point[free], seen
@@ -208,6 +216,7 @@ def joined(networks: Sequence[Network]) -> Network:
     return Network(
         *image_columns(list(images.values())), points, rays, ranges,
         _joined_shifts(networks, place_of, len(points)), _joined_surface(networks, place_of, len(points)), areoid,
+        stereo=joined_control([net.stereo for net in networks], place_of, image_of, len(points)),
     )  # fmt: skip
 
 
@@ -318,8 +327,10 @@ def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
     place = {one.image.name: j for j, one in enumerate(images)}
     number = np.array([place[image.name] for image in network.images], dtype=np.int64)
     rays, ranges, (pictures, priors, held) = network.rays, network.ranges, image_columns(images)
+    stereo = network.stereo
     return replace(
         network,
+        stereo=None if stereo is None else replace(stereo, images=number[stereo.images]),
         images=pictures,
         priors=priors,
         held=held,
@@ -340,4 +351,8 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
     if not np.any(seen):
         return None
     left = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
+    if left.stereo is not None:
+        control = left.stereo.without(gone)
+        left = replace(left, stereo=control)
+        seen[control.surface >= 0] = True
     return part(left, np.flatnonzero(seen))

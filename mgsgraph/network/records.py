@@ -18,7 +18,6 @@ from mgsgraph.geometry.records import (
     require_covariances,
     require_unique,
 )
-from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.ties import PointKind
 
@@ -233,20 +232,3 @@ class Surface:
     def moved(self, places: Array, values: Array) -> Array:
         """(n, 3) m by which values (w,) of its unknowns move the model at places (n, 3) in m."""
         return np.asarray(np.einsum("k,nkj->nj", values, self.directions(places)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StereoControl:
-    """Surfaces that pairs of images show, and points that lie on them: laser shots, posts of terrain models."""
-
-    surfaces: tuple[StereoSurface, ...]
-    """Each averaged over the footprint of its points."""
-    images: Index
-    """(s, 2) first and second image of each surface."""
-    surface: Index
-    """(n,) surface of each ground point; -1 for none."""
-    sigmas: Array
-    """(n,) m, of each point's height above its surface, along the normal; of no meaning for points on none."""
-    starts: Array | None = None
-    """(n, 3) m, body-fixed, where a search has found the points to lie: their rows begin there. NaN, or None,
-    for the a-priori positions."""

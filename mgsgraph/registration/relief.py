@@ -29,7 +29,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.posts import with_posts
-from mgsgraph.network.records import StereoControl
+from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
 from mgsgraph.registration.search import CostSurface, StereoPair, search

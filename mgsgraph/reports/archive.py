@@ -84,7 +84,10 @@ def _require_shapes(solution: Solution) -> None:
         "determined": (n,), "rays_used": (k,), "ranges_used": (r,), "residuals": (k, 2), "residuals_before": (k, 2),
         "range_residuals": (r,), "range_residuals_before": (r,),
     }  # fmt: skip
-    newer: dict[str, tuple[int, ...]] = {"rays_rejected": (k,), "ranges_rejected": (r,), "terrain_cells": (n, 3)}
+    newer: dict[str, tuple[int, ...]] = {
+        "rays_rejected": (k,), "ranges_rejected": (r,), "terrain_cells": (n, 3), "stereo_rejected": (n,),
+        "stereo_heights": (n,),
+    }  # fmt: skip
     expected |= {name: shape for name, shape in newer.items() if getattr(solution, name) is not None}
     for name, shape in expected.items():
         if (found := getattr(solution, name).shape) != shape:

@@ -1,4 +1,6 @@
-"""What held the block on the ground beside orientation priors and points: profile shifts, terrain, back-projections."""
+"""What held the block on the ground beside orientation priors and points: profile shifts, terrain, stereo surfaces,
+back-projections.
+"""
 
 from typing import Any
 
@@ -48,7 +50,7 @@ def _terrain_motion(solution: Solution, places: Array) -> Array:
 def control_json(solution: Solution) -> dict[str, Any]:
     """Profile shifts, terrain heights and back-projected rays, for solution.json; units in the keys."""
     before, after = surface_heights(solution)
-    names, covered = solution.network.shift_names, terrain_coverage(solution)
+    names, covered, on_stereo = solution.network.shift_names, terrain_coverage(solution), stereo_heights(solution)
     return {
         "shifts": [
             {
@@ -67,8 +69,17 @@ def control_json(solution: Solution) -> dict[str, Any]:
             "outside": covered.beside if covered else 0,
             "over_missing_posts": covered.over_holes if covered else 0,
         },
+        "stereo": {
+            "count": int(on_stereo.size), "rms_height_m": root_mean_square(on_stereo) if on_stereo.size else None
+        },
         "back_projected_rays": _back_projected(solution),
     }
+
+
+def stereo_heights(solution: Solution) -> Array:
+    """Heights (k,) in m, along the normal, of the points that were held to a stereo surface."""
+    heights = solution.stereo_heights
+    return np.zeros(0) if heights is None else heights[solution.stereo_used]
 
 
 def _lift(solution: Solution, shift: int) -> dict[str, tuple[float, float]]:
@@ -124,6 +135,12 @@ def control_statements(solution: Solution) -> list[str]:
     covered = terrain_coverage(solution)
     if covered is not None and covered.words:
         sentences.append(f"Tie points that the terrain model doesn't cover, and doesn't hold: {covered.words}.")
+    on_stereo = stereo_heights(solution)
+    if on_stereo.size:
+        sentences.append(
+            f"{on_stereo.size} points were held to stereo surfaces: rms height above them "
+            f"{root_mean_square(on_stereo):.1f} m."
+        )
     copied = _back_projected(solution)
     if copied:
         sentences.append(

@@ -213,10 +213,12 @@ def _left_out(solution: Solution) -> list[str]:
         )
     rays = int(np.sum(~solution.rays_used & solution.determined[network.rays.point]))
     ranges = int(np.sum(~solution.ranges_used & solution.determined[network.ranges.point]))
-    if rays or ranges:
+    heights = 0 if solution.stereo_rejected is None else int(np.sum(solution.stereo_rejected & solution.determined))
+    if rays or ranges or heights:
+        also = f" and {many(heights, 'height')} above stereo surfaces" if heights else ""
         found.append(
             f"{many(rays, 'ray')} of {network.rays.point.size} and {many(ranges, 'range')} of "
-            f"{network.ranges.point.size} were rejected as blunders; residuals.csv marks them."
+            f"{network.ranges.point.size}{also} were rejected as blunders; residuals.csv marks them."
         )
     bare = np.flatnonzero(solution.determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
     if bare.size:

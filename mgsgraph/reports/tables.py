@@ -18,7 +18,7 @@ from mgsgraph.analysis.statistics import (
     used_ray_counts,
 )
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.output.csv_json import padded, picked
@@ -145,47 +145,65 @@ def orientation_table(solution: Solution) -> Table:
 
 
 def residuals_table(solution: Solution) -> Table:
-    """One row per ray and one per range: residuals (measured minus predicted) before and after.
+    """One row per ray, per range and per height above a stereo surface: residuals (measured minus predicted) before and
+    after.
 
-    A normalised residual is the residual over its a-priori sigma. A range has the line at which its shot was taken.
+    A normalised residual is the residual over its a-priori sigma. A range has the line at which its shot was taken. A
+    height, of which zero is measured, belongs to no image alone, and to no nominal orientation.
     """
     network, rays, ranges = solution.network, solution.network.rays, solution.network.ranges
-    point, image = np.concatenate([rays.point, ranges.point]), np.concatenate([rays.image, ranges.image])
-    used = np.concatenate([solution.rays_used, solution.ranges_used])
+    on, heights, height_sigmas = _stereo_heights(solution)
+    point = np.concatenate([rays.point, ranges.point, on])
+    image = np.concatenate([rays.image, ranges.image, np.full(on.size, -1)])
+    used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[on]])
     shots, before, after = _shot_lines(solution), solution.residuals_before, solution.residuals
-    k, r = rays.point.size, ranges.point.size
+    k, r, h = rays.point.size, ranges.point.size, on.size
 
     def of_ray(c: int, way: str) -> list[Column]:
         return [
-            Column(f"residual_before_{way}", padded(before[:, c], 0, r), "px", "nominal orientation",
+            Column(f"residual_before_{way}", padded(before[:, c], 0, r + h), "px", "nominal orientation",
                    head=f"{way} before", page=".2f"),
-            Column(f"residual_{way}", padded(after[:, c], 0, r), "px", "adjusted", head=f"{way} after",
+            Column(f"residual_{way}", padded(after[:, c], 0, r + h), "px", "adjusted", head=f"{way} after",
                    page=".2f"),
-            Column(f"sigma_{way}", padded(rays.sigmas[:, c], 0, r), "px", "a priori", head=f"σ {way}", page=".2f"),
-            Column(f"normalised_{way}", padded(after[:, c] / rays.sigmas[:, c], 0, r),
+            Column(f"sigma_{way}", padded(rays.sigmas[:, c], 0, r + h), "px", "a priori", head=f"σ {way}",
+                   page=".2f"),
+            Column(f"normalised_{way}", padded(after[:, c] / rays.sigmas[:, c], 0, r + h),
                    meaning="residual over its sigma"),
         ]
 
     return Table("measures", "Residuals", (
-        Column("kind", ["image"] * k + ["range"] * r, meaning="an image measure, or a range"),
+        Column("kind", ["image"] * k + ["range"] * r + ["stereo height"] * h,
+               meaning="an image measure, a range, or a height above a stereo surface"),
         Column("point", picked(network.points.ids, point), meaning="its id", page="s"),
         Column("class", _names(PointClass, network.points.classes[point]), meaning="of the point", head="kind",
                page="s"),
-        Column("image", picked([one.name for one in network.images], image), meaning="of a range: that carries it",
-               page="s"),
+        Column("image", picked([*(one.name for one in network.images), ""], image),
+               meaning="of a range: that carries it", page="s"),
         Column("used", used, meaning="false for blunders that were rejected"),
-        Column("isis_line", np.concatenate([rays.places[:, 0], shots]) + ISIS_OFFSET,
+        Column("isis_line", padded(np.concatenate([rays.places[:, 0], shots]), 0, h) + ISIS_OFFSET,
                meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
-        Column("isis_sample", padded(rays.places[:, 1], 0, r) + ISIS_OFFSET, meaning="measured, from 1", head="sample",
-               page=".2f"),
+        Column("isis_sample", padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
+               head="sample", page=".2f"),
         *of_ray(0, "line"), *of_ray(1, "sample"),
-        Column("range", padded(ranges.values, k, 0), "m", "measured"),
-        Column("residual_before_range", padded(solution.range_residuals_before, k, 0), "m", "nominal orientation"),
-        Column("residual_range", padded(solution.range_residuals, k, 0), "m", "adjusted"),
-        Column("sigma_range", padded(ranges.sigmas, k, 0), "m", "a priori"),
-        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, 0),
+        Column("range", padded(ranges.values, k, h), "m", "measured"),
+        Column("residual_before_range", padded(solution.range_residuals_before, k, h), "m", "nominal orientation"),
+        Column("residual_range", padded(solution.range_residuals, k, h), "m", "adjusted"),
+        Column("sigma_range", padded(ranges.sigmas, k, h), "m", "a priori"),
+        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, h),
                meaning="residual over its sigma"),
+        Column("residual_height", padded(-heights, k + r, 0), "m", "adjusted, along the stereo surface's normal"),
+        Column("sigma_height", padded(height_sigmas, k + r, 0), "m", "a priori"),
+        Column("normalised_height", padded(-heights / height_sigmas, k + r, 0), meaning="residual over its sigma"),
     ))  # fmt: skip
+
+
+def _stereo_heights(solution: Solution) -> tuple[Index, Array, Array]:
+    """Points (h,) on stereo surfaces, their heights above them and a-priori sigmas (h,), m."""
+    control, heights = solution.network.stereo, solution.stereo_heights
+    if control is None or heights is None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
+    on = np.flatnonzero(control.surface >= 0)
+    return on, heights[on], control.sigmas[on]
 
 
 def connectivity_table(connected: Connectivity) -> Table:

@@ -9,6 +9,7 @@ from networks import network, pair, with_shift_and_surface
 from odd_networks import seen_by_the_held_one_alone, with_fixed
 from redraw import redraw
 from scipy.stats import kstest
+from stereo_pair import on_surface, stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.posterior import Fit
@@ -38,7 +39,7 @@ from mgsgraph.network import Network
 from mgsgraph.simulation.observations import NoiseSettings
 
 SETTINGS = SolverSettings()
-NAMES = ["pair", "shift and surface", "one held", "held alone", "both held", "fixed points", "a blunder"]
+NAMES = ["pair", "shift and surface", "one held", "held alone", "both held", "fixed points", "a blunder", "stereo"]
 CLEAR = NoiseSettings(tie=1.0, shot_image=1.0, range=10.0, ground=3.0)
 """Under which ties, laser image points, ranges and ground priors of a pair can all be judged."""
 
@@ -53,6 +54,7 @@ def solved(name: str) -> Solution:
         "both held": network(pair(), held=(True, True)),
         "fixed points": with_fixed(network(pair())),
         "a blunder": with_blunder(network(pair())),
+        "stereo": stereo_network(pair(), displaced=False),
     }
     return adjust_network(nets[name], SolverSettings(reject=4.0 if name == "a blunder" else 0.0))
 
@@ -152,10 +154,11 @@ def test_groups_of_image_kinds_are_parts_of_the_ties() -> None:
 
 
 def test_scaling_a_group_scales_its_sigmas_and_no_others() -> None:
-    net = with_shift_and_surface(network(pair()))
+    net = on_surface(with_shift_and_surface(network(pair())), pair())
     grouping = group_rows(net)
     assert net.shifts is not None
     assert net.surface is not None
+    assert net.stereo is not None
     for g, name in enumerate(grouping.names):
         factors = np.ones(len(grouping.names))
         factors[g] = 3.0
@@ -168,6 +171,7 @@ def test_scaling_a_group_scales_its_sigmas_and_no_others() -> None:
             "ranges": new.ranges.sigmas / net.ranges.sigmas,
             "ground priors": np.sqrt(np.diag(new.points.covariances[-1]) / np.diag(net.points.covariances[-1])),
             "surface heights": new.surface.sigmas[0] / net.surface.sigmas[0],
+            "stereo heights": new.stereo.sigmas[-1] / net.stereo.sigmas[-1],
             "position priors": new.priors[1].sigmas[:, :3] / net.priors[1].sigmas[:, :3],
             "pointing priors": new.priors[0].sigmas[:, 3:] / net.priors[0].sigmas[:, 3:],
             "shifts": np.array([new.shifts.sigmas[0] / net.shifts.sigmas[0], new.surface.shift_sigma / 150.0]),
@@ -185,9 +189,18 @@ def clear_pair() -> Network:
     return network(pair(120, 90, 1, CLEAR))
 
 
-def drawn(truth: dict[str, float], seed: int) -> tuple[Network, np.ndarray]:
+@cache
+def clear_stereo() -> Network:
+    """Shots whose heights range, a-priori place and stereo surface give alike."""
+    noise = NoiseSettings(tie=1.0, shot_image=1.0, range=3.0, ground=3.0)
+    net = stereo_network(pair(40, 90, 1, noise), displaced=False, laser_rays=True)
+    assert net.stereo is not None
+    return replace(net, stereo=replace(net.stereo, sigmas=np.where(net.stereo.surface >= 0, 3.0, np.inf)))
+
+
+def drawn(truth: dict[str, float], seed: int, net: Network | None = None) -> tuple[Network, np.ndarray]:
     """The pair with errors that are so many times larger than the sigmas that it states; and these factors."""
-    net: Network = clear_pair()
+    net = net or clear_pair()
     grouping = group_rows(net)
     factors = np.array([truth.get(name, 1.0) for name in grouping.names])
     larger = redraw(scaled(net, grouping, factors), np.random.default_rng(seed)).network
@@ -215,6 +228,17 @@ def test_planted_factors_are_found_within_their_uncertainty(truth: dict[str, flo
         assert one.factor == pytest.approx(1.0, abs=0.011)
     ratio = found.network.rays.sigmas[0, 0] / net.rays.sigmas[0, 0]
     assert ratio == pytest.approx(found.components["tie image points"].factor)
+
+
+def test_a_planted_factor_of_the_stereo_sigmas_is_found() -> None:
+    """And no other: the rest of the network stays as it is stated."""
+    net, _ = drawn({"stereo heights": 2.0}, 5, clear_stereo())
+    found = iterated_components(net, SETTINGS).components
+    one = found["stereo heights"]
+    assert one.judgement is Judgement.JUDGED
+    assert abs(one.deviation(2.0)) < 2.6
+    assert one.consistent is False
+    assert all(other.consistent is not False for other in found.groups if other is not one)
 
 
 def test_what_can_t_be_judged_keeps_its_sigmas_and_is_named() -> None:

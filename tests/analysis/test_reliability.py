@@ -15,6 +15,7 @@ from networks import network, pair, with_shift_and_surface
 from odd_networks import with_fixed
 from scipy.stats import binom, chi2, ncx2, norm
 from sharing import with_all_kinds
+from stereo_pair import on_surface, stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Loss, SolverSettings
@@ -44,6 +45,7 @@ def net(name: str) -> Network:
         "shift and surface": lambda: with_shift_and_surface(network(pair())),
         "one held": lambda: network(pair(), held=(True, False)),
         "fixed points": lambda: with_fixed(network(pair())),
+        "stereo": lambda: stereo_network(pair(12, 24), displaced=False),
     }[name]()
 
 
@@ -57,7 +59,7 @@ def known(name: str, loss: Loss = "none") -> Reliability:
     return reliability(solved(name, loss))
 
 
-NAMES = ["pair", "shift and surface", "one held", "fixed points"]
+NAMES = ["pair", "shift and surface", "one held", "fixed points", "stereo"]
 
 
 def of_kind(found: Reliability, kind: MeasureKind, least: float = 0.01) -> np.ndarray:
@@ -82,6 +84,10 @@ def freed(whole: Network, found: Reliability, k: int) -> Network:
         sigmas = whole.surface.sigmas.copy()
         sigmas[row] *= 1e5
         return replace(whole, surface=replace(whole.surface, sigmas=sigmas))
+    if kind == MeasureKind.STEREO:
+        sigmas = whole.stereo.sigmas.copy()
+        sigmas[row] *= 1e5
+        return replace(whole, stereo=replace(whole.stereo, sigmas=sigmas))
     if kind == MeasureKind.GROUND:
         covariances = whole.points.covariances.copy()
         covariances[row, component, component] += 1e10
@@ -107,8 +113,9 @@ def test_redundancy_numbers_add_up_to_the_degrees_of_freedom(name: str, loss: Lo
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("shift and surface", kind) for kind in MeasureKind if kind != MeasureKind.PRIOR]
-    + [("pair", MeasureKind.PRIOR), ("pair", MeasureKind.GROUND), ("fixed points", MeasureKind.RAY)],
+    [("shift and surface", kind) for kind in MeasureKind if kind not in (MeasureKind.STEREO, MeasureKind.PRIOR)]
+    + [("stereo", MeasureKind.STEREO), ("stereo", MeasureKind.GROUND), ("pair", MeasureKind.PRIOR)]
+    + [("pair", MeasureKind.GROUND), ("fixed points", MeasureKind.RAY)],
 )
 def test_a_measure_with_an_unknown_of_its_own_lowers_the_cost_by_its_test(name: str, kind: MeasureKind) -> None:
     found = known(name)
@@ -174,6 +181,9 @@ def test_signs_are_measured_minus_predicted() -> None:
     north = east_north(solution.places[table.point[heights]])
     at = solution.places[table.point[heights]] - np.einsum("k,nkj->nj", solution.shifts[1], north)
     assert np.allclose(table.residual[heights], -whole.surface.grid.height_above(at)[0], atol=0.05)
+    on_stereo = known("stereo").measures
+    mine = on_stereo.kind == MeasureKind.STEREO
+    assert np.allclose(on_stereo.residual[mine], -solved("stereo").stereo_heights[on_stereo.point[mine]], atol=1e-6)
     prior = (table.kind == MeasureKind.PRIOR) & (table.image == 0)
     assert np.allclose(table.residual[prior], -solution.coefficients[0].ravel(), atol=1e-9)
     assert np.nanmin((table.test * table.residual)[~ground]) >= 0.0
@@ -222,6 +232,7 @@ WORDS = {
     MeasureKind.RANGE: ("range",),
     MeasureKind.GROUND: ("a-priori x", "a-priori y", "a-priori z"),
     MeasureKind.HEIGHT: ("height above the terrain",),
+    MeasureKind.STEREO: ("height above the stereo surface",),
 }
 COUNTED = {"line": "px", "sample": "px", "range": "m", "a-priori": "m", "height": "m"}
 
@@ -250,7 +261,7 @@ def said(found: Reliability, k: int) -> tuple[str, str]:
 
 @pytest.mark.parametrize("held", [(False, False), (True, False), (True, True)])
 def test_names_and_units_of_all_measures_at_once(held: tuple[bool, bool], tmp_path: Path) -> None:
-    whole = with_shift_and_surface(network(pair(), held=held))
+    whole = on_surface(with_shift_and_surface(network(pair(), held=held)), pair())
     whole = whole if all(held) else with_all_kinds(whole)
     ids = ('with "quotes", and commas', *whole.points.ids[1:])
     whole = replace(whole, points=replace(whole.points, ids=ids))

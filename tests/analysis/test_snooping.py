@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
+from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -17,6 +18,7 @@ from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.snooping import Snooping, snoop
 from mgsgraph.errors import InputError
 from mgsgraph.network import Network
+from mgsgraph.simulation.observations import NoiseSettings
 
 TIE, SHOT, RANGE, PLACE = 3, 45, 8, 50
 
@@ -170,3 +172,44 @@ def test_it_presumes_least_squares() -> None:
         snoop(clean(), SolverSettings(reject=3.0))
     with pytest.raises(InputError, match="most: -1; expected 0 or more"):
         snoop(clean(), most=-1)
+
+
+@cache
+def off_the_surface() -> Network:
+    """Shots on a stereo surface with sigmas of 4 m; range and a-priori place of SHOT put it 30 m too low."""
+    net = stereo_network(pair(40, 24, 1, NoiseSettings(range=1.0, ground=1.0)), displaced=False)
+    assert net.stereo is not None
+    values, places = net.ranges.values.copy(), net.points.places.copy()
+    places[SHOT] -= 30.0 * places[SHOT] / np.linalg.norm(places[SHOT])
+    values[net.ranges.point == SHOT] += 30.0
+    sigmas = np.where(net.stereo.surface >= 0, 4.0, np.inf)
+    return replace(
+        net, ranges=replace(net.ranges, values=values), points=replace(net.points, places=places),
+        stereo=replace(net.stereo, sigmas=sigmas),
+    )  # fmt: skip
+
+
+def test_a_shot_beside_the_stereo_surface_is_found_by_the_test_of_its_height() -> None:
+    """No ray says where it is, so that it may as well lie elsewhere on the slope: its place goes with the height."""
+    found = snoop(off_the_surface())
+    one = found.removals[0]
+    assert one.observations == ((MeasureKind.STEREO, SHOT), (MeasureKind.GROUND, SHOT))
+    assert np.sqrt(one.test) == pytest.approx(30.0 / np.hypot(4.0, 0.7), rel=0.2)
+    assert np.flatnonzero(found.solution.stereo_rejected).tolist() == [SHOT]
+    assert not found.solution.stereo_used[SHOT]
+    assert found.reliability.measures.redundancy.sum() == pytest.approx(found.solution.fit.degrees_of_freedom, abs=1e-4)
+
+
+@pytest.mark.parametrize("settings", [SolverSettings(reject=4.0), SolverSettings(loss="tukey")])
+def test_rejection_and_robust_losses_judge_heights_above_stereo_surfaces(settings: SolverSettings) -> None:
+    """Where the sigma of the height is not the smallest, so that the residual shows the blunder."""
+    whole = off_the_surface()
+    found, plain = (adjust_network(whole, one) for one in (settings, SolverSettings()))
+    assert found.converged
+    assert (np.flatnonzero(found.stereo_rejected).tolist() == [SHOT]) is (settings.reject > 0.0)
+    others = np.delete(np.arange(40, 64), SHOT - 40)
+    assert found.stereo_heights[SHOT] < -25.0 < plain.stereo_heights[SHOT]
+    assert np.sqrt(np.mean(found.stereo_heights[others] ** 2)) < np.sqrt(np.mean(plain.stereo_heights[others] ** 2))
+    again = at_solution(found)
+    assert again.fit().squares == pytest.approx(found.fit.squares, rel=1e-6)
+    assert again.fit().observations == found.fit.observations

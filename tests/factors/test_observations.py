@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -10,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jacobians import assert_jacobians
 from networks import network, pair, with_shift_and_surface
+from stereo_pair import stereo_network
 
-from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.graph import Layout, lay_out, stereo
 from mgsgraph.adjustment.graph.bundle import orientation_key, point_key, shift_key
 from mgsgraph.adjustment.graph.observations import measurement, observation_factor
 from mgsgraph.adjustment.settings import SolverSettings
@@ -20,7 +22,9 @@ from mgsgraph.factors import collinearity
 from mgsgraph.factors.priors import zero_prior
 from mgsgraph.geometry.body import east_north, from_planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_observation
+from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
+from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, STEREO, SURFACE, Rows, one_observation
+from mgsgraph.simulation.observations import NoiseSettings
 
 MODELS = [(line, angles) for line in ("predicted", "measured") for angles in ("camera", "opk-paper", "opk-peer")]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -227,6 +231,77 @@ def test_the_oracle_finds_a_sign_error() -> None:
     assert_jacobians(right, values, steps())
     with pytest.raises(AssertionError, match=r"block o0, column (9|10|11)"):
         assert_jacobians(planted, values, steps())
+
+
+# --- heights above stereo surfaces
+
+
+TERMS = (1.0, 0.1)
+"""Constant and linear terms of the orientation: each costs two dozen calls of the whole geometry."""
+
+
+def above_the_surface(seed: int, shot: int) -> tuple[gtsam.CustomFactor, gtsam.CustomFactor, gtsam.Values]:
+    """At a state of both images' coefficients, drawn from their priors, and with a shot on the surface there: its row,
+    made anew about that state; the height itself, with the derivatives of the row; and the state.
+    """
+    net = stereo_network(pair(12, 24, 1, NoiseSettings(trend=TERMS)), displaced=False)
+    assert net.stereo is not None
+    made, size = lay_out(net, SolverSettings()), 6 * len(TERMS)
+    shared = np.zeros(made.columns)
+    shared[: 2 * size] = made.sigmas[: 2 * size] * np.random.default_rng(seed).standard_normal(2 * size)
+    point, observation = observations_of(made, STEREO)[shot]
+    surface, mine = net.stereo.surfaces[0], made.point_order[point]
+
+    def height(both: np.ndarray, place: np.ndarray) -> SurfaceHeights:
+        corrections = tuple(OrientationCorrection(one.reshape(-1, 6)) for one in np.split(both, 2))
+        return heights_above(surface, *net.images, place[None], corrections)
+
+    place = net.points.places[mine]
+    for _ in range(6):
+        found = height(shared[: 2 * size], place)
+        place = place - found.heights[0] * found.normals[0]
+    places = net.points.places.copy()
+    places[mine] = place
+    keys, noise = [orientation_key(0), orientation_key(1)], gtsam.noiseModel.Isotropic.Sigma(1, 2.0)
+    rows = single(made.about_stereo(places, shared), point, observation)
+    row = observation_factor(keys, [size, size], point_key(0), rows, made.model, noise, "a height")
+    values = gtsam.Values()
+    for key, one in zip(keys, np.split(shared[: 2 * size], 2), strict=True):
+        values.insert(key, one)
+    values.insert(point_key(0), place)
+
+    def itself(this: gtsam.CustomFactor, at: gtsam.Values, jacobians: list[np.ndarray] | None) -> np.ndarray:
+        if jacobians is not None:
+            matrix = 2.0 * gtsam.JacobianFactor(row.linearize(at)).jacobian()[0]
+            for k, columns in enumerate(np.split(matrix, [size, 2 * size], axis=1)):
+                jacobians[k] = np.asfortranarray(columns)
+        return height(np.concatenate([at.atVector(key) for key in keys]), at.atPoint3(point_key(0))).heights
+
+    return row, gtsam.CustomFactor(noise, [*keys, point_key(0)], itself), values
+
+
+def steps_of_both() -> dict[int, np.ndarray]:
+    orientation = np.tile(np.repeat([1.0, 1e-5], 3), len(TERMS))
+    return {orientation_key(0): orientation, orientation_key(1): orientation, point_key(0): np.ones(3)}
+
+
+def test_height_above_a_stereo_surface() -> None:
+    """Oracle on the row, and on the height itself: by the point and by the orientation of both images."""
+    row, itself, values = above_the_surface(3, 5)
+    assert_jacobians(row, values, steps_of_both(), tolerance=1e-6)
+    assert_jacobians(itself, values, steps_of_both(), tolerance=1e-3)
+    assert row.unwhitenedError(values)[0] == pytest.approx(itself.unwhitenedError(values)[0], abs=1e-6)
+
+
+def test_the_oracle_finds_a_sign_error_above_a_stereo_surface(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong(*given: Any) -> SurfaceHeights:
+        found = heights_above(*given)
+        return found._replace(by_pose=-found.by_pose)
+
+    monkeypatch.setattr(stereo, "heights_above", wrong)
+    _, itself, values = above_the_surface(3, 5)
+    with pytest.raises(AssertionError, match="block o0"):
+        assert_jacobians(itself, values, steps_of_both(), tolerance=1e-3)
 
 
 def test_the_oracle_finds_a_sign_error_in_an_equation(monkeypatch: pytest.MonkeyPatch) -> None:

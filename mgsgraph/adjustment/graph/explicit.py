@@ -18,6 +18,7 @@ from mgsgraph.kernel.rows import (
     NO_LOSS,
     OUT,
     RANGE,
+    STEREO,
     TUKEY,
     Model,
     Rows,
@@ -32,11 +33,11 @@ _ESTIMATORS: dict[int, Any] = {
 
 
 def observation_noise(kind: int, weights: Array, model: Model) -> gtsam.noiseModel.Base:
-    """Noise of an observation from its weights (2,); the robust loss is for image rays and ranges."""
+    """Noise of an observation from its weights (2,); the robust loss is for image rays, ranges and stereo heights."""
     if kind == GROUND:
         return gtsam.noiseModel.Unit.Create(3)
     diagonal = gtsam.noiseModel.Diagonal.Sigmas(1.0 / weights[: 2 if kind == IMAGE else 1])
-    if model.loss == NO_LOSS or kind not in (IMAGE, RANGE):
+    if model.loss == NO_LOSS or kind not in (IMAGE, RANGE, STEREO):
         return diagonal
     return gtsam.noiseModel.Robust.Create(_ESTIMATORS[model.loss].Create(model.width), diagonal)
 

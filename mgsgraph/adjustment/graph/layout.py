@@ -143,6 +143,13 @@ class Layout:
             assert anew is not None
         return replace(self, stereo=anew._replace(step=step, earlier=earlier)).about(self.lines)
 
+    @property
+    def without_steps(self) -> "Layout":
+        """The same, its stereo rows as they are where an optimisation begins: no step has led there."""
+        if self.stereo is None or self.stereo.step is None:
+            return self
+        return replace(self, stereo=self.stereo._replace(step=None, earlier=None))
+
     def about(self, lines: Array) -> "Layout":
         """The same network, points in and out, starting positions, terrain patches and stereo rows, its rays laid
         out about other lines (k,).
@@ -154,17 +161,19 @@ class Layout:
         cells = self.network_order(self.rows.terrain_cell)[anew.point_order]
         return replace(anew, rows=anew.rows._replace(terrain_cell=cells))
 
-    def active(self, rays: Mask, ranges: Mask, out: Mask, stereo: bool = True) -> Rows:
-        """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't, network order; and
-        whether heights above stereo surfaces do.
+    def active(self, rays: Mask, ranges: Mask, out: Mask, stereo: Mask | None = None) -> Rows:
+        """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't, points (n,) whose
+        heights above stereo surfaces do (all when absent); network order.
         """
         kind, weight = self.rows.kind, self.rows.weight
         if np.any(out[self.point_order] & (kind != OUT)):
             kind = np.where(out[self.point_order], OUT, kind).astype(kind.dtype)
-        without_stereo = not stereo and self.observation_rows.stereo.size > 0
-        if without_stereo or not (np.all(rays) and np.all(ranges)):
+        off = self.observation_rows.stereo[:0]
+        if self.stereo is not None and stereo is not None:
+            off = self.observation_rows.stereo[~stereo[self.stereo.points]]
+        if off.size or not (np.all(rays) and np.all(ranges)):
             weight = weight.copy()
-            weight[:, self.observation_rows.stereo[: None if without_stereo else 0]] = 0.0
+            weight[:, off] = 0.0
             weight[:, self.observation_rows.rays[~rays]] = 0.0
             weight[:, self.observation_rows.ranges[~ranges]] = 0.0
         return self.rows._replace(kind=kind, weight=weight)
