@@ -35,7 +35,7 @@ DISTURBED = OrientationCorrection(np.array([[60.0, -80.0, 20.0, 1e-4, -1.5e-4, 2
 @once
 def site() -> SimulatedSite:
     """The pair, both images cut after their first lines, which show the same ground, and rendered."""
-    whole = simulate_site("gusev", 1, SimulationOptions(pictures=False))
+    whole = simulate_site("gusev", 1, SimulationOptions("published", pictures=False))
     first, second = (_cut(whole, image, k) for k, image in enumerate(whole.images))
     return replace(whole, images=(first, second))
 

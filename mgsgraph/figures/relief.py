@@ -217,7 +217,7 @@ def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) ->
         name, 10.0, 4.6, f"{what} {short(one.name, 30)} against the stereo surface", _profile_caption(one)
     )
     grid = sheet.panels(2, 2, heights=[2.0, 1.0], sharex=True, sharey="row")
-    order, along, stroke = _along_track(one)
+    order, along, stroke = _along(one)
     body = registration.solution.network.images[0].body
     up, covariances = east_north_up(one.before.points)[:, 2], registration.solution.network.points.covariances[one.mine]
     sigmas = np.hypot(one.sigmas, np.sqrt(np.einsum("ni,nij,nj->n", up, covariances, up)))
@@ -225,7 +225,7 @@ def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) ->
     widest = 0.0
     for c, state in enumerate((one.before, one.after)):
         upper, lower = grid[:, c]
-        heights, off = geodetic(state.points, body)[:, 2], _vertical(state)
+        heights, off = geodetic(state.points, body)[:, 2], vertical(state)
         off = np.where(one.taken & state.heights.covered, off, np.nan)
         heights, off = heights[order], off[order]
         upper.plot(along, heights - off, color=AFTER, ls=stroke, lw=1.0, marker=".", ms=2.5, zorder=2)
@@ -253,21 +253,25 @@ _CLIPPED = 4.0
 """Times the 95 % quantile of differences, beyond which single ones are cut off."""
 
 
-def _along_track(one: ReliefProfile) -> tuple[Index, Array, str]:
+def _along(one: ReliefProfile) -> tuple[Index, Array, str]:
     """Order (n,) of points, and where they lie in this order, km: shots along their track, posts along the longer side
     of their model; the stroke that joins them.
     """
     points = one.before.points
     if not one.of_posts:
-        steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        return np.arange(len(points)), np.concatenate([[0.0], np.cumsum(steps)]) / KM, "-"
+        return np.arange(len(points)), along_track(points) / KM, "-"
     apart = points - points.mean(axis=0)
     along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
     order = np.argsort(along, kind="stable")
     return order, (along[order] - along[order[0]]) / KM, ""
 
 
-def _vertical(state: ProfileState) -> Array:
+def along_track(points: Array) -> Array:
+    """(n,) m from the first of points (n, 3), along the track."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def vertical(state: ProfileState) -> Array:
     """(n,) m, heights above the surface along the vertical."""
     up = np.einsum("nj,nj->n", east_north_up(state.points)[:, 2], state.heights.normals)
     return np.asarray(state.heights.heights / up)

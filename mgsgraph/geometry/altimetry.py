@@ -5,7 +5,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import (
     Array,
     Index,
@@ -27,9 +26,8 @@ SPOT_WIDTHS = 4.0
 def footprint_covariances(footprints: Array, horizontal: float, vertical: float | Array) -> Array:
     """(n, 3, 3) m^2 of footprints (n, 3) with one sigma (m) east and north and another one, or others (n,), upward."""
     outward = footprints / np.linalg.norm(footprints, axis=1, keepdims=True)
-    ways = east_north(footprints)
-    upward = np.asarray(vertical)[..., None, None] ** 2 * outward[:, :, None] * outward[:, None]
-    return np.asarray(horizontal**2 * np.einsum("nki,nkj->nij", ways, ways) + upward)
+    more = (np.asarray(vertical)[..., None, None] ** 2 - horizontal**2) * outward[:, :, None] * outward[:, None]
+    return np.asarray(horizontal**2 * np.eye(3) + more)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
