@@ -83,12 +83,7 @@ def linear_rows(
 ) -> StereoRows | None:
     """Rows about shared unknowns (columns,) and points (n, 3) in m, network order; None without stereo surfaces.
 
-    Points that an image doesn't see there keep the row that they had `before`.
-
-    Raises
-    ------
-    InputError
-        When they had none.
+    Points that an image doesn't see there keep the row that they had `before`, or have one that says nothing.
     """
     control = network.stereo
     if control is None:
@@ -106,12 +101,18 @@ def linear_rows(
     unseen = ~np.isfinite(rows.heights)
     if not np.any(unseen):
         return rows
-    if before is None:
-        raise InputError(
-            f"ground point {network.points.ids[chosen[np.argmax(unseen)]]}",
-            "on a stereo surface whose images don't see it", "points that both images show",
-        )  # fmt: skip
-    return _kept(unseen, before, rows)
+    nothing = rows._replace(
+        heights=np.zeros(chosen.size), normals=np.zeros((chosen.size, 3)),
+        directions=tuple(np.zeros_like(one) for one in directions),
+    )  # fmt: skip
+    return _kept(unseen, before or nothing, rows)
+
+
+def require_seen(network: Network, rows: StereoRows) -> None:
+    """Raise InputError where images have not seen a point that is to lie on their surface."""
+    for i in rows.points[~np.any(rows.normals, axis=1)][:1]:
+        found, expected = "on a stereo surface whose images don't see it", "points that both images show"
+        raise InputError(f"ground point {network.points.ids[i]}", found, expected)
 
 
 def _kept(unseen: Mask, before: StereoRows, rows: StereoRows) -> StereoRows:
@@ -146,7 +147,8 @@ def _of_surface(
     sides, parts = np.full((mine.size, 4), -1, dtype=np.int64), []
     for side, image in enumerate((first, second)):
         sides[:, 2 * side] = image
-        sides[:, 2 * side + 1], part = _directions(network, effects, image, at.lines[:, side], at.by_pose[:, side])
+        lines = np.where(np.isfinite(at.heights), at.lines[:, side], 0.5 * network.images[image].lines)
+        sides[:, 2 * side + 1], part = _directions(network, effects, image, lines, at.by_pose[:, side])
         parts.append(part)
     directions = np.hstack(parts)
     counted = _counted(network, values, sides, directions)
