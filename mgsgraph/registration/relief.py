@@ -295,10 +295,7 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
     n = len(network.points)
     surface, sigmas, starts = np.full(n, -1, dtype=np.int64), np.full(n, np.inf), np.full((n, 3), np.nan)
     for one in found:
-        pair = [network.images[j] for j in surfaces[one.surface].images]
-        # rows begin at the nominal orientation, which may not show what lies at an image's end
-        seen = np.all([np.isfinite(image.ground_to_image(one.starts)[0][:, 0]) for image in pair], axis=0)
-        on = one.moved.covered & seen
+        on = one.moved.covered
         if int(on.sum()) < _LEAST_SHOTS:
             continue
         # a post is the mean of its cell: how rough the ground is within makes it no less certain

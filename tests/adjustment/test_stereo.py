@@ -129,7 +129,7 @@ def test_points_that_the_images_do_not_see_are_refused() -> None:
     assert net.stereo is not None
     far = np.where(net.stereo.surface[:, None] >= 0, -1.0, 1.0) * np.nan_to_num(net.points.places)
     with pytest.raises(InputError, match="stereo surface"):
-        lay_out(replace(net, stereo=replace(net.stereo, starts=far)), SolverSettings())
+        adjust_network(replace(net, stereo=replace(net.stereo, starts=far)), SolverSettings())
 
 
 def test_a_profile_of_unknown_height_and_drift_is_raised_to_the_surface() -> None:
