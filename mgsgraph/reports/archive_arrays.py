@@ -26,6 +26,7 @@ from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion
 from mgsgraph.geometry.image import ExteriorOrientation
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import assign
+from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface, packed
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.network import JointNodePrior, NodePrior
 
@@ -41,7 +42,8 @@ _KINDS: dict[Any, dict[str, Any]] = {
     )
 }
 """Records that may stand where a protocol is declared; the record says which it is."""
-_KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds} | {NodePrior.__name__, JointNodePrior.__name__}
+_KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
+_KIND_NAMES |= {one.__name__ for one in (NodePrior, JointNodePrior, PackedSurface)}
 BROKEN = (
     OSError, EOFError, LookupError, AttributeError, TypeError, ValueError, RuntimeError, OverflowError, MemoryError,
     struct.error, zipfile.BadZipFile, zlib.error,
@@ -98,6 +100,8 @@ def to_arrays(value: Any, where: str, arrays: Arrays) -> Any:
     if isinstance(value, np.ndarray):
         arrays[where] = value
         return {"array": where}
+    if isinstance(value, StereoSurface):
+        value = packed(value)
     if is_dataclass(value):
         parts = {field.name: to_arrays(getattr(value, field.name), _at(where, field.name), arrays)
                  for field in fields(value)}
@@ -155,6 +159,8 @@ def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
         return {key: from_arrays(item, options[1], _at(where, key), arrays) for key, item in value.items()}
     if kind in _KINDS:
         return _record(value, _KINDS[kind][value["kind"]], where, arrays)
+    if kind is StereoSurface and value.get("kind") == PackedSurface.__name__:
+        return _record(value, PackedSurface, where, arrays).surface
     return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
 
 

@@ -194,10 +194,10 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     places = model.map.posts().reshape(*model.heights.shape, 2)[tuple(rng.choice(inside, own.shots.times.size).T)]
     longitude, latitude, _ = planetocentric(model.map.points(places, np.zeros(len(places)))).T
     true = dem_site.site().terrain.on_ground(longitude, latitude)
-    shift = np.array([90.0, -120.0])
-    given = true + rng.normal(0.0, 3.0, true.shape) - np.einsum("k,nkj->nj", shift, east_north(true))
+    shift = np.array([30.0, -40.0])
+    given = true + rng.normal(0.0, 1.0, true.shape) - np.einsum("k,nkj->nj", shift, east_north(true))
     one = replace(
-        own, shots=own.shots.moved(given, own.shots.spacecraft), sigma=3.0, height_sigma=3.0,
+        own, shots=own.shots.moved(given, own.shots.spacecraft), sigma=1.0, height_sigma=1.0,
         shift=shift, shift_covariance=np.eye(2) * 1e-6,
     )
     found = checked(model, [one])
