@@ -19,7 +19,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.figures.relief import relief_sheets
 from mgsgraph.figures.sheet import save
 from mgsgraph.geometry.body import east_north
-from mgsgraph.registration import relief
+from mgsgraph.registration import relief, relief_surfaces
 from mgsgraph.registration.relief_files import (
     coregistration_json,
     profiles_table,
@@ -29,6 +29,7 @@ from mgsgraph.registration.relief_files import (
 )
 from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.search import CostSurface, minima
+from mgsgraph.simulation.terrain import GRID_VERTICAL, grid_shift
 
 APART = 20.0
 """m, by which images and profiles may disagree after the adjustment."""
@@ -51,6 +52,11 @@ def registration() -> ReliefRegistration:
         relief_site.use_matches(patch)
         case = mgsgraph.read_case(dem_site.case_path())
         return mgsgraph.register_by_relief(case, SETTINGS, before=dem_site.solution())
+
+
+def laser(registration: ReliefRegistration) -> list[ReliefProfile]:
+    """Profiles of shots."""
+    return [one for one in registration.profiles if not one.of_posts]
 
 
 def with_profiles(registration: ReliefRegistration, profiles: list[ReliefProfile]) -> ReliefRegistration:
@@ -85,11 +91,33 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 def test_images_and_profiles_agree_afterwards(registration: ReliefRegistration) -> None:
     assert registration.solution.converged
-    for one in registration.profiles:
+    for one in laser(registration):
         assert one.before.cost.tied
         assert np.linalg.norm(one.before.misplacement) > 50.0
         assert np.linalg.norm(one.after.misplacement) < APART
         assert one.rms_after < 0.5 * one.rms_before
+
+
+def test_posts_of_the_terrain_model_lie_on_the_surface(registration: ReliefRegistration) -> None:
+    """Half a thousand, by the 10 m of their noise; and tie points no longer on its bilinear patches."""
+    model, network = registration.profiles[-1], registration.solution.network
+    assert (model.name, model.of_posts) == ("megr_gusev", True)
+    assert 300 < model.taken.sum() < model.taken.size
+    assert model.rms_after == pytest.approx(GRID_VERTICAL, rel=0.15)
+    assert registration.before.network.surface is not None
+    assert network.surface is None
+    off = model.shift + grid_shift(dem_site.site().terrain)
+    assert off @ np.linalg.solve(model.covariance, off) < 13.8  # 99.9 % of chi-square with two degrees of freedom
+
+
+@pytest.mark.slow
+def test_patches_may_stay() -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        relief_site.use_matches(patch)
+        case = mgsgraph.read_case(dem_site.case_path())
+        found = mgsgraph.register_by_relief(case, replace(SETTINGS, terrain="patches"), before=dem_site.solution())
+    assert found.solution.network.surface is not None
+    assert not any(one.of_posts for one in found.profiles)
 
 
 def test_the_adjusted_shift_is_true_within_its_sigma(registration: ReliefRegistration) -> None:
@@ -121,16 +149,19 @@ def test_the_command_writes_a_result(
     assert call("coregister", case, "--solution", result, "--out", out, *OPTIONS) == 0
     said = capsys.readouterr().out
     figures = {path.stem for path in out.iterdir() if path.suffix == ".png"}
-    assert {"costs", "profiles_1", "profiles_2", "shifts"} <= figures
+    assert {"costs", "profiles_1", "profiles_2", "profiles_3", "shifts"} <= figures
     assert {path.name for path in out.iterdir() if path.suffix not in {".png", ".svg"}} == TABLES
     record = json.loads((out / "coregistration.json").read_text(encoding="utf-8"))
     assert (record["program"], record["status"]) == ("mgsgraph", "converged")
     assert [line[2:] for line in said.splitlines() if line.startswith("- ")] == record["statements"]
     profiles = rows_of(out / "profiles.csv")
-    assert [one["profile"] for one in profiles] == ["ap18933l", "ap19043l"]
+    assert [(one["profile"], one["kind"]) for one in profiles] == [
+        ("ap18933l", "shot"), ("ap19043l", "shot"), ("megr_gusev", "post"),
+    ]  # fmt: skip
     shots = rows_of(out / "shots.csv")
     for row, of_json in zip(profiles, record["profiles"], strict=True):
-        assert np.hypot(float(row["misplacement_after_east_m"]), float(row["misplacement_after_north_m"])) < APART
+        after = np.hypot(float(row["misplacement_after_east_m"]), float(row["misplacement_after_north_m"]))
+        assert after < (APART if row["kind"] == "shot" else 200.0)
         assert of_json["misplacement_before_m"][0] == float(row["misplacement_before_east_m"])
         assert sum(one["weight"] for one in of_json["minima_before"]) == pytest.approx(1.0, abs=1e-3)
         mine = [one for one in shots if one["profile"] == row["profile"] and one["on_surface"] == "true"]
@@ -224,8 +255,8 @@ def bad_case(tmp_path: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda text: text.replace("shift_sigma_m = 100.0", ""), "no laser profile whose shift is unknown"),
-        (lambda text: text[: text.index("[[mola]]")] + text[text.index("[terrain]") :], "no laser profile"),
+        (lambda text: text[: text.index("[terrain]")].replace("shift_sigma_m = 100.0", ""), "neither a laser profile"),
+        (lambda text: text[: text.index("[[mola]]")], "neither a laser profile nor a terrain model"),
     ],
 )
 def test_a_case_without_unknown_shifts_is_refused(change: Any, said: str, tmp_path: Path) -> None:
@@ -249,7 +280,7 @@ def test_images_that_do_not_overlap_are_refused(
     def nothing(*_: Any) -> None:
         raise InputError("images", "no two of them overlap", "images of common ground")
 
-    monkeypatch.setattr(relief, "densely_matched", nothing)
+    monkeypatch.setattr(relief_surfaces, "densely_matched", nothing)
     with pytest.raises(InputError, match="no two of them overlap"):
         call("coregister", dem_site.case_path(), "--solution", dem_site.result(), "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -266,8 +297,9 @@ def test_profiles_that_do_not_cross_the_images_are_refused(monkeypatch: pytest.M
     away = replace(network, points=replace(network.points, places=positions))
     with pytest.raises(InputError, match="none of 2 with 12 shots on the stereo surface"):
         mgsgraph.register_by_relief(
-            mgsgraph.read_case(dem_site.case_path()), SETTINGS, before=replace(solution, network=away)
-        )
+            mgsgraph.read_case(dem_site.case_path()), replace(SETTINGS, terrain="patches"),
+            before=replace(solution, network=away),
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize(
