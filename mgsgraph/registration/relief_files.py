@@ -32,7 +32,9 @@ _MOST_PROFILES = 5
 _WAYS = ("east", "north")
 
 
-def write_coregistration(registration: ReliefRegistration, folder: str | Path, figures: bool = True) -> list[str]:
+def write_coregistration(
+    registration: ReliefRegistration, folder: str | Path, figures: bool = True, case: str | Path | None = None
+) -> list[str]:
     """Write the adjusted solution as `write_results` does, and tables and figures of the registration beside it.
 
     Parameters
@@ -43,6 +45,8 @@ def write_coregistration(registration: ReliefRegistration, folder: str | Path, f
         Absent, empty, or an earlier result, which is replaced; appears whole or not at all.
     figures : bool
         False leaves the figures out.
+    case : path, optional
+        Case file, for later commands.
 
     Returns
     -------
@@ -55,7 +59,7 @@ def write_coregistration(registration: ReliefRegistration, folder: str | Path, f
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        names = write_into(registration.solution, aside, figures)
+        names = write_into(registration.solution, aside, figures, case)
         write_json(aside / COREGISTRATION, coregistration_json(registration))
         profiles_table(registration).write_csv(aside / "profiles.csv")
         relief_shots_table(registration).write_csv(aside / "shots.csv")

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import click
 import dem_site
 import numpy as np
 import profiles as mola_profiles
@@ -160,6 +161,39 @@ def test_not_converged_is_written_and_is_exit_status_1(
     assert "NOT CONVERGED" in capsys.readouterr().out
     record = json.loads((tmp_path / "out" / "coregistration.json").read_text(encoding="utf-8"))
     assert record["status"] == "not converged"
+
+
+@pytest.mark.parametrize("verb", ["coregister", "adjust"])
+def test_a_result_knows_its_case_and_adjust_does_the_same(
+    verb: str, registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """RESULT in place of CASE --solution RESULT; `adjust --relief`, whose options of the solver overrule the case."""
+    given: list[Any] = []
+
+    def registered(case: mgsgraph.Case, *_: Any, before: Any = None, **others: Any) -> ReliefRegistration:
+        given.append((case, before))
+        return registration
+
+    monkeypatch.setattr(relief, "register_by_relief", registered)
+    out, again = tmp_path / "out", tmp_path / "again"
+    options = ("--relief", "--loss", "huber") if verb == "adjust" else ()
+    assert call(verb, dem_site.case_path(), *options, "--out", out, "--no-figures") == 0
+    assert {path.name for path in out.iterdir()} == TABLES
+    assert call("coregister", out, "--out", again, "--no-figures") == 0
+    (first, nothing), (second, before) = given
+    assert nothing is None
+    assert first.settings.loss == ("huber" if verb == "adjust" else "none")
+    assert second.path == dem_site.case_path().resolve()
+    assert before.name == registration.solution.name
+    with pytest.raises(click.UsageError, match="would replace"):
+        call("coregister", out, "--out", out)
+    with pytest.raises(click.UsageError, match="--relief goes with neither"):
+        call("adjust", dem_site.case_path(), "--relief", "--two-steps", "--out", tmp_path / "third")
+
+
+def test_a_result_that_does_not_know_its_case_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no word of the case .* mgsgraph coregister CASE --solution"):
+        call("coregister", tmp_path, "--out", tmp_path / "out")
 
 
 # --- sentences and tables of what is not clear
