@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.campaign import CampaignEntry, Overrides
     from mgsgraph.case.reading import Case
-    from mgsgraph.registration.relief_records import ReliefSettings
+    from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 
 
 @click.command()
@@ -305,8 +305,8 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 
 
 @click.command()
-@click.argument("case", type=PATH, metavar="CASE|RESULT")
-@click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
+@click.argument("case", type=PATH, metavar="CASE|RESULT|PROJECT")
+@click.option("--out", type=PATH, help="Folder for the results; made anew. A project has its own.")
 @click.option("--solution", type=PATH, help="Results of `mgsgraph adjust` CASE, to begin with.")
 @click.option(
     "--footprint", type=float, metavar="M",
@@ -322,12 +322,13 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @NO_FIGURES
 @click.pass_context
 def coregister(
-    ctx: click.Context, case: Path, out: Path, solution: Path | None, footprint: float | None, reach: float,
+    ctx: click.Context, case: Path, out: Path | None, solution: Path | None, footprint: float | None, reach: float,
     spacing: float | None, pair: str | None, workers: int | None, ties: Path | None, no_figures: bool,
 ) -> None:
     """Move the laser profiles of CASE and its images onto each other by relief, and adjust them together.
 
-    RESULT, what `mgsgraph adjust` wrote, stands for its case and for --solution.
+    RESULT, what `mgsgraph adjust` wrote, stands for its case and for --solution. In PROJECT everything is adjusted with
+    the new rows, which it has from then on.
 
     The images are matched densely; each profile with an unknown shift is searched for on the surface that they show;
     the case is adjusted again with one row more per shot, its height above that surface. OUT holds what `mgsgraph
@@ -338,11 +339,18 @@ def coregister(
     """
     from mgsgraph.case.reading import read_case
     from mgsgraph.output.folders import require_replaceable
+    from mgsgraph.project.connection import FILE
     from mgsgraph.registration.relief_records import ReliefSettings
     from mgsgraph.reports.archive import read_solution
     from mgsgraph.reports.results import case_of
 
     settings = ReliefSettings(footprint, reach, spacing, image_pair(pair))
+    if (case / FILE).is_file():
+        if out is not None or solution is not None or ties is not None:
+            raise click.UsageError("--out, --solution and --ties are for a case: a project has its own")
+        ctx.exit(0 if _coregistered_project(case, settings, workers, not no_figures) else 1)
+    if out is None:
+        raise click.UsageError("Missing option '--out'.")
     if case.is_dir():
         if solution is not None:
             raise click.UsageError(f"{case} is a folder of results itself: give it, or CASE --solution")
@@ -362,12 +370,30 @@ def _coregistered(
     """Register a case by relief, write and print what came out; whether it converged."""
     from mgsgraph.cli.progress import counting_bars
     from mgsgraph.registration.relief import register_by_relief
-    from mgsgraph.registration.relief_files import profiles_table, relief_statements, write_coregistration
+    from mgsgraph.registration.relief_files import write_coregistration
 
     with counting_bars() as show:
         registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
         show("tables and figures" if figures else "tables", 0, 1)
         write_coregistration(registration, out, figures, read.path)
+    return _told(registration, out)
+
+
+def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int | None, figures: bool) -> bool:
+    """The same for a project, which has the rows from then on."""
+    from mgsgraph.cli.progress import counting_bars
+    from mgsgraph.project.project import open_project
+    from mgsgraph.project.relief import coregister as register
+
+    with counting_bars() as show, open_project(folder, write=True) as opened:
+        found = register(opened, settings, workers, figures, show)
+    return _told(found.registration, found.folder)
+
+
+def _told(registration: "ReliefRegistration", out: Path) -> bool:
+    """Print what a registration by relief has found; whether it converged."""
+    from mgsgraph.registration.relief_files import profiles_table, relief_statements
+
     click.echo("\n".join(profiles_table(registration).text()))
     print_sentences(relief_statements(registration))
     click.echo(f"Results are in {out}")
