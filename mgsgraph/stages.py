@@ -21,6 +21,8 @@ class Stages:
 
     announce: Callable[[str], None] = lambda _: None
     """Called with what is being done, "simulating" and the like."""
+    detail: Progress = no_progress
+    """Called with what the stage that is running does, how many of its parts are done, and how many there are."""
     seconds: dict[str, float] = field(default_factory=dict)
     """By stage, in their order."""
 

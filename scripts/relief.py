@@ -1,8 +1,7 @@
 """Do laser and images agree after registration by relief, as its sigmas say? Simulated sites against their truth.
 
-Each draw takes the errors of the kernels and the profiles' shifts from the priors that the case states, renders the
-images, writes the mission's formats, reads them, matches the images densely and registers the profiles
-(`registration.relief`), without a terrain model.
+Each draw is a simulated site, whose errors have the sigmas that its case states: rendered images in the mission's
+formats are read, matched densely, and the profiles registered (`registration.relief`), without a terrain model.
 
     python scripts/relief.py [--sites gusev,eos,isidis] [--seeds 20] [--first 1] [--page docs/relief.md]
 
@@ -26,11 +25,11 @@ from mgsgraph.case.reading import read_case
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import Network, PointClass
+from mgsgraph.network import PointClass
 from mgsgraph.registration.relief import ReliefRegistration, register_by_relief
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
-from mgsgraph.simulation.sites import SITE_NAMES, ImageSettings, KernelErrors, SiteSettings, site_settings
+from mgsgraph.simulation.sites import SITE_NAMES, SiteSettings, site_settings
 from mgsgraph.wording import root_mean_square as rms
 
 WORDS = """# Registration by relief against truth
@@ -48,10 +47,6 @@ HEAD = (
     "site", "draws", "captured", "before, m", "after, m", "shifts", "ties before, m", "ties after, m", "times better",
     "ties' mean", "seconds",
 )  # fmt: skip
-_SIGMAS = {False: 100.0, True: 200.0}
-"""m, a-priori position sigma of a nadir and of an inertially held image (`simulation.case_files`)."""
-_SHIFT = 100.0
-"""m, a-priori sigma of a profile's shift."""
 _CAPTURED = 50.0
 """m, misplacement after which the right minimum was found."""
 
@@ -98,13 +93,10 @@ def main(arguments: list[str] | None = None) -> int:
 def _drawn(settings: SiteSettings, seed: int) -> Iterator[Draw]:
     show(f"{settings.name}, seed {seed}")
     begin = time.perf_counter()
-    rng = np.random.default_rng([seed, SITE_NAMES.index(settings.name)])
-    size = float(np.hypot(*rng.normal(0.0, _SHIFT, 2)))
-    images = tuple(_with_errors(settings, image, rng) for image in settings.images)
-    site = simulate_site(replace(settings, images=images, profile_shift=(size, size)), seed)
+    site = simulate_site(settings, seed)
     with tempfile.TemporaryDirectory() as folder:
         case = read_case(write_site(site, Path(folder)))
-        found = register_by_relief(replace(case, network=_as_drawn(case.network, site)))
+        found = register_by_relief(replace(case, network=replace(case.network, surface=None)))
     draw = _judged(site, found, seed, time.perf_counter() - begin)
     print(
         f"{draw.site} {draw.seed}: before {rms(draw.before):.1f}, after {rms(draw.after):.1f} m, shifts "
@@ -112,31 +104,6 @@ def _drawn(settings: SiteSettings, seed: int) -> Iterator[Draw]:
         file=sys.stderr,
     )
     yield draw
-
-
-def _with_errors(settings: SiteSettings, image: ImageSettings, rng: np.random.Generator) -> ImageSettings:
-    """The image with errors of its kernels drawn from the priors of its orientation."""
-    wide = 2.0 if image.held else 1.0
-    roll, pitch, yaw = (
-        (rng.normal(0.0, wide * sigma), rng.normal(0.0, wide * sigma * settings.trend[1]))
-        for sigma in settings.angle_sigmas
-    )
-    position = rng.normal(0.0, _SIGMAS[image.held], 3)
-    return replace(image, errors=KernelErrors(position, 0.0, pitch, roll, yaw, image.errors.noise))
-
-
-def _as_drawn(network: Network, site: SimulatedSite) -> Network:
-    """The network without its terrain model, and with the sigmas of which ranges and footprints were drawn: the case
-    has the papers' 10 m.
-    """
-    laser = network.points.classes == PointClass.LASER
-    places, noise = network.points.places[laser], site.options.footprint_noise
-    up = places / np.linalg.norm(places, axis=1, keepdims=True)
-    upward = up[:, :, None] * up[:, None]
-    covariances = network.points.covariances.copy()
-    covariances[laser] = noise**2 * (np.eye(3) - upward) + (noise / 3.0) ** 2 * upward
-    ranges = replace(network.ranges, sigmas=np.full(network.ranges.values.size, site.options.range_noise))
-    return replace(network, surface=None, points=replace(network.points, covariances=covariances), ranges=ranges)
 
 
 def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: float) -> Draw:

@@ -9,8 +9,13 @@ from numpy.typing import NDArray
 
 from mgsgraph.case.schema import AltimetryInput, LaserInput, MolaInput, TerrainInput
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud, LaserProfile
-from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.altimetry import (
+    MOLA_FOOTPRINT,
+    AltimeterShots,
+    AltimetryCloud,
+    LaserProfile,
+    footprint_covariances,
+)
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -32,8 +37,6 @@ from mgsgraph.registration.footprints import footprints_in_images, points_in_ima
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import KM, MRAD
 
-MOLA_FOOTPRINT = 168.0
-"""m, diameter of MOLA's spot on the ground (Neumann et al. 2003)."""
 _NO_DRIFT = 1e-3
 """m, sigma of a drift that is none."""
 
@@ -110,7 +113,9 @@ class Parts:
             usable[np.flatnonzero(usable)[wanted.check_every - 1 :: wanted.check_every]] = False
         taken = shots.chosen(usable)
         name = Path(shots.source).stem
-        profile = taken.profile(wanted.range_sigma_m, wanted.ground_sigma_m, name=name)
+        profile = taken.profile(
+            wanted.range_sigma_m, wanted.ground_sigma_m, name=name, height_sigma=wanted.height_sigma_m
+        )
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))
@@ -134,9 +139,7 @@ class Parts:
             )  # fmt: skip
         name, (horizontal, vertical) = Path(cloud.source).name.split(".")[0], wanted.sigma_m
         first, n = self._claim(tuple(f"{name}:{one}" for one in taken.ids), cloud.source), len(taken.ids)
-        up = taken.points / np.linalg.norm(taken.points, axis=1, keepdims=True)
-        ways = east_north(taken.points)
-        covariances = horizontal**2 * np.einsum("nki,nkj->nij", ways, ways) + vertical**2 * up[:, :, None] * up[:, None]
+        covariances = footprint_covariances(taken.points, horizontal, vertical)
         kinds, classes = np.full(n, int(PointKind.CONSTRAINED)), np.full(n, int(PointClass.LASER))
         self._points.append((classes, kinds, taken.points, covariances))
         east, north, upward = wanted.shift_sigma_m

@@ -140,6 +140,8 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of the ranges."""
     ground_sigma_m: Sigma = 10.0
     """Sigma of each footprint in each direction."""
+    height_sigma_m: Sigma | None = None
+    """Sigma of each footprint's height, where it is another one than `ground_sigma_m`."""
     shift_sigma_m: Sigma | None = None
     """Sigma of the profile's common horizontal error, which becomes an unknown; absent: none."""
     image_rows: Literal["none", "back-projected"] = "none"

@@ -133,10 +133,13 @@ def stage_bar(count: int) -> Iterator[Stages]:
         begun.append(stage)
         bar.set_description_str(stage)
 
+    def detail(what: str, done: int, most: int) -> None:
+        bar.set_description_str(f"{begun[-1]}, {what} {done / most:.0%}", refresh=False)
+
     ticking = threading.Thread(target=tick, daemon=True)
     ticking.start()
     try:
-        yield Stages(announce)
+        yield Stages(announce, detail)
     finally:
         over.set()
         ticking.join()

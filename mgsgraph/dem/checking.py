@@ -40,7 +40,9 @@ class CheckProfile:
     shots: AltimeterShots
     """Ground returns that the adjustment has not used."""
     sigma: float
-    """m, of each footprint in each direction."""
+    """m, of each footprint east and north."""
+    height_sigma: float
+    """m, of its height."""
     shift: Array
     """(2,) m, east and north, to be added to all of them."""
     shift_covariance: Array
@@ -90,6 +92,7 @@ def check_profiles(
     shifts = [entry.shift_sigma_m for entry in case.mola if entry.shift_sigma_m is not None]
     common = MolaInput(
         pedr="", ground_sigma_m=max((entry.ground_sigma_m for entry in case.mola), default=10.0),
+        height_sigma_m=max((_height_sigma(entry) for entry in case.mola), default=10.0),
         shift_sigma_m=max(shifts, default=None),
     )  # fmt: skip
     entries += [(common, read_shots(file)) for file in more]
@@ -109,7 +112,12 @@ def _unused(posterior: Posterior, entry: MolaInput, shots: AltimeterShots, used:
         variable = len(posterior.network.images) + names.index(name)
         shift = posterior.linearised.values[variable]
         covariance = posterior.linearised.joint.of([variable])
-    return CheckProfile(name, shots.chosen(shots.ground & ~taken), entry.ground_sigma_m, shift, covariance, adjusted)
+    left = shots.chosen(shots.ground & ~taken)
+    return CheckProfile(name, left, entry.ground_sigma_m, _height_sigma(entry), shift, covariance, adjusted)
+
+
+def _height_sigma(entry: MolaInput) -> float:
+    return entry.height_sigma_m or entry.ground_sigma_m
 
 
 def checked(model: HeightGrid, profiles: Sequence[CheckProfile]) -> HeightChecks:
@@ -135,7 +143,7 @@ def _differences(model: HeightGrid, one: CheckProfile, number: int) -> tuple[lis
     slopes = np.nan_to_num(bilinear(model.slopes, pixels))
     planimetric = np.einsum("ni,ij,nj->n", slopes, one.sigma**2 * np.eye(2) + one.shift_covariance, slopes)
     matching, orientation = (bilinear(band, pixels) for band in (model.matching, model.orientation))
-    independent = matching**2 + one.sigma**2 + planimetric
+    independent = matching**2 + one.height_sigma**2 + planimetric
     differences = heights - (np.linalg.norm(positions, axis=1) - model.map.radius)
     ids = np.array(one.shots.ids, dtype=object)[on].tolist()
     return ids, (

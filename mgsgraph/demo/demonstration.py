@@ -1,4 +1,6 @@
-"""The main job on a simulated study site: simulate, register, adjust, register again, and compare with the truth."""
+"""The main job on a simulated study site: simulate, adjust with ties and ranges, register by relief, and compare with
+the truth.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,10 +9,15 @@ from pathlib import Path
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
+from mgsgraph.demo.disagreement import BY_RELIEF, KERNELS, TIES, Disagreement, disagreements
 from mgsgraph.demo.simulate import simulated_files
 from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, against_truth, true_shots
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.matching.patches import has_opencv
 from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.registration.relief import register_by_relief
+from mgsgraph.registration.relief_records import ReliefRegistration
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
@@ -20,7 +27,9 @@ INPUTS = "inputs"
 """Folder of the simulated files in the demo's results."""
 DRAWING = "tables and figures"
 """Name of the last stage."""
-STAGES = ("simulating", "writing", "reading", "adjusting", "registering", DRAWING)
+RELIEF = "registering by relief"
+"""Name of the stage that may be left out."""
+STAGES = ("simulating", "writing", "reading", "adjusting", RELIEF, "comparing", DRAWING)
 """Stages of a demo, in their order."""
 
 
@@ -32,14 +41,23 @@ class Demonstration:
     """Inputs and truth."""
     case: Case
     """The inputs as read from their files."""
-    solution: Solution
-    """What the adjustment made of them."""
+    adjusted: Solution
+    """What the adjustment of ties and ranges made of them."""
+    relief: ReliefRegistration | str
+    """What registration by relief made of that; or why it was left out."""
     registration: CaseRegistration
     """Footprints in images before and after."""
+    disagreements: tuple[Disagreement, ...]
+    """Between footprints and images, against the truth, after each step."""
     truth: AgainstTruth
-    """What is left of the errors."""
+    """What is left of the errors of the images."""
     stages: Stages
     """Seconds that it took."""
+
+    @property
+    def solution(self) -> Solution:
+        """What the last step made of it."""
+        return self.adjusted if isinstance(self.relief, str) else self.relief.solution
 
     @property
     def discrepancies(self) -> tuple[BeforeAfter, ...]:
@@ -73,8 +91,9 @@ def demonstrate(
     options: SimulationOptions | None = None,
     adjusting: Callable[[Case], Solution] = adjust,
     stages: Stages | None = None,
+    relief: bool = True,
 ) -> Demonstration:
-    """Simulate a study site, write its files to `folder`, read them back, register, adjust and register again.
+    """Simulate a study site, write its files to `folder`, read them back, adjust, register by relief, and compare.
 
     Parameters
     ----------
@@ -90,17 +109,35 @@ def demonstrate(
         Solution of a case; shows its progress, where wanted.
     stages : Stages, optional
         Books the seconds.
+    relief : bool
+        False leaves the registration by relief out, as does an installation without OpenCV.
     """
     stages = stages or Stages()
     simulated, path = simulated_files(partial(simulate_site, site, seed, options), write_site, folder, stages)
     with stages.stage("reading"):
         case = _named_from(read_case(path), folder)
     with stages.stage("adjusting"):
-        solution = adjusting(case)
-    with stages.stage("registering"):
+        adjusted = adjusting(case)
+    found = _registered_by_relief(case, adjusted, stages) if relief else "not asked for (--no-relief)"
+    steps: list[tuple[str, Solution | None]] = [(KERNELS, None), (TIES, adjusted)]
+    steps += [] if isinstance(found, str) else [(BY_RELIEF, found.solution)]
+    solution = steps[-1][1] or adjusted
+    with stages.stage("comparing"):
         registration = register_case(case, solution)
+        apart = disagreements(simulated, case, steps)
         truth = against_truth(simulated, case, solution, registration)
-    return Demonstration(simulated, case, solution, registration, truth, stages)
+    return Demonstration(simulated, case, adjusted, found, registration, apart, truth, stages)
+
+
+def _registered_by_relief(case: Case, before: Solution, stages: Stages) -> ReliefRegistration | str:
+    """The case registered by relief, or why it can't be."""
+    if not has_opencv():
+        return 'OpenCV is not installed (pip install "mgsgraph[match]")'
+    with stages.stage(RELIEF):
+        try:
+            return register_by_relief(case, before=before, progress=stages.detail)
+        except InputError as error:  # the images may share too little ground with a profile, as their errors were drawn
+            return str(error)
 
 
 def _named_from(case: Case, folder: Path) -> Case:

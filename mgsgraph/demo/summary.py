@@ -1,4 +1,6 @@
-"""What a demo has shown: in plain words, and as summary.json. Sigmas are predicted ones, for sigma0 = 1."""
+"""What a demo has shown: one sentence, tables, and more sentences; the same as summary.json. Sigmas are predicted ones,
+for sigma0 = 1.
+"""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,6 +12,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
 from mgsgraph.demo.demonstration import DRAWING, INPUTS, Demonstration, demonstrate, demonstrate_pair, true_points
+from mgsgraph.demo.disagreement import BY_RELIEF, KERNELS, TIES, disagreement_table, overall
 from mgsgraph.demo.simulate import PAIR
 from mgsgraph.demo.truth import AgainstTruth, BeforeAfter, pair_statements, point_errors, point_statements
 from mgsgraph.geometry import rotation
@@ -18,18 +21,21 @@ from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import PointClass
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM
+from mgsgraph.output.table import Column, Table
 from mgsgraph.registration.footprints import Misregistration
+from mgsgraph.registration.relief_files import write_coregistration_into
+from mgsgraph.registration.relief_records import ReliefRegistration
 from mgsgraph.registration.tables import discrepancy_json, write_registration_into
 from mgsgraph.reports.results import write_into
-from mgsgraph.simulation.site import SimulatedImage, SimulationOptions
+from mgsgraph.simulation.site import SimulatedSite, SimulationOptions
 from mgsgraph.simulation.terrain import grid_shift
 from mgsgraph.stages import Stages
 from mgsgraph.units import ARCMIN, ARCSEC
-from mgsgraph.wording import listed, many, root_mean_square
+from mgsgraph.wording import many, root_mean_square
 
 SUMMARY = "summary.json"
 """File of the demo's figures."""
-FORMAT = 1
+FORMAT = 2
 """Version of its layout."""
 MOST_SIGMAS = 3.5
 """Predicted sigmas within which every point should be."""
@@ -43,60 +49,150 @@ def write_demo(
     adjusting: Callable[[Case], Solution],
     stages: Stages,
     figures: bool = True,
+    relief: bool = True,
 ) -> tuple[Solution, list[str]]:
     """Run the demo of a study site, or of the pair, with all products in a folder that exists: inputs in a folder of
-    their own, tables, figures and summary.json. Returns the solution and the closing words.
+    their own, tables, figures and summary.json. Returns the solution and the closing lines.
     """
     inputs = folder / INPUTS
     if site == PAIR:
         pair, solution = demonstrate_pair(inputs, seed, adjusting, stages)
         with stages.stage(DRAWING):
             write_into(solution, folder, figures)
-        return solution, pair_statements(solution, pair)
-    demo = demonstrate(site, inputs, seed, options, adjusting, stages)
+        return solution, _as_list(pair_statements(solution, pair))
+    demo = demonstrate(site, inputs, seed, options, adjusting, stages, relief)
     with stages.stage(DRAWING):
-        write_into(demo.solution, folder, figures)
+        if isinstance(demo.relief, ReliefRegistration):
+            write_coregistration_into(demo.relief, folder, figures)
+        else:
+            write_into(demo.solution, folder, figures)
         write_registration_into(demo.registration, folder, figures)
-    record = summary_json(demo)
-    write_json(folder / SUMMARY, record)
-    return demo.solution, record["statements"]
+        disagreement_table(demo.disagreements).write_csv(folder / "disagreement.csv")
+        if figures:
+            _draw_story(demo, folder)
+    write_json(folder / SUMMARY, summary_json(demo))
+    return demo.solution, closing_lines(demo)
+
+
+def _draw_story(demo: Demonstration, folder: Path) -> None:
+    if isinstance(demo.relief, str):
+        return
+    from mgsgraph.figures.sheet import save  # only those who draw wait for matplotlib
+    from mgsgraph.figures.story import story_sheet
+
+    one = max(demo.relief.profiles, key=lambda one: int(one.taken.sum()))
+    known, ids = true_points(demo), demo.solution.network.points.ids
+    truth = np.array([known[ids[i]] for i in one.mine.tolist()])
+    save([story_sheet(demo.relief, one, truth, demo.simulated.terrain.ground_radius, headline(demo))], folder)
+
+
+def closing_lines(demo: Demonstration) -> list[str]:
+    """What is printed: the sentence that says it all, tables, and sentences."""
+    lines = [headline(demo), ""]
+    for table in tables(demo):
+        lines += [table.title, *table.text(indent=2), ""]
+    return lines + _as_list(demo_statements(demo)[1:])
+
+
+def _as_list(sentences: Sequence[str]) -> list[str]:
+    return [f"- {sentence}" for sentence in sentences]
+
+
+# --- tables
+
+
+def tables(demo: Demonstration) -> tuple[Table, ...]:
+    """What was put in; disagreements of MOLA and MOC; what is left of the images' errors, and of all shifts."""
+    apart = disagreement_table(demo.disagreements)
+    return put_in_table(demo.simulated), apart, orientation_table(demo), shifts_table(demo)
+
+
+def put_in_table(simulated: SimulatedSite) -> Table:
+    """The errors of the kernels of each image (in its middle), and of the profile along with it."""
+    images = simulated.images
+    errors = [image.errors for image in images]
+    return Table("put_in", "Put in: errors of the kernels in the middle of each image, and of its profile", (
+        Column("image", [image.true.name for image in images], text="<10"),
+        Column("position_{}", np.array([one.position[0] for one in errors]), "m", "of the SPK",
+               ("radial", "along", "across"), label="position (m)", text=">+7.1f"),
+        Column("{}", np.array([one.rotation[0] / ARCMIN for one in errors]), "arcmin", "of the CK",
+               ("roll", "pitch", "yaw"), label="attitude (arcmin)", text=">+6.2f", gap=2),
+        Column("attitude_time_bias", np.array([one.attitude_time_bias for one in errors]), "s", "of the CK",
+               label="CK (s)", text=">6.2f", gap=2),
+        Column("profile", [image.settings.profile for image in images], text="<8", gap=2),
+        Column("shift_{}", np.array([image.profile.shift for image in images]), "m", "of all its footprints",
+               ("east", "north"), label="shift (m)", text=">+7.1f"),
+    ))  # fmt: skip
+
+
+def orientation_table(demo: Demonstration) -> Table:
+    """By how much the orientation of each image misplaces the ground under the footprints, mean along and across."""
+    found = [
+        [pair for pair in demo.truth.orientation if pair.after.image == image.name]
+        for image in demo.solution.network.images
+    ]
+    found = [pairs for pairs in found if pairs]
+    ways = ("along", "across")
+
+    def means(of: Callable[[BeforeAfter], Misregistration], what: str) -> Array:
+        return np.array([_pooled([of(pair) for pair in pairs], what).mean(axis=0) for pairs in found]).reshape(-1, 2)
+
+    return Table("orientation", "Truth: by how much each image misplaces the ground (ties don't see what all share)", (
+        Column("image", [pairs[0].after.image for pairs in found], text="<10"),
+        Column("before_{}", means(lambda pair: pair.before, "metres"), "m", "by the kernels", ways,
+               label="kernels (m)", text=">+8.1f"),
+        Column("after_{}", means(lambda pair: pair.after, "metres"), "m", "adjusted", ways, label="adjusted (m)",
+               text=">+8.1f", gap=2),
+        Column("sigma_{}", means(lambda pair: pair.after, "metre_sigmas"), "m", "predicted", ways,
+               label="predicted sigma (m)", text=">8.1f", gap=2),
+        Column("largest_sigmas_{}", np.array([largest_sigmas_off(pairs) for pairs in found]).reshape(-1, 2), "",
+               "largest error in predicted sigmas", ways, label="largest (sigmas)", text=">8.1f", gap=2),
+    ))  # fmt: skip
+
+
+def shifts_table(demo: Demonstration) -> Table:
+    """True and found shift of profiles and terrain model: what is to be added to archived positions."""
+    solution = demo.solution
+    true = {image.settings.profile: -np.asarray(image.profile.shift) for image in demo.simulated.images}
+    true["terrain model"] = -np.asarray(grid_shift(demo.simulated.terrain))
+    names, ways = solution.network.shift_names, ("east", "north")
+    sigmas = np.array([np.sqrt(np.diagonal(solution.shift_covariance(p))) for p in range(len(names))])
+    return Table("shifts", "Truth: shifts of profiles and terrain model, to be added to archived positions", (
+        Column("name", list(names), text="<14"),
+        Column("true_{}", np.array([true[name] for name in names]), "m", "", ways, label="true (m)", text=">+8.1f"),
+        Column("found_{}", np.array(solution.shifts), "m", "", ways, label="found (m)", text=">+8.1f", gap=2),
+        Column("sigma_{}", sigmas, "m", "predicted", ways, label="predicted sigma (m)", text=">8.1f", gap=2),
+    ))  # fmt: skip
 
 
 # --- words
 
 
+def headline(demo: Demonstration) -> str:
+    """By how much MOLA and MOC disagreed, and do now."""
+    apart = demo.disagreements
+    (before, _), (ties, of_ties) = overall(apart, KERNELS), overall(apart, TIES)
+    text = (
+        f"MOLA and MOC disagreed by {before:.0f} m with the orientation of the kernels, and by {ties:.0f} m (predicted "
+        f"{of_ties:.0f}) after an adjustment of tie points and ranges"
+    )
+    if isinstance(demo.relief, str):
+        return f"{text}. Registration by relief, which would remove it, was left out: {demo.relief}."
+    now, predicted = overall(apart, BY_RELIEF)
+    return f"{text}; after registration by relief they disagree by {now:.1f} m (predicted {predicted:.1f})."
+
+
 def demo_statements(demo: Demonstration) -> list[str]:
-    """Sentences with figures and units: what was put in, what was wrong before, what is right now, and what is not."""
+    """Sentences with figures and units: what was wrong before, what is right now, and what is not."""
     found = [pair for pair in demo.discrepancies if pair.before.shots.size and pair.after.shots.size]
     truth = demo.truth
     return [
-        *(_put_in(image) for image in demo.simulated.images),
-        f"Put in: the terrain grid lies {np.hypot(*grid_shift(demo.simulated.terrain)):.0f} m beside the ground, as a "
-        "whole.",
+        headline(demo),
         *([_before(found), _after(found)] if found else []),
         *([_agreement(truth.between)] if truth.between else []),
-        *(_of_image(image.name, truth) for image in demo.solution.network.images),
-        *_shifts(demo),
         *point_statements(demo.solution, true_points(demo)),
         *([_in_short(truth)] if truth.between else []),
     ]
-
-
-def _put_in(image: SimulatedImage) -> str:
-    """The errors that the simulation gave to an image's kernels and to its profile."""
-    errors = image.errors
-    parts = [f"a position {np.linalg.norm(errors.position):.0f} m off"]
-    if errors.attitude_time_bias:
-        parts.append(f"attitude time tags {errors.attitude_time_bias:.2f} s off")
-    for name, (constant, slope) in (("pitch", errors.pitch), ("roll", errors.roll), ("yaw", errors.yaw)):
-        if constant or slope:
-            trend = f" {slope / ARCMIN:+.0f}' u along the image" if slope else ""
-            parts.append(f"{name} {constant / ARCMIN:+.0f}'{trend}")
-    parts.append(f"attitude noise of {errors.noise / ARCSEC:.0f}\" rms")
-    return (
-        f"Put in: the kernels of {image.true.name} have {listed(parts)}; all footprints of its profile "
-        f"{image.settings.profile} lie {np.hypot(*image.profile.shift):.0f} m beside their place."
-    )
 
 
 def _before(pairs: Sequence[BeforeAfter]) -> str:
@@ -130,33 +226,15 @@ def _agreement(pairs: Sequence[BeforeAfter]) -> str:
     )
 
 
-def _of_image(name: str, truth: AgainstTruth) -> str:
-    """What the orientation of one image is off, by itself and with the footprints' own errors."""
-    pairs = [pair for pair in truth.orientation if pair.after.image == name]
-    shots = [pair for pair in truth.footprints if pair.after.image == name]
-    if not pairs:
-        return f"Truth, {name}: it sees no footprint."
-    before, after = [pair.before for pair in pairs], [pair.after for pair in pairs]
-    predicted = _pooled(after, "metre_sigmas").mean(axis=0)
-    return (
-        f"Truth, {name} by itself: its orientation misplaced the ground by {_mean(before, 0)} m along and "
-        f"{_mean(before, 1)} m across the flight, and now does by {_mean(after, 0)} and {_mean(after, 1)} m (mean; "
-        f"predicted sigma {predicted[0]:.0f} and {predicted[1]:.0f} m: what both images share, tie points don't see). "
-        f"{_sigmas_off(pairs)} With their own errors, footprints fell {_mean([one.before for one in shots], 0)} and "
-        f"{_mean([one.before for one in shots], 1)} m beside their place in it, and now fall "
-        f"{_mean([one.after for one in shots], 0)} and {_mean([one.after for one in shots], 1)} m beside it."
-    )
-
-
 def _in_short(truth: AgainstTruth) -> str:
     before, after = ([getattr(pair, name) for pair in truth.between] for name in ("before", "after"))
     states = ([getattr(pair, name) for pair in truth.orientation] for name in ("before", "after"))
     was, now = (np.linalg.norm(_pooled(found, "metres").mean(axis=0)) for found in states)
     sigma = np.linalg.norm(_pooled([pair.after for pair in truth.orientation], "metre_sigmas").mean(axis=0))
     return (
-        f"In short: along the flight the images now agree to {_pixels(after, 0)} instead of {_pixels(before, 0)} "
-        f"pixels. On the average of both they lie {now:.0f} m from their true place on Mars (before {was:.0f} m; "
-        f"predicted sigma {sigma:.0f} m)."
+        f"In short: the images now agree to {_pixels(after, 0)} pixels along and {_pixels(after, 1)} across the flight "
+        f"(before {_pixels(before, 0)} and {_pixels(before, 1)}). On the average of both they lie {now:.0f} m from "
+        f"their true place on Mars (before {was:.0f} m; predicted sigma {sigma:.0f} m)."
     )
 
 
@@ -174,28 +252,6 @@ def largest_sigmas_off(pairs: Sequence[BeforeAfter]) -> tuple[float, float]:
     return along, across
 
 
-def _shifts(demo: Demonstration) -> list[str]:
-    return [
-        f"Truth, {name}: it has to move by {true[0]:+.0f} m east and {true[1]:+.0f} m north; "
-        f"found {found[0]:+.0f} and {found[1]:+.0f} m, predicted sigma {sigma[0]:.0f} and {sigma[1]:.0f} m."
-        for name, true, found, sigma in _shift_truths(demo)
-    ]
-
-
-def _shift_truths(demo: Demonstration) -> list[tuple[str, Array, Array, Array]]:
-    """Name, true and found shift and its sigma, each (2,) m east and north, of profiles and terrain model.
-
-    A shift is what is to be added to the archived places to get the true ones.
-    """
-    solution = demo.solution
-    true = {image.settings.profile: -np.asarray(image.profile.shift) for image in demo.simulated.images}
-    true["terrain model"] = -np.asarray(grid_shift(demo.simulated.terrain))
-    return [
-        (name, true[name], solution.shifts[p], np.sqrt(np.diagonal(solution.shift_covariance(p))))
-        for p, name in enumerate(solution.network.shift_names)
-    ]
-
-
 def _footprints(found: Sequence[Misregistration]) -> str:
     return many(sum(one.shots.size for one in found), "MOLA footprint")
 
@@ -211,10 +267,6 @@ def _pixels(found: Sequence[Misregistration], way: int) -> str:
 
 def _metres(found: Sequence[Misregistration], way: int) -> str:
     return _digits(root_mean_square(_pooled(found, "metres")[:, way]))
-
-
-def _mean(found: Sequence[Misregistration], way: int) -> str:
-    return f"{_pooled(found, 'metres')[:, way].mean():+.0f}"
 
 
 def _digits(value: float) -> str:
@@ -240,15 +292,14 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
             "counting": "projected minus true places; along and across the flight; sigmas are predicted ones",
             "between_images": [_before_after(pair) for pair in truth.between],
             "orientation": [_before_after(pair) for pair in truth.orientation],
-            "footprints": [_before_after(pair) for pair in truth.footprints],
+            "footprints": [
+                {"state": one.state, "profile": one.profile, **discrepancy_json(one.found)}
+                for one in demo.disagreements
+            ],
         },
         "orientation": [_orientation(demo, j) for j in range(len(solution.network.images))],
         "terrain_shift_east_north_m": grid_shift(demo.simulated.terrain),
-        "shifts": [
-            {"name": name, "true_east_north_m": true, "found_east_north_m": found, "sigma_m": sigma,
-             "sigmas_off": (found - true) / sigma}
-            for name, true, found, sigma in _shift_truths(demo)
-        ],
+        **{one.name: one.records() for one in tables(demo) if one.name != "orientation"},
         "points": {
             one.name.lower(): dict(zip(("rms_before_m", "rms_after_m", "nees_per_freedom"), errors, strict=True))
             for one in (PointClass.TIE, PointClass.LASER)

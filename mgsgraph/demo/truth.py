@@ -116,16 +116,13 @@ class AgainstTruth:
     that in the first, carried over level ground. What both images share cancels. Sigmas from the joint covariance."""
     orientation: tuple[BeforeAfter, ...]
     """Of the true ground under each profile in each image; it is the orientation alone that is off."""
-    footprints: tuple[BeforeAfter, ...]
-    """Of the footprints themselves in each image, archived and adjusted: with their own errors, above all the
-    horizontal one which the shots of a profile share. Nothing is predicted."""
 
 
 def against_truth(
     simulated: SimulatedSite, case: Case, solution: Solution, registration: CaseRegistration
 ) -> AgainstTruth:
-    """Compare the image points of footprints, and of the true ground under them, with their true ones."""
-    between, orientation, footprints = list[BeforeAfter](), list[BeforeAfter](), list[BeforeAfter]()
+    """Compare the image points of the true ground under footprints with their true ones."""
+    between, orientation = list[BeforeAfter](), list[BeforeAfter]()
     known, images = true_shots(simulated), solution.network.images
     for shots, registered in zip(case.profiles, registration.after, strict=True):
         rows = [known[name] for name in shots.ids]
@@ -141,15 +138,10 @@ def against_truth(
                 misregistration(image, shots, inside, None, points),
                 _predicted(misregistration(adjusted, shots, inside, correction, points), points, solution, j),
             ))
-            footprints.append(BeforeAfter(
-                registered.name,
-                misregistration(image, shots, inside),
-                misregistration(adjusted, shots, inside, correction, registered.points),
-            ))
         both = np.flatnonzero(np.all(seen, axis=0))
         if both.size:
             between.append(_between(registered.name, shots, both, points[both], pixels[both], solution))
-    return AgainstTruth(tuple(between), tuple(orientation), tuple(footprints))
+    return AgainstTruth(tuple(between), tuple(orientation))
 
 
 def true_shots(simulated: SimulatedSite) -> dict[str, tuple[Array, Array]]:

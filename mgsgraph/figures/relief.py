@@ -211,7 +211,7 @@ def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) ->
         name, 10.0, 4.6, f"Laser profile {short(one.name, 30)} against the stereo surface", _profile_caption(one)
     )
     grid = sheet.panels(2, 2, heights=[2.0, 1.0], sharex=True, sharey="row")
-    along = _along_track(one.before.points) / KM
+    along = along_track(one.before.points) / KM
     body = registration.solution.network.images[0].body
     up, covariances = east_north_up(one.before.points)[:, 2], registration.before.network.points.covariances[one.mine]
     sigmas = np.hypot(one.sigmas, np.sqrt(np.einsum("ni,nij,nj->n", up, covariances, up)))
@@ -219,7 +219,7 @@ def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) ->
     widest = 0.0
     for c, state in enumerate((one.before, one.after)):
         upper, lower = grid[:, c]
-        heights, off = geodetic(state.points, body)[:, 2], _vertical(state)
+        heights, off = geodetic(state.points, body)[:, 2], vertical(state)
         off = np.where(one.taken & state.heights.covered, off, np.nan)
         upper.plot(along, heights - off, color=AFTER, lw=1.0, marker=".", ms=2.5, zorder=2)
         upper.plot(along, heights, ls="", marker="^", ms=3.0, mfc="none", mew=0.7, color=_LASER, zorder=3)
@@ -247,12 +247,12 @@ _CLIPPED = 4.0
 _LASER = CLASS_COLOUR[PointClass.LASER]
 
 
-def _along_track(points: Array) -> Array:
+def along_track(points: Array) -> Array:
     """(n,) m from the first of points (n, 3), along the track."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def _vertical(state: ProfileState) -> Array:
+def vertical(state: ProfileState) -> Array:
     """(n,) m, heights above the surface along the vertical."""
     up = np.einsum("nj,nj->n", east_north_up(state.points)[:, 2], state.heights.normals)
     return np.asarray(state.heights.heights / up)

@@ -17,6 +17,18 @@ from mgsgraph.geometry.records import (
     require_unique,
 )
 
+MOLA_FOOTPRINT = 168.0
+"""m, diameter of MOLA's spots: 0.42 mrad seen from 400 km (Smith et al. 2001, Neumann et al. 2003)."""
+SPOT_WIDTHS = 4.0
+"""Standard deviations of the Gaussian energy in a laser spot's diameter."""
+
+
+def footprint_covariances(footprints: Array, horizontal: float, vertical: float) -> Array:
+    """(n, 3, 3) m^2 of footprints (n, 3) with one sigma (m) east and north and another one upward."""
+    outward = footprints / np.linalg.norm(footprints, axis=1, keepdims=True)
+    more = (vertical**2 - horizontal**2) * outward[:, :, None] * outward[:, None]
+    return np.asarray(horizontal**2 * np.eye(3) + more)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserProfile:
@@ -155,7 +167,12 @@ class AltimeterShots:
         return replace(self, footprints=footprints, spacecraft=spacecraft)
 
     def profile(
-        self, range_sigma: float, ground_sigma: float, simultaneous: str | None = None, name: str = ""
+        self,
+        range_sigma: float,
+        ground_sigma: float,
+        simultaneous: str | None = None,
+        name: str = "",
+        height_sigma: float | None = None,
     ) -> LaserProfile:
         """The shots as observations of an adjustment, without image measures.
 
@@ -169,6 +186,8 @@ class AltimeterShots:
             Image taken along with the shots, whose orientation carries the ranges; none when absent.
         name : str
             Put before the shots' names, where profiles of several files meet.
+        height_sigma : float, optional
+            m, of each footprint's height; `ground_sigma` when absent.
 
         Raises
         ------
@@ -188,7 +207,7 @@ class AltimeterShots:
             ranges=self.ranges,
             range_sigmas=np.full(n, range_sigma),
             footprints=self.footprints,
-            covariances=np.broadcast_to(ground_sigma**2 * np.eye(3), (n, 3, 3)),
+            covariances=footprint_covariances(self.footprints, ground_sigma, height_sigma or ground_sigma),
             simultaneous=((simultaneous,) if simultaneous else (),) * n,
             measure_shot=np.zeros(0, dtype=np.int64),
             measure_image=(),

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
+from mgsgraph.geometry.altimetry import MOLA_FOOTPRINT, AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.io.files import number_of, read_bytes
@@ -32,8 +32,6 @@ _PAUSE = 1800.0
 """s without a shot, after which another profile begins."""
 _TOLERANCE = 0.1
 """Part of the body's radius by which a file's median radius may differ from it."""
-MOLA_FOOTPRINT = 168.0
-"""m, diameter of MOLA's spots: 0.42 mrad seen from 400 km (Smith et al. 2001)."""
 LOLA_FOOTPRINT = 5.0
 """m, diameter of LOLA's spots: 0.1 mrad seen from 50 km (Smith et al. 2010)."""
 _MOON = Ellipsoid(1737.4 * KM, 1737.4 * KM)

@@ -5,6 +5,7 @@ Hirschmueller, H. (2008): Stereo processing by semiglobal matching and mutual in
 with Birchfield & Tomasi's cost of horizontal gradients, to which other brightness and contrast don't matter.
 """
 
+from importlib.util import find_spec
 from types import ModuleType
 from typing import NamedTuple
 
@@ -24,6 +25,11 @@ _BLUR, _UNBLURRED = 0.5, 1e-3
 """Sigma of the filter then, in pixels of the ground grid, and in pixels of one that does nothing."""
 _REMAP_LIMIT = 30_000
 """pixels; OpenCV's remap takes pictures of less than 32,768 lines and samples."""
+
+
+def has_opencv() -> bool:
+    """Whether OpenCV is installed, the extra "match"."""
+    return find_spec("cv2") is not None
 
 
 def opencv() -> ModuleType:

@@ -46,13 +46,13 @@ TABLES = (
     NODES, "spacings.csv", "course.csv", "spectra.csv",
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
     DEM, "dem.tif", "ortho.tif", "shots.csv",
-    COREGISTRATION, "profiles.csv", "costs.csv",
+    COREGISTRATION, "profiles.csv", "costs.csv", "disagreement.csv",
 )  # fmt: skip
 """Files of results but for figures."""
 FIGURES = (
     "residuals", "orientation", "strips", "registration", "map", "connectivity", "height_map",
     "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "spacings", "spectrum", "course", "matches",
-    "dem", "costs", "profiles", "shifts",
+    "dem", "costs", "profiles", "shifts", "story",
 )  # fmt: skip
 """Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
 _INPUTS = "inputs"

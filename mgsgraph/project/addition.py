@@ -278,7 +278,10 @@ def _profile(
         found = "no shot that was taken along with one of the images and falls in it"
         raise InputError(str(path), found, "one image that the profile crosses", remedy)
     taken = shots.chosen(seen.shots_with(owner) & usable)
-    return taken.profile(sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[owner].name, path.stem)
+    return taken.profile(
+        sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[owner].name, path.stem,
+        sigmas.shot_height_sigma_m,
+    )  # fmt: skip
 
 
 # --- points that are there already

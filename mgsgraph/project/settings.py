@@ -22,6 +22,8 @@ class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Of a MOLA range."""
     shot_ground_sigma_m: Sigma = 10.0
     """Of a MOLA footprint in each direction."""
+    shot_height_sigma_m: Sigma | None = None
+    """Of its height, where it is another one."""
 
 
 class ProjectSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -66,6 +68,7 @@ def settings_of_case(path: Path) -> ProjectSettings:
         next((group.image_sigma_px for group in case.laser_groups), usual.shot_image_sigma_px),
         next((profile.range_sigma_m for profile in case.mola), usual.shot_range_sigma_m),
         next((profile.ground_sigma_m for profile in case.mola), usual.shot_ground_sigma_m),
+        next((profile.height_sigma_m for profile in case.mola), usual.shot_height_sigma_m),
     )
     return ProjectSettings(case.orientation, _absolute(case.spice, path.parent), measures, case.solver)
 

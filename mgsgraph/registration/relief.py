@@ -26,6 +26,7 @@ from mgsgraph.case.scene import picture_file, read_scene
 from mgsgraph.case.schema import decode
 from mgsgraph.dem.production import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import SPOT_WIDTHS
 from mgsgraph.geometry.body import east_north, geodetic
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface, SurfaceHeights, averaged_surface, heights_above
@@ -40,8 +41,6 @@ from mgsgraph.wording import some
 if TYPE_CHECKING:
     from mgsgraph.matching.dense import DenseMatches
 
-_WIDTHS = 4.0
-"""Standard deviations of the Gaussian footprint in its diameter."""
 _SCATTERS = 3.0
 """Robust standard deviations of the tie points about the ground, within which the ground is sought."""
 _LEAST_SHOTS = 12
@@ -202,14 +201,14 @@ def stereo_surfaces(
     _, scene = read_scene(path, *expected_ground(posterior, wanted))
     scene = _over_adjusted_ground(adjusted_scene(scene, posterior, settings.images), posterior)
     sizes = sorted(set(footprints))
-    spacing = settings.spacing or max(sizes[0] / _WIDTHS, _CLOSEST * scene.step)
+    spacing = settings.spacing or max(sizes[0] / SPOT_WIDTHS, _CLOSEST * scene.step)
     matches, window = densely_matched(scene, spacing, workers, progress)
     found = list[AveragedPair]()
     for one in matches:
         first, second = (posterior.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
         for size in sizes:
             progress("stereo surface", len(found), len(matches) * len(sizes))
-            width = max(size / _WIDTHS, spacing)
+            width = max(size / SPOT_WIDTHS, spacing)
             found.append(AveragedPair(_surface(posterior, one, first, width, window), (first, second), size))
     return tuple(found)
 

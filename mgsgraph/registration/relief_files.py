@@ -59,18 +59,25 @@ def write_coregistration(
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        names = write_into(registration.solution, aside, figures, case)
-        write_json(aside / COREGISTRATION, coregistration_json(registration))
-        profiles_table(registration).write_csv(aside / "profiles.csv")
-        relief_shots_table(registration).write_csv(aside / "shots.csv")
-        costs_table(registration).write_csv(aside / "costs.csv")
-        names += [COREGISTRATION, "profiles.csv", "shots.csv", "costs.csv"]
-        if not figures:
-            return names
-        from mgsgraph.figures.relief import relief_sheets  # only those who draw wait for matplotlib
-        from mgsgraph.figures.sheet import save
+        return write_coregistration_into(registration, aside, figures, case)
 
-        return names + save(relief_sheets(registration), aside)
+
+def write_coregistration_into(
+    registration: ReliefRegistration, folder: Path, figures: bool = True, case: str | Path | None = None
+) -> list[str]:
+    """The same into a folder that exists, file by file."""
+    names = write_into(registration.solution, folder, figures, case)
+    write_json(folder / COREGISTRATION, coregistration_json(registration))
+    profiles_table(registration).write_csv(folder / "profiles.csv")
+    relief_shots_table(registration).write_csv(folder / "shots.csv")
+    costs_table(registration).write_csv(folder / "costs.csv")
+    names += [COREGISTRATION, "profiles.csv", "shots.csv", "costs.csv"]
+    if not figures:
+        return names
+    from mgsgraph.figures.relief import relief_sheets  # only those who draw wait for matplotlib
+    from mgsgraph.figures.sheet import save
+
+    return names + save(relief_sheets(registration), folder)
 
 
 # --- the record

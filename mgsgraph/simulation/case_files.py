@@ -1,17 +1,20 @@
 """The case files (case.toml) of what is simulated: which files there are, and the sigmas that an adjustment assumes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.simulation.isis_files import image_file
 from mgsgraph.simulation.mgs_files import grid_file, moc_file, pedr_file
 from mgsgraph.simulation.observations import NoiseSettings
-from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
+from mgsgraph.simulation.site import SimulatedSite
+from mgsgraph.simulation.sites import SHIFT_SIGMA, SiteSettings
 from mgsgraph.simulation.three_sites import BRIDGE_PRIOR, SimulatedThreeSites
 from mgsgraph.units import ARCMIN, MRAD
 
-_RANGE_SIGMA, _GROUND_SIGMA, _SHIFT_SIGMA = 10.0, 10.0, 100.0
-"""m, a-priori sigmas of ranges, of footprints, and of a profile's common shift (Yoon & Shan; Kirk et al. 2002)."""
+_PAPERS_SIGMAS: dict[str, float] = {"range_sigma_m": 10.0, "ground_sigma_m": 10.0}
+"""m, a-priori sigmas of ranges and footprints that Yoon & Shan (2005) take: ten times what is drawn."""
 _IMAGE_SIGMA, _TREND = 30.0, (1.0, 0.1, 0.01)
 """pixels, the papers' sigma of back-projected footprints; factors of the orientation's sigmas for each power of u."""
 _EOS_IMAGE_SIGMA, _EOS_TREND = 125.0, (1.0, 1.0, 1.0)
@@ -36,10 +39,11 @@ def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSetti
 
 
 def site_case(simulated: SimulatedSite) -> str:
-    """The rigorous case: footprints with their profile's unknown shift, ties on the terrain model."""
+    """The rigorous case: footprints with their profile's unknown shift, ties on the terrain model. All sigmas are those
+    of which the errors are drawn.
+    """
     settings, grid = simulated.settings, simulated.grid
-    lines = _images(simulated, settings.angle_sigmas, settings.trend) + _ties(simulated)
-    lines += _profiles(simulated, shift_sigma_m=_SHIFT_SIGMA)
+    lines = _images(simulated, settings) + _ties(simulated) + _profiles(simulated, "", **_drawn_sigmas(simulated))
     radius, topography = (f"{grid_file(simulated, kind)}.lbl" for kind in ("r", "t"))
     sigmas = {"vertical_sigma_m": grid.vertical_sigma or 0.0, "planimetric_sigma_m": grid.planimetric_sigma or 0.0}
     return _case(settings.title, lines + _table("[terrain]", radius=radius, topography=topography, **sigmas))
@@ -52,8 +56,8 @@ def papers_case(simulated: SimulatedSite, stated: bool = False) -> str:
     settings = simulated.settings
     eos = settings.name == "eos" and not stated
     trend, image_sigma = (_EOS_TREND, _EOS_IMAGE_SIGMA) if eos else (_TREND, _IMAGE_SIGMA)
-    lines = _images(simulated, (ARCMIN, ARCMIN, ARCMIN), trend) + _ties(simulated)
-    lines += _profiles(simulated, image_rows="back-projected", image_sigma_px=image_sigma)
+    lines = _images(simulated, replace(settings, angle_sigmas=(ARCMIN,) * 3, trend=trend)) + _ties(simulated)
+    lines += _profiles(simulated, "", **_PAPERS_SIGMAS, image_rows="back-projected", image_sigma_px=image_sigma)
     return _case(f"{settings.title}, papers", lines + _table("[solver]", line="measured", angles="opk-paper"))
 
 
@@ -61,21 +65,19 @@ def three_sites_case(simulated: SimulatedThreeSites) -> str:
     """Case over all three sites, whose files lie in folders of their names, and the bridge image."""
     lines, bridge = Tables(), simulated.bridge
     for site in simulated.sites:
-        lines += _images(site, site.settings.angle_sigmas, site.settings.trend, f"{site.settings.name}/")
+        lines += _images(site, site.settings, f"{site.settings.name}/")
     lines += _table("[[images]]", name=bridge.name, isd=image_file(bridge), orientation=_orientation(BRIDGE_PRIOR))
     lines += _table("[ties]", network="network.pvl")
     for site in simulated.sites:
-        lines += _profiles(site, f"{site.settings.name}/", shift_sigma_m=_SHIFT_SIGMA)
+        lines += _profiles(site, f"{site.settings.name}/", **_drawn_sigmas(site))
     return _case("Eos, Gusev, Isidis and a bridge", lines)
 
 
-def _images(
-    simulated: SimulatedSite, angles: tuple[float, float, float], trend: tuple[float, ...], folder: str = ""
-) -> Tables:
-    """The site's images, whose files lie in `folder` ("x/") beside the case."""
+def _images(simulated: SimulatedSite, settings: SiteSettings, folder: str = "") -> Tables:
+    """The site's images with the a-priori sigmas of `settings`; their files lie in `folder` ("x/") beside the case."""
     lines, kernels = Tables(), [f"{folder}mgs.tm"]
     for image in simulated.images:
-        label, orientation = folder + moc_file(image), _site_orientation(image, angles, trend)
+        label, orientation = folder + moc_file(image), _site_orientation(settings.prior(image.settings), settings.trend)
         lines += _table("[[images]]", name=image.settings.name, label=label, kernels=kernels, orientation=orientation)
     return lines
 
@@ -84,12 +86,21 @@ def _ties(simulated: SimulatedSite) -> Tables:
     return _table("[ties]", network="network.pvl", sigma_px=simulated.options.tie_noise)
 
 
-def _profiles(simulated: SimulatedSite, folder: str = "", **more: Value) -> Tables:
-    """The site's profiles, with `more` keys of each; their files lie in `folder` ("x/") beside the case."""
-    lines, sigmas = Tables(), {"range_sigma_m": _RANGE_SIGMA, "ground_sigma_m": _GROUND_SIGMA}
+def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
+    """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
+    lines = Tables()
     for image in simulated.images:
-        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=image.settings.name, **sigmas, **more)
+        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=image.settings.name, **sigmas)
     return lines
+
+
+def _drawn_sigmas(simulated: SimulatedSite) -> dict[str, Value]:
+    """Sigmas of a profile from which its errors are drawn."""
+    drawn = simulated.options
+    return {
+        "range_sigma_m": drawn.range_noise, "ground_sigma_m": drawn.footprint_noise,
+        "height_sigma_m": drawn.height_noise, "shift_sigma_m": SHIFT_SIGMA,
+    }  # fmt: skip
 
 
 def _orientation(noise: NoiseSettings) -> dict[str, Value]:
@@ -100,16 +111,11 @@ def _orientation(noise: NoiseSettings) -> dict[str, Value]:
     }  # fmt: skip
 
 
-def _site_orientation(
-    image: SimulatedImage, angles: tuple[float, float, float], trend: tuple[float, ...]
-) -> dict[str, Value]:
-    """Polynomials of order 2 as nominal orientation, and a-priori sigmas, twice as large for a held image (Yoon & Shan:
-    100 and 200 m, and the angles that match).
-    """
-    factor = 2.0 if image.settings.held else 1.0
-    milli = [round(factor * angle / MRAD, 4) for angle in angles]
+def _site_orientation(prior: OrientationPrior, trend: tuple[float, ...]) -> dict[str, Value]:
+    """Polynomials of order 2 as nominal orientation, and a-priori sigmas."""
     return {
-        "nominal": "polynomial", "position_sigma_m": 100.0 * factor, "angle_sigma_mrad": milli, "trend": list(trend)
+        "nominal": "polynomial", "position_sigma_m": float(prior.sigmas[0, 0]),
+        "angle_sigma_mrad": [round(angle / MRAD, 4) for angle in prior.sigmas[0, 3:].tolist()], "trend": list(trend),
     }  # fmt: skip
 
 

@@ -211,9 +211,7 @@ def _image_truth(image: SimulatedImage) -> dict[str, Any]:
         "errors": {
             "position_radial_along_across_m": errors.position.tolist(),
             "attitude_time_bias_s": errors.attitude_time_bias,
-            "pitch_rad": list(errors.pitch),
-            "roll_rad": list(errors.roll),
-            "yaw_rad": list(errors.yaw),
+            **dict(zip(("roll_rad", "pitch_rad", "yaw_rad"), errors.rotation.T.tolist(), strict=True)),
             "attitude_noise_rad": errors.noise,
         },
         "profile": {

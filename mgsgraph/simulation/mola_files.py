@@ -36,11 +36,15 @@ _FRACTION = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
 _PACKET = 7
 """Frames in a packet."""
 _EQUIPMENT = {
-    "received_energy": 20, "reflectivity": 12_000, "channel": 1, "pulse_width": 300, "sigma_optical": 80,
+    "received_energy": 20, "reflectivity": 12_000, "channel": 1,
     "laser_energy": 4_500, "background": 40, "gate_delay": 37_000_000, "gate_width": 3_000_000, "orbit_model": 7,
     "local_time": 5_236, "raw_energy": 60, "raw_width": 30,
 }
 """Fields about the instrument, in the file's units: ordinary values (channel 1 of 4, 45 mJ, two o'clock)."""
+_LEVEL_PULSE, _LEVEL_WIDTH = 8.0, 30.0
+"""ns, of a pulse from level ground: its standard deviation, and its width at the receiver's threshold."""
+_LIGHT = 0.299792458
+"""m/ns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +67,8 @@ class PedrFrames:
     """(n,) rad, angle of the line of sight from nadir."""
     ground: Mask
     """(n,) whether the shot came back from the ground, not from a cloud or noise."""
+    spread: Array
+    """(n,) m, standard deviation of the ranges within each shot's spot, which widens the pulse."""
     crossovers: Array | None = None
     """(frames,) m, crossover correction of each frame, to cm: the archived radius is so much larger than the corrected
     one. When absent, 0.30 m and 1 cm more in each frame, so that readers have something to take off."""
@@ -76,7 +82,9 @@ class PedrFrames:
         if late.max() > 1e-5:
             k = int(np.argmax(late > 1e-5))
             raise InputError(f"{where}, times", f"shot {k} is {late[k]:.6f} s off", "10 shots a second without a gap")
-        shapes = {"footprints": (3,), "spacecraft": (3,), "ranges": (), "areoid_radii": (), "off_nadir": ()}
+        shapes = {"footprints": (3,), "spacecraft": (3,)} | dict.fromkeys(
+            ("ranges", "areoid_radii", "off_nadir", "spread"), ()
+        )
         fields: dict[str, Any] = {
             name: frozen(getattr(self, name), f"{where}, {name}", (times.size, *rest)) for name, rest in shapes.items()
         }
@@ -194,6 +202,9 @@ def _records(frames: PedrFrames) -> NDArray[np.void]:
         _put_line(records, name, values, present, unit)
 
     records["range"] = _whole(_by_frame(frames.ranges) / _CM, "range")
+    pulse = np.hypot(_LEVEL_PULSE, 2.0 * _by_frame(frames.spread) / _LIGHT)
+    records["sigma_optical"] = _whole(10.0 * pulse, "sigma_optical")
+    records["pulse_width"] = _whole(10.0 * _LEVEL_WIDTH / _LEVEL_PULSE * pulse, "pulse_width")
     records["midpoint_range"] = records["range"].sum(axis=1) // np.maximum(np.sum(records["range"] > 0, axis=1), 1)
     off_nadir = _by_frame(frames.off_nadir).sum(axis=1) / count
     records["off_nadir"] = _whole(off_nadir / _MICRODEG, "off_nadir")

@@ -17,6 +17,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, intersect_ellipsoid
+from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.simulation.mars import GRAVITY, MARS, body_matrix, fixed_pole_matrix, kepler
@@ -34,6 +35,8 @@ STEP = 1.0
 MARGIN = 20.0
 """s by which a study site's tables and kernels reach beyond the image."""
 
+_SAMPLES, _ORDER = 31, 2
+"""Of the nominal orientation over an image, and order of the polynomials that Yoon & Shan (2005) fit to them."""
 _CIRCLE_TILT = rotation.exponential(np.array([0.02, -0.03, 0.5]))
 """Frame of a circle's body table to the body-fixed one; only there so that constant rotations are exercised."""
 _CIRCLE_MOUNT = rotation.exponential(np.array([0.001, -0.002, 0.003]))
@@ -278,12 +281,25 @@ def nominal_trajectory(flown: SitePass, duration: float, errors: KernelErrors, r
     positions, velocities = orbit.state(times)
     axes = np.stack([orbit.outward, orbit.flight, np.cross(orbit.outward, orbit.flight)])
     u = 2.0 * times / duration
-    (p0, p1), (r0, r1), (y0, y1) = errors.pitch, errors.roll, errors.yaw
+    basis, rates = polynomial(u, max(len(errors.position), len(errors.rotation)) - 1)
+    terms = len(errors.position)
+    positions = positions + basis[:, :terms] @ errors.position @ axes
+    velocities = velocities + (2.0 / duration) * rates[:, :terms] @ errors.position @ axes
     # about the camera's axes: +X is back, so that turning about it rolls the axis towards -Y; +Y pitches it back
-    turn = np.stack([r0 + r1 * u, -(p0 + p1 * u), y0 + y1 * u], axis=1)
-    turn += errors.noise * rng.standard_normal(turn.shape)
+    turn = basis[:, : len(errors.rotation)] @ errors.rotation * [1.0, -1.0, 1.0]
+    turn += _without_trend(errors.noise * rng.standard_normal(turn.shape), u)
     camera = rotation.exponential(-turn) @ flown.camera(times + errors.attitude_time_bias)
-    return _sampled(flown, times, (positions + errors.position @ axes, velocities), camera)
+    return _sampled(flown, times, (positions, velocities), camera)
+
+
+def _without_trend(noise: Array, u: Array) -> Array:
+    """Noise (n, 3) of records at u (n,) less the polynomial that the papers' fit to samples of the image takes of it
+    (`geometry.polynomial_trajectory`): trends of the attitude are drawn with the other errors, once.
+    """
+    samples = np.linspace(-1.0, 1.0, _SAMPLES)
+    between = np.stack([np.interp(samples, u, column) for column in noise.T], axis=1)
+    fitted, *_ = np.linalg.lstsq(polynomial(samples, _ORDER)[0], between)
+    return np.asarray(noise - polynomial(u, _ORDER)[0] @ fitted)
 
 
 def _sampled(flown: SitePass, times: Array, state: tuple[Array, Array], camera: Array) -> Trajectory:

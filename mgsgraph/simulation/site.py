@@ -1,33 +1,46 @@
 """A study site simulated: true images over true ground, what the instruments and kernels say of them, and the truth.
 
 The two images see the same middle from two flights (`orbit.site_pass`); the altimeter shoots beside the camera, so that
-it is rolled with the spacecraft. What an adjustment is given differs from truth by `sites.KernelErrors` (kernels), one
-horizontal shift of each profile and small noise (footprints), and noise (tie points, ranges, pictures).
+it is rolled with the spacecraft, and a range is the mean over its spot (`laser_spot`). What an adjustment is given
+differs from truth by `sites.KernelErrors` (kernels), one horizontal shift of each profile and small noise (footprints),
+and noise (tie points, ranges, pictures). Each is drawn from the sigma that the case states (`case_files`).
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.simulation.camera import moc_image
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import Picture, render
+from mgsgraph.simulation.laser_spot import ranges_over_spots
 from mgsgraph.simulation.mars import sun_direction
 from mgsgraph.simulation.mola_files import PedrFrames
 from mgsgraph.simulation.observations import MARGIN, require_positive, require_seed, shared_ties
 from mgsgraph.simulation.orbit import SitePass, nominal_trajectory, site_pass, true_trajectory
-from mgsgraph.simulation.sites import ImageSettings, KernelErrors, SiteSettings, site_settings
+from mgsgraph.simulation.sites import (
+    SHIFT_SIGMA,
+    SITE_NAMES,
+    ImageSettings,
+    KernelErrors,
+    SiteSettings,
+    drawn_errors,
+    site_settings,
+)
 from mgsgraph.simulation.spice_files import clock_count, ephemeris_time
 from mgsgraph.simulation.terrain import terrain_grid
 from mgsgraph.ties import TiePoints
 
 SOURCE = "simulated site"
 """What messages call observations that were not read from a file."""
+Errors = Literal["drawn", "published"]
+"""Errors of the kernels: drawn from the priors that the case states, or as large as the papers found them."""
 SHOTS_PER_FRAME = 20
 """Of a PEDR; profiles are whole frames."""
 
@@ -51,8 +64,11 @@ _CLOUD = (300.0, 3000.0)
 class SimulationOptions:
     """What may differ from the published site."""
 
+    errors: Errors = "drawn"
+    """Of the kernels; published ones are for the reproduction of the papers' tables, and the same for each seed."""
     attitude_time_bias: float | None = None
-    """s, error of the nadir image's CK tags in place of the site's own; 0.95 gives the 325 m of the papers' text."""
+    """s, error of the nadir image's CK tags beside the errors drawn, or in place of the published one: 0.95 gives the
+    325 m of the papers' text."""
     emission: float | None = None
     """rad, of the held image, in place of Table 1's; 22.0 deg at Eos gives Shan's orientation."""
     tie_noise: float = 1.0
@@ -60,14 +76,19 @@ class SimulationOptions:
     range_noise: float = 1.0
     """m, of a laser range."""
     footprint_noise: float = 3.0
-    """m, of each footprint east and north, beside the profile's common shift; a third of it up."""
+    """m, of each footprint east and north, beside the profile's common shift: a jitter of the beam, since a PEDR says
+    where the track is, not where each of its shots is."""
+    height_noise: float = 1.0
+    """m, of each footprint's height."""
     resolution: int = 128
     """posts per degree of the terrain grid."""
     pictures: bool = True
     """Render the images; otherwise they are of one grey, which is enough for geometry."""
 
     def __post_init__(self) -> None:
-        for name in ("tie_noise", "range_noise", "footprint_noise"):
+        if self.errors not in get_args(Errors):
+            raise InputError("simulation options, errors", repr(self.errors), " or ".join(get_args(Errors)))
+        for name in ("tie_noise", "range_noise", "footprint_noise", "height_noise"):
             require_positive(f"simulation options, {name}", getattr(self, name))
         for name in ("attitude_time_bias", "emission"):
             value = getattr(self, name)
@@ -82,7 +103,7 @@ class SimulatedProfile(PedrFrames):
     """The shots along with one image, as given, in whole frames of 20; the spacecraft's positions are true."""
 
     true_footprints: Array
-    """(n, 3) m, body-fixed, where the beams met the ground."""
+    """(n, 3) m, body-fixed, on the beams' axes where the mean of the ground over the spot is."""
     true_pixels: Array
     """(n, 2, 2) line and sample of these in each of the two images; NaN where unseen."""
     shift: Array
@@ -124,7 +145,7 @@ class SimulatedSite:
     terrain: SiteTerrain
     """True ground."""
     grid: TerrainGrid
-    """The ground as a grid of radii has it, 200 m off and with noise."""
+    """The ground as a grid of radii has it, shifted and with noise."""
     images: tuple[SimulatedImage, SimulatedImage]
     """Left and right as in PE&RS."""
     ties: TiePoints
@@ -139,7 +160,10 @@ class SimulatedSite:
 
 
 def simulate_site(
-    site: str | SiteSettings, seed: int = 1, options: SimulationOptions | None = None
+    site: str | SiteSettings,
+    seed: int = 1,
+    options: SimulationOptions | None = None,
+    terrain: SiteTerrain | None = None,
 ) -> SimulatedSite:
     """Simulate a study site; the same site, seed and options give the same bytes when written.
 
@@ -151,6 +175,8 @@ def simulate_site(
         zero or positive; ground, kernels, ties, profiles and pictures are drawn from streams of their own.
     options : SimulationOptions, optional
         What differs from the published site.
+    terrain : SiteTerrain, optional
+        True ground; drawn with the seed when absent.
 
     Raises
     ------
@@ -160,9 +186,11 @@ def simulate_site(
     settings = site if isinstance(site, SiteSettings) else site_settings(site)
     options = options or SimulationOptions()
     require_seed("simulated site", seed)
-    terrain = make_terrain(settings.name, seed)
-    streams = np.random.default_rng([seed, 3]).spawn(7)
-    flights = [_flight(settings, image, options, terrain) for image in settings.images]
+    terrain = terrain or make_terrain(settings.name, seed)
+    streams = np.random.default_rng([seed, 3, SITE_NAMES.index(settings.name)]).spawn(9)
+    flights = [
+        _flight(settings, image, options, terrain, rng) for image, rng in zip(settings.images, streams[7:], strict=True)
+    ]
     pairs = [_images(*given) for given in zip(settings.images, flights, streams[:2], strict=True)]
     true = (pairs[0][0], pairs[1][0])
     drawn = streams[2].uniform(MARGIN, np.array([true[0].lines, true[0].samples]) - MARGIN, (8 * settings.ties, 2))
@@ -174,14 +202,18 @@ def simulate_site(
         pixels = np.full((image.lines, image.samples), 120, dtype=np.uint8)
         if options.pictures:
             pixels = render(true[k], terrain, None, sun, streams[3 + k])
-        profile = _profile(k, true, image, terrain, settings.profile_shift, options, streams[5 + k])
+        profile = _profile(k, true, image, terrain, options, streams[5 + k])
         images.append(SimulatedImage(image, errors, count, *pairs[k], sun, pixels, profile))
     grid = terrain_grid(terrain, options.resolution, _GRID_REACH)
     return SimulatedSite(settings, options, seed, terrain, grid, (images[0], images[1]), ties, points)
 
 
 def _flight(
-    site: SiteSettings, image: ImageSettings, options: SimulationOptions, terrain: SiteTerrain
+    site: SiteSettings,
+    image: ImageSettings,
+    options: SimulationOptions,
+    terrain: SiteTerrain,
+    rng: np.random.Generator,
 ) -> tuple[SitePass, KernelErrors, float, str]:
     """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count."""
     count, start = clock_count(ephemeris_time(image.start))
@@ -189,6 +221,8 @@ def _flight(
     emission = options.emission if image.held else None
     flown = site_pass(image, start + 0.5 * image.duration, middle, site.altitude, emission)
     errors = image.errors
+    if options.errors == "drawn":
+        errors = drawn_errors(site.prior(image), errors.noise, rng)
     if options.attitude_time_bias is not None and not image.held:
         errors = replace(errors, attitude_time_bias=options.attitude_time_bias)
     return flown, errors, start, count
@@ -210,11 +244,13 @@ def _profile(
     images: tuple[PushbroomImage, PushbroomImage],
     settings: ImageSettings,
     terrain: SiteTerrain,
-    shift: tuple[float, float],
     options: SimulationOptions,
     rng: np.random.Generator,
 ) -> SimulatedProfile:
-    """Shots along with one of the images, by its number, at ten a second in whole frames."""
+    """Shots along with one of the images, by its number, at ten a second in whole frames.
+
+    Where the file says that a footprint is, lacks its jitter, and has the profile's shift and a height of its own.
+    """
     image = images[number]
     epoch, edges = image.trajectory.epoch, image.timing.at(np.array([0.0, float(image.lines)]))[0]
     frames = int(np.ceil((edges[1] - edges[0] + 2.0 * _BEYOND) / (_SHOT_INTERVAL * SHOTS_PER_FRAME)))
@@ -222,16 +258,20 @@ def _profile(
     first = 0.5 * (edges[0] + edges[1] - count * _SHOT_INTERVAL) + rng.uniform(0.0, _SHOT_INTERVAL)
     times = epoch + first + _SHOT_INTERVAL * np.arange(count)
     pose = image.trajectory.pose(times - epoch)
-    beams = np.einsum("nji,j->ni", pose.matrix, _ALTIMETER_AXIS / np.linalg.norm(_ALTIMETER_AXIS))
-    points = terrain.intersect(pose.position, beams)
+    axes = np.einsum("nji,j->ni", pose.matrix, _ALTIMETER_AXIS / np.linalg.norm(_ALTIMETER_AXIS))
+    jitter = options.footprint_noise * rng.standard_normal((count, 2))
+    aimed = terrain.intersect(pose.position, axes)
+    beams = aimed + np.einsum("nk,nkj->nj", jitter, east_north(aimed)) - pose.position
+    beams /= np.linalg.norm(beams, axis=1, keepdims=True)
+    ranges, spread = ranges_over_spots(terrain, pose.position, beams)
+    points = pose.position + ranges[:, None] * beams
     pixels = np.stack([each.ground_to_image(points)[0] for each in images], axis=1)
     ground = _ground_returns(pixels[:, number], image, settings, rng)
     cloud = np.where(ground, 0.0, rng.uniform(*_CLOUD, count)) / np.einsum("ni,ni->n", beams, -pose.position)
     cloud *= np.linalg.norm(pose.position, axis=1)
     met = points - cloud[:, None] * beams  # where the pulse came back from
-    size, direction = rng.uniform(*shift), rng.uniform(0.0, 2.0 * np.pi)
-    common = size * np.array([np.cos(direction), np.sin(direction)])
-    given = _displaced(met, common, options.footprint_noise * rng.standard_normal((count, 3)) * [1.0, 1.0, 1.0 / 3.0])
+    common = SHIFT_SIGMA * rng.standard_normal(2)
+    given = _displaced(met, np.column_stack([common - jitter, options.height_noise * rng.standard_normal(count)]))
     longitude, latitude, _ = planetocentric(given).T
     nadir = -pose.position / np.linalg.norm(pose.position, axis=1, keepdims=True)
     return SimulatedProfile(
@@ -243,6 +283,7 @@ def _profile(
         spacecraft=pose.position,
         off_nadir=np.arccos(np.einsum("ni,ni->n", beams, nadir)),
         shift=common,
+        spread=spread,
         footprints=given,
         ranges=np.linalg.norm(met - pose.position, axis=1) + options.range_noise * rng.standard_normal(count),
         areoid_radii=terrain.areoid_radius(longitude, latitude),
@@ -269,9 +310,8 @@ def _ground_returns(pixels: Array, image: PushbroomImage, settings: ImageSetting
     return ground
 
 
-def _displaced(points: Array, common: Array, noise: Array) -> Array:
-    """Points (n, 3) moved along the sphere by `common` (2,) m east and north, and by noise (n, 3) m east, north, up."""
+def _displaced(points: Array, by: Array) -> Array:
+    """Points (n, 3) moved along the sphere and upward by (n, 3) m east, north, up."""
     longitude, latitude, radius = planetocentric(points).T
-    east, north = (common[k] + noise[:, k] for k in (0, 1))
-    longitude = longitude + east / (radius * np.cos(latitude))
-    return from_planetocentric(np.column_stack([longitude, latitude + north / radius, radius + noise[:, 2]]))
+    longitude = longitude + by[:, 0] / (radius * np.cos(latitude))
+    return from_planetocentric(np.column_stack([longitude, latitude + by[:, 1] / radius, radius + by[:, 2]]))

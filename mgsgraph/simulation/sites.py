@@ -1,4 +1,5 @@
-"""The three study sites as published, and the errors that a simulation puts into their kernels and profiles.
+"""The three study sites as published, and what may be wrong with their kernels: drawn anew from the sigmas that their
+cases state, or of the sizes that the papers found, for the reproduction of their tables alone.
 
 Numbers: Yoon & Shan, PE&RS 2005 and ISPRS 2004, Table 1; site and height of Eos from the exterior orientation of Shan,
 Yoon et al. (ISPRS 2002), whose right start position (Y) holds a misprint: with -2436.1 km the radius, the ground track
@@ -12,6 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.units import ARCMIN, ARCSEC, DEG, KM
 
@@ -20,6 +22,11 @@ SITE_NAMES: tuple[SiteName, ...] = get_args(SiteName)
 """What `mgsgraph simulate` knows."""
 ARCHIVE_ATTITUDE_BIAS = -1.15
 """s: attitude(t) := CK(t - 1.15 s) for the archive's MGS kernels (ISIS; NAIF's comments in mgs_sc_ext26.bc)."""
+POSITION_SIGMA, SHIFT_SIGMA = 100.0, 100.0
+"""m, a-priori sigmas of a nadir image's position along each axis (Yoon & Shan 2005), and of a profile's common error
+east and north (Kirk et al. 2002)."""
+_HELD = 2.0
+"""Sigmas of a held image, in those of a nadir one (Yoon & Shan: 100 and 200 m, and the angles that match)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,20 +34,20 @@ class KernelErrors:
     """What is wrong with the kernels of one image; nominal = true (+) these."""
 
     position: Array
-    """(3,) m, constant in the SPK: radial, along the flight, across it (to the left, the orbit's normal)."""
+    """(terms, 3) m, of the SPK, row k times u^k of the normalised line u in [-1, 1]: radial, along the flight, across
+    it (to the left, the orbit's normal)."""
+    rotation: Array
+    """(terms, 3) rad, of the CK, likewise: roll to the right of the flight (away from the orbit's normal), pitch
+    forward, yaw about the optical axis."""
     attitude_time_bias: float = 0.0
     """s: the CK says at t what was true at t + bias, beside the archive's own time tags."""
-    pitch: tuple[float, float] = (0.0, 0.0)
-    """rad, forward; constant, and per normalised line u in [-1, 1]."""
-    roll: tuple[float, float] = (0.0, 0.0)
-    """rad, to the right of the flight (away from the orbit's normal); as pitch."""
-    yaw: tuple[float, float] = (0.0, 0.0)
-    """rad, about the optical axis; as pitch."""
     noise: float = 0.0
-    """rad rms about each camera axis, of each record of the CK, one per second."""
+    """rad rms about each camera axis, of each record of the CK, one per second; without what a polynomial of the line
+    would take of it, which is drawn with `rotation`."""
 
     def __post_init__(self) -> None:
-        assign(self, position=frozen(self.position, "kernel errors, position", (3,)))
+        position = frozen(self.position, "kernel errors, position", (None, 3))
+        assign(self, position=position, rotation=frozen(self.rotation, "kernel errors, rotation", (None, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +85,7 @@ class ImageSettings:
     phase: str
     """Which SPK and CK cover it."""
     errors: KernelErrors
-    """What is wrong with these kernels."""
+    """What the papers found wrong with these kernels."""
 
     @property
     def period(self) -> float:
@@ -109,10 +116,8 @@ class SiteSettings:
     """Left and right as in PE&RS."""
     ties: int
     """Number of tie points."""
-    profile_shift: tuple[float, float]
-    """m, horizontal error which all footprints of a profile share: between these, in a random direction."""
     angle_sigmas: tuple[float, float, float] = (ARCMIN, ARCMIN, ARCMIN)
-    """rad, a-priori sigmas of a nadir image's rotation about the camera's axes (roll, pitch, yaw); held ones twice."""
+    """rad, a-priori sigmas of a nadir image's rotation about the camera's axes (roll, pitch, yaw)."""
     trend: tuple[float, ...] = (1.0, 0.1, 0.01)
     """Factors of the constant terms' sigmas for each power of u."""
 
@@ -120,6 +125,11 @@ class SiteSettings:
     def nadir(self) -> ImageSettings:
         """The image that tracks nadir."""
         return self.images[0] if not self.images[0].held else self.images[1]
+
+    def prior(self, image: ImageSettings) -> OrientationPrior:
+        """What is known of an image's orientation beforehand, and what the errors of its kernels are drawn from."""
+        constant = np.array([*(POSITION_SIGMA,) * 3, *self.angle_sigmas])
+        return OrientationPrior((_HELD if image.held else 1.0) * np.array(self.trend)[:, None] * constant)
 
 
 def site_settings(name: str) -> SiteSettings:
@@ -136,6 +146,12 @@ def site_settings(name: str) -> SiteSettings:
     raise InputError("site", repr(name), " or ".join(SITE_NAMES))
 
 
+def drawn_errors(prior: OrientationPrior, noise: float, rng: np.random.Generator) -> KernelErrors:
+    """Errors of an image's kernels, each coefficient from its a-priori sigma, with attitude noise in rad."""
+    coefficients = prior.sigmas * rng.standard_normal(prior.sigmas.shape)
+    return KernelErrors(coefficients[:, :3], coefficients[:, 3:], noise=noise)
+
+
 def _errors(
     position: tuple[float, float, float],
     noise_arcsec: float,
@@ -145,8 +161,8 @@ def _errors(
     yaw: tuple[float, float] = (0.0, 0.0),
 ) -> KernelErrors:
     """Angles in minutes of arc, noise in seconds of arc."""
-    forward, aside, about = ((constant * ARCMIN, slope * ARCMIN) for constant, slope in (pitch, roll, yaw))
-    return KernelErrors(np.array(position), bias, forward, aside, about, noise_arcsec * ARCSEC)
+    turned = np.array([roll, pitch, yaw]).T * ARCMIN
+    return KernelErrors(np.array([position]), turned, bias, noise_arcsec * ARCSEC)
 
 
 # The CK is 0.7 s off at Gusev and Isidis, to one digit: a camera that turns at 8.9e-4 rad/s 383 km above the ground is
@@ -171,7 +187,7 @@ _SITES = (
                 errors=_errors((-20.0, -40.0, 15.0), 3.0, roll=(1.0, 1.0), yaw=(19.0, 0.0)),
             ),
         ),
-        ties=162, profile_shift=(50.0, 100.0),
+        ties=162,
         angle_sigmas=(3.0 * ARCMIN, 6.0 * ARCMIN, 10.0 * ARCMIN), trend=(1.0, 1.0, 0.1),
     ),
     SiteSettings(
@@ -190,7 +206,7 @@ _SITES = (
                 errors=_errors((-12.0, 30.0, 8.0), 2.0),
             ),
         ),
-        ties=154, profile_shift=(50.0, 100.0),
+        ties=154,
     ),
     SiteSettings(
         name="isidis", title="Isidis Planitia", longitude=87.9 * DEG, latitude=4.5 * DEG, altitude=380.0 * KM,
@@ -208,6 +224,6 @@ _SITES = (
                 errors=_errors((-15.0, -25.0, -8.0), 3.0, bias=0.66),
             ),
         ),
-        ties=41, profile_shift=(50.0, 100.0),
+        ties=41,
     ),
 )

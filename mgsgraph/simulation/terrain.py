@@ -10,7 +10,7 @@ from mgsgraph.simulation.ground import SITES, SiteTerrain
 from mgsgraph.units import DEG
 
 GRID_PLANIMETRIC = 200.0
-"""m, by which a site's terrain grid lies off the true ground (design: MOLA grids, planimetric)."""
+"""m, sigma by which a site's terrain grid lies off the true ground, east and north (design: MOLA grids)."""
 GRID_VERTICAL = 10.0
 """m rms, noise of each post of a site's terrain grid."""
 
@@ -21,13 +21,12 @@ _BEYOND = 6
 
 
 def grid_shift(terrain: SiteTerrain) -> Array:
-    """By how many m (2,) east and north the terrain grid lies off the true ground: 200 m in some direction."""
-    direction = _grid_stream(terrain).uniform(0.0, 2.0 * np.pi)
-    return GRID_PLANIMETRIC * np.array([np.cos(direction), np.sin(direction)])
+    """By how many m (2,) east and north the terrain grid lies off the true ground: drawn from its sigma."""
+    return GRID_PLANIMETRIC * _grid_stream(terrain).standard_normal(2)
 
 
 def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (20e3, 40e3)) -> TerrainGrid:
-    """The site as a MOLA grid has it: 200 m off in the plane, with 10 m of noise in each post.
+    """The site as a MOLA grid has it: off in the plane as a whole, with 10 m of noise in each post.
 
     Posts lie at odd multiples of half a step, `ppd` per degree, as MEGDR's, and enclose at least `reach` (2,) in m:
     east and west, north and south of the centre.
@@ -35,7 +34,7 @@ def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (2
     if ppd < 1:
         raise InputError("simulated terrain grid, posts per degree", f"{ppd}", "a positive whole number")
     shift, rng = grid_shift(terrain), _grid_stream(terrain)
-    rng.uniform()  # taken by the shift
+    rng.standard_normal(2)  # taken by the shift
     centre, half = np.array([terrain.centre_lon, terrain.centre_lat]), np.array(reach) / terrain.metres_per_radian
     lon, lat = _posts(centre - half, centre + half, DEG / ppd)
     radii = cell_means(terrain, lon, lat, DEG / ppd, shift, _SITE_PARTS)

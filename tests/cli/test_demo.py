@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from commands import refused, run, run_afresh
@@ -26,16 +27,25 @@ def test_a_site_with_figures(demo: tuple[Path, subprocess.CompletedProcess[str]]
     out, done = demo
     said = [line for line in done.stderr.splitlines() if line]
     assert not said or said == [line for line in said if "compiling" in line]
-    for word in ("Put in", "Before", "After", "Truth", "In short", "MOLA spacings", "sigma0"):
+    for word in ("Put in", "Before", "After", "Truth", "In short", "MOLA spacings", "sigma0", "registration by relief"):
         assert word in done.stdout
     names = {path.name for path in out.iterdir()}
     assert {"summary.json", "solution.json", "registration.json", "points.csv", "discrepancy.csv"} <= names
+    assert {"disagreement.csv", "coregistration.json", "profiles.csv", "story.png", "costs.png"} <= names
     assert {"overlay_1.png", "closeups.png", "discrepancy.png", "orientation.png", "map.svg"} <= names
     assert {"case.toml", "truth.json", "network.pvl", "mgs.tm"} <= {path.name for path in (out / "inputs").iterdir()}
     record = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert tuple(record["seconds"]) == STAGES
     assert record["converged"]
+    sizes = {state: _overall(record, state) for state in ("kernels", "ties and ranges", "relief")}
+    assert sizes["relief"] < 0.2 * min(sizes["kernels"], sizes["ties and ranges"])
+    assert sizes["relief"] < 30.0
     assert [path.name for path in out.parent.iterdir()] == ["demo"]
+
+
+def _overall(record: dict[str, Any], state: str) -> float:
+    """m, largest rms disagreement of laser and images in one state."""
+    return max(one["rms_m"] for one in record["disagreement"] if one["state"] == state)
 
 
 def test_results_can_be_registered_and_replaced(

@@ -150,7 +150,7 @@ def test_shots_that_took_part_are_no_checks() -> None:
     used = {name for name in dem_site.posterior().network.points.ids if name.startswith("ap")}
     profiles = check_profiles(dem_site.posterior(), decode(dem_site.case_path()), dem_site.case_path())
     assert [one.name for one in profiles] == ["ap18933l", "ap19043l"]
-    assert all(one.adjusted and one.sigma == 10.0 for one in profiles)
+    assert all(one.adjusted and (one.sigma, one.height_sigma) == (3.0, 1.0) for one in profiles)
     for one, image in zip(profiles, dem_site.site().images, strict=True):
         mine = [name for name in used if name.startswith(one.name)]
         assert not set(mine) & {f"{one.name}:{shot}" for shot in one.shots.ids}
@@ -179,7 +179,7 @@ def test_another_file_is_read_with_what_the_case_says_of_its_own(tmp_path: Path)
     other.write_bytes((dem_site.case_path().parent / "ap18933l.b").read_bytes())
     profiles = check_profiles(dem_site.posterior(), decode(dem_site.case_path()), dem_site.case_path(), (other,))
     one = profiles[-1]
-    assert (one.name, one.adjusted, one.sigma) == ("ap99999l", False, 10.0)
+    assert (one.name, one.adjusted, one.sigma, one.height_sigma) == ("ap99999l", False, 3.0, 1.0)
     np.testing.assert_array_equal(one.shift, 0.0)
     np.testing.assert_array_equal(one.shift_covariance, 1e4 * np.eye(2))
     with pytest.raises(InputError, match=r"none\.b: no such file"):
@@ -195,10 +195,10 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     longitude, latitude, _ = planetocentric(model.map.points(places, np.zeros(len(places)))).T
     true = dem_site.site().terrain.on_ground(longitude, latitude)
     shift = np.array([30.0, -40.0])
-    given = true + rng.normal(0.0, 3.0, true.shape) - np.einsum("k,nkj->nj", shift, east_north(true))
+    given = true + rng.normal(0.0, 1.0, true.shape) - np.einsum("k,nkj->nj", shift, east_north(true))
     one = replace(
-        own, shots=own.shots.moved(given, own.shots.spacecraft), sigma=3.0, shift=shift,
-        shift_covariance=np.eye(2) * 1e-6,
+        own, shots=own.shots.moved(given, own.shots.spacecraft), sigma=1.0, height_sigma=1.0,
+        shift=shift, shift_covariance=np.eye(2) * 1e-6,
     )
     found = checked(model, [one])
     assert len(found) > 0.9 * len(true)

@@ -38,7 +38,7 @@ def track(shots: int, off_nadir: float = 0.0, longitude: float = 175.3, roughnes
     return PedrFrames(
         orbit=18933, times=37_315_939.123_456_7 + 0.1 * k, footprints=position + ranges[:, None] * look, ranges=ranges,
         areoid_radii=3.3895e6 - 40.0 * k, spacecraft=position, off_nadir=np.full(shots, off_nadir),
-        ground=np.ones(shots, dtype=bool),
+        ground=np.ones(shots, dtype=bool), spread=np.linspace(0.0, 15.0, shots),
     )
 
 

@@ -1,11 +1,12 @@
 """The simulated sites as their files tell them: read back through the real formats, against the truth beside them."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from sites import PLAIN, plain_site
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
@@ -23,8 +24,6 @@ from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOp
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import ARCSEC, DEG
 
-PLAIN = SimulationOptions(pictures=False)
-
 
 @dataclass
 class Written:
@@ -35,7 +34,7 @@ class Written:
 @pytest.fixture(scope="module", params=SITE_NAMES)
 def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp(request.param)
-    site = simulate_site(request.param, 1, PLAIN)
+    site = plain_site(request.param)
     write_site(site, folder)
     return Written(site, folder)
 
@@ -43,7 +42,7 @@ def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 @pytest.fixture(scope="module")
 def gusev(tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp("gusev")
-    site = simulate_site("gusev", 1, PLAIN)
+    site = plain_site()
     write_site(site, folder)
     return Written(site, folder)
 
@@ -93,7 +92,7 @@ def test_profiles_are_read_as_they_were_given(written: Written) -> None:
         assert np.abs(shots.spacecraft - given.spacecraft).max() < 1.0
         assert np.abs(shots.areoid_radii - given.areoid_radii).max() < 1.0
         off = np.linalg.norm(shots.footprints - given.footprints, axis=1)[given.ground]
-        assert np.sqrt(np.mean(off**2)) < 8.0  # a frame keeps no single shot's noise of 3 m
+        assert np.sqrt(np.mean(off**2)) < 0.5  # beside jitter of 3 m, of which a frame knows nothing
 
 
 def test_footprints_are_off_by_one_shift(written: Written) -> None:
@@ -103,24 +102,22 @@ def test_footprints_are_off_by_one_shift(written: Written) -> None:
         here, there = planetocentric(shots.footprints[ground]), planetocentric(true[ground])
         east = (here[:, 0] - there[:, 0]) * there[:, 2] * np.cos(there[:, 1])
         north = (here[:, 1] - there[:, 1]) * there[:, 2]
-        assert 50.0 <= np.hypot(*image.profile.shift) <= 100.0
         np.testing.assert_allclose([east.mean(), north.mean()], image.profile.shift, atol=1.0)
-        assert np.hypot(east.std(), north.std()) < 8.0
-        assert np.std(here[:, 2] - there[:, 2]) < 1.5
+        np.testing.assert_allclose([east.std(), north.std()], 3.0, atol=0.5)
+        assert np.std(here[:, 2] - there[:, 2]) == pytest.approx(1.0, abs=0.2)
 
 
 def test_published_number_of_shots_lies_in_each_image(written: Written) -> None:
     for k, image in enumerate(written.site.images):
         shots = read_pedr(written.folder / f"{image.settings.profile}.b")
         size = [image.true.lines, image.true.samples]
-        nominal = image.nominal.ground_to_image(shots.footprints)[0]
-        for places in (image.profile.true_pixels[:, k], nominal):  # neither errors nor shifts change the number
-            inside = np.all((places >= 0.0) & (places <= size), axis=1)
-            assert (inside & shots.ground).sum() == image.settings.shots
+        places = image.profile.true_pixels[:, k]
+        inside = np.all((places >= 0.0) & (places <= size), axis=1)
+        assert (inside & shots.ground).sum() == image.settings.shots
         assert shots.chosen(shots.ground).spacing == pytest.approx(image.settings.spacing, abs=2.0)
 
 
-def test_ranges_lead_from_the_true_orbit_to_the_true_ground(written: Written) -> None:
+def test_ranges_lead_from_the_true_orbit_to_the_mean_ground(written: Written) -> None:
     for image in written.site.images:
         profile, ground = image.profile, image.profile.ground
         pose = image.true.trajectory.pose(profile.times - image.true.trajectory.epoch)
@@ -128,8 +125,9 @@ def test_ranges_lead_from_the_true_orbit_to_the_true_ground(written: Written) ->
         assert off[ground].std() == pytest.approx(1.0, abs=0.2)
         assert abs(off[ground].mean()) < 0.3
         assert np.all(off[~ground] < -200.0)  # clouds
-        under = written.site.terrain.radius(profile.true_footprints)
-        assert np.abs(np.linalg.norm(profile.true_footprints, axis=1) - under).max() < 1e-3
+        above = np.linalg.norm(profile.true_footprints, axis=1) - written.site.terrain.radius(profile.true_footprints)
+        assert 0.1 < above.std() < 10.0
+        assert np.abs(above).max() < 60.0  # a crater's wall within the spot
 
 
 def test_rolled_shots_meet_the_ground_far_from_the_spacecraft(gusev: Written) -> None:
@@ -168,7 +166,7 @@ def test_grids_hold_the_ground_and_the_areoid(written: Written) -> None:
     for image in site.images:
         points = image.profile.true_footprints
         off = np.linalg.norm(points, axis=1) - radius.at(points)
-        # bilinear posts 463 m apart and 200 m off: craters and canyon walls are what is missing
+        # bilinear posts 463 m apart and some 200 m off: craters and canyon walls are what is missing
         assert abs(np.median(off)) < 10.0
         assert np.percentile(np.abs(off), 80) < (80.0 if name == "eos" else 40.0)
         areoid = areoid_grid(radius, topography).at(points)
@@ -193,15 +191,21 @@ def along_flight(site: SimulatedSite) -> dict[bool, np.ndarray]:
     ("name", "bias", "total"), [("gusev", None, 229.0), ("isidis", None, 225.0), ("gusev", 0.95, 325.0)]
 )
 def test_images_of_a_pair_disagree_as_published(name: str, bias: float | None, total: float) -> None:
-    site = simulate_site(name, 1, SimulationOptions(pictures=False, attitude_time_bias=bias))
+    site = simulate_site(name, 1, SimulationOptions("published", pictures=False, attitude_time_bias=bias))
     along = along_flight(site)
     assert along[False].mean() - along[True].mean() == pytest.approx(total, abs=6.0)  # the mean of noise of 4"
     assert along[False].mean() > 0.0  # corrections are negative in nadir images (Table 5)
     assert along[False].std() < 15.0
 
 
+def test_an_attitude_time_bias_comes_on_top_of_errors_drawn() -> None:
+    plain, late = (simulate_site("gusev", 1, replace(PLAIN, attitude_time_bias=bias)) for bias in (None, 0.95))
+    moved = [along_flight(site)[False].mean() for site in (plain, late)]
+    assert moved[1] - moved[0] == pytest.approx(0.95 * 341.0, rel=0.05)
+
+
 def test_eos_disagrees_differently_along_the_image() -> None:
-    along = along_flight(simulate_site("eos", 1, PLAIN))
+    along = along_flight(plain_site("eos", 1, "published"))
     assert np.ptp(along[False]) > 1000.0
 
 
@@ -259,6 +263,8 @@ def test_wrong_options_are_told() -> None:
         SimulationOptions(tie_noise=0.0)
     with pytest.raises(InputError, match="emission"):
         SimulationOptions(emission=float("nan"))
+    with pytest.raises(InputError, match="drawn or published"):
+        SimulationOptions(errors="none")  # type: ignore[arg-type]
 
 
 def test_folder_that_is_a_file_is_told(gusev: Written, tmp_path: Path) -> None:

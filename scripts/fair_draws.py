@@ -1,0 +1,127 @@
+"""Are the errors of simulated sites drawn from the sigmas that their cases state? All kinds of them, over many seeds.
+
+Each error is what an adjustment would have to find: the nominal image against the true one, as a polynomial of the
+line; a footprint as given against where its beam met the mean of the ground; and so on. Divided by its stated sigma, it
+must have variance 1. The ground is the same for all seeds, and nothing is rendered.
+
+    python scripts/fair_draws.py [--sites gusev,eos,isidis] [--seeds 300] [--first 1] [--page docs/fair_draws.md]
+
+Exit status: 0 done, 2 bad input.
+"""
+
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from study import at_least, chi_square_band, command, show, table, within, write_page
+
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.orientation import polynomial
+from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
+from mgsgraph.geometry.records import Array
+from mgsgraph.simulation.case_files import site_case
+from mgsgraph.simulation.ground import SiteTerrain, make_terrain
+from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOptions, simulate_site
+from mgsgraph.simulation.sites import SITE_NAMES
+from mgsgraph.simulation.terrain import cell_means, grid_shift
+from mgsgraph.units import MRAD
+
+WORDS = """# Errors of simulated sites over their stated sigmas
+
+Made by `scripts/fair_draws.py`, seeds {first} to {last}: mean square of each kind of error over the sigma that the case
+of the site states, with the 99 % band of as many independent draws (of shots and ties, of as many draws as there are
+seeds times points). `pitch 0`, `pitch 1` and `pitch 2` are the coefficients of 1, u and u^2 of the normalised line.
+"""
+OPTIONS = SimulationOptions(pictures=False, resolution=16)
+"""Of all draws."""
+_LINES = 31
+"""Along an image, at which its orientation is compared."""
+AXES = ("X", "Y", "Z", "roll", "pitch", "yaw")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Exit status."""
+    parser = command(__doc__)
+    parser.add_argument("--sites", default=",".join(SITE_NAMES), help="with commas between")
+    parser.add_argument("--seeds", type=at_least(1), default=300, help="draws of each site")
+    parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
+    parser.add_argument("--page", type=Path, help="file to write the table to")
+    given = parser.parse_args(arguments)
+
+    def make() -> str:
+        seeds = range(given.first, given.first + given.seeds)
+        sites = given.sites.split(",")
+        found = [squares(name, seeds, make_terrain(name, 1)) for name in sites]
+        rows = [[kind, *(_band(one[kind]) for one in found)] for kind in found[0]]
+        return "\n".join([WORDS.format(first=seeds[0], last=seeds[-1]), *table(("error", *sites), rows), ""])
+
+    return write_page(parser, given.page, make)
+
+
+def squares(name: str, seeds: range, terrain: SiteTerrain) -> dict[str, Array]:
+    """Squares of all errors of a site over their sigmas, by kind: (draws of it,), over one ground."""
+    drawn: dict[str, list[Array]] = {}
+    for seed in seeds:
+        show(f"{name}, seed {seed}")
+        site = simulate_site(name, seed, OPTIONS, replace(terrain, seed=seed))
+        for kind, errors in _normalised(site):
+            drawn.setdefault(kind, []).append(np.square(errors).ravel())
+    return {kind: np.concatenate(parts) for kind, parts in drawn.items()}
+
+
+def _normalised(site: SimulatedSite) -> Iterator[tuple[str, Array]]:
+    """Kinds of errors, and errors over the sigmas that the case states."""
+    stated = tomllib.loads(site_case(site))
+    for k, image in enumerate(site.images):
+        yield from _of_kernels(image, stated["images"][k]["orientation"])
+        yield from _of_profile(image, stated["mola"][k])
+    true = np.stack([image.true.ground_to_image(site.true_ties)[0] for image in site.images], axis=1).reshape(-1, 2)
+    yield "tie point, line and sample", (site.ties.measures - true) / stated["ties"]["sigma_px"]
+    grid, shift = site.grid, grid_shift(site.terrain)
+    yield "terrain model, east and north", shift / stated["terrain"]["planimetric_sigma_m"]
+    rows, columns = grid.radii.shape
+    lat = grid.first_latitude - grid.latitude_step * np.arange(rows)
+    lon = grid.first_longitude + grid.longitude_step * np.arange(columns)
+    mean = cell_means(site.terrain, *np.meshgrid(lon, lat), grid.longitude_step, shift, 5)
+    yield "terrain model, posts", (grid.radii - mean) / stated["terrain"]["vertical_sigma_m"]
+
+
+def _of_kernels(image: SimulatedImage, stated: dict[str, Any]) -> Iterator[tuple[str, Array]]:
+    """Coefficients of the correction that would make the nominal image, as the case takes it, the true one."""
+    lines = np.linspace(0.0, float(image.true.lines), _LINES)
+    nominal = fit_polynomials(image.nominal)[0].pose(lines)
+    true = image.true.pose(lines)
+    turned = rotation.logarithm(nominal.matrix @ np.swapaxes(true.matrix, 1, 2))
+    missing = np.hstack([true.position - nominal.position, turned])
+    terms = len(stated["trend"])
+    basis, _ = polynomial(np.linspace(-1.0, 1.0, _LINES), terms - 1)
+    coefficients, *_ = np.linalg.lstsq(basis, missing)
+    constant = np.array([stated["position_sigma_m"]] * 3 + [MRAD * angle for angle in stated["angle_sigma_mrad"]])
+    for term, row in enumerate(coefficients / (np.array(stated["trend"])[:, None] * constant)):
+        for axis, value in zip(AXES, row, strict=True):
+            yield f"kernels, {axis} {term}", np.array([value])
+
+
+def _of_profile(image: SimulatedImage, stated: dict[str, Any]) -> Iterator[tuple[str, Array]]:
+    """Errors of the ranges and footprints of the ground returns along with an image."""
+    profile, ground = image.profile, image.profile.ground
+    true = profile.true_footprints[ground]
+    off = np.einsum("nki,ni->nk", east_north_up(true), profile.footprints[ground] - true)
+    measured = profile.ranges[ground] - np.linalg.norm(true - profile.spacecraft[ground], axis=1)
+    yield "range", measured / stated["range_sigma_m"]
+    yield "profile's shift, east and north", profile.shift / stated["shift_sigma_m"]
+    yield "footprint, east and north", (off[:, :2] - profile.shift) / stated["ground_sigma_m"]
+    yield "footprint, height", off[:, 2] / stated["height_sigma_m"]
+
+
+def _band(squares_of_one: Array) -> str:
+    return within(float(squares_of_one.mean()), chi_square_band(squares_of_one.size))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,50 @@
+"""Errors of simulated sites have the sigmas that their cases state: a few draws of all kinds, over smooth ground."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+if not SCRIPTS.is_dir():
+    pytest.skip("the scripts are not beside the tests", allow_module_level=True)
+sys.path.append(str(SCRIPTS))
+
+import fair_draws  # noqa: E402
+from study import chi_square_band  # noqa: E402
+
+from mgsgraph.simulation.ground import SITES, SiteTerrain  # noqa: E402
+from mgsgraph.simulation.mars import MARS  # noqa: E402
+from mgsgraph.simulation.relief import PeriodicSurface  # noqa: E402
+from mgsgraph.simulation.sites import SITE_NAMES  # noqa: E402
+
+SEEDS = range(301, 307)
+
+
+def smooth(name: str) -> SiteTerrain:
+    ground, flat = SITES[name], PeriodicSurface(1000.0, np.zeros((1, 1), dtype=np.float32))
+    return SiteTerrain(
+        name, 1, MARS, ground.longitude, ground.latitude, ground, np.zeros((0, 4)), flat, flat, flat
+    )
+
+
+@pytest.mark.parametrize("name", SITE_NAMES)
+def test_every_kind_of_error_has_its_stated_sigma(name: str) -> None:
+    """Coefficients of the same power of the line together."""
+    found = fair_draws.squares(name, SEEDS, smooth(name))
+    together: dict[str, list[np.ndarray]] = {}
+    for kind, squares in found.items():
+        together.setdefault(f"power {kind[-1]}" if "kernels" in kind else kind, []).append(squares)
+    assert len(together) == 3 + 7
+    for kind, parts in together.items():
+        low, high = chi_square_band(sum(one.size for one in parts))
+        assert low < np.concatenate(parts).mean() < high, kind
+
+
+def test_published_errors_are_not_drawn_from_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have no quadratic terms."""
+    monkeypatch.setattr(fair_draws, "OPTIONS", replace(fair_draws.OPTIONS, errors="published"))
+    found = fair_draws.squares("gusev", range(301, 302), smooth("gusev"))
+    assert max(found[f"kernels, {axis} 2"].max() for axis in fair_draws.AXES) < 0.01
