@@ -23,7 +23,7 @@ of a minimum is exp(-D / 2) times the root of its covariance's determinant: the 
 the right one when all shifts are alike beforehand. Relief ties a profile when few minima hold all of the probability.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -38,7 +38,9 @@ from mgsgraph.geometry.stereo_surface import StereoSurface
 REACH = 1500.0
 """m, shifts that are searched, in every direction, at least."""
 _MOST_SHOTS = 600
-"""Of a profile, evenly taken, that are enough to find a minimum."""
+"""Of a profile, evenly taken, that are enough to find a minimum; more where there are few shifts."""
+_MOST_TRIALS = 10_000_000
+"""Shots times shifts, up to which more shots are taken."""
 _LEAST_SHOTS = 12
 """On the surface, below which a shift says nothing."""
 _LEAST_SHARE = 0.8
@@ -194,9 +196,9 @@ def search(
     CostSurface
         Without minima where too few shots are on the surface.
     """
-    moved = _moved(pair, footprints, sigmas)
     step = step or _node_size(pair)
     half = int(np.ceil(reach / step))
+    moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_TRIALS // (2 * half + 1) ** 2))
     shifts = np.asarray(step * np.arange(-half, half + 1, dtype=np.float64))
     east, north = np.meshgrid(shifts, shifts, indexing="ij")
     misfits, shots = _misfits(pair.surface, moved, np.stack([east.ravel(), north.ravel()], axis=1))
@@ -215,9 +217,9 @@ def _node_size(pair: StereoPair) -> float:
     return float(np.linalg.norm(points[1:] - points[0], axis=1).max())
 
 
-def _moved(pair: StereoPair, footprints: Array, sigmas: Array) -> _Moved:
-    """Shots that both images see, or would after a shift."""
-    every = np.arange(0, len(footprints), max(1, -(-len(footprints) // _MOST_SHOTS)))
+def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Moved:
+    """Shots that both images see, or would after a shift, at most so many of them."""
+    every = np.arange(0, len(footprints), max(1, -(-len(footprints) // most)))
     points = footprints[every]
     found = [
         image.ground_to_image(points, one) for image, one in zip(pair.images, pair.corrections, strict=True)
@@ -246,7 +248,7 @@ def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Arra
     result, counts = np.full(len(shifts), np.nan), np.zeros(len(shifts), dtype=np.int64)
     at_once = max(1, 200_000 // max(len(moved.places), 1))
     for begin in range(0, len(shifts), at_once):
-        heights, weights = _heights(surface, moved, shifts[begin : begin + at_once])
+        heights, weights = _heights(surface, moved, shifts[begin : begin + at_once], surface.nearly)
         counts[begin : begin + at_once] = np.count_nonzero(weights, axis=1)
         result[begin : begin + at_once] = _left(heights, weights, moved.along)[0]
     most = int(counts.max(initial=0))
@@ -256,13 +258,16 @@ def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Arra
     return np.where(enough, result + (most - counts) * each, np.nan), most
 
 
-def _heights(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Array, Array]:
+def _heights(
+    surface: StereoSurface, moved: _Moved, shifts: Array, values: Callable[[Array], Array] | None = None
+) -> tuple[Array, Array]:
     """Heights (s, n), m, of shots above the surface after shifts (s, 2) or (s, n, 2) in m, and their weights (s, n),
-    1/m^2: zero beside the surface.
+    1/m^2: zero beside the surface. The disparities are `values` of the surface, the exact ones when absent.
     """
     places, others = _seen(moved, shifts)
     flat = places.reshape(-1, 2)
-    off = others - surface.values(flat).reshape(others.shape)
+    at = surface.disparity(flat)[0] if values is None else values(flat)
+    off = others - at.reshape(others.shape)
     covered, sigmas, roughness = (part.reshape(places.shape[:2]) for part in surface.at_nodes(flat))
     noise = np.hypot(sigmas, roughness) / moved.pixels_per_metre
     heights = np.einsum("ni,sni->sn", moved.epipolar, off) / moved.pixels_per_metre
