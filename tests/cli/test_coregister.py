@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import click
+import dem_site
 import numpy as np
 import profiles as mola_profiles
 import pytest
@@ -13,12 +15,15 @@ import relief_site
 from commands import run
 
 import mgsgraph
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.figures.relief import relief_sheets
 from mgsgraph.figures.sheet import save
 from mgsgraph.geometry.body import east_north
-from mgsgraph.registration import relief
+from mgsgraph.project import relief as project_relief
+from mgsgraph.project.project import open_project
+from mgsgraph.registration import relief, relief_surfaces
 from mgsgraph.registration.relief_files import (
     coregistration_json,
     profiles_table,
@@ -27,7 +32,9 @@ from mgsgraph.registration.relief_files import (
     slopes_of,
 )
 from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
+from mgsgraph.registration.relief_surfaces import cells_of
 from mgsgraph.registration.search import CostSurface, minima
+from mgsgraph.simulation.terrain import GRID_VERTICAL, grid_shift
 
 APART = 20.0
 """m, by which images and profiles may disagree after the adjustment."""
@@ -127,7 +134,7 @@ def test_the_command_writes_a_result(
     assert (record["program"], record["status"]) == ("mgsgraph", "converged")
     assert [line[2:] for line in said.splitlines() if line.startswith("- ")] == record["statements"]
     profiles = rows_of(out / "profiles.csv")
-    assert [one["profile"] for one in profiles] == ["ap18933l", "ap19043l"]
+    assert [(one["profile"], one["kind"]) for one in profiles] == [("ap18933l", "shot"), ("ap19043l", "shot")]
     shots = rows_of(out / "shots.csv")
     for row, of_json in zip(profiles, record["profiles"], strict=True):
         assert np.hypot(float(row["misplacement_after_east_m"]), float(row["misplacement_after_north_m"])) < APART
@@ -161,6 +168,136 @@ def test_not_converged_is_written_and_is_exit_status_1(
     assert "NOT CONVERGED" in capsys.readouterr().out
     record = json.loads((tmp_path / "out" / "coregistration.json").read_text(encoding="utf-8"))
     assert record["status"] == "not converged"
+
+
+@pytest.mark.parametrize("verb", ["coregister", "adjust"])
+def test_a_result_knows_its_case_and_adjust_does_the_same(
+    verb: str, registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """RESULT in place of CASE --solution RESULT; `adjust --relief`, whose options of the solver overrule the case."""
+    given: list[Any] = []
+
+    def registered(case: mgsgraph.Case, *_: Any, before: Any = None, **others: Any) -> ReliefRegistration:
+        given.append((case, before))
+        return registration
+
+    monkeypatch.setattr(relief, "register_by_relief", registered)
+    out, again = tmp_path / "out", tmp_path / "again"
+    options = ("--relief", "--loss", "huber") if verb == "adjust" else ()
+    assert call(verb, relief_site.case_path(), *options, "--out", out, "--no-figures") == 0
+    assert {path.name for path in out.iterdir()} == TABLES
+    assert call("coregister", out, "--out", again, "--no-figures") == 0
+    (first, nothing), (second, before) = given
+    assert nothing is None
+    assert first.settings.loss == ("huber" if verb == "adjust" else "none")
+    assert second.path == relief_site.case_path().resolve()
+    assert before.name == registration.solution.name
+    with pytest.raises(click.UsageError, match="would replace"):
+        call("coregister", out, "--out", out)
+    with pytest.raises(click.UsageError, match="--relief goes with neither"):
+        call("adjust", relief_site.case_path(), "--relief", "--two-steps", "--out", tmp_path / "third")
+
+
+def project_of(case: Path, tmp_path: Path) -> Path:
+    assert call("init", tmp_path / "project", "--case", case) == 0
+    return tmp_path / "project"
+
+
+def test_a_project_has_the_surfaces_from_then_on(
+    registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    project = project_of(relief_site.case_path(), tmp_path)
+    given: list[Any] = []
+
+    def registered(*arguments: Any, **_: Any) -> ReliefRegistration:
+        given.extend(arguments)
+        return registration
+
+    monkeypatch.setattr(project_relief, "register_by_relief", registered)
+    assert call("coregister", project, "--no-figures", "--reach", 600) == 0
+    case, settings = given
+    assert {image.name for image in case.network.images} == set(settings.images)
+    assert case.network.stereo is None
+    assert len(case.network.points) == len(registration.solution.network.points)
+    assert {path.name for path in (project / "solutions" / "0001").iterdir()} == TABLES
+    with open_project(project) as opened:
+        kept, made = opened.store.network().stereo, registration.solution.network.stereo
+        assert kept is not None
+        assert made is not None
+        assert (kept.surface >= 0).sum() == (made.surface >= 0).sum() > 100
+        assert opened.changes()[-1].verb == "coregister"
+    assert call("status", project) == 0
+    assert "coregister" in capsys.readouterr().out
+    with pytest.raises(click.UsageError, match="a project has its own"):
+        call("coregister", project, "--out", tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_project_registered_and_solved_has_the_same_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    relief_site.use_matches(monkeypatch)
+    project = project_of(relief_site.case_path(), tmp_path)
+    assert call("coregister", project, "--no-figures", *OPTIONS) == 0
+    assert call("solve", project, "--no-figures") == 0
+    first, again = (mgsgraph.read_solution(project / "solutions" / name) for name in ("0001", "0002"))
+    assert again.cost_final == pytest.approx(first.cost_final, rel=1e-9)
+    shifts = [dict(zip(one.network.shift_names, one.shifts, strict=True)) for one in (first, again)]
+    for name, shift in shifts[0].items():
+        np.testing.assert_allclose(shifts[1][name], shift, atol=1e-3)
+
+
+def test_a_project_without_a_case_is_refused(tmp_path: Path) -> None:
+    assert call("init", tmp_path / "project") == 0
+    with pytest.raises(InputError, match="no case that names"):
+        call("coregister", tmp_path / "project")
+
+
+def test_a_result_that_does_not_know_its_case_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no word of the case .* mgsgraph coregister CASE --solution"):
+        call("coregister", tmp_path, "--out", tmp_path / "out")
+
+
+# --- terrain models by cells
+
+
+def test_posts_that_two_images_may_show_are_taken() -> None:
+    """And those in a margin beside them."""
+    case, posterior = mgsgraph.read_case(dem_site.case_path()), Posterior.of(relief_site.solution())
+    ((model, posts),) = cells_of(case.terrain, posterior, SETTINGS)
+    assert model.name == "megr_gusev"
+    assert posts.footprint == pytest.approx(4.0 / np.sqrt(12.0) * 463.0 * np.sqrt(np.cos(np.radians(14.6))), rel=0.01)
+    for j in range(2):
+        image = posterior.image(j)
+        pixels = image.ground_to_image(posts.points, posterior.correction(j))[0]
+        assert np.all((pixels > -500.0) & (pixels < np.array([image.lines, image.samples]) + 500.0))
+    away = replace(model, grid=replace(model.grid, first_longitude=0.0))
+    with pytest.raises(InputError, match="none in two images"):
+        cells_of((away,), posterior, SETTINGS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("terrain", ["cells", "patches"])
+def test_posts_of_the_terrain_model_lie_on_the_surface(terrain: Any, tmp_path: Path) -> None:
+    """Half a thousand, by the 10 m of their noise; tie points lie no longer on its patches, unless asked for."""
+    with pytest.MonkeyPatch.context() as patch:
+        relief_site.use_matches(patch)
+        case = mgsgraph.read_case(dem_site.case_path())
+        found = mgsgraph.register_by_relief(case, replace(SETTINGS, terrain=terrain), before=dem_site.solution())
+    network, models = found.solution.network, [one for one in found.profiles if one.of_posts]
+    assert found.solution.converged
+    assert found.before.network.surface is not None
+    assert (network.surface is None) == (terrain == "cells") == bool(models)
+    for model in models:
+        assert 300 < model.taken.sum() < model.taken.size
+        assert model.rms_after == pytest.approx(GRID_VERTICAL, rel=0.15)
+        off = model.shift + grid_shift(dem_site.site().terrain)
+        assert off @ np.linalg.solve(model.covariance, off) < 13.8  # 99.9 % of chi-square with two degrees of freedom
+    mgsgraph.write_coregistration(found, tmp_path / "out")
+    assert len(rows_of(tmp_path / "out" / "profiles.csv")) == 2 + len(models)
+    assert call("analyze", tmp_path / "out") == 0
+    assert call("report", tmp_path / "out", "--out", tmp_path / "report.html") == 0
 
 
 # --- sentences and tables of what is not clear
@@ -226,8 +363,8 @@ def bad_case(tmp_path: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda text: text.replace("shift_sigma_m = 100.0", ""), "no laser profile whose shift is unknown"),
-        (lambda text: text[: text.index("[[mola]]")], "no laser profile"),
+        (lambda text: text.replace("shift_sigma_m = 100.0", ""), "neither a laser profile nor a terrain model"),
+        (lambda text: text[: text.index("[[mola]]")], "neither a laser profile"),
     ],
 )
 def test_a_case_without_unknown_shifts_is_refused(change: Any, said: str, tmp_path: Path) -> None:
@@ -251,7 +388,7 @@ def test_images_that_do_not_overlap_are_refused(
     def nothing(*_: Any) -> None:
         raise InputError("images", "no two of them overlap", "images of common ground")
 
-    monkeypatch.setattr(relief, "densely_matched", nothing)
+    monkeypatch.setattr(relief_surfaces, "densely_matched", nothing)
     with pytest.raises(InputError, match="no two of them overlap"):
         call("coregister", relief_site.case_path(), "--solution", relief_site.result(), "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
