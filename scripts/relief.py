@@ -34,14 +34,12 @@ from mgsgraph.wording import root_mean_square as rms
 
 WORDS = """# Registration by relief against truth
 
-Made by `scripts/relief.py` ({machine}), seeds {first} to {last}: kernel errors and shifts of the profiles drawn from
-the priors that the case states (position {position}, angles and trends by site, shifts 100 m), rendered images, own
-dense matches, no terrain model, sigmas of ranges and footprints as drawn. *after*: misplacement of a profile against
-the stereo surface, found minus true, rms of both axes over all profiles and draws; *captured*: profiles for which it is
-below {captured:g} m; *before*: the same of the first search alone, in a surface that heights wrong by a kilometre
-distort. *shifts*: NEES of the profiles' shifts per axis. *ties*: rms error of the tie points' positions without and
-with the rows, and the NEES of their mean position in the plane. 99 % bands in brackets (two profiles of a draw share
-the size of their shift, and the orientation: they are not independent).
+Made by `scripts/relief.py` ({machine}), seeds {first} to {last}: simulated sites whose errors have the sigmas that
+their cases state, rendered images, own dense matches, {terrain}. *after*: misplacement of a profile against the stereo
+surface, found minus true, rms of both axes over all profiles and draws; *captured*: profiles for which it is below
+{captured:g} m; *before*: the same of the first search, where it ties the profile. *shifts*: NEES of the profiles' shifts
+per axis. *ties*: rms error of the tie points' positions without and with the rows, and the NEES of their mean position
+in the plane. 99 % bands in brackets (the profiles of a draw share the orientation: they are not independent).
 """
 HEAD = (
     "site", "draws", "captured", "before, m", "after, m", "shifts", "ties before, m", "ties after, m", "times better",
@@ -84,7 +82,8 @@ def main(arguments: list[str] | None = None) -> int:
         seeds = range(given.first, given.first + given.seeds)
         draws = [draw for seed in seeds for settings in sites for draw in _drawn(settings, seed, not given.no_terrain)]
         words = WORDS.format(
-            machine=machine(), first=seeds[0], last=seeds[-1], position="100 and 200 m", captured=_CAPTURED
+            machine=machine(), first=seeds[0], last=seeds[-1], captured=_CAPTURED,
+            terrain="no terrain model" if given.no_terrain else "terrain models by cells",
         )
         return "\n".join([words, *table(HEAD, [_row(site.name, draws) for site in sites]), ""])
 
@@ -108,36 +107,37 @@ def _drawn(settings: SiteSettings, seed: int, terrain: bool) -> Iterator[Draw]:
 
 
 def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: float) -> Draw:
-    network = found.solution.network
-    ties = network.points.classes == PointClass.TIE
-    names = [network.points.ids[i] for i in np.flatnonzero(ties)]
+    without, solution = found.before, found.solution
+    profiles = [one for one in found.profiles if not one.of_posts]
+    ties = solution.network.points.classes == PointClass.TIE
+    names = [solution.network.points.ids[i] for i in np.flatnonzero(ties)]
     known = dict(zip(site.ties.ids, site.true_ties, strict=True))
     truth = np.array([known[name] for name in names])
-    errors = [one.places[ties] - truth for one in (found.before, found.solution)]
+    errors = [without.places[without.network.points.classes == PointClass.TIE] - truth, solution.places[ties] - truth]
     ways = east_north(truth.mean(axis=0)[None])[0]
     shifts = {image.settings.profile: -image.profile.shift for image in site.images}
-    true = np.array([shifts[one.name] for one in found.profiles])
-    old, new = (_surface_errors(site, found, one) for one in (found.before, found.solution))
-    before = np.array([one.before.misplacement for one in found.profiles]) - (true + old)
-    after = np.array([one.shift for one in found.profiles]) - (true + new)
+    true, adjusted = (np.array(part) for part in ([shifts[one.name] for one in profiles], [p.shift for p in profiles]))
+    old, new = (_surface_errors(site, [one.name for one in profiles], part) for part in (without, solution))
+    before = np.array([one.before.misplacement for one in profiles]) - (true + old)
+    after = adjusted - (true + new)
     nees = [
         float(error @ np.linalg.solve(one.covariance, error))
-        for one, error in zip(found.profiles, np.array([one.shift for one in found.profiles]) - true, strict=True)
+        for one, error in zip(profiles, adjusted - true, strict=True)
     ]
-    plane = np.einsum("ak,nkl,bl->nab", ways, found.solution.covariances[ties], ways).mean(axis=0)
+    plane = np.einsum("ak,nkl,bl->nab", ways, solution.covariances[ties], ways).mean(axis=0)
     of_ties = errors[1].mean(axis=0) @ ways.T
     mean = float(of_ties @ np.linalg.solve(plane, of_ties))
     sizes = tuple(rms(np.linalg.norm(error, axis=1)) for error in errors)
     return Draw(site.settings.name, seed, before, after, np.array(nees), (sizes[0], sizes[1]), mean, seconds)
 
 
-def _surface_errors(site: SimulatedSite, found: ReliefRegistration, solution: Solution) -> Array:
+def _surface_errors(site: SimulatedSite, names: list[str], solution: Solution) -> Array:
     """(p, 2) m east and north by which the stereo surface is misplaced at each profile: where the rays of the shots'
     true pixels meet with the adjusted orientation, minus the true ground.
     """
     posterior, errors = Posterior.of(solution), []
-    for one in found.profiles:
-        (profile,) = (image.profile for image in site.images if image.settings.profile == one.name)
+    for name in names:
+        (profile,) = (image.profile for image in site.images if image.settings.profile == name)
         size = np.array([[image.true.lines, image.true.samples] for image in site.images])
         seen = np.all((profile.true_pixels > 0.0) & (profile.true_pixels < size), axis=(1, 2))
         rays = [
@@ -158,7 +158,8 @@ def _row(site: str, draws: list[Draw]) -> list[str]:
     ties = [rms(np.array([draw.ties[k] for draw in mine])) for k in range(2)]
     captured = np.linalg.norm(after, axis=1) < _CAPTURED
     return [
-        site, str(len(mine)), f"{int(captured.sum())} of {captured.size}", number(rms(before)), number(rms(after)),
+        site, str(len(mine)), f"{int(captured.sum())} of {captured.size}", number(rms(before[np.isfinite(before)])),
+        number(rms(after)),
         _within(nees.sum(), 2 * len(nees)), number(ties[0]), number(ties[1]), number(ties[0] / ties[1]),
         _within(sum(draw.mean for draw in mine), 2 * len(mine)), number(np.mean([draw.seconds for draw in mine])),
     ]  # fmt: skip

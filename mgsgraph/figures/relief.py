@@ -73,7 +73,7 @@ def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
 def _worst_first(profiles: Sequence[ReliefProfile]) -> list[int]:
     """Numbers of profiles: those without a clear minimum first, then by how far they were off."""
     off = [float(np.nan_to_num(np.linalg.norm(one.before.misplacement))) for one in profiles]
-    return sorted(range(len(profiles)), key=lambda p: (profiles[p].before.cost.clear, -off[p]))
+    return sorted(range(len(profiles)), key=lambda p: (profiles[p].after.cost.clear, -off[p]))
 
 
 # --- cost surfaces
@@ -127,7 +127,7 @@ def _top(costs: Sequence[CostSurface]) -> float:
 
 def _above_best(cost: CostSurface) -> Array:
     """(k, k) chi-square above that of the best shift."""
-    return np.asarray(np.maximum(cost.misfits - cost.minima[0].misfit, 0.0) / cost.scale)
+    return np.asarray((cost.misfits - np.nanmin(cost.misfits)) / cost.scale)
 
 
 def _draw_cost(panel: Axes, cost: CostSurface, top: float, share: float = 1.0) -> AxesImage | None:
@@ -166,8 +166,8 @@ def _draw_ellipse(panel: Axes, middle: Array, covariance: Array, stroke: str, co
 
 def _costs_caption(registration: ReliefRegistration, shown: int) -> str:
     profiles = registration.profiles
-    clear = sum(one.before.cost.clear for one in profiles)
-    tied = sum(one.before.cost.tied for one in profiles)
+    clear = sum(one.after.cost.clear for one in profiles)
+    tied = sum(one.after.cost.tied for one in profiles)
     text = (
         "How badly each profile fits the stereo surface when it is shifted as a whole, level and slope along the track "
         "removed: above where the images were adjusted without relief, below with it, where zero is agreement; "
@@ -284,8 +284,10 @@ def _profile_caption(one: ReliefProfile) -> str:
     if not on:
         return f"{text}: the {what} takes no part."
     text += f"; {one.unit} minus surface {number(one.rms_before)} m rms before, {number(one.rms_after)} m after"
-    if not one.before.cost.tied:
+    if not one.after.cost.tied:
         return f"{text}; relief does not tie the {what} horizontally."
+    if not one.before.cost.tied:
+        return f"{text}; before, nothing said by how much the {what} had to move."
     east, north = one.before.misplacement
     return (
         f"{text}; before, the {what} had to move {number(round(float(east)))} m east and "

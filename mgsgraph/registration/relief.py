@@ -30,9 +30,10 @@ from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.posts import with_posts
 from mgsgraph.network.stereo_control import StereoControl
+from mgsgraph.registration.minima import shots_alike
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
-from mgsgraph.registration.search import CostSurface, StereoPair, search, shots_alike
+from mgsgraph.registration.search import CostSurface, StereoPair, search
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.wording import some
 

@@ -13,8 +13,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import COREGISTRATION, PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table
+from mgsgraph.registration.minima import Minimum
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
-from mgsgraph.registration.search import Minimum
 from mgsgraph.reports.results import write_into
 from mgsgraph.units import DEG
 from mgsgraph.wording import many, root_mean_square, some
@@ -23,10 +23,6 @@ FORMAT = 1
 """Version of coregistration.json's layout."""
 _MOST_MINIMA = 10
 """Of a cost surface that are written, best first."""
-_POSSIBLE = 1e-3
-"""Weight from which on a minimum is named in a sentence."""
-_MOST_NAMED = 4
-"""Minima in a sentence."""
 _MOST_PROFILES = 5
 """That have sentences of their own; more are summed up."""
 _WAYS = ("east", "north")
@@ -152,8 +148,8 @@ def profiles_table(registration: ReliefRegistration) -> Table:
             "on_surface", np.array([int(one.taken.sum()) for one in profiles]), meaning="of them", label="on it",
             text=">6d",
         ),
-        Column("tied", np.array([one.before.cost.tied for one in profiles]), meaning="relief ties the profile at all"),
-        Column("clear", np.array([one.before.cost.clear for one in profiles]), meaning="and at one place only"),
+        Column("tied", np.array([one.after.cost.tied for one in profiles]), meaning="relief ties the profile at all"),
+        Column("clear", np.array([one.after.cost.clear for one in profiles]), meaning="and at one place only"),
         vector(
             "misplacement_before_{}", numbers(lambda one: one.before.misplacement, 2),
             "by which the profile had to move onto the surface; unknown where relief does not tie it", "before (m)",
@@ -164,8 +160,8 @@ def profiles_table(registration: ReliefRegistration) -> Table:
             "the same after the adjustment with stereo rows", "after (m)",
         ),
         sigma("sigma_misplacement_after_{}", lambda one: one.after.misplacement_covariance),
-        Column("misfit", numbers(lambda one: _misfit(one, 0)), meaning="of the best shift, before"),
-        Column("runner_up_misfit", numbers(lambda one: _misfit(one, 1)), meaning="of the second-best minimum, before"),
+        Column("misfit", numbers(lambda one: _misfit(one, 0)), meaning="of the likeliest shift, after"),
+        Column("runner_up_misfit", numbers(lambda one: _misfit(one, 1)), meaning="of the second-likeliest minimum, after"),
         Column(
             "runner_up_weight", numbers(lambda one: _of_minimum(one, 1, lambda found: found.weight)),
             meaning="its probability, all shifts being alike beforehand",
@@ -183,8 +179,8 @@ def profiles_table(registration: ReliefRegistration) -> Table:
 
 
 def _of_minimum(profile: ReliefProfile, k: int, of: Callable[[Minimum], float]) -> float:
-    """A number of the k-th best minimum before; NaN where there is none."""
-    found = profile.before.cost.minima[k : k + 1]
+    """A number of the k-th best minimum after; NaN where there is none."""
+    found = profile.after.cost.minima[k : k + 1]
     return of(found[0]) if found else float("nan")
 
 
@@ -285,24 +281,20 @@ def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
         f"{on} of {many(one.mine.size, one.unit)} of {one.name} lie on the stereo surface: rms of {one.unit} minus "
         f"surface {one.rms_before:.2g} m before, {one.rms_after:.2g} m after."
     )
-    if not one.before.cost.tied:
-        adjusted = float(np.sqrt(np.trace(one.covariance) / 2.0))
-        return [
-            f"{one.name}: relief does not tie it; the sigma of its shift is {adjusted:.3g} m, a-priori {prior:.3g} m.",
-            carried,
-        ]  # fmt: skip
+    adjusted = float(np.sqrt(np.trace(one.covariance) / 2.0))
+    found = f"the sigma of its shift is {adjusted:.3g} m, a-priori {prior:.3g} m"
+    if not one.after.cost.tied:
+        return [f"{one.name}: relief does not tie it; {found}.", carried]
+    if not one.after.cost.clear:
+        return [f"{_several(one)} Its heights count as those of level ground; {found}.", carried]
     return [_disagreement(one), _uniqueness(one, reach), carried]
 
 
 def _disagreement(one: ReliefProfile) -> str:
     """By how much profile and images disagreed, and disagree."""
     off, what = one.before.misplacement, "terrain model" if one.of_posts else "profile"
-    words = (
-        f"Before, {what} {one.name} and the images disagreed by {np.linalg.norm(off):.0f} m ({_east_north(off)}); "
-        "after, "
-    )
-    if not one.after.cost.tied:
-        return words + "relief does not say by how much."
+    known = f"by {np.linalg.norm(off):.0f} m ({_east_north(off)})" if one.before.cost.tied else "by an unknown amount"
+    words = f"Before, {what} {one.name} and the images disagreed {known}; after, "
     left, sigma = np.linalg.norm(one.after.misplacement), np.sqrt(np.trace(one.after.misplacement_covariance))
     return words + f"by {left:.1f} +- {sigma:.1f} m."
 
@@ -314,21 +306,24 @@ def _east_north(shift: Array) -> str:
 
 
 def _uniqueness(one: ReliefProfile, reach: float) -> str:
-    """Whether there is one minimum, or several."""
-    minima = one.before.cost.minima
+    """How much worse the second-best minimum fits."""
+    minima = one.after.cost.minima
     if len(minima) == 1:
         return f"{one.name}: one minimum within {reach:.0f} m."
-    if one.before.cost.clear:
-        return (
-            f"{one.name}: one clear minimum within {reach:.0f} m; the second best fits "
-            f"{minima[1].misfit / minima[0].misfit:.2g} times worse."
-        )
-    possible = [found for found in minima if found.weight >= _POSSIBLE]
-    where = "; ".join(
-        f"{100.0 * found.weight:.2g} % at {_east_north(found.shift)}" for found in possible[:_MOST_NAMED]
-    )
     return (
-        f"{one.name}: {len(possible)} minima may be the right one: {where}. The covariance holds for the first alone."
+        f"{one.name}: one clear minimum within {reach:.0f} m; the second best fits "
+        f"{minima[1].misfit / minima[0].misfit:.2g} times worse."
+    )
+
+
+def _several(one: ReliefProfile) -> str:
+    """Which minima may be the right one."""
+    possible = one.after.cost.possible
+    where = "; ".join(f"{100.0 * found.weight:.2g} % at {_east_north(found.shift)}" for found in possible)
+    sigma = np.sqrt(np.trace(one.after.misplacement_covariance))
+    return (
+        f"{one.name}: {len(possible)} minima may be the right one: {where}; over all of them the first is right to "
+        f"{sigma:.0f} m."
     )
 
 
@@ -336,22 +331,22 @@ def _of_many(registration: ReliefRegistration) -> list[str]:
     """Sentences about many profiles together."""
     profiles = registration.profiles
     taken = [one for one in profiles if np.any(one.taken)]
-    tied = [one for one in taken if one.before.cost.tied]
+    tied = [one for one in taken if one.after.cost.tied]
     found = []
-    if tied:
+    if known := [one for one in tied if one.before.cost.tied]:
         before, after = (
-            root_mean_square(np.array([np.linalg.norm(getattr(one, state).misplacement) for one in tied]))
+            root_mean_square(np.array([np.linalg.norm(getattr(one, state).misplacement) for one in known]))
             for state in ("before", "after")
         )
-        sigma = np.nanmedian([np.sqrt(np.trace(one.after.misplacement_covariance)) for one in tied])
+        sigma = np.nanmedian([np.sqrt(np.trace(one.after.misplacement_covariance)) for one in known])
         found.append(
-            f"Before, {len(tied)} profiles and the images disagreed by {before:.0f} m (rms); after, by {after:.1f} m "
+            f"Before, {len(known)} profiles and the images disagreed by {before:.0f} m (rms); after, by {after:.1f} m "
             f"(median sigma {sigma:.1f} m)."
         )
     for which, words in (
-        ([one for one in tied if one.before.cost.clear], "have one clear minimum"),
-        ([one for one in tied if not one.before.cost.clear], "have several possible minima"),
-        ([one for one in taken if not one.before.cost.tied], "are not tied by relief"),
+        ([one for one in tied if one.after.cost.clear], "have one clear minimum"),
+        ([one for one in tied if not one.after.cost.clear], "have several possible minima"),
+        ([one for one in taken if not one.after.cost.tied], "are not tied by relief"),
         ([one for one in profiles if not np.any(one.taken)], "have too few shots on the surface to take part"),
     ):
         if which:

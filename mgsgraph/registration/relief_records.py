@@ -54,8 +54,15 @@ class ProfileState(NamedTuple):
 
     @property
     def misplacement_covariance(self) -> Array:
-        """(2, 2) m^2, of the misplacement; NaN where relief doesn't tie the profile."""
-        return self.cost.minima[0].covariance if self.cost.tied else np.full((2, 2), np.nan)
+        """(2, 2) m^2, of the misplacement: that of all possible minima about the likeliest, by their weights; NaN where
+        relief doesn't tie the profile.
+        """
+        if not self.cost.tied:
+            return np.full((2, 2), np.nan)
+        weights = np.array([one.weight for one in self.cost.possible])
+        off = np.array([one.shift for one in self.cost.possible]) - self.misplacement
+        each = np.array([one.covariance for one in self.cost.possible]) + off[:, :, None] * off[:, None]
+        return np.asarray(np.einsum("k,kij->ij", weights / weights.sum(), each))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,15 +12,7 @@ kilometre or two, the camera is 100 km and more away.
 
 Angles that change along the track bend a profile: from its minima on the grid a profile is fitted with a shift that
 changes linearly along it, by tens of metres. Minima are then compared two by two, over the shots that both have on the
-surface. What is stated of a shot's height is mostly its profile's, which has gone with the level, so the scale of its
-sigma is hardly known: marginalised over that scale, whose prior counts as ten shots that are as stated, twice the
-logarithm of the likelihood of a shift against another is -D,
-
-    D = ((m + 6) ln((chi^2_1 + 10) / (chi^2_2 + 10)) + sum_i ln(sigma_i1^2 / sigma_i2^2)) / k,  k = (1 + r) / (1 - r),
-
-k being the number of shots that count as one, by the correlation r of successive heights at the best shift. The weight
-of a minimum is exp(-D / 2) times the root of its covariance's determinant: the probability that its neighbourhood is
-the right one when all shifts are alike beforehand. Relief ties a profile when few minima hold all of the probability.
+surface. Their probabilities (`minima`) say whether relief ties the profile: few of them hold all of it.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,6 +26,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface
+from mgsgraph.registration.minima import FITTED, Bowl, Minimum, local_minima, shots_alike, weighted
 
 REACH = 1500.0
 """m, shifts that are searched, in every direction, at least."""
@@ -51,27 +44,18 @@ _HUBER = 2.0
 """Sigmas from which on a shot counts linearly."""
 _ROUNDS = 3
 """Of reweighting."""
-_AS_STATED = 10.0
-"""Shots by whose weight stated sigmas are believed beforehand: the papers state ten times too much for MOLA."""
 _CLEAR = 1e-3
 """Weight of the second-best minimum up to which the best is the only one."""
 _MOST_COMPARED = 40
 """Minima, the lowest, that are compared with one another."""
 _MOST_POSSIBLE = 5
 """Minima above that weight up to which relief ties a profile: more are a plain, in which noise fits anywhere."""
-_MOST_CORRELATED = 0.9
-"""Correlation of successive heights that is taken at its word."""
-_FITTED = 4
-"""Level, slope and two shifts, which misfits have lost."""
 _CHANGE = 50.0
 """m, sigma of the change of a shift from the middle of a profile to its end."""
 _ONE_PLACE = 13.8
 """chi-square of two degrees of freedom (99.9 %), up to which two minima are one place."""
 _STEPS = 12
 """Of the fit of a shift and its change."""
-
-
-_NONE = np.zeros(2)
 
 
 class StereoPair(NamedTuple):
@@ -83,22 +67,6 @@ class StereoPair(NamedTuple):
     """First and second."""
     corrections: tuple[OrientationCorrection, OrientationCorrection]
     """Of their nominal orientations."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Minimum:
-    """One shift at which a profile fits."""
-
-    shift: Array
-    """(2,) m east and north, to be added to the footprints."""
-    misfit: float
-    """chi^2."""
-    covariance: Array
-    """(2, 2) m^2, of the shift."""
-    change: Array
-    """(2,) m east and north, from the middle of the profile to its end, of the shift."""
-    weight: float
-    """Probability, all shifts being alike beforehand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +92,12 @@ class CostSurface:
         along = (2.0 * np.arange(count) - first - last) / max(last - first, 1.0)
         found = self.minima[0]
         return np.asarray(found.shift + found.change * np.clip(along, -1.0, 1.0)[:, None])
+
+    @property
+    def scale(self) -> float:
+        """Least misfit per shot: in its units misfits are chi-square."""
+        lowest = float(np.nanmin(self.misfits)) if np.any(np.isfinite(self.misfits)) else 0.0
+        return lowest / max(self.shots - FITTED, 1) or 1.0
 
     @property
     def possible(self) -> tuple[Minimum, ...]:
@@ -309,30 +283,7 @@ def _left(heights: Array, weights: Array, along: Array) -> tuple[Array, Array]:
     return np.asarray(np.sum(loss * (weights > 0.0), axis=1)), left
 
 
-class _Bowl(NamedTuple):
-    """A minimum of the misfit by itself."""
-
-    shift: Array
-    """(2,) m east and north."""
-    misfit: float
-    """chi^2."""
-    covariance: Array
-    """(2, 2) m^2, by the sigmas that are stated."""
-    change: Array = _NONE
-    """(2,) m, of the shift from the middle of the profile to its end."""
-
-
-def local_minima(shifts: Array, misfits: Array) -> list[_Bowl]:
-    """Local minima of a misfit (k, k) over shifts (k,), refined by a paraboloid through neighbours; lowest first."""
-    filled = np.where(np.isfinite(misfits), misfits, np.inf)
-    inner = filled[1:-1, 1:-1]
-    around = [filled[1 + i : filled.shape[0] - 1 + i, 1 + j : filled.shape[1] - 1 + j] for i, j in _NEIGHBOURS]
-    lowest = np.isfinite(inner) & np.all([inner <= one for one in around], axis=0)
-    found = [_refined(shifts, filled, row + 1, column + 1) for row, column in np.argwhere(lowest)]
-    return sorted(found, key=lambda one: one.misfit)
-
-
-def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[_Bowl], step: float) -> tuple[Minimum, ...]:
+def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step: float) -> tuple[Minimum, ...]:
     """Minima with their weights, the likeliest first; each is compared with the lowest over the shots of both."""
     if not bowls:
         return ()
@@ -358,7 +309,7 @@ def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[_Bowl], ste
     variances = np.sum(np.where(both, logs[first] - logs, 0.0), axis=1)
     alike = shots_alike(left[first][both[first]])
     found = [
-        _Bowl(shift, float(misfit), covariance, change)
+        Bowl(shift, float(misfit), covariance, change)
         for shift, misfit, covariance, change in zip(
             fitted.shifts, misfits, fitted.covariances, fitted.changes, strict=True
         )
@@ -423,66 +374,3 @@ def _apart(fitted: _Bent, misfits: Array, step: float) -> Index:
         if np.all((np.linalg.norm(off, axis=1) > step) & (ratio > _ONE_PLACE)):
             apart.append(k)
     return np.array(apart)
-
-
-def weighted(
-    bowls: Sequence[_Bowl], misfits: Array, lowest: Array, shots: Index, variances: Array, alike: float
-) -> tuple[Minimum, ...]:
-    """Minima with their weights, the likeliest first.
-
-    Parameters
-    ----------
-    bowls : sequence of n
-        In any order.
-    misfits, lowest : (n,)
-        chi^2 of each, and of the one that fits best, over the shots of both.
-    shots : (n,)
-        Those of both.
-    variances : (n,)
-        Sum of the logarithms of their variances, less that at the best.
-    alike : float
-        Shots that count as one.
-    """
-    freedom = np.maximum(shots - _FITTED, 1) + _AS_STATED
-    misfits, lowest = misfits + _AS_STATED, lowest + _AS_STATED
-    scale = float(np.min(lowest / freedom)) * alike
-    logs = -0.5 * (freedom * np.log(misfits / lowest) + variances) / alike
-    logs += np.array([0.5 * np.linalg.slogdet(one.covariance)[1] for one in bowls])
-    weights = np.exp(logs - logs.max())
-    every = [
-        Minimum(one.shift, one.misfit, scale * one.covariance, one.change, float(weight / weights.sum()))
-        for one, weight in zip(bowls, weights, strict=True)
-    ]
-    return tuple(sorted(every, key=lambda one: -one.weight))
-
-
-def shots_alike(left: Array) -> float:
-    """Number of successive shots that count as one, by the correlation of what is left of their heights (n,)."""
-    if left.size <= _FITTED:
-        return 1.0
-    correlation = float(np.sum(left[1:] * left[:-1]) / max(np.sum(left**2), 1e-12))
-    correlation = min(max(correlation, 0.0), _MOST_CORRELATED)
-    return (1.0 + correlation) / (1.0 - correlation)
-
-
-_NEIGHBOURS = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
-
-
-def _refined(shifts: Array, misfits: Array, row: int, column: int) -> _Bowl:
-    """The paraboloid through a minimum and its eight neighbours."""
-    step = shifts[1] - shifts[0]
-    i, j = (part.ravel() for part in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"))
-    values = misfits[row - 1 : row + 2, column - 1 : column + 2].ravel()
-    here, at = misfits[row, column], np.array([shifts[row], shifts[column]])
-    if not np.all(np.isfinite(values)):
-        return _Bowl(at, float(here), np.eye(2) * step**2)
-    terms = np.stack([np.ones(9), i, j, 0.5 * i * i, i * j, 0.5 * j * j], axis=1)
-    c, gi, gj, hii, hij, hjj = np.linalg.lstsq(terms, values, rcond=None)[0]
-    hessian = np.array([[hii, hij], [hij, hjj]])
-    if not (hii > 0.0 and np.linalg.det(hessian) > 1e-6 * hii * hjj):
-        return _Bowl(at, float(here), np.eye(2) * step**2)
-    move = -np.linalg.solve(hessian, [gi, gj])
-    if np.abs(move).max() > 1.0:
-        return _Bowl(at, float(here), 2.0 * np.linalg.inv(hessian) * step**2)
-    misfit = min(float(here), float(c + 0.5 * np.array([gi, gj]) @ move))
-    return _Bowl(at + step * move, misfit, 2.0 * np.linalg.inv(hessian) * step**2)

@@ -24,6 +24,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.project import relief as project_relief
 from mgsgraph.project.project import open_project
 from mgsgraph.registration import relief, relief_surfaces
+from mgsgraph.registration.minima import local_minima, weighted
 from mgsgraph.registration.relief_files import (
     coregistration_json,
     profiles_table,
@@ -33,7 +34,7 @@ from mgsgraph.registration.relief_files import (
 )
 from mgsgraph.registration.relief_records import ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import cells_of
-from mgsgraph.registration.search import CostSurface, minima
+from mgsgraph.registration.search import CostSurface
 from mgsgraph.simulation.terrain import GRID_VERTICAL, grid_shift
 
 APART = 20.0
@@ -72,8 +73,13 @@ def with_profiles(registration: ReliefRegistration, profiles: list[ReliefProfile
 def untied(one: ReliefProfile, name: str) -> ReliefProfile:
     """A profile that no shift suits better than others."""
     cost = one.before.cost
-    level = np.full_like(cost.misfits, cost.minima[0].misfit + 4.0 * cost.scale)
-    return replace(one, name=name, before=one.before._replace(cost=replace(cost, misfits=level)))
+    everywhere = tuple(replace(cost.minima[0], weight=0.1) for _ in range(10))
+    return with_cost(one, name, replace(cost, minima=everywhere))
+
+
+def with_cost(one: ReliefProfile, name: str, cost: CostSurface) -> ReliefProfile:
+    """The same of another misfit, before as after."""
+    return replace(one, name=name, before=one.before._replace(cost=cost), after=one.after._replace(cost=cost))
 
 
 def aside(one: ReliefProfile, name: str) -> ReliefProfile:
@@ -309,11 +315,11 @@ def test_sentences_of_one_profile_not_tied_and_of_several_minima(registration: R
     east, north = np.meshgrid(shifts, shifts, indexing="ij")
     bowls = np.minimum(((east + 200.0) / 20.0) ** 2, 1.0 + ((east - 200.0) / 20.0) ** 2) + (north / 20.0) ** 2
     misfits, shots = 96.0 + bowls, 100  # four unknowns: a misfit of one per shot
-    several = CostSurface("two", shifts, misfits, shots, minima(shifts, misfits, shots))
-    made = with_profiles(registration, [
-        untied(one, "plain"), replace(one, name="two", before=one.before._replace(cost=several)),
-        aside(one, "aside"),
-    ])  # fmt: skip
+    found = local_minima(shifts, misfits)
+    lowest = np.full(2, 96.0)
+    alike = weighted(found, np.array([one.misfit for one in found]), lowest, np.full(2, shots), np.zeros(2), 1.0)
+    several = CostSurface("two", shifts, misfits, shots, alike)
+    made = with_profiles(registration, [untied(one, "plain"), with_cost(one, "two", several), aside(one, "aside")])
     said = relief_statements(made)
     assert any(line.startswith("plain: relief does not tie it") for line in said)
     assert any("62 % at -200 m east, +0 m north; 38 % at +200 m east" in line for line in said)

@@ -10,7 +10,8 @@ from networks import pair
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import averaged_surface
-from mgsgraph.registration.search import CostSurface, Minimum, StereoPair, local_minima, search, weighted
+from mgsgraph.registration.minima import Minimum, local_minima, weighted
+from mgsgraph.registration.search import CostSurface, StereoPair, search
 
 NOISE = 0.05
 """pixels, of a dense match."""
