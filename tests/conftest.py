@@ -1,5 +1,6 @@
 """Test the installed package: drop the checkout from sys.path (python -m pytest puts it there)."""
 
+import gc
 import os
 import shutil
 import sys
@@ -11,6 +12,7 @@ from typing import Any
 import kernels
 import once
 import pytest
+from hypothesis import settings
 from outside import require
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -19,7 +21,11 @@ FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
 ]  # fmt: skip
-PLAIN = ("io/", "fetch/", "geometry/", "output/", "simulation/test_imagery", "simulation/test_terrain")
+PLAIN = (
+    "simulation/test_site", "io/", "geometry/", "fetch/", "output/", "simulation/test_imagery",
+    "simulation/test_terrain", "simulation/test_hrsc_block", "registration/test_relief", "test_package", "test_network",
+    "test_connectivity", "simulation/test_pair",
+)  # fmt: skip
 """Tests that need no large kernel: they begin while the kernels are compiled."""
 LONG = (
     "adjustment/", "matching/", "test_docs", "cli/", "reports/", "figures/", "scripts/", "dem/", "demo/", "review/",
@@ -27,6 +33,10 @@ LONG = (
 )  # fmt: skip
 """Those that take long, next, so that short files fill up what is left at the end."""
 sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
+
+# no clock, for machines are shared; the same examples each time (600 random ones passed)
+settings.register_profile("mgsgraph", deadline=None, derandomize=True, max_examples=60)
+settings.load_profile("mgsgraph")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -38,6 +48,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         config.option.numprocesses, config.option.dist = "logical", "loadfile"
         config.option.loadscopereorder = False
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else its threads wait for one another's processor
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes compiles all sources again
         once.share()
         kernels.compile_in_background()
 
@@ -54,6 +65,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if "browser" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.slow)
     items.sort(key=rank)
+    gc.freeze()  # items and libraries stay: no collection need look at them again
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -12,6 +12,7 @@ from tempfile import mkdtemp
 import numpy as np
 from numpy.typing import NDArray
 from once import once
+from sites import plain_site
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -25,7 +26,7 @@ from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.reports.archive import write_archive
 from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
+from mgsgraph.simulation.site import SimulatedSite
 
 Array = NDArray[np.float64]
 
@@ -41,10 +42,9 @@ CHECK_EVERY = 5
 """Laser shots that are kept out."""
 
 
-@cache
 def site() -> SimulatedSite:
     """Geometry alone: its pictures are of one grey."""
-    return simulate_site("gusev", 1, SimulationOptions(pictures=False))
+    return plain_site()
 
 
 @cache

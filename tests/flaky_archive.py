@@ -174,7 +174,7 @@ def stall(after: int, over: threading.Event) -> Fault:
         handler.send_header("ETag", f'"{hashlib.sha256(content).hexdigest()[:16]}"')
         handler.end_headers()
         handler.body(content[:after])
-        over.wait(10.0)
+        over.wait(120.0)
         handler.close_connection = True
 
     return fault

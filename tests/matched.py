@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from once import once
+from sites import plain_site
 
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
@@ -19,7 +20,7 @@ from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.matching.settings import MatchSettings, Method
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.imagery import render
-from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOptions, simulate_site
+from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
 from mgsgraph.units import ARCMIN
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ DISTURBED = OrientationCorrection(np.array([[60.0, -80.0, 20.0, 1e-4, -1.5e-4, 2
 @once
 def site() -> SimulatedSite:
     """The pair, both images cut after their first lines, which show the same ground, and rendered."""
-    whole = simulate_site("gusev", 1, SimulationOptions("published", pictures=False))
+    whole = plain_site(errors="published")
     first, second = (_cut(whole, image, k) for k, image in enumerate(whole.images))
     return replace(whole, images=(first, second))
 

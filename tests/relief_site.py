@@ -1,6 +1,7 @@
 """The simulated Gusev pair without pictures, and dense matches as they would come out of them over the true ground."""
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import dem_site
@@ -9,8 +10,12 @@ import pytest
 from numpy.typing import NDArray
 from once import once
 
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.case.reading import read_case
 from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.registration import relief
+from mgsgraph.reports.archive import write_archive
 
 Array = NDArray[np.float64]
 
@@ -51,6 +56,24 @@ def use_matches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @cache
-def case_text() -> str:
-    """Of the case, whose files are beside `dem_site.case_path()`."""
-    return dem_site.case_path().read_text(encoding="utf-8")
+def case_path() -> Path:
+    """The case without its terrain model, on whose patches tie points move for many passes; for reading only."""
+    text = dem_site.case_path().read_text(encoding="utf-8")
+    path = dem_site.case_path().with_name("relief.toml")
+    path.write_text(text[: text.index("[terrain]")], encoding="utf-8")
+    return path
+
+
+@once
+def solution() -> Solution:
+    """Adjusted, without stereo rows."""
+    case = read_case(case_path())
+    return adjust_network(case.network, case.settings, case.name)
+
+
+@cache
+def result() -> Path:
+    """Its archive."""
+    path = case_path().with_name("relief.npz")
+    write_archive(solution(), path)
+    return path

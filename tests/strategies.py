@@ -3,14 +3,9 @@
 from collections.abc import Callable
 
 import numpy as np
-from hypothesis import settings
 from hypothesis import strategies as st
 
 from mgsgraph.geometry.body import Ellipsoid
-
-# no clock, for machines are shared; the same examples each time (600 random ones passed)
-settings.register_profile("mgsgraph", deadline=None, derandomize=True, max_examples=60)
-settings.load_profile("mgsgraph")
 
 MARS = Ellipsoid(3_396_190.0, 3_376_200.0)
 MOON = Ellipsoid(1_737_400.0, 1_737_400.0)

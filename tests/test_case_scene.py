@@ -7,6 +7,7 @@ import matched
 import numpy as np
 import profiles
 import pytest
+from sites import plain_site
 from strip_files import write_block
 
 from mgsgraph.case.reading import picture_of
@@ -15,7 +16,6 @@ from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.site import SimulationOptions, simulate_site
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +168,7 @@ def test_a_ground_of_no_height_is_refused(case: Path) -> None:
 
 def test_pixels_of_one_grey_can_be_read(tmp_path: Path) -> None:
     """And are refused by what would match them."""
-    plain = simulate_site("gusev", 1, SimulationOptions(pictures=False))
+    plain = plain_site()
     cut = tuple(
         replace(
             image, true=replace(image.true, lines=300), nominal=replace(image.nominal, lines=300),

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 from importlib import import_module
+from types import FrameType
 from typing import NoReturn
 
 import click
@@ -35,6 +36,8 @@ _VERBS = {
     "status": ("projects", "Say what is in a project and what its last solution was."),
 }
 """Module of each verb, and its line of help: known before that module is imported."""
+_LATER = 0.01
+"""s after which an interrupt tries again that came during an import."""
 
 
 class _Verbs(click.Group):
@@ -72,17 +75,23 @@ def main() -> None:
     """Entry point: bad input is one line on standard error and exit status 2."""
     interrupted = False
 
-    def interrupt(number: int, frame: object) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = True
+        if _importing(frame):  # broken off there, a library's own code prints a traceback: a little later
+            signal.setitimer(signal.ITIMER_REAL, _LATER)
+            return
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGINT, interrupt)
-    signal.signal(signal.SIGTERM, interrupt)  # so that nothing half-written stays behind
+    signals = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
+    for number in signals:  # so that nothing half-written stays behind
+        signal.signal(number, interrupt)
     try:
         status = group(standalone_mode=False)
         if sys.stdout is not None:  # closed by the caller
             sys.stdout.flush()
+        for number in signals:  # all is written, only the interpreter's end is left
+            signal.signal(number, signal.SIG_IGN)
     except click.ClickException as error:
         _leave(f"error: {_said(error)}", 2)
     except MgsgraphError as error:
@@ -100,6 +109,13 @@ def main() -> None:
             raise
         _leave("interrupted; nothing was written", 130)  # a library that was being imported makes its own error of it
     sys.exit(status or 0)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether an import is going on where the program stands."""
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
 
 
 def _said(error: click.ClickException) -> str:

@@ -1,10 +1,5 @@
 """Sweeps: threads share one, and it matters little where its inner solves begin."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numba
 import numpy as np
 import pytest
@@ -69,24 +64,6 @@ def test_parts_are_all_pieces_once(count: int) -> None:
     assert edges.size == count + 1
     assert (edges[0], edges[-1]) == (0, rows.piece.shape[0])
     assert np.all(np.diff(edges) >= 0)
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_numba_num_threads_is_respected(threads: int) -> None:
-    code = (
-        "import numpy as np; from mgsgraph.kernel import sweep\n"
-        "from networks import network, pair\n"
-        "from mgsgraph.adjustment.graph import BundleGraph, lay_out\n"
-        "from mgsgraph.adjustment.settings import SolverSettings\n"
-        "sweep._WORTHWHILE, started, threads = 1.0, [], sweep._threads\n"
-        "sweep._threads = lambda count: started.append(count) or threads(count)\n"
-        "BundleGraph(lay_out(network(pair()), SolverSettings())).reduction(np.zeros(36))\n"
-        "print(started)"
-    )
-    tests = str(Path(__file__).resolve().parents[1])
-    environment = os.environ | {"NUMBA_NUM_THREADS": str(threads), "PYTHONPATH": tests}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.strip() == ("[]" if threads == 1 else "[1]")
 
 
 @settings(max_examples=10, deadline=None, derandomize=True)

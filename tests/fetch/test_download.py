@@ -25,7 +25,7 @@ from mgsgraph.fetch.store import require_content
 
 CONTENT = np.random.default_rng(1).bytes(200_000)
 NAME = "spk/big.img"
-QUICK = RetryPolicy(tries=4, first_wait=0.001, longest_wait=0.01, connecting=2.0, reading=2.0)
+QUICK = RetryPolicy(tries=4, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_any_cuts_end_in_the_same_bytes(
     archive.faults[NAME].clear()
     archive.ranges, archive.validators = ranges, validators
     archive.faults[NAME] += [cut(after) for after in cuts]
-    bring(archive, folder, RetryPolicy(8, 0.0, 0.0, 2.0, 2.0))
+    bring(archive, folder, RetryPolicy(8, 0.0, 0.0, 20.0, 20.0))
     assert whole(folder)
 
 
@@ -261,7 +261,7 @@ def test_a_server_that_ignores_ranges(archive: Flaky, tmp_path: Path) -> None:
 def test_a_stalled_server(archive: Flaky, tmp_path: Path) -> None:
     over = threading.Event()
     archive.faults[NAME].append(stall(90_000, over))
-    bring(archive, tmp_path, RetryPolicy(3, 0.001, 0.01, 1.0, 0.2))
+    bring(archive, tmp_path, RetryPolicy(3, 0.001, 0.01, 10.0, 1.0))
     over.set()
     assert whole(tmp_path)
     assert archive.requests(NAME) == [None, "bytes=90000-"]

@@ -26,7 +26,7 @@ from mgsgraph.io.files import claimed
 from mgsgraph.io.kernels import times_of_utc
 from mgsgraph.io.moc import read_moc
 
-QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=2.0, reading=2.0)
+QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
 ONE, OTHER, LATE = "M04/02852", "m0402856", "R10-00002"
 KERNELS = ("de405.bsp", "mgs_map2.bsp", "mgs_moc_v20.ti", "mgs_sc_map2.bc", "mgs_sclkscet_00061.tsc", "mgs_v10.tf",
            "naif0012.tls", "pck00009.tpc")  # fmt: skip

@@ -9,16 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mgs import kernels
-from networks import network, pair
 from strategies import along
 
-from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
 from mgsgraph.io.moc import read_moc
-from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.simulation.pair import simulate_pair
 
 ARCSEC = np.pi / 180.0 / 3600.0
@@ -132,16 +128,3 @@ def test_broken_records_are_refused(changes: dict[str, object], said: str) -> No
 def test_too_few_samples_are_refused(order: int, samples: int) -> None:
     with pytest.raises(InputError, match="expected more samples"):
         fit_polynomials(simulate_pair().images[0], order, samples)
-
-
-def test_a_solution_with_polynomials_is_archived(tmp_path: Path) -> None:
-    net = network(pair())
-    images = (fit_polynomials(net.images[0], 3)[0], net.images[1])
-    solution = adjust_network(replace(net, images=images), SolverSettings())
-    write_archive(solution, tmp_path / "solution.npz")
-    got, want = read_solution(tmp_path).network.images, solution.network.images
-    assert [type(image.trajectory) for image in got] == [type(image.trajectory) for image in want]
-    lines = np.array([0.0, 1000.5])
-    for one, other in zip(got, want, strict=True):
-        np.testing.assert_array_equal(one.pose(lines).matrix, other.pose(lines).matrix)
-        np.testing.assert_array_equal(one.pose(lines).position, other.pose(lines).position)

@@ -13,14 +13,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from networks import with_shift_and_surface
+from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.network import ImageRays
 from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.reports.results import solution_json
@@ -359,3 +361,16 @@ def test_writing_needs_no_file_name_that_ends_in_npz(solution: Solution, tmp_pat
     write_archive(solution, tmp_path / "result.bin")
     assert differences(solution, read_solution(tmp_path / "result.bin")) == []
     assert zipfile.is_zipfile(io.BytesIO((tmp_path / "result.bin").read_bytes()))
+
+
+def test_a_solution_with_polynomials_is_archived(tmp_path: Path) -> None:
+    net = network(pair())
+    images = (fit_polynomials(net.images[0], 3)[0], net.images[1])
+    solution = adjust_network(replace(net, images=images), SolverSettings())
+    write_archive(solution, tmp_path / "solution.npz")
+    got, want = read_solution(tmp_path).network.images, solution.network.images
+    assert [type(image.trajectory) for image in got] == [type(image.trajectory) for image in want]
+    lines = np.array([0.0, 1000.5])
+    for one, other in zip(got, want, strict=True):
+        np.testing.assert_array_equal(one.pose(lines).matrix, other.pose(lines).matrix)
+        np.testing.assert_array_equal(one.pose(lines).position, other.pose(lines).position)

@@ -14,12 +14,11 @@ sys.path.append(str(SCRIPTS))
 import whole_road  # noqa: E402
 from archive_server import serving  # noqa: E402
 from simulated_archive import write_archive  # noqa: E402
-
-from mgsgraph.simulation.site import SimulationOptions, simulate_site  # noqa: E402
+from sites import plain_site  # noqa: E402
 
 
 def test_fetch_and_init_from_a_served_archive(tmp_path: Path) -> None:
-    site = simulate_site("gusev", 1, SimulationOptions(pictures=False))
+    site = plain_site()
     archive = write_archive(site, tmp_path / "archive", (4,))
     fetch, init = whole_road.commands(site)[:2]
     assert fetch == "mgsgraph fetch E02/00665 E02/01453 --out DATA"
@@ -46,5 +45,5 @@ def test_a_model_that_lies_off_is_found_where_it_is() -> None:
 
 def test_the_page_is_the_script_s() -> None:
     page = whole_road.PAGE.read_text(encoding="utf-8")
-    site = simulate_site("gusev", 1, SimulationOptions(pictures=False))
+    site = plain_site()
     assert "\n".join(["```sh", *whole_road.commands(site), "```"]) in page

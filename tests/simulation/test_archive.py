@@ -10,6 +10,7 @@ import pytest
 import spiceypy
 from archive_server import serving
 from simulated_archive import ROOTS, write_archive
+from sites import plain_site
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
@@ -17,7 +18,7 @@ from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.moc import read_moc
 from mgsgraph.io.pedr import FRAME, HEADER_RECORDS, read_pedr
 from mgsgraph.io.pvl import Document, flat_label, whole_label
-from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
+from mgsgraph.simulation.site import SimulatedSite
 from mgsgraph.simulation.terrain import GRID_VERTICAL
 from mgsgraph.units import DEG
 
@@ -31,7 +32,7 @@ KERNELS = (
 
 @pytest.fixture(scope="module")
 def site() -> SimulatedSite:
-    return simulate_site("gusev", 1, SimulationOptions(pictures=False))
+    return plain_site()
 
 
 @pytest.fixture(scope="module")

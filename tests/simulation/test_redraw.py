@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
 from redraw import redraw
+from sites import plain_site
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -14,7 +15,6 @@ from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass
 from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.site import SimulationOptions, simulate_site
 
 
 def test_the_same_seed_draws_the_same() -> None:
@@ -69,7 +69,7 @@ def test_an_infinite_sigma_cant_be_drawn_from() -> None:
 
 def test_a_sites_rigorous_case_is_honest(tmp_path: Path) -> None:
     """Ten draws of Gusev, read through its files; scripts/nees.py does a hundred of every site (docs/nees.md)."""
-    case = read_case(write_site(simulate_site("gusev", options=SimulationOptions(pictures=False)), tmp_path))
+    case = read_case(write_site(plain_site(), tmp_path))
     orientation, ties, laser = [], [], []
     for seed in range(10):
         draw = redraw(case.network, np.random.default_rng(seed))

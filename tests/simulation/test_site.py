@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sites import PLAIN, plain_site
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
@@ -23,8 +24,6 @@ from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulationOp
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import ARCSEC, DEG
 
-PLAIN = SimulationOptions(pictures=False)
-
 
 @dataclass
 class Written:
@@ -35,7 +34,7 @@ class Written:
 @pytest.fixture(scope="module", params=SITE_NAMES)
 def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp(request.param)
-    site = simulate_site(request.param, 1, PLAIN)
+    site = plain_site(request.param)
     write_site(site, folder)
     return Written(site, folder)
 
@@ -43,7 +42,7 @@ def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 @pytest.fixture(scope="module")
 def gusev(tmp_path_factory: pytest.TempPathFactory) -> Written:
     folder = tmp_path_factory.mktemp("gusev")
-    site = simulate_site("gusev", 1, PLAIN)
+    site = plain_site()
     write_site(site, folder)
     return Written(site, folder)
 
@@ -206,7 +205,7 @@ def test_an_attitude_time_bias_comes_on_top_of_errors_drawn() -> None:
 
 
 def test_eos_disagrees_differently_along_the_image() -> None:
-    along = along_flight(simulate_site("eos", 1, replace(PLAIN, errors="published")))
+    along = along_flight(plain_site("eos", errors="published"))
     assert np.ptp(along[False]) > 1000.0
 
 

@@ -51,6 +51,9 @@ from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 _Component = TypeVar("_Component", int, Index)
+_WORTHWHILE = 5000
+"""Observations below which threads cost more than they save."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Store:
@@ -200,8 +203,12 @@ def _by_image(images: Index, count: int) -> list[Index]:
     return np.split(order, np.cumsum(sizes)[:-1])
 
 
-def _in_threads(work: Callable[[int], None], count: int) -> None:
-    """Do work 0 .. count - 1; compiled code and NumPy let go of the interpreter."""
+def _in_threads(work: Callable[[int], None], count: int, observations: int) -> None:
+    """Do work 0 .. count - 1, for so many observations; compiled code and NumPy let go of the interpreter."""
+    if observations < _WORTHWHILE:
+        for k in range(count):
+            work(k)
+        return
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for _ in pool.map(work, range(count)):
             pass
@@ -233,7 +240,7 @@ def _fill_rays(
             shared.reshape(mine.size, math.prod(shared.shape[1:])), among, weight, units,
         )  # fmt: skip
 
-    _in_threads(fill, len(parts))
+    _in_threads(fill, len(parts), rays.point.size)
     return among, parts, units
 
 
@@ -247,7 +254,7 @@ def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Inde
         scale = _frozen_scale(image, rays.places[mine, 0], starts[rays.point[mine]], slope)
         put_scale(mine, rays.point, store.patterns.ray_slot, store.tables, first, scale.reshape(-1, 4))
 
-    _in_threads(fill, len(parts))
+    _in_threads(fill, len(parts), rays.point.size)
 
 
 def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedEffects, weight: Array) -> Index:
@@ -352,7 +359,7 @@ def _starting_points(
         mine = order[edges[k] : edges[k + 1]]
         crossings(mine, *rays_of, slot, store.tables, units, free, starts, angles)
 
-    _in_threads(cross, len(edges) - 1)
+    _in_threads(cross, len(edges) - 1, int(edges[-1]))
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
     _start_on_the_ground(network, missing, starts)
     starts[~np.all(np.isfinite(starts), axis=1)] = 0.0
