@@ -36,7 +36,7 @@ DISTURBED = OrientationCorrection(np.array([[60.0, -80.0, 20.0, 1e-4, -1.5e-4, 2
 @once
 def site() -> SimulatedSite:
     """The pair, both images cut after their first lines, which show the same ground, and rendered."""
-    whole = plain_site(errors="published")
+    whole = plain_site("gusev", 1, "published")
     first, second = (_cut(whole, image, k) for k, image in enumerate(whole.images))
     return replace(whole, images=(first, second))
 

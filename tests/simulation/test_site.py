@@ -205,7 +205,7 @@ def test_an_attitude_time_bias_comes_on_top_of_errors_drawn() -> None:
 
 
 def test_eos_disagrees_differently_along_the_image() -> None:
-    along = along_flight(plain_site("eos", errors="published"))
+    along = along_flight(plain_site("eos", 1, "published"))
     assert np.ptp(along[False]) > 1000.0
 
 
