@@ -5,6 +5,7 @@ projection or by relief.
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,8 +27,10 @@ from mgsgraph.cli.options import (
 if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster import Connection
     from mgsgraph.adjustment.settings import SolverSettings
+    from mgsgraph.adjustment.solution import Solution
     from mgsgraph.campaign import CampaignEntry, Overrides
     from mgsgraph.case.reading import Case
+    from mgsgraph.registration.relief_records import ReliefRegistration, ReliefSettings
 
 
 @click.command()
@@ -48,6 +51,7 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
 @click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
 @TIES
 @click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
+@click.option("--relief", is_flag=True, help="Laser profiles and images onto each other by relief: `coregister`.")
 @overruling
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
@@ -57,6 +61,7 @@ def adjust(
     out: Path,
     cluster: str | None,
     two_steps: bool,
+    relief: bool,
     ties: Path | None,
     overrides: "Overrides",
     verbose: bool,
@@ -64,7 +69,8 @@ def adjust(
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
     Options overrule the case file. With --cluster the points lie with the workers, in partitions. With --two-steps
-    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md.
+    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md. With
+    --relief laser profiles of unknown shift are held to the surface that the images show: see docs/coregister.md.
 
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
@@ -75,18 +81,22 @@ def adjust(
     from mgsgraph.output.folders import require_replaceable
     from mgsgraph.reports.results import write_results
 
+    if relief and (two_steps or cluster is not None):
+        raise click.UsageError("--relief goes with neither --two-steps nor --cluster")
     require_replaceable(out)
     if cluster is not None:
         parse_cluster(cluster)
     read = read_case(case, overrides.laser, ties)
     settings = overrides.over(read.settings)
+    if relief:
+        ctx.exit(0 if _coregistered(replace(read, settings=settings), out, overrides.figures) else 1)
     connection: AbstractContextManager[Connection | None]
     connection = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:
         ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, verbose) else 1)
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         solution = adjust_network(read.network, settings, read.name, bar, workers)
-    write_results(solution, out, figures=overrides.figures)
+    write_results(solution, out, overrides.figures, case)
     print_solution(solution)
     click.echo(f"Results are in {out}")
     ctx.exit(0 if solution.converged else 1)
@@ -295,8 +305,8 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 
 
 @click.command()
-@click.argument("case", type=PATH)
-@click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
+@click.argument("case", type=PATH, metavar="CASE|RESULT|PROJECT")
+@click.option("--out", type=PATH, help="Folder for the results; made anew. A project has its own.")
 @click.option("--solution", type=PATH, help="Results of `mgsgraph adjust` CASE, to begin with.")
 @click.option(
     "--footprint", type=float, metavar="M",
@@ -312,10 +322,13 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @NO_FIGURES
 @click.pass_context
 def coregister(
-    ctx: click.Context, case: Path, out: Path, solution: Path | None, footprint: float, reach: float,
+    ctx: click.Context, case: Path, out: Path | None, solution: Path | None, footprint: float | None, reach: float,
     spacing: float | None, pair: str | None, workers: int | None, ties: Path | None, no_figures: bool,
 ) -> None:
     """Move the laser profiles of CASE and its images onto each other by relief, and adjust them together.
+
+    RESULT, what `mgsgraph adjust` wrote, stands for its case and for --solution. In PROJECT everything is adjusted with
+    the new rows, which it has from then on.
 
     The images are matched densely; each profile with an unknown shift is searched for on the surface that they show;
     the case is adjusted again with one row more per shot, its height above that surface. OUT holds what `mgsgraph
@@ -325,24 +338,63 @@ def coregister(
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
     from mgsgraph.case.reading import read_case
-    from mgsgraph.cli.progress import counting_bars
     from mgsgraph.output.folders import require_replaceable
-    from mgsgraph.registration.relief import register_by_relief
-    from mgsgraph.registration.relief_files import profiles_table, relief_statements, write_coregistration
+    from mgsgraph.project.connection import FILE
     from mgsgraph.registration.relief_records import ReliefSettings
     from mgsgraph.reports.archive import read_solution
+    from mgsgraph.reports.results import case_of
 
     settings = ReliefSettings(footprint, reach, spacing, image_pair(pair))
+    if (case / FILE).is_file():
+        if out is not None or solution is not None or ties is not None:
+            raise click.UsageError("--out, --solution and --ties are for a case: a project has its own")
+        ctx.exit(0 if _coregistered_project(case, settings, workers, not no_figures) else 1)
+    if out is None:
+        raise click.UsageError("Missing option '--out'.")
+    if case.is_dir():
+        if solution is not None:
+            raise click.UsageError(f"{case} is a folder of results itself: give it, or CASE --solution")
+        case, solution = case_of(case), case
     require_replaceable(out)
     if solution is not None and out.resolve() in (solution.resolve(), solution.resolve().parent):
         raise click.UsageError("--out would replace --solution: give another folder")
     before = None if solution is None else read_solution(solution)
     read = read_case(case, ties=ties)
+    ctx.exit(0 if _coregistered(read, out, not no_figures, settings, before, workers) else 1)
+
+
+def _coregistered(
+    read: "Case", out: Path, figures: bool, settings: "ReliefSettings | None" = None,
+    before: "Solution | None" = None, workers: int | None = None,
+) -> bool:
+    """Register a case by relief, write and print what came out; whether it converged."""
+    from mgsgraph.cli.progress import counting_bars
+    from mgsgraph.registration.relief import register_by_relief
+    from mgsgraph.registration.relief_files import write_coregistration
+
     with counting_bars() as show:
         registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
-        show("tables" if no_figures else "tables and figures", 0, 1)
-        write_coregistration(registration, out, figures=not no_figures)
+        show("tables and figures" if figures else "tables", 0, 1)
+        write_coregistration(registration, out, figures, read.path)
+    return _told(registration, out)
+
+
+def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int | None, figures: bool) -> bool:
+    """The same for a project, which has the rows from then on."""
+    from mgsgraph.cli.progress import counting_bars
+    from mgsgraph.project.project import open_project
+    from mgsgraph.project.relief import coregister as register
+
+    with counting_bars() as show, open_project(folder, write=True) as opened:
+        found = register(opened, settings, workers, figures, show)
+    return _told(found.registration, found.folder)
+
+
+def _told(registration: "ReliefRegistration", out: Path) -> bool:
+    """Print what a registration by relief has found; whether it converged."""
+    from mgsgraph.registration.relief_files import profiles_table, relief_statements
+
     click.echo("\n".join(profiles_table(registration).text()))
     print_sentences(relief_statements(registration))
     click.echo(f"Results are in {out}")
-    ctx.exit(0 if registration.solution.converged else 1)
+    return registration.solution.converged

@@ -207,7 +207,8 @@ class IncrementalAdjustment:
     def adopt(self, solution: Solution) -> None:
         """Take a batch solution over: its images, points and unknowns in the place of all that was there."""
         engine = self._engine
-        network = solution.network.with_rejected(solution.rays_rejected, solution.ranges_rejected)
+        rejected = solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected
+        network = solution.network.with_rejected(*rejected)
         there = set(self.images)
         with engine.all_or_nothing():
             for one in known_images(network):

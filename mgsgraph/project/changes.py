@@ -23,6 +23,7 @@ from mgsgraph.project.addition import Addition, NewImage, images_alone, images_o
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
+from mgsgraph.reports.results import write_results
 
 Stages = Callable[[str], AbstractContextManager[None]]
 
@@ -119,7 +120,8 @@ def solve(project: Project, figures: bool = True, progress: Progress = lambda _:
         _incremental(project).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
-    return SolvedProject(solution, closing, project.keep_solution(solution, figures))
+    folder = project.keep_solution(solution, lambda to: write_results(solution, to, figures))
+    return SolvedProject(solution, closing, folder)
 
 
 def put_in(store: ProjectStore, addition: Addition) -> None:

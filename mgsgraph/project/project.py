@@ -5,7 +5,7 @@ import json
 import re
 import shutil
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
@@ -18,7 +18,6 @@ from mgsgraph.io.files import beside, sha256_of
 from mgsgraph.project.connection import WRITER, connected, made, refusal
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
-from mgsgraph.reports.results import write_results
 
 SOLUTIONS = "solutions"
 """Folder of the results, one folder each, in a project's folder."""
@@ -37,7 +36,7 @@ class Change:
     at: str
     """UTC, ISO 8601."""
     verb: str
-    """init, match, add, remove, solve or check."""
+    """init, match, add, remove, solve, check or coregister."""
     what: str
     """What was changed, in a few words."""
     summary: Mapping[str, Any]
@@ -225,14 +224,14 @@ class Project:
         images = len(self.store.image_names())
         return self._insert_solution((converged, message, None, None, None, images, points, None, "incremental"))
 
-    def keep_solution(self, solution: Solution, figures: bool = True) -> Path:
-        """Write a batch solution's products to a folder of their own, and note it; that folder."""
+    def keep_solution(self, solution: Solution, write: Callable[[Path], object]) -> Path:
+        """Write a batch solution's products to a folder of their own, by a function of it, and note it; that folder."""
         self._sweep()
         (number,) = self._connection.execute(
             "SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'solution'"
         ).fetchone()
         folder = f"{SOLUTIONS}/{number:04d}"
-        write_results(solution, self.folder / folder, figures)
+        write(self.folder / folder)
         self.record_batch(solution, folder)
         return self.folder / folder
 

@@ -159,7 +159,7 @@ def rays_of(connection: sqlite3.Connection, run: Run | None, points: Index, imag
     names = "point, image, line, sample, sigma_line, sigma_sample, back_projected, rejected"
     point, image, line, sample, sigma_line, sigma_sample, projected, rejected = _all(connection, names, "ray", run)
     return ImageRays(
-        _index(point, points), _index(image, images), np.stack([line, sample], axis=1),
+        index_among(point, points), index_among(image, images), np.stack([line, sample], axis=1),
         np.stack([sigma_line, sigma_sample], axis=1), projected.astype(bool), rejected.astype(bool),
     )  # fmt: skip
 
@@ -168,11 +168,11 @@ def ranges_of(connection: sqlite3.Connection, run: Run | None, points: Index, im
     """Ranges of a run, or all."""
     names = "point, image, time, value, sigma, rejected"
     point, image, time, value, sigma, rejected = _all(connection, names, "range", run)
-    return Ranges(_index(point, points), _index(image, images), time, value, sigma, rejected.astype(bool))
+    return Ranges(index_among(point, points), index_among(image, images), time, value, sigma, rejected.astype(bool))
 
 
-def _index(numbers: Array, known: Index) -> Index:
-    """Places (n,) of numbers (n,) among the known ones, in whatever order these are."""
+def index_among(numbers: NDArray[Any], known: Index) -> Index:
+    """Places (...) of numbers (...) among the known ones (n,), in whatever order these are."""
     order = np.argsort(known)
     return np.asarray(order[np.searchsorted(known, numbers.astype(np.int64), sorter=order)])
 

@@ -8,11 +8,26 @@ The points, rays and ranges of a bundle are written together, one after the othe
 by which they are read and removed, so that only names need an index.
 """
 
-FORMAT = 2
+FORMAT = 3
 """Number of the layout; raised with every change of a table, together with a step in MIGRATIONS."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
 
+_STEREO = (
+    """CREATE TABLE stereo_surface ( -- surfaces that two images show, averaged over a footprint
+    id INTEGER PRIMARY KEY,
+    sha256 TEXT NOT NULL UNIQUE, -- of the record and the images
+    first INTEGER NOT NULL REFERENCES image,
+    second INTEGER NOT NULL REFERENCES image,
+    record BLOB NOT NULL -- .npz: places in the second image of nodes in the first
+)""",
+    """CREATE TABLE stereo_height ( -- points that lie on them
+    point INTEGER PRIMARY KEY REFERENCES point,
+    surface INTEGER NOT NULL REFERENCES stereo_surface,
+    sigma NOT NULL, -- m, of the height above it
+    rejected INTEGER NOT NULL DEFAULT 0 -- 1: a blunder to the last batch adjustment
+)""",
+)
 TABLES = (
     """CREATE TABLE meta ( -- what this file is
     key TEXT PRIMARY KEY, -- format, name, created (UTC), version (of mgsgraph), settings (JSON), case (path)
@@ -108,10 +123,11 @@ TABLES = (
     sigma NOT NULL, -- m
     rejected INTEGER NOT NULL DEFAULT 0 -- 1: a blunder to the last batch adjustment
 )""",
+    *_STEREO,
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
-    verb TEXT NOT NULL, -- init, match, add, remove, solve, check
+    verb TEXT NOT NULL, -- init, match, add, remove, solve, check, coregister
     what TEXT NOT NULL,
     summary TEXT NOT NULL -- JSON
 )""",
@@ -140,5 +156,6 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
         "ALTER TABLE ray ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",  # nothing was rejected
         "ALTER TABLE range ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",
     ),
+    2: _STEREO,  # nothing lay on a stereo surface
 }
 """Statements by which a format becomes the next one."""

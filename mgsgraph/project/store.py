@@ -27,6 +27,7 @@ from mgsgraph.project.rows import (
     rays_of,
     renew_points,
 )
+from mgsgraph.project.stereo_rows import StoredStereo
 from mgsgraph.reports.archive_arrays import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
@@ -52,6 +53,7 @@ class ProjectStore:
         self._grids = dict[int, TerrainGrid]()
         self._numbers = dict[int, tuple[TerrainGrid, int]]()
         self._bundles: OrderedDict[Members, Bundle] = OrderedDict()
+        self._stereo = StoredStereo(connection, where)
 
     # --- images
 
@@ -170,6 +172,7 @@ class ProjectStore:
             self._shifts(read),
             None if terrain is None else Surface(self._grid(terrain), read.surface_sigmas, shift_sigma),
             None if areoid is None else self._grid(areoid),
+            stereo=self._stereo.control(Run(first, points), read.numbers, numbers, read.places),
         )
         system = None if reduced[0] is None else _reduced(_members(reduced[0]), *reduced[1:])
         return Bundle(network, system, read.places, read.covariances)
@@ -181,6 +184,7 @@ class ProjectStore:
             self._drop(members)
         for members, bundle in new.items():
             self._put(members, bundle)
+        self._stereo.sweep()
 
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
         """New systems and places for bundles whose points are the same."""
@@ -198,6 +202,7 @@ class ProjectStore:
             "SELECT id, first_point, points, first_ray, rays, first_range, ranges FROM bundle WHERE members = ?",
             _text(members),
         )
+        self._stereo.drop(Run(*runs[:2]))
         for table, first, count in zip(("point", "ray", "range"), runs[::2], runs[1::2], strict=True):
             self._connection.execute(f"DELETE FROM {table} WHERE id BETWEEN ? AND ?", Run(first, count).limits)
         self._connection.execute("DELETE FROM bundle_image WHERE bundle = ?", (number,))
@@ -211,6 +216,7 @@ class ProjectStore:
         points = put_points(connection, number, network, self._profiles(network), (bundle.places, bundle.covariances))
         rays = put_rays(connection, network, points.first, images)
         ranges = put_ranges(connection, network, points.first, images)
+        self._stereo.put(network, points.first, images)
         connection.execute(
             f"INSERT INTO bundle (members, {', '.join(_BUNDLE)}) VALUES ({', '.join('?' * (1 + len(_BUNDLE)))})",
             (
@@ -232,7 +238,7 @@ class ProjectStore:
         """Everything as one network, images in the order in which they came, points bundle by bundle."""
         names = self.image_names()
         images, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]
-        read = points_of(self._connection, None, adjusted=False)
+        read = points_of(self._connection, None, adjusted=self._stereo.there)
         return Network(
             *image_columns(known),
             read.points,
@@ -241,6 +247,7 @@ class ProjectStore:
             self._shifts(read),
             self._surface(read),
             self.areoid,
+            stereo=self._stereo.control(None, read.numbers, images, read.places),
         )
 
     def _surface(self, read: StoredPoints) -> Surface | None:

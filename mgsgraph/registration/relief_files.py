@@ -32,7 +32,9 @@ _MOST_PROFILES = 5
 _WAYS = ("east", "north")
 
 
-def write_coregistration(registration: ReliefRegistration, folder: str | Path, figures: bool = True) -> list[str]:
+def write_coregistration(
+    registration: ReliefRegistration, folder: str | Path, figures: bool = True, case: str | Path | None = None
+) -> list[str]:
     """Write the adjusted solution as `write_results` does, and tables and figures of the registration beside it.
 
     Parameters
@@ -43,6 +45,8 @@ def write_coregistration(registration: ReliefRegistration, folder: str | Path, f
         Absent, empty, or an earlier result, which is replaced; appears whole or not at all.
     figures : bool
         False leaves the figures out.
+    case : path, optional
+        Case file, for later commands.
 
     Returns
     -------
@@ -55,12 +59,14 @@ def write_coregistration(registration: ReliefRegistration, folder: str | Path, f
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        return write_coregistration_into(registration, aside, figures)
+        return write_coregistration_into(registration, aside, figures, case)
 
 
-def write_coregistration_into(registration: ReliefRegistration, folder: Path, figures: bool = True) -> list[str]:
+def write_coregistration_into(
+    registration: ReliefRegistration, folder: Path, figures: bool = True, case: str | Path | None = None
+) -> list[str]:
     """The same into a folder that exists, file by file."""
-    names = write_into(registration.solution, folder, figures)
+    names = write_into(registration.solution, folder, figures, case)
     write_json(folder / COREGISTRATION, coregistration_json(registration))
     profiles_table(registration).write_csv(folder / "profiles.csv")
     relief_shots_table(registration).write_csv(folder / "shots.csv")

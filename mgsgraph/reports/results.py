@@ -1,6 +1,7 @@
 """All files of one adjustment, in one folder; and the record of all figures of merit, solution.json."""
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from mgsgraph.analysis.statistics import (
     ray_statistics,
     solution_connectivity,
 )
+from mgsgraph.errors import InputError
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_json
 from mgsgraph.network.records import PointClass
@@ -42,7 +44,9 @@ FORMAT = 1
 _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; times sigma0 they are scaled to the fit"
 
 
-def write_results(solution: Solution, folder: str | Path, figures: bool = True) -> list[str]:
+def write_results(
+    solution: Solution, folder: str | Path, figures: bool = True, case: str | Path | None = None
+) -> list[str]:
     """Write tables, archive and figures to a folder that appears whole or not at all.
 
     Parameters
@@ -53,6 +57,8 @@ def write_results(solution: Solution, folder: str | Path, figures: bool = True) 
         Absent, empty, or an earlier result, which is replaced.
     figures : bool
         False leaves the figures out.
+    case : path, optional
+        Case file that was adjusted, for later commands (`case_of`).
 
     Returns
     -------
@@ -65,13 +71,16 @@ def write_results(solution: Solution, folder: str | Path, figures: bool = True) 
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        return write_into(solution, aside, figures)
+        return write_into(solution, aside, figures, case)
 
 
-def write_into(solution: Solution, folder: Path, figures: bool = True) -> list[str]:
+def write_into(
+    solution: Solution, folder: Path, figures: bool = True, case: str | Path | None = None
+) -> list[str]:
     """Write tables, archive and figures into a folder that exists; returns the names of the files."""
     connected = solution_connectivity(solution)
-    write_json(folder / RECORD, solution_json(solution, connected))
+    known = {} if case is None else {"case": str(Path(case).resolve())}
+    write_json(folder / RECORD, solution_json(solution, connected) | known)
     points_table(solution).write_csv(folder / "points.csv")
     orientation_table(solution).write_csv(folder / "orientation.csv")
     residuals_table(solution).write_csv(folder / "residuals.csv")
@@ -89,6 +98,27 @@ def write_into(solution: Solution, folder: Path, figures: bool = True) -> list[s
     from mgsgraph.figures import write_figures  # matplotlib takes its time; only those who draw wait for it
 
     return names + write_figures(solution, folder, connected)
+
+
+def case_of(folder: str | Path) -> Path:
+    """Case file whose adjustment a result folder holds.
+
+    Raises
+    ------
+    InputError
+        A folder that is no result, or doesn't know its case.
+    """
+    path = Path(folder) / RECORD
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        record = {}
+    if "case" not in record:
+        raise InputError(
+            str(path), "no word of the case that was adjusted", "the result of `mgsgraph adjust CASE`",
+            f"give the case: mgsgraph coregister CASE --solution {folder}",
+        )  # fmt: skip
+    return Path(record["case"])
 
 
 # --- the record

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import profiles as mola_profiles
 import pytest
@@ -23,6 +24,8 @@ from mgsgraph.figures.relief import relief_sheets
 from mgsgraph.figures.sheet import Sheet, save
 from mgsgraph.figures.story import story_sheet
 from mgsgraph.geometry.body import east_north
+from mgsgraph.project import relief as project_relief
+from mgsgraph.project.project import open_project
 from mgsgraph.registration import relief
 from mgsgraph.registration.relief_files import (
     coregistration_json,
@@ -192,6 +195,95 @@ def test_not_converged_is_written_and_is_exit_status_1(
     assert "NOT CONVERGED" in capsys.readouterr().out
     record = json.loads((tmp_path / "out" / "coregistration.json").read_text(encoding="utf-8"))
     assert record["status"] == "not converged"
+
+
+@pytest.mark.parametrize("verb", ["coregister", "adjust"])
+def test_a_result_knows_its_case_and_adjust_does_the_same(
+    verb: str, registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """RESULT in place of CASE --solution RESULT; `adjust --relief`, whose options of the solver overrule the case."""
+    given: list[Any] = []
+
+    def registered(case: mgsgraph.Case, *_: Any, before: Any = None, **others: Any) -> ReliefRegistration:
+        given.append((case, before))
+        return registration
+
+    monkeypatch.setattr(relief, "register_by_relief", registered)
+    out, again = tmp_path / "out", tmp_path / "again"
+    options = ("--relief", "--loss", "huber") if verb == "adjust" else ()
+    assert call(verb, relief_site.case_path(), *options, "--out", out, "--no-figures") == 0
+    assert {path.name for path in out.iterdir()} == TABLES
+    assert call("coregister", out, "--out", again, "--no-figures") == 0
+    (first, nothing), (second, before) = given
+    assert nothing is None
+    assert first.settings.loss == ("huber" if verb == "adjust" else "none")
+    assert second.path == relief_site.case_path().resolve()
+    assert before.name == registration.solution.name
+    with pytest.raises(click.UsageError, match="would replace"):
+        call("coregister", out, "--out", out)
+    with pytest.raises(click.UsageError, match="--relief goes with neither"):
+        call("adjust", relief_site.case_path(), "--relief", "--two-steps", "--out", tmp_path / "third")
+
+
+def project_of(case: Path, tmp_path: Path) -> Path:
+    assert call("init", tmp_path / "project", "--case", case) == 0
+    return tmp_path / "project"
+
+
+def test_a_project_has_the_surfaces_from_then_on(
+    registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    project = project_of(relief_site.case_path(), tmp_path)
+    given: list[Any] = []
+
+    def registered(*arguments: Any, **_: Any) -> ReliefRegistration:
+        given.extend(arguments)
+        return registration
+
+    monkeypatch.setattr(project_relief, "register_by_relief", registered)
+    assert call("coregister", project, "--no-figures", "--reach", 600) == 0
+    case, settings = given
+    assert {image.name for image in case.network.images} == set(settings.images)
+    assert case.network.stereo is None
+    assert len(case.network.points) == len(registration.solution.network.points)
+    assert {path.name for path in (project / "solutions" / "0001").iterdir()} == TABLES
+    with open_project(project) as opened:
+        kept, made = opened.store.network().stereo, registration.solution.network.stereo
+        assert kept is not None
+        assert made is not None
+        assert (kept.surface >= 0).sum() == (made.surface >= 0).sum() > 100
+        assert opened.changes()[-1].verb == "coregister"
+    assert call("status", project) == 0
+    assert "coregister" in capsys.readouterr().out
+    with pytest.raises(click.UsageError, match="a project has its own"):
+        call("coregister", project, "--out", tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_project_registered_and_solved_has_the_same_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    relief_site.use_matches(monkeypatch)
+    project = project_of(relief_site.case_path(), tmp_path)
+    assert call("coregister", project, "--no-figures", *OPTIONS) == 0
+    assert call("solve", project, "--no-figures") == 0
+    first, again = (mgsgraph.read_solution(project / "solutions" / name) for name in ("0001", "0002"))
+    assert again.cost_final == pytest.approx(first.cost_final, rel=1e-9)
+    shifts = [dict(zip(one.network.shift_names, one.shifts, strict=True)) for one in (first, again)]
+    for name, shift in shifts[0].items():
+        np.testing.assert_allclose(shifts[1][name], shift, atol=1e-3)
+
+
+def test_a_project_without_a_case_is_refused(tmp_path: Path) -> None:
+    assert call("init", tmp_path / "project") == 0
+    with pytest.raises(InputError, match="no case that names"):
+        call("coregister", tmp_path / "project")
+
+
+def test_a_result_that_does_not_know_its_case_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no word of the case .* mgsgraph coregister CASE --solution"):
+        call("coregister", tmp_path, "--out", tmp_path / "out")
 
 
 # --- sentences and tables of what is not clear
