@@ -31,7 +31,9 @@ from mgsgraph.geometry.stereo_surface import StereoSurface
 REACH = 1500.0
 """m, shifts that are searched, in every direction, at least."""
 _MOST_SHOTS = 600
-"""Of a profile, evenly taken, that are enough to find a minimum."""
+"""Of a profile, evenly taken, that are enough to find a minimum; more where there are few shifts."""
+_MOST_TRIALS = 10_000_000
+"""Shots times shifts, up to which more shots are taken."""
 _LEAST_SHOTS = 12
 """On the surface, below which a shift says nothing."""
 _LEAST_SHARE = 0.8
@@ -156,9 +158,9 @@ def search(
     CostSurface
         Without minima where too few shots are on the surface.
     """
-    moved = _moved(pair, footprints, sigmas)
     step = step or _node_size(pair)
     half = int(np.ceil(reach / step))
+    moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_TRIALS // (2 * half + 1) ** 2))
     shifts = np.asarray(step * np.arange(-half, half + 1, dtype=np.float64))
     east, north = np.meshgrid(shifts, shifts, indexing="ij")
     misfits, shots = _misfits(pair.surface, moved, np.stack([east.ravel(), north.ravel()], axis=1))
@@ -182,9 +184,9 @@ def _node_size(pair: StereoPair) -> float:
     return float(np.linalg.norm(points[1:] - points[0], axis=1).max())
 
 
-def _moved(pair: StereoPair, footprints: Array, sigmas: Array) -> _Moved:
-    """Shots that both images see, or would after a shift."""
-    every = np.arange(0, len(footprints), max(1, -(-len(footprints) // _MOST_SHOTS)))
+def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Moved:
+    """Shots that both images see, or would after a shift, at most so many of them."""
+    every = np.arange(0, len(footprints), max(1, -(-len(footprints) // most)))
     points = footprints[every]
     found = [
         image.ground_to_image(points, one) for image, one in zip(pair.images, pair.corrections, strict=True)
@@ -216,7 +218,7 @@ def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Arra
         places = moved.places + np.einsum("nij,sj->sni", moved.place_by_shift, some)
         flat = places.reshape(-1, 2)
         others = moved.others + np.einsum("nij,sj->sni", moved.other_by_shift, some)
-        off = others - surface.values(flat).reshape(others.shape)
+        off = others - surface.nearly(flat).reshape(others.shape)
         covered, sigmas, roughness = surface.at_nodes(flat)
         covered = covered.reshape(places.shape[:2])
         heights = np.einsum("ni,sni->sn", moved.epipolar, off) / moved.pixels_per_metre

@@ -22,7 +22,8 @@ from mgsgraph.network import Network
 from mgsgraph.network.corrections import adjusted_image, whole_correction
 
 _TOLERANCE = 1e-6
-"""Sigmas by which a row may differ from the one about the present state, and by how much its normal may."""
+"""Sigmas, of point and surface together, by which a row may differ from the one about the present state, and by how
+much its normal may."""
 _FARTHEST = 5.0
 """Times the last change, by which a step may go on."""
 
@@ -82,12 +83,7 @@ def linear_rows(
 ) -> StereoRows | None:
     """Rows about shared unknowns (columns,) and points (n, 3) in m, network order; None without stereo surfaces.
 
-    Points that an image doesn't see there keep the row that they had `before`.
-
-    Raises
-    ------
-    InputError
-        When they had none.
+    Points that an image doesn't see there keep the row that they had `before`, or have one that says nothing.
     """
     control = network.stereo
     if control is None:
@@ -105,12 +101,18 @@ def linear_rows(
     unseen = ~np.isfinite(rows.heights)
     if not np.any(unseen):
         return rows
-    if before is None:
-        raise InputError(
-            f"ground point {network.points.ids[chosen[np.argmax(unseen)]]}",
-            "on a stereo surface whose images don't see it", "points that both images show",
-        )  # fmt: skip
-    return _kept(unseen, before, rows)
+    nothing = rows._replace(
+        heights=np.zeros(chosen.size), normals=np.zeros((chosen.size, 3)),
+        directions=tuple(np.zeros_like(one) for one in directions),
+    )  # fmt: skip
+    return _kept(unseen, before or nothing, rows)
+
+
+def require_seen(network: Network, rows: StereoRows) -> None:
+    """Raise InputError where images have not seen a point that is to lie on their surface."""
+    for i in rows.points[~np.any(rows.normals, axis=1)][:1]:
+        found, expected = "on a stereo surface whose images don't see it", "points that both images show"
+        raise InputError(f"ground point {network.points.ids[i]}", found, expected)
 
 
 def _kept(unseen: Mask, before: StereoRows, rows: StereoRows) -> StereoRows:
@@ -145,7 +147,8 @@ def _of_surface(
     sides, parts = np.full((mine.size, 4), -1, dtype=np.int64), []
     for side, image in enumerate((first, second)):
         sides[:, 2 * side] = image
-        sides[:, 2 * side + 1], part = _directions(network, effects, image, at.lines[:, side], at.by_pose[:, side])
+        lines = np.where(np.isfinite(at.heights), at.lines[:, side], 0.5 * network.images[image].lines)
+        sides[:, 2 * side + 1], part = _directions(network, effects, image, lines, at.by_pose[:, side])
         parts.append(part)
     directions = np.hstack(parts)
     counted = _counted(network, values, sides, directions)
@@ -169,7 +172,7 @@ def _directions(
         basis = nodes.around(node, moments.times, moments.epoch)[0]
     elif network.with_polynomial[image]:
         basis = polynomial(moments.u, network.priors[image].degree)[0]
-    own = np.einsum("nt,nc->ntc", basis, by_pose[:, :6]).reshape(lines.size, -1)
+    own = np.einsum("nt,nc->ntc", basis, by_pose[:, :6]).reshape(lines.size, 6 * basis.shape[1])
     shared = effects.of(IMAGE, image, moments.u)
     return node, np.hstack([own, np.einsum("nce,ne->nc", shared, by_pose[:, : shared.shape[2]])])
 
@@ -189,7 +192,9 @@ def at_rest(before: StereoRows, after: StereoRows, network: Network, variables: 
     if not np.array_equal(before.sides, after.sides):
         return False
     said, say = (heights_at(rows, network, variables, shared, after.reference) for rows in (before, after))
-    off = np.abs(said - say) / network.stereo.sigmas[after.points]
+    own = network.points.covariances[after.points]
+    known = np.einsum("ki,kij,kj->k", after.normals, own, after.normals)
+    off = np.abs(said - say) / np.sqrt(network.stereo.sigmas[after.points] ** 2 + known)
     turned = np.abs(before.normals - after.normals)
     return bool(off.max(initial=0.0) <= _TOLERANCE and turned.max(initial=0.0) <= _TOLERANCE)
 
