@@ -18,6 +18,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.stereo_surface import heights_above, packed
 from mgsgraph.network import PointClass, Ranges, SharedKind, SharedUnknown
+from mgsgraph.planning.state import CurrentState, state_of_solution
+from mgsgraph.planning.targets import Targets, TargetSigmas
 from mgsgraph.reports import archive_arrays
 from mgsgraph.reports.archive import read_solution, write_archive
 from mgsgraph.simulation.pair import SimulatedPair
@@ -124,6 +126,14 @@ def _relative(found: Solution, made: SimulatedPair, truth: np.ndarray) -> float:
     of_shots = (found.places[~ties] - made.true_footprints[: int((~ties).sum())]).mean(axis=0)
     ways = east_north(found.places[ties][:1])[0]
     return float(np.linalg.norm(ways @ (of_ties - of_shots)))
+
+
+def test_a_plan_begins_with_the_sigmas_of_the_adjustment() -> None:
+    """Parts of the network keep the rows, without which its shots' sigmas would be those of their priors."""
+    found = adjust_network(stereo_network(pair(12, 24)), SolverSettings())
+    targets = Targets(found.network.points.ids, (), ("all",))
+    sigmas = TargetSigmas(CurrentState(state_of_solution(found)), targets).before()[:, 0]
+    np.testing.assert_allclose(sigmas, np.sqrt(np.trace(found.covariances, axis1=1, axis2=2)), rtol=1e-6)
 
 
 def test_points_that_the_images_do_not_see_are_refused() -> None:
