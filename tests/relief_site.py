@@ -7,17 +7,15 @@ from typing import Any
 import dem_site
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from once import once
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import read_case
 from mgsgraph.matching.dense import DenseMatches
-from mgsgraph.registration import relief
+from mgsgraph.registration import relief_surfaces
 from mgsgraph.reports.archive import write_archive
-
-Array = NDArray[np.float64]
+from mgsgraph.simulation.matches import true_matches
 
 NOISE = 0.1
 """pixels, of a match."""
@@ -30,20 +28,9 @@ WINDOW = 42.0
 @once
 def matches() -> DenseMatches:
     """Of the first image with the second, both as they were taken."""
-    first, second = (image.true for image in dem_site.site().images)
-    lines, samples = np.meshgrid(
-        np.arange(12.0, first.lines, STEP), np.arange(12.0, first.samples, STEP), indexing="ij"
-    )
-    anchors = np.column_stack([lines.ravel(), samples.ravel()]) + 0.5
-    points = dem_site.site().terrain.intersect(*first.sightlines(*anchors.T))
-    pixels: Array = second.ground_to_image(points)[0]
-    seen = np.all((pixels > 0.5) & (pixels < np.array([second.lines, second.samples]) - 0.5), axis=1)
-    count = int(seen.sum())
-    noise = np.random.default_rng(7).normal(0.0, NOISE, (count, 2))
-    covariances = np.broadcast_to(NOISE**2 * np.eye(2), (count, 2, 2))
-    return DenseMatches(
-        0, 1, WINDOW, anchors.shape[0], anchors[seen], pixels[seen] + noise, covariances, np.full(count, 0.9)
-    )
+    site = dem_site.site()
+    first, second = (image.true for image in site.images)
+    return true_matches(site.terrain, first, second, STEP, NOISE, np.random.default_rng(7))
 
 
 def use_matches(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,7 +39,7 @@ def use_matches(monkeypatch: pytest.MonkeyPatch) -> None:
     def densely_matched(*_: Any) -> tuple[tuple[DenseMatches, ...], float]:
         return (matches(),), WINDOW
 
-    monkeypatch.setattr(relief, "densely_matched", densely_matched)
+    monkeypatch.setattr(relief_surfaces, "densely_matched", densely_matched)
 
 
 @cache

@@ -232,3 +232,44 @@ def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:
 def test_what_it_cannot_say(case_file: Path, keys: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         mgsgraph.read_case(add(case_file, keys))
+
+
+def several(case_file: Path, keys: str) -> Path:
+    """The case with its terrain model twice, the second with other keys."""
+    text, _, model = with_terrain(case_file).read_text(encoding="utf-8").partition("\n[terrain]\n")
+    again = f'[[terrain]]\nradius = "dtm.tif"\nreference_radius_m = 3396190.0\n{keys}\n'
+    case_file.write_text(f"{text}\n[[terrain]]\n{model}\n{again}", encoding="utf-8")
+    return case_file
+
+
+def test_of_several_models_tie_points_lie_on_the_first(case_file: Path) -> None:
+    """All have posts, sigmas and unknowns of their own."""
+    only = mgsgraph.read_case(with_terrain(case_file))
+    case = mgsgraph.read_case(several(case_file, 'name = "b"\nplanimetric_sigma_m = 50.0\nheight_sigma_m = 4.0'))
+    assert case.network.surface is not None
+    assert only.network.surface is not None
+    assert case.network.surface.grid.source == only.network.surface.grid.source
+    assert np.array_equal(case.network.surface.sigmas, only.network.surface.sigmas)
+    assert [one.name for one in only.terrain] == ["dtm"]
+    assert [(one.name, one.grid.planimetric_sigma, one.height_sigma) for one in case.terrain] == [
+        ("dtm", 200.0, None), ("b", 50.0, 4.0),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("", "the id 'dtm' twice"),
+        ('name = "b"\nshift = false', "an unknown horizontal place"),
+        ('name = "b"\ntilt_sigma_mrad = 0.1', "an unknown horizontal place"),
+        ('name = "b"\ncontrol = false', "an unknown horizontal place"),
+    ],
+)
+def test_further_models_are_control_by_their_posts(case_file: Path, keys: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        mgsgraph.read_case(several(case_file, keys))
+
+
+@pytest.mark.parametrize("keys", ["shift = false", "tilt_sigma_mrad = 0.1", "control = false"])
+def test_a_model_that_stays_or_tilts_has_no_posts(case_file: Path, keys: str) -> None:
+    assert mgsgraph.read_case(with_terrain(case_file, keys)).terrain == ()

@@ -19,7 +19,8 @@ STOREYS = [
     ("mgsgraph.demo",),
     ("mgsgraph.export", "mgsgraph.review"),
     (
-        "mgsgraph.reports", "mgsgraph.registration.relief", "mgsgraph.dem.production",
+        "mgsgraph.reports", "mgsgraph.registration.relief", "mgsgraph.registration.relief_surfaces",
+        "mgsgraph.dem.production",
         "mgsgraph.dem.files", "mgsgraph.matching.files",
         "mgsgraph.registration.tables", "mgsgraph.registration.relief_files",
     ),

@@ -22,6 +22,7 @@ from mgsgraph.dem.checking import HeightChecks
 from mgsgraph.dem.files import shots_table
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.matching.files import matches_table
+from mgsgraph.network import PointClass
 from mgsgraph.output.table import Column, Table
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.registration.relief_files import costs_table, profiles_table, relief_shots_table
@@ -117,7 +118,7 @@ def _relief_without_shots() -> Any:
     vectors = np.zeros((0, 3))
     heights = SurfaceHeights(none, vectors, np.zeros((0, 2, 7)), np.zeros((0, 2)), mask, none, none, none)
     state = ProfileState(vectors, heights, CostSurface("", none, np.zeros((0, 0)), 0, ()))
-    profile = ReliefProfile("", index, mask, none, state, state, np.zeros(2), np.zeros((2, 2)))
+    profile = ReliefProfile("", PointClass.LASER, index, mask, none, state, state, np.zeros(2), np.zeros((2, 2)))
     points, image = SimpleNamespace(ids=(), places=vectors), SimpleNamespace(body=MARS)
     network = SimpleNamespace(points=points, images=(image,), shifts=SimpleNamespace(sigmas=np.zeros(1)))
     return SimpleNamespace(profiles=(profile,), solution=SimpleNamespace(network=network))

@@ -10,6 +10,7 @@ import numpy as np
 from mgsgraph.adjustment.batch import Iteration, Outcome
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.posterior import Residuals, residuals
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
@@ -163,7 +164,10 @@ def _on_surfaces(layout: Layout, orientation: Array, points: Array) -> Layout:
     control, places = layout.network.stereo, layout.network_order(points)
     if control is not None and control.starts is not None:
         places = np.where(np.isfinite(control.starts), control.starts, places)
-    return layout.without_steps.about_stereo(places, orientation)
+    layout = layout.without_steps.about_stereo(places, orientation)
+    if layout.stereo is not None:
+        require_seen(layout.network, layout.stereo)
+    return layout
 
 
 def _solve_exactly(

@@ -13,7 +13,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND
 from mgsgraph.network import Network, PointClass, ProfileShifts, Strip
 
-_CLASS = {PointClass.TIE: "tie", PointClass.LASER: "laser", PointClass.CONTROL: "control"}
+_CLASS = {PointClass.TIE: "tie", PointClass.LASER: "laser", PointClass.CONTROL: "control", PointClass.POST: "post"}
 POSITION, POINTING, SHIFTS, TILTS = "position priors", "pointing priors", "shifts", "tilts"
 _SHIFT = {"m": SHIFTS, "rad": TILTS}
 NODE_POSITION, NODE_POINTING = "position priors of nodes", "pointing priors of nodes"

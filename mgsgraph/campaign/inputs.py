@@ -125,8 +125,7 @@ def _named(wanted: CaseInput) -> Iterator[str]:
     yield from (cloud.file for cloud in wanted.altimetry)
     leap_seconds = [*(entry.leap_seconds for entry in wanted.mola), *(entry.leap_seconds for entry in wanted.altimetry)]
     yield from (name for name in leap_seconds if name is not None)
-    if wanted.terrain is not None:
-        terrain = wanted.terrain
+    for terrain in wanted.terrain_models:
         for several in (terrain.radius, terrain.tracks):
             yield from (several,) if isinstance(several, str) else several
         others = (terrain.topography, terrain.areoid, terrain.leap_seconds)

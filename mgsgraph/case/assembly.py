@@ -27,7 +27,6 @@ from mgsgraph.network import (
     PointClass,
     ProfileShifts,
     Ranges,
-    SharedKind,
     SharedUnknown,
     Surface,
 )
@@ -36,9 +35,6 @@ from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.registration.footprints import footprints_in_images, points_in_images
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import KM, MRAD
-
-_NO_DRIFT = 1e-3
-"""m, sigma of a drift that is none."""
 
 
 class Parts:
@@ -149,9 +145,7 @@ class Parts:
         for p, profile in enumerate(taken.profiles):
             full = f"{name}:{profile}"
             self._shifts.append((full, east, first + np.flatnonzero(taken.profile == p)))
-            sigmas = np.array([upward, wanted.drift_sigma_m or _NO_DRIFT])
-            none = np.zeros(0, dtype=np.int64)
-            self.heights.append(SharedUnknown(f"height of {full}", SharedKind.PROFILE_HEIGHT, none, sigmas, full))
+            self.heights.append(SharedUnknown.of_height(full, upward, wanted.drift_sigma_m))
             self.footprints[full] = taken.footprint
 
     def _add_back_projections(self, first: int, places: Array, inside: Mask, sigma: float) -> None:

@@ -20,19 +20,20 @@ from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
 from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, MolaInput, TerrainInput, TiesInput, decode
 from mgsgraph.case.strips import members, strips_of
-from mgsgraph.case.terrain import read_terrain_model
+from mgsgraph.case.terrain import read_terrain_model, under_images
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, SharedUnknown
+from mgsgraph.network.posts import TerrainModel
 from mgsgraph.ties import TiePoints
 
 
@@ -56,6 +57,8 @@ class Case:
     """File of each image's pixels, where the case names one."""
     fits: tuple[PolynomialFit, ...] = ()
     """What the polynomials of the nominal orientation cost, for each image where they are used."""
+    terrain: tuple[TerrainModel, ...] = ()
+    """Terrain models whose posts can lie on the surface that the images show."""
     footprints: Mapping[str, float] = field(default_factory=dict)
     """m, diameter of the laser's spots on the ground, of each profile with an unknown shift."""
 
@@ -101,12 +104,13 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
         raise InputError(str(path), "neither ties nor ground control nor laser", "at least one of them")
     settings = wanted.solver.settings
     held = np.array([image.held for image in wanted.images])
-    network = parts.network(priors, held, *_read_terrain(wanted, path, images), wanted.terrain)
+    radii, areoid, models = _read_terrain(wanted, path, images)
+    network = parts.network(priors, held, radii, areoid, next(iter(wanted.terrain_models), None))
     network = _with_strips(network, wanted, of_strips, path)
     network = _with_shared(network, wanted, path, laser, parts.heights)
     _require_seeing_images(network)
     pictures = tuple(picture_of(image, folder) for image in wanted.images)
-    return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits, parts.footprints)
+    return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits, models, parts.footprints)
 
 
 def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]], path: Path) -> Network:
@@ -232,13 +236,26 @@ def read_shots(
 
 def _read_terrain(
     wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...]
-) -> tuple[TerrainGrid | None, TerrainGrid | None]:
-    """Radii of the terrain model, where they are control, and the areoid, where it is known."""
-    entry = wanted.terrain
-    if entry is None:
-        return None, None
-    radii, areoid = read_terrain_model(entry, path, images, terrain_shots(entry, path))
-    return radii if entry.control else None, areoid
+) -> tuple[TerrainGrid | None, TerrainGrid | None, tuple[TerrainModel, ...]]:
+    """Radii of the first terrain model, where they are control, and the areoid, where it is known; all models whose
+    posts are control by relief.
+    """
+    radii: TerrainGrid | None = None
+    areoid: TerrainGrid | None = None
+    models = list[TerrainModel]()
+    for k, entry in enumerate(wanted.terrain_models):
+        if k and not entry.cells:
+            found = "shift = false, a tilt, tracks or control = false in a terrain model after the first"
+            expected = "a grid with an unknown horizontal place: tie points lie on the first model alone"
+            raise InputError(f"{path}, terrain[{k}]", found, expected)
+        grid, beneath = read_terrain_model(entry, path, images, terrain_shots(entry, path))
+        if k == 0:
+            radii, areoid = grid if entry.control else None, beneath
+        if entry.cells:
+            name = entry.name or Path(entry.grids[0]).stem
+            models.append(TerrainModel(name, under_images(grid, images), entry.height_sigma_m))
+    require_unique(tuple(model.name for model in models), f"{path}, terrain models")
+    return radii, areoid, tuple(models)
 
 
 def terrain_shots(entry: TerrainInput, path: Path) -> Callable[[Path], AltimeterShots]:

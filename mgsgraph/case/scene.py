@@ -100,8 +100,8 @@ def _ground(
 ) -> Ground:
     body = images[0].body
     terrain: TerrainGrid | None = None
-    if wanted.terrain is not None:
-        terrain, _ = read_terrain_model(wanted.terrain, path, images, terrain_shots(wanted.terrain, path))
+    for model in wanted.terrain_models[:1]:
+        terrain, _ = read_terrain_model(model, path, images, terrain_shots(model, path))
     chart = _chart(images, height or 0.0)
     seen = _heights(wanted, images, path, terrain) if height is None else np.array([height])
     if seen.size == 0:

@@ -208,6 +208,8 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of its height as a whole, which becomes an unknown; absent: none."""
     tilt_sigma_mrad: Sigma | None = None
     """Sigma of its tilts about east and north through the points' middle, which become unknowns; absent: none."""
+    name: str = ""
+    """What reports call it; the first file's name without its ending when absent."""
     longest_edge_m: Positive = 5000.0
     """Longest edge of the tracks' triangles: what lies between tracks farther apart is a hole."""
     post_step_deg: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)] = 0.005
@@ -226,6 +228,13 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def profiles(self) -> tuple[str, ...]:
         """Files of tracks."""
         return (self.tracks,) if isinstance(self.tracks, str) else self.tracks
+
+    @property
+    def cells(self) -> bool:
+        """Whether its posts can lie on the surface that images show: measured by themselves, with a common horizontal
+        place that is an unknown, and without tilts.
+        """
+        return self.control and self.shift and self.tilt_sigma_mrad is None and bool(self.grids)
 
 
 class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -321,8 +330,9 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Laser profiles of MOLA."""
     altimetry: tuple[AltimetryInput, ...] = ()
     """Laser altimetry that lies on the relief."""
-    terrain: TerrainInput | None = None
-    """Terrain model."""
+    terrain: TerrainInput | tuple[TerrainInput, ...] = ()
+    """Terrain models: one table, [terrain], or several, [[terrain]]; tie points lie on the first, and the others are
+    control by relief alone."""
     shared: tuple[SharedInput, ...] = ()
     """Unknowns that several images share."""
     strips: tuple[StripInput, ...] = ()
@@ -350,6 +360,11 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def tie_groups(self) -> tuple[TiesInput, ...]:
         """Tables of control networks, one or several."""
         return (self.ties,) if isinstance(self.ties, TiesInput) else self.ties
+
+    @property
+    def terrain_models(self) -> tuple[TerrainInput, ...]:
+        """Tables of terrain models, none, one or several."""
+        return (self.terrain,) if isinstance(self.terrain, TerrainInput) else self.terrain
 
     @property
     def measured(self) -> bool:

@@ -18,6 +18,8 @@ _EDGES = 65
 """Lines of each image at whose edges and middle its ground is taken."""
 _MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoid": "mega"}
 """How MEGDR's files of each kind begin."""
+_BEYOND = 8000.0
+"""m, of a terrain model kept beside the ellipsoid's points under the images."""
 
 
 def read_terrain_model(
@@ -80,6 +82,11 @@ def _of_tracks(
         shots, _ground(images), entry.longest_edge_m, entry.post_step_deg * DEG, entry.vertical_sigma_m,
         entry.planimetric_sigma_m,
     )  # fmt: skip
+
+
+def under_images(grid: TerrainGrid, images: Sequence[PushbroomImage]) -> TerrainGrid:
+    """The part of a grid under images, and as far beyond as their heights and orientation may be wrong."""
+    return grid.around(_ground(images), int(np.ceil(_BEYOND / (images[0].body.equatorial * grid.latitude_step))))
 
 
 def _ground(images: Sequence[PushbroomImage]) -> Array:

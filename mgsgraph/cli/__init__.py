@@ -17,7 +17,7 @@ _VERBS = {
     "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, honesty, reliability, what is weak."),
     "check": ("cases", "Read and validate a case, say what is in it, solve nothing."),
     "convert": ("networks", "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables."),
-    "coregister": ("cases", "Move laser profiles and images onto each other by relief, in the adjustment."),
+    "coregister": ("cases", "Move laser, terrain models and images onto each other by relief, in the adjustment."),
     "campaign": ("cases", "Adjust many cases, here or on a cluster, with a record of what is done."),
     "dem": ("sources", "Make a terrain model with sigmas and an ortho image from adjusted images."),
     "demo": ("sources", "Simulate a study site, adjust it, and say what was wrong and what is right now."),

@@ -316,6 +316,10 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
     "--reach", type=float, default=1500.0, show_default=True, metavar="M", help="Up to which shifts are searched."
 )
 @click.option("--spacing", type=float, metavar="M", help="Between dense matches; a quarter of the footprint at most.")
+@click.option(
+    "--patches", is_flag=True,
+    help="Leave tie points on the bilinear patches of [terrain], in place of its posts on what the images show.",
+)
 @PAIR
 @WORKERS
 @TIES
@@ -323,17 +327,17 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @click.pass_context
 def coregister(
     ctx: click.Context, case: Path, out: Path | None, solution: Path | None, footprint: float | None, reach: float,
-    spacing: float | None, pair: str | None, workers: int | None, ties: Path | None, no_figures: bool,
+    spacing: float | None, patches: bool, pair: str | None, workers: int | None, ties: Path | None, no_figures: bool,
 ) -> None:
-    """Move the laser profiles of CASE and its images onto each other by relief, and adjust them together.
+    """Move laser profiles and terrain models of CASE and its images onto each other by relief, and adjust all together.
 
     RESULT, what `mgsgraph adjust` wrote, stands for its case and for --solution. In PROJECT everything is adjusted with
     the new rows, which it has from then on.
 
-    The images are matched densely; each profile with an unknown shift is searched for on the surface that they show;
-    the case is adjusted again with one row more per shot, its height above that surface. OUT holds what `mgsgraph
-    adjust` writes, and coregistration.json, profiles.csv, shots.csv, costs.csv (misfit by shift) and figures: see
-    docs/coregister.md.
+    The images are matched densely; each profile and terrain model with an unknown shift is searched for on the surface
+    that they show; the case is adjusted again with one row more per shot and post, its height above that surface. OUT
+    holds what `mgsgraph adjust` writes, and coregistration.json, profiles.csv, shots.csv, costs.csv (misfit by shift)
+    and figures: see docs/coregister.md.
 
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
@@ -344,7 +348,7 @@ def coregister(
     from mgsgraph.reports.archive import read_solution
     from mgsgraph.reports.results import case_of
 
-    settings = ReliefSettings(footprint, reach, spacing, image_pair(pair))
+    settings = ReliefSettings(footprint, reach, spacing, image_pair(pair), "patches" if patches else "cells")
     if (case / FILE).is_file():
         if out is not None or solution is not None or ties is not None:
             raise click.UsageError("--out, --solution and --ties are for a case: a project has its own")

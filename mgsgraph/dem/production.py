@@ -84,7 +84,7 @@ def expected_ground(posterior: Posterior, wanted: CaseInput) -> tuple[float | No
     """
     points = posterior.linearised.points
     points = points[np.linalg.norm(points, axis=1) > 0.0]
-    if wanted.terrain is not None or not len(points):
+    if wanted.terrain_models or not len(points):
         return None, None
     heights = geodetic(points, posterior.network.images[0].body)[:, 2]
     return float(np.median(heights)), max(_LEAST_SIGMA, 2.0 * float(heights.std()))

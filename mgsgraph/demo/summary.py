@@ -80,7 +80,8 @@ def _draw_story(demo: Demonstration, folder: Path) -> None:
     from mgsgraph.figures.sheet import save  # only those who draw wait for matplotlib
     from mgsgraph.figures.story import story_sheet
 
-    one = max(demo.relief.profiles, key=lambda one: int(one.taken.sum()))
+    profiles = [one for one in demo.relief.profiles if not one.of_posts]
+    one = max(profiles, key=lambda one: int(one.taken.sum()))
     known, ids = true_points(demo), demo.solution.network.points.ids
     truth = np.array([known[ids[i]] for i in one.mine.tolist()])
     save([story_sheet(demo.relief, one, truth, demo.simulated.terrain.ground_radius, headline(demo))], folder)

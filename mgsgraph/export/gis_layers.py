@@ -142,6 +142,12 @@ def _footprints(solution: Solution, footprints: tuple[Footprint, ...], name: str
 # --- points
 
 
+_CLASSES = {
+    PointClass.TIE: "tie points", PointClass.LASER: "laser points", PointClass.CONTROL: "control points",
+    PointClass.POST: "posts of terrain models",
+}  # fmt: skip
+
+
 def point_layers(solution: Solution) -> list[Layer]:
     """Ground points, a layer for each class, those of none too."""
     fields = _point_fields(solution)
@@ -151,7 +157,7 @@ def point_layers(solution: Solution) -> list[Layer]:
             f"{one.name.lower()}_points", f"Adjusted places of {what}; no shape where nothing determines one.", "Point",
             map_points(solution.places[mine]), _rows(fields, mine),
         )
-        for one, what in zip(PointClass, ("tie points", "laser points", "control points"), strict=True)
+        for one, what in _CLASSES.items() if one in solution.network.classes
         for mine in [np.flatnonzero(classes == one)]
     ]  # fmt: skip
 

@@ -126,9 +126,9 @@ def _clipped(solution: Solution) -> bool:
 
 
 def _draw_known(panel: Axes, solution: Solution, places: Array) -> list[Line2D]:
-    """Laser and control points."""
+    """Posts, laser and control points."""
     handles = []
-    for point_class in (PointClass.LASER, PointClass.CONTROL):
+    for point_class in (PointClass.POST, PointClass.LASER, PointClass.CONTROL):
         mine = solution.members(point_class)
         if not mine.size:
             continue

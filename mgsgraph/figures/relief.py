@@ -1,5 +1,6 @@
-"""A registration by relief drawn: misfit over shifts with its minima, profiles against the stereo surface (Figure 4 of
-Yoon & Shan (2005) made a test), and a map of the misplacements; before the adjustment with stereo rows and after it.
+"""A registration by relief drawn: misfit over shifts with its minima, profiles and terrain models against the stereo
+surface (Figure 4 of Yoon & Shan (2005) made a test), and a map of the misplacements; before the adjustment with stereo
+rows and after it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,8 @@ from mgsgraph.figures.sheet import (
     AFTER,
     BEFORE,
     CLASS_COLOUR,
+    CLASS_MARKER,
+    CLASS_NAME,
     INK,
     MOST_MARKS,
     SOFT,
@@ -29,7 +32,7 @@ from mgsgraph.figures.sheet import (
     short,
 )
 from mgsgraph.geometry.body import east_north_up, geodetic
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration
@@ -207,36 +210,40 @@ def _small_costs(registration: ReliefRegistration, chosen: Sequence[int], offere
 @plain_style()
 def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) -> Sheet:
     """Heights of the shots and of the surface under them along the track, and their difference, before and after."""
+    what, colour, marker = "Laser profile", CLASS_COLOUR[one.point_class], CLASS_MARKER[one.point_class]
+    if one.of_posts:
+        what = "Terrain model"
     sheet = new_sheet(
-        name, 10.0, 4.6, f"Laser profile {short(one.name, 30)} against the stereo surface", _profile_caption(one)
+        name, 10.0, 4.6, f"{what} {short(one.name, 30)} against the stereo surface", _profile_caption(one)
     )
     grid = sheet.panels(2, 2, heights=[2.0, 1.0], sharex=True, sharey="row")
-    along = along_track(one.before.points) / KM
+    order, along, stroke = _along(one)
     body = registration.solution.network.images[0].body
-    up, covariances = east_north_up(one.before.points)[:, 2], registration.before.network.points.covariances[one.mine]
+    up, covariances = east_north_up(one.before.points)[:, 2], registration.solution.network.points.covariances[one.mine]
     sigmas = np.hypot(one.sigmas, np.sqrt(np.einsum("ni,nij,nj->n", up, covariances, up)))
-    sigmas = np.where(one.taken, sigmas, np.nan)
+    sigmas = np.where(one.taken, sigmas, np.nan)[order]
     widest = 0.0
     for c, state in enumerate((one.before, one.after)):
         upper, lower = grid[:, c]
         heights, off = geodetic(state.points, body)[:, 2], vertical(state)
         off = np.where(one.taken & state.heights.covered, off, np.nan)
-        upper.plot(along, heights - off, color=AFTER, lw=1.0, marker=".", ms=2.5, zorder=2)
-        upper.plot(along, heights, ls="", marker="^", ms=3.0, mfc="none", mew=0.7, color=_LASER, zorder=3)
+        heights, off = heights[order], off[order]
+        upper.plot(along, heights - off, color=AFTER, ls=stroke, lw=1.0, marker=".", ms=2.5, zorder=2)
+        upper.plot(along, heights, ls="", marker=marker, ms=3.0, mfc="none", mew=0.7, color=colour, zorder=3)
         upper.set_title(_STATES[c])
         lower.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
         lower.fill_between(along, -sigmas, sigmas, color=SOFT, alpha=0.35, lw=0.0, zorder=1)
-        lower.plot(along, off, color=INK, lw=0.7, marker=".", ms=3.0, zorder=2)
-        lower.set_xlabel("along the track (km)")
+        lower.plot(along, off, color=INK, ls=stroke, lw=0.7, marker=".", ms=3.0, zorder=2)
+        lower.set_xlabel(f"along {'its longer side' if one.of_posts else 'the track'} (km)")
         known = np.abs(off[np.isfinite(off)])
         if known.size:
             widest = max(widest, min(float(known.max()), _CLIPPED * float(np.quantile(known, 0.95))))
     grid[0, 0].set_ylabel("height above the ellipsoid (m)")
-    grid[1, 0].set_ylabel("shot minus surface (m)")
+    grid[1, 0].set_ylabel(f"{one.unit} minus surface (m)")
     grid[1, 0].set_ylim(-1.15 * max(widest, 1.0), 1.15 * max(widest, 1.0))
     sheet.legend([
-        Line2D([], [], ls="", marker="^", ms=5, mfc="none", color=_LASER, label="laser shots"),
-        Line2D([], [], color=AFTER, lw=1.0, marker=".", ms=4, label="stereo surface at the shots"),
+        Line2D([], [], ls="", marker=marker, ms=5, mfc="none", color=colour, label=CLASS_NAME[one.point_class]),
+        Line2D([], [], color=AFTER, ls=stroke, lw=1.0, marker=".", ms=4, label=f"stereo surface at the {one.unit}s"),
         Line2D([], [], color=SOFT, lw=6.0, alpha=0.35, label="a-priori sigma of a difference"),
     ])  # fmt: skip
     return sheet
@@ -244,7 +251,19 @@ def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) ->
 
 _CLIPPED = 4.0
 """Times the 95 % quantile of differences, beyond which single ones are cut off."""
-_LASER = CLASS_COLOUR[PointClass.LASER]
+
+
+def _along(one: ReliefProfile) -> tuple[Index, Array, str]:
+    """Order (n,) of points, and where they lie in this order, km: shots along their track, posts along the longer side
+    of their model; the stroke that joins them.
+    """
+    points = one.before.points
+    if not one.of_posts:
+        return np.arange(len(points)), along_track(points) / KM, "-"
+    apart = points - points.mean(axis=0)
+    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    order = np.argsort(along, kind="stable")
+    return order, (along[order] - along[order[0]]) / KM, ""
 
 
 def along_track(points: Array) -> Array:
@@ -260,15 +279,16 @@ def vertical(state: ProfileState) -> Array:
 
 def _profile_caption(one: ReliefProfile) -> str:
     on = int(one.taken.sum())
-    text = f"{on} of {many(one.mine.size, 'shot')} lie on the surface that the images show"
+    what = "terrain model" if one.of_posts else "profile"
+    text = f"{on} of {many(one.mine.size, one.unit)} lie on the surface that the images show"
     if not on:
-        return f"{text}: the profile takes no part."
-    text += f"; shot minus surface {number(one.rms_before)} m rms before, {number(one.rms_after)} m after"
+        return f"{text}: the {what} takes no part."
+    text += f"; {one.unit} minus surface {number(one.rms_before)} m rms before, {number(one.rms_after)} m after"
     if not one.before.cost.tied:
-        return f"{text}; relief does not tie the profile horizontally."
+        return f"{text}; relief does not tie the {what} horizontally."
     east, north = one.before.misplacement
     return (
-        f"{text}; before, the profile had to move {number(round(float(east)))} m east and "
+        f"{text}; before, the {what} had to move {number(round(float(east)))} m east and "
         f"{number(round(float(north)))} m north to fit."
     )
 
@@ -287,7 +307,8 @@ def _heights_of_all(registration: ReliefRegistration, name: str) -> Sheet:
         f"surface {number(middle[2])} and {number(middle[3])} m (medians); no mark where relief does not tie a profile"
         f"{omitted}."
     )
-    sheet = new_sheet(name, 8.4, 0.16 * len(shown) + 0.9, "All laser profiles and the stereo surface", caption)
+    title = "All profiles and terrain models, and the stereo surface"
+    sheet = new_sheet(name, 8.4, 0.16 * len(shown) + 0.9, title, caption)
     grid = sheet.panels(1, 2, sharey=True)[0]
     rows = np.arange(len(shown))
     kinds = ("misplacement (m)", off), ("rms of shot minus surface (m)", rms)
@@ -320,19 +341,26 @@ def _map(registration: ReliefRegistration) -> Sheet:
     tracks = [east_north(one.before.points, centre) / KM for one in profiles]
     places = east_north(solution.places[ties], centre) / KM
     low, high, (width, height) = frame(np.concatenate([places, *tracks]), (4.6, 3.0))
-    sheet = new_sheet("shifts", width + 1.2, height + 0.75, "Misplacement of laser and images", _map_caption(profiles))
+    title = "Misplacement of laser, terrain models and images"
+    sheet = new_sheet("shifts", width + 1.2, height + 0.75, title, _map_caption(profiles))
     panel: Axes = sheet.panels()[0, 0]
     map_axes(panel, low, high, centre)
     some = thinned(ties.size, MOST_MARKS)
     panel.plot(*places[some].T, "o", ms=1.8, color=SOFT, mew=0.0, zorder=2)
     for one, track in zip(profiles, tracks, strict=True):
-        for mask, marker in ((one.taken, "^"), (~one.taken, "x")):
+        for mask, marker in ((one.taken, CLASS_MARKER[one.point_class]), (~one.taken, "x")):
             mine = np.flatnonzero(mask)[thinned(int(mask.sum()), MOST_MARKS // len(profiles) + 1)]
-            panel.plot(*track[mine].T, ls="", marker=marker, ms=2.4, mfc="none", mew=0.5, color=_LASER, zorder=3)
+            panel.plot(
+                *track[mine].T, ls="", marker=marker, ms=2.4, mfc="none", mew=0.5, color=CLASS_COLOUR[one.point_class],
+                zorder=3,
+            )
     _draw_arrows(panel, profiles, tracks, float((high - low).max()))
     sheet.legend([
         Line2D([], [], ls="", marker="o", ms=3, color=SOFT, label="tie points"),
-        Line2D([], [], ls="", marker="^", ms=4, mfc="none", color=_LASER, label="shots"),
+        *(
+            Line2D([], [], ls="", marker=CLASS_MARKER[c], ms=4, mfc="none", color=CLASS_COLOUR[c], label=CLASS_NAME[c])
+            for c in sorted({one.point_class for one in profiles})
+        ),
         Line2D([], [], color=BEFORE, lw=2.5, label="before"),
         Line2D([], [], color=AFTER, lw=2.5, label="after, with its sigma"),
     ])  # fmt: skip
@@ -384,5 +412,5 @@ def _map_caption(profiles: Sequence[ReliefProfile]) -> str:
     before, after = np.sqrt(np.mean(off[known] ** 2, axis=0))
     return (
         f"{text}: {number(float(before))} m before and {number(float(after))} m after the adjustment with stereo rows "
-        f"(rms of {many(int(known.sum()), 'profile')}); crosses: shots that take no part."
+        f"(rms of {many(int(known.sum()), 'profile')}); crosses: what takes no part."
     )

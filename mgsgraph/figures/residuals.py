@@ -32,7 +32,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.registration.measured import thinned
 
 _PER_SHEET = 4
-_LONGEST = {PointClass.TIE: 0.4, PointClass.LASER: 0.18, PointClass.CONTROL: 0.4}
+_LONGEST = {PointClass.TIE: 0.4, PointClass.LASER: 0.18, PointClass.CONTROL: 0.4, PointClass.POST: 0.18}
 """inch, of the longest arrow; laser points lie in rows so dense that long arrows would hide each other."""
 _SHARE = 0.98
 """Share of the residuals that are drawn in full; the others' arrows are cut off at the longest of these."""

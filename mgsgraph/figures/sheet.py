@@ -33,10 +33,12 @@ MOST_MARKS = 2000
 """Marks of one kind in a panel; more make an SVG slow and a panel black."""
 
 BEFORE, AFTER, INK, SOFT = "#E69F00", "#0072B2", "#222222", "#8A8A8A"
-CLASS_COLOUR = {PointClass.TIE: "#0072B2", PointClass.LASER: "#D55E00", PointClass.CONTROL: "#009E73"}
+CLASS_COLOUR = {PointClass.TIE: "#0072B2", PointClass.LASER: "#D55E00", PointClass.CONTROL: "#009E73",
+                PointClass.POST: "#CC79A7"}  # fmt: skip
 """Okabe & Ito's palette, which colour-blind readers can tell apart; each class has a marker of its own as well."""
-CLASS_MARKER = {PointClass.TIE: "o", PointClass.LASER: "^", PointClass.CONTROL: "s"}
-CLASS_NAME = {PointClass.TIE: "tie points", PointClass.LASER: "laser points", PointClass.CONTROL: "control points"}
+CLASS_MARKER = {PointClass.TIE: "o", PointClass.LASER: "^", PointClass.CONTROL: "s", PointClass.POST: "D"}
+CLASS_NAME = {PointClass.TIE: "tie points", PointClass.LASER: "laser points", PointClass.CONTROL: "control points",
+              PointClass.POST: "posts of terrain models"}  # fmt: skip
 
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",

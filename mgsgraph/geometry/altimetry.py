@@ -23,10 +23,10 @@ SPOT_WIDTHS = 4.0
 """Standard deviations of the Gaussian energy in a laser spot's diameter."""
 
 
-def footprint_covariances(footprints: Array, horizontal: float, vertical: float) -> Array:
-    """(n, 3, 3) m^2 of footprints (n, 3) with one sigma (m) east and north and another one upward."""
+def footprint_covariances(footprints: Array, horizontal: float, vertical: float | Array) -> Array:
+    """(n, 3, 3) m^2 of footprints (n, 3) with one sigma (m) east and north and another one, or others (n,), upward."""
     outward = footprints / np.linalg.norm(footprints, axis=1, keepdims=True)
-    more = (vertical**2 - horizontal**2) * outward[:, :, None] * outward[:, None]
+    more = (np.asarray(vertical)[..., None, None] ** 2 - horizontal**2) * outward[:, :, None] * outward[:, None]
     return np.asarray(horizontal**2 * np.eye(3) + more)
 
 

@@ -283,6 +283,11 @@ class Network:
         """(n,) True for free points with fewer than two rays; they stay out, with a range or without."""
         return np.asarray((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
 
+    @property
+    def classes(self) -> list[PointClass]:
+        """Classes of points that tables have: those measured in images, and others that occur."""
+        return [one for one in PointClass if one.measured or np.any(self.points.classes == one)]
+
     def of_class(self) -> Iterator[tuple[PointClass, Index]]:
         """Each class that occurs, with the indices of its points."""
         for point_class in PointClass:

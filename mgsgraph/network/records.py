@@ -31,6 +31,13 @@ class PointClass(IntEnum):
     """Laser footprint."""
     CONTROL = 2
     """Ground control point."""
+    POST = 3
+    """Post of a terrain model."""
+
+    @property
+    def measured(self) -> bool:
+        """Whether such points are measured in images."""
+        return self is not PointClass.POST
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,6 +26,8 @@ _PLACES = 31
 """Evenly spread lines to which they are fitted, first and last among them."""
 _MISFIT = 1e-3
 """Share of its largest value that a polynomial may be off; not of angular velocities, which carry the CK's noise."""
+_NO_DRIFT = 1e-3
+"""m, sigma of a profile's drift that is none."""
 
 
 class SharedKind(StrEnum):
@@ -120,6 +122,12 @@ class SharedUnknown:
         if sigmas.min() <= 0.0:
             raise InputError(f"{where}, sigmas", f"{sigmas.min()} {self.kind.unit}", "positive sigmas")
         assign(self, images=images, sigmas=sigmas)
+
+    @classmethod
+    def of_height(cls, profile: str, middle: float, drift: float | None = None) -> "SharedUnknown":
+        """Height of a profile with a-priori sigmas of its middle and its drift in m; no drift when None."""
+        sigmas, none = np.array([middle, drift or _NO_DRIFT]), np.zeros(0, dtype=np.int64)
+        return cls(f"height of {profile}", SharedKind.PROFILE_HEIGHT, none, sigmas, profile)
 
     def of(self, image: int) -> bool:
         """Whether an image shares it."""

@@ -34,7 +34,8 @@ def coregister(
 ) -> RegisteredProject:
     """Register the laser profiles of a project with the surface that its images show, and take the result over.
 
-    Everything in the project is adjusted; the pictures are those of the images that its case names.
+    Everything in the project is adjusted; the pictures are those of the images that its case names. Tie points stay on
+    the bilinear patches of a terrain model, whose posts a project doesn't hold.
 
     Raises
     ------
@@ -70,7 +71,8 @@ def _case(project: Project, settings: ReliefSettings) -> tuple[Case, tuple[str, 
             raise InputError(where, "a footprint that its case doesn't say", "its diameter", "give --footprint M")
     there = set(project.store.image_names())
     shown = tuple(image.name for image in case.network.images if image.name in there)
-    return replace(case, network=network, settings=project.settings.solver.settings, name=project.name), shown
+    solver, name = project.settings.solver.settings, project.name
+    return replace(case, network=network, terrain=(), settings=solver, name=name), shown
 
 
 def _ties(project: Project) -> Path | None:

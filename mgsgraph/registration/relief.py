@@ -9,8 +9,7 @@ orientation and the shots' own places contribute, their covariances decide.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,35 +21,51 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.reading import Case
-from mgsgraph.case.scene import picture_file, read_scene
+from mgsgraph.case.scene import picture_file
 from mgsgraph.case.schema import decode
-from mgsgraph.dem.production import adjusted_scene, densely_matched, expected_ground
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.altimetry import SPOT_WIDTHS
-from mgsgraph.geometry.body import east_north, geodetic
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.stereo_surface import StereoSurface, SurfaceHeights, averaged_surface, heights_above
-from mgsgraph.matching.scene import Scene
+from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import Network, PointClass
+from mgsgraph.network.posts import with_posts
 from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
-from mgsgraph.registration.search import CostSurface, StereoPair, search
+from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
+from mgsgraph.registration.search import CostSurface, StereoPair, search, shots_alike
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.wording import some
 
-if TYPE_CHECKING:
-    from mgsgraph.matching.dense import DenseMatches
-
-_SCATTERS = 3.0
-"""Robust standard deviations of the tie points about the ground, within which the ground is sought."""
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
-_MOST_ROUNDS = 4
+_MOST_ROUNDS = 6
 """Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
 _LIKELY = 0.01
 """Weight from which on a minimum counts as one where the profile may be."""
-_CLOSEST = 5.0
-"""pixels of the ground grid between dense matches, at least."""
+
+
+class _Placed(NamedTuple):
+    """Where shots and posts of a network are."""
+
+    lifted: Array
+    """(n, 3) m, by the heights of their profiles, and boresights."""
+    shifts: Array
+    """(p, 2) m east and north, of the profiles."""
+
+
+def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Placed]:
+    """The network with posts, without bilinear patches of the same models; where the shots are by a solution without
+    posts, and the posts where it has the patches.
+    """
+    network = with_posts(before.network, cells)
+    places = before.network.points.places + footprint_shifts(before.network, before.shared)
+    shifts, surface = before.shifts[: len(profile_names(before.network))], before.network.surface
+    for model, posts in cells:
+        places, shift = np.concatenate([places, posts.points]), np.zeros(2)
+        if surface is not None and model.grid.source == surface.grid.source:
+            network, shift = replace(network, surface=None), before.shifts[-1]
+        shifts = np.concatenate([shifts, shift[None]])
+    return network, _Placed(places, shifts)
 
 
 def register_by_relief(
@@ -89,30 +104,63 @@ def register_by_relief(
     if before is not None:
         _require_same(case, before)
     before = before or adjust_network(case.network, solver, case.name, _counted(progress, "adjustment", solver))
-    posterior, network = Posterior.of(before), before.network
-    footprints = [settings.footprint or case.footprints[name] for name in profile_names(network)]
-    surfaces = stereo_surfaces(case.path, posterior, footprints, settings, workers, progress)
-    first = _searched(network, surfaces, posterior, before, footprints, settings.reach, progress)
-    found, solution = first, before
+    posterior = Posterior.of(before)
+    footprints = [settings.footprint or case.footprints[name] for name in profile_names(before.network)]
+    cells = cells_of(case.terrain, posterior, settings) if settings.terrain == "cells" else ()
+    surfaces = stereo_surfaces(case.path, posterior, footprints, cells, settings, workers, progress)
+    return registered(before, footprints, cells, surfaces, settings, solver, progress)
+
+
+def registered(
+    before: Solution,
+    footprints: Sequence[float],
+    cells: Sequence[Cells],
+    surfaces: Sequence[AveragedPair],
+    settings: ReliefSettings,
+    solver: SolverSettings,
+    progress: Progress = no_progress,
+) -> ReliefRegistration:
+    """Register laser profiles and terrain models with surfaces that are there already.
+
+    Parameters
+    ----------
+    before : Solution
+        Without stereo rows.
+    footprints : sequence of float
+        m, diameter of the spots of each laser profile of its network.
+    cells : sequence of (TerrainModel, Posts)
+        Terrain models whose posts are to lie on the surfaces; tie points that lay on the bilinear patches of one of
+        them no longer do.
+    surfaces : sequence of AveragedPair
+        Averaged over each of these footprints and over those of the posts.
+    settings, solver, progress
+        As of `register_by_relief`.
+    """
+    network, placed = _with_cells(before, cells)
+    footprints = [*footprints, *(posts.footprint for _, posts in cells)]
+    first = _searched(network, surfaces, Posterior.of(before), placed, footprints, settings.reach, progress)
+    left, solution = first, before
     for _ in range(_MOST_ROUNDS):
+        found = left
         control = _control(network, surfaces, found)
         shown = _counted(progress, "adjustment with stereo rows", solver)
         anew = replace(network, stereo=control)
         begin = None if solution is before else solution
-        solution = adjust_network(anew, solver, case.name, shown, begin=begin)
-        left = _searched(network, surfaces, Posterior.of(solution), solution, footprints, settings.reach, progress)
-        if all(one.at_rest for one in left):
+        solution = adjust_network(anew, solver, before.name, shown, begin=begin)
+        placed = _Placed(network.points.places + footprint_shifts(network, solution.shared), solution.shifts)
+        left = _searched(network, surfaces, Posterior.of(solution), placed, footprints, settings.reach, progress)
+        if all(new.at_rest(old) for old, new in zip(found, left, strict=True)):
             break
-        found = left
     profiles = tuple(
         ReliefProfile(
-            one.cost.name, one.mine, control.surface[one.mine] >= 0, control.sigmas[one.mine],
+            one.cost.name, PointClass(network.points.classes[one.mine[0]]), one.mine, control.surface[one.mine] >= 0,
+            control.sigmas[one.mine],
             ProfileState(one.points, one.here, one.cost), ProfileState(after.points, after.here, after.cost),
             solution.shifts[p], solution.shift_covariance(p),
         )
         for p, (one, after) in enumerate(zip(first, left, strict=True))
     )  # fmt: skip
-    return ReliefRegistration(case.name, settings, before, solution, profiles)
+    return ReliefRegistration(before.name, settings, before, solution, profiles)
 
 
 def profile_names(network: Network) -> tuple[str, ...]:
@@ -121,9 +169,10 @@ def profile_names(network: Network) -> tuple[str, ...]:
 
 
 def _require_profiles(case: Case) -> None:
-    if not profile_names(case.network):
+    if not profile_names(case.network) and not case.terrain:
         raise InputError(
-            str(case.path), "no laser profile whose shift is unknown", "[[mola]] entries with shift_sigma_m",
+            str(case.path), "neither a laser profile nor a terrain model whose shift is unknown",
+            "[[mola]] entries with shift_sigma_m, [[altimetry]], or [terrain]",
             "state what is known of the profile's horizontal error, such as shift_sigma_m = 100.0",
         )  # fmt: skip
 
@@ -166,82 +215,6 @@ def _counted(progress: Progress, what: str, solver: SolverSettings) -> Callable[
     return show
 
 
-class AveragedPair(NamedTuple):
-    """The surface that two images show, averaged over one size of footprint."""
-
-    surface: StereoSurface
-    """What they show."""
-    images: tuple[int, int]
-    """First and second, in the network."""
-    footprint: float
-    """m."""
-
-    def oriented(self, posterior: Posterior) -> StereoPair:
-        """With the orientation of an adjustment."""
-        first, second = self.images
-        return StereoPair(
-            self.surface,
-            (posterior.image(first), posterior.image(second)),
-            (posterior.correction(first), posterior.correction(second)),
-        )
-
-
-def stereo_surfaces(
-    path: Path,
-    posterior: Posterior,
-    footprints: Sequence[float],
-    settings: ReliefSettings,
-    workers: int | None,
-    progress: Progress,
-) -> tuple[AveragedPair, ...]:
-    """Match the pictures of a case densely, as they are adjusted, and average the disparities of each stereo pair over
-    each size of footprint (m).
-    """
-    wanted = decode(path)
-    _, scene = read_scene(path, *expected_ground(posterior, wanted))
-    scene = _over_adjusted_ground(adjusted_scene(scene, posterior, settings.images), posterior)
-    sizes = sorted(set(footprints))
-    spacing = settings.spacing or max(sizes[0] / SPOT_WIDTHS, _CLOSEST * scene.step)
-    matches, window = densely_matched(scene, spacing, workers, progress)
-    found = list[AveragedPair]()
-    for one in matches:
-        first, second = (posterior.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
-        for size in sizes:
-            progress("stereo surface", len(found), len(matches) * len(sizes))
-            width = max(size / SPOT_WIDTHS, spacing)
-            found.append(AveragedPair(_surface(posterior, one, first, width, window), (first, second), size))
-    return tuple(found)
-
-
-def _over_adjusted_ground(scene: Scene, posterior: Posterior) -> Scene:
-    """The scene with its ground raised to where the adjusted tie points lie, and as uncertain as they scatter about it:
-    before registration the images' heights may be hundreds of metres off the terrain model's.
-    """
-    network, places = posterior.network, posterior.linearised.points
-    ties = places[(network.points.classes == PointClass.TIE) & (np.linalg.norm(places, axis=1) > 0.0)]
-    if not len(ties):
-        return scene
-    ground = scene.ground
-    above = np.linalg.norm(ties, axis=1) - np.linalg.norm(ground.points(ground.chart.plane(ties)), axis=1)
-    above = above[np.isfinite(above)]
-    level = float(np.median(above))
-    scatter = 1.4826 * float(np.median(np.abs(above - level)))
-    terrain = None if ground.terrain is None else replace(ground.terrain, radii=ground.terrain.radii + level)
-    sigma = max(ground.height_sigma, _SCATTERS * scatter)
-    return replace(scene, ground=replace(ground, terrain=terrain, height=ground.height + level, height_sigma=sigma))
-
-
-def _surface(posterior: Posterior, matches: "DenseMatches", first: int, width: float, window: float) -> StereoSurface:
-    image = posterior.image(first)
-    points = posterior.linearised.points
-    ground = geodetic(points[np.linalg.norm(points, axis=1) > 0.0], image.body)[:, 2]
-    middle = matches.anchors.mean(axis=0, keepdims=True)
-    _, slopes = image.image_to_ground(middle[:, 0], middle[:, 1], float(np.median(ground)), posterior.correction(first))
-    variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 1], dtype=np.float64)
-    pixel = np.asarray(np.linalg.norm(slopes[0], axis=0), dtype=np.float64)
-    return averaged_surface(matches.anchors, matches.pixels, variances, pixel, width, window)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
     """A profile as the search leaves it; n shots."""
@@ -261,11 +234,12 @@ class _Found:
     moved: SurfaceHeights
     """There."""
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether the profile fits where it is, or relief doesn't tie it."""
-        if not self.cost.tied:
-            return True
+    def at_rest(self, before: "_Found") -> bool:
+        """Whether the profile fits where it is, or relief ties it as little as it did `before` the last adjustment."""
+        if not self.cost.clear:
+            return not before.cost.clear and len(self.cost.possible) == len(before.cost.possible)
+        if not before.cost.clear:
+            return False
         step = float(np.diff(self.cost.shifts[:2])[0])
         near = [
             np.all(np.abs(one.shift) <= np.maximum(3.0 * np.sqrt(np.diag(one.covariance)), step))
@@ -279,19 +253,18 @@ def _searched(
     network: Network,
     surfaces: Sequence[AveragedPair],
     posterior: Posterior,
-    solution: Solution,
+    placed: _Placed,
     footprints: Sequence[float],
     reach: float,
     progress: Progress,
 ) -> list[_Found]:
-    """All profiles, from where a solution has put their shots."""
+    """All profiles, from where their shots and posts are."""
     oriented = [one.oriented(posterior) for one in surfaces]
-    lifted = network.points.places + footprint_shifts(network, solution.shared)
     found = []
     for p, size in enumerate(footprints):
         progress("search", p, len(footprints))
         usable = [k for k, one in enumerate(surfaces) if one.footprint == size]
-        found.append(_search_profile(network, oriented, usable, lifted, solution.shifts[p], p, reach))
+        found.append(_search_profile(network, oriented, usable, placed, p, reach))
     progress("search", len(footprints), len(footprints))
     return found
 
@@ -300,8 +273,7 @@ def _search_profile(
     network: Network,
     oriented: Sequence[StereoPair],
     usable: Sequence[int],
-    lifted: Array,
-    shift: Array,
+    placed: _Placed,
     p: int,
     reach: float,
 ) -> _Found:
@@ -310,11 +282,11 @@ def _search_profile(
     mine = np.flatnonzero(network.shifts.profile == p)
     given = network.points.places[mine]
     ways, sigmas = east_north(given), local_sigmas(network.points.covariances[mine], given)[:, 2]
-    points = lifted[mine] + np.einsum("k,nkj->nj", shift, ways)
+    points = placed.lifted[mine] + np.einsum("k,nkj->nj", placed.shifts[p], ways)
     costs = [search(oriented[k], points, sigmas, network.shifts.names[p], reach) for k in usable]
     best = int(np.argmax([cost.shots for cost in costs]))
     pair, cost = oriented[usable[best]], costs[best]
-    starts = points + np.einsum("k,nkj->nj", cost.minima[0].shift if cost.tied else np.zeros(2), ways)
+    starts = points + np.einsum("nk,nkj->nj", cost.best(mine.size), ways) if cost.clear else points
     here, moved = (heights_above(pair.surface, *pair.images, places, pair.corrections) for places in (points, starts))
     return _Found(mine, usable[best], points, here, cost, starts, moved)
 
@@ -323,12 +295,19 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
     """Shots on the surfaces of all profiles that have enough there."""
     n = len(network.points)
     surface, sigmas, starts = np.full(n, -1, dtype=np.int64), np.full(n, np.inf), np.full((n, 3), np.nan)
+    level = np.zeros(n, dtype=bool)
     for one in found:
         on = one.moved.covered
         if int(on.sum()) < _LEAST_SHOTS:
             continue
         surface[one.mine[on]] = one.surface
-        sigmas[one.mine[on]] = np.hypot(one.moved.sigmas, one.moved.roughness)[on]
+        post = network.points.classes[one.mine[0]] == PointClass.POST
+        # a post is the mean of its cell: how rough the ground is within makes it no less certain
+        rough = np.zeros(on.size) if post else one.moved.roughness
+        surface[one.mine[on]] = one.surface
+        sigmas[one.mine[on]] = np.hypot(one.moved.sigmas, rough)[on]
+        if not (post or one.cost.clear):
+            level[one.mine], sigmas[one.mine[on]] = True, _level_sigma(one.moved.heights[on])
         starts[one.mine[on]] = one.starts[on]
     if not np.any(surface >= 0):
         shots = sum(one.mine.size for one in found)
@@ -337,4 +316,14 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
             "profiles that cross the ground that two images show", "check the images' overlap and the profiles' places",
         )  # fmt: skip
     images = np.array([one.images for one in surfaces])
-    return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts)
+    return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts, level=level)
+
+
+def _level_sigma(heights: Array) -> float:
+    """m, of heights (n,) above ground of unknown horizontal position: what they differ by from a line along the track,
+    as often as successive ones count as one.
+    """
+    along = np.linspace(-1.0, 1.0, heights.size)
+    left = heights - np.polyval(np.polyfit(along, heights, 1), along)
+    return float(np.sqrt(np.mean(left**2) * shots_alike(left)))
+

@@ -127,7 +127,7 @@ def _minima_json(state: ProfileState) -> list[dict[str, Any]]:
 
 
 def profiles_table(registration: ReliefRegistration) -> Table:
-    """One row per laser profile: how far it lay from the stereo surface before, and lies after."""
+    """One row per laser profile and terrain model: how far it lay from the stereo surface before, and lies after."""
     profiles = registration.profiles
     shifts = registration.solution.network.shifts
     assert shifts is not None
@@ -142,9 +142,12 @@ def profiles_table(registration: ReliefRegistration) -> Table:
         values = numbers(lambda one: np.sqrt(np.diag(covariances(one))), 2)
         return Column(key, values, "m", "for sigma0 = 1", _WAYS, label="sigma", text=">6.1f")
 
-    return Table("profiles", "Laser profiles and the stereo surface", (
+    return Table("profiles", "Laser profiles, terrain models and the stereo surface", (
         Column("profile", [one.name for one in profiles], text="<16"),
-        Column("shots", np.array([one.mine.size for one in profiles]), meaning="in the adjustment", text=">6d"),
+        Column("kind", [one.unit for one in profiles], meaning="laser shots, or posts of a terrain model", text="<5"),
+        Column(
+            "shots", np.array([one.mine.size for one in profiles]), meaning="or posts, in the adjustment", text=">6d"
+        ),
         Column(
             "on_surface", np.array([int(one.taken.sum()) for one in profiles]), meaning="of them", label="on it",
             text=">6d",
@@ -190,13 +193,13 @@ def _misfit(profile: ReliefProfile, k: int) -> float:
 
 
 def relief_shots_table(registration: ReliefRegistration) -> Table:
-    """One row per laser shot: its height above the stereo surface before and after."""
+    """One row per laser shot and post: its height above the stereo surface before and after."""
     profiles, network = registration.profiles, registration.solution.network
     points = network.points.places[np.concatenate([one.mine for one in profiles])]
     longitude, latitude, _ = planetocentric(points).T
     taken = np.concatenate([one.taken for one in profiles])
     slopes = [np.where(one.taken[:, None], slopes_of(one.after), np.nan) for one in profiles]
-    return Table("shots", "Laser shots above the stereo surface", (
+    return Table("shots", "Laser shots and posts above the stereo surface", (
         Column("profile", [one.name for one in profiles for _ in one.mine]),
         Column("shot", [network.points.ids[i] for one in profiles for i in one.mine.tolist()]),
         Column("on_surface", taken, meaning="the shot takes part"),
@@ -277,10 +280,10 @@ def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
     """Sentences about one profile; `prior` is the a-priori sigma of its shift in m."""
     on = int(one.taken.sum())
     if not on:
-        return [f"{one.name}: none of {many(one.mine.size, 'shot')} takes part; too few lie on the stereo surface."]
+        return [f"{one.name}: none of {many(one.mine.size, one.unit)} takes part; too few lie on the stereo surface."]
     carried = (
-        f"{on} of {many(one.mine.size, 'shot')} of {one.name} lie on the stereo surface: rms of shot minus surface "
-        f"{one.rms_before:.2g} m before, {one.rms_after:.2g} m after."
+        f"{on} of {many(one.mine.size, one.unit)} of {one.name} lie on the stereo surface: rms of {one.unit} minus "
+        f"surface {one.rms_before:.2g} m before, {one.rms_after:.2g} m after."
     )
     if not one.before.cost.tied:
         adjusted = float(np.sqrt(np.trace(one.covariance) / 2.0))
@@ -293,9 +296,9 @@ def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
 
 def _disagreement(one: ReliefProfile) -> str:
     """By how much profile and images disagreed, and disagree."""
-    off = one.before.misplacement
+    off, what = one.before.misplacement, "terrain model" if one.of_posts else "profile"
     words = (
-        f"Before, profile {one.name} and the images disagreed by {np.linalg.norm(off):.0f} m ({_east_north(off)}); "
+        f"Before, {what} {one.name} and the images disagreed by {np.linalg.norm(off):.0f} m ({_east_north(off)}); "
         "after, "
     )
     if not one.after.cost.tied:

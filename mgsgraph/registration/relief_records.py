@@ -1,9 +1,9 @@
-"""What a registration by relief says: its choices, and each laser profile against the surface that the images show,
-before and after the adjustment with stereo rows.
+"""What a registration by relief says: its choices, and each laser profile and terrain model against the surface
+that the images show, before and after the adjustment with stereo rows.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
+from mgsgraph.network import PointClass
 from mgsgraph.registration.search import REACH, CostSurface
 
 
@@ -26,6 +27,9 @@ class ReliefSettings:
     """m between dense matches; a quarter of the smallest footprint when None, but not less than the matching's own."""
     images: tuple[str, ...] = ()
     """Names of those to match; all of the case when empty."""
+    terrain: Literal["cells", "patches"] = "cells"
+    """Posts of terrain models lie on the surface that the images show, or tie points stay on the bilinear patches of
+    the first model, as in an adjustment without relief."""
 
     def __post_init__(self) -> None:
         for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing)):
@@ -56,10 +60,12 @@ class ProfileState(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReliefProfile:
-    """One laser profile against the stereo surface."""
+    """One laser profile, or one terrain model, against the stereo surface."""
 
     name: str
-    """Of the profile."""
+    """Of the profile or the model."""
+    point_class: PointClass
+    """What it consists of: laser shots, or posts."""
     mine: Index
     """(n,) its points in the network, in the order of their times."""
     taken: Mask
@@ -74,6 +80,16 @@ class ReliefProfile:
     """(2,) m east and north, adjusted."""
     covariance: Array
     """(2, 2) m^2, of the shift."""
+
+    @property
+    def of_posts(self) -> bool:
+        """Whether it is a terrain model."""
+        return self.point_class is PointClass.POST
+
+    @property
+    def unit(self) -> str:
+        """What one of its points is called."""
+        return "post" if self.of_posts else "shot"
 
     @property
     def rms_before(self) -> float:

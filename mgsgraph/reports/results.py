@@ -184,7 +184,7 @@ def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
         "residual_rms_line_px": line,
         "residual_rms_sample_px": sample,
     }
-    for c in PointClass:
+    for c in filter(lambda one: one.measured, PointClass):
         record[_name(c)] = {
             "count": int(rays.count[j, c]),
             "mean_line_px": rays.mean[j, c, 0],
@@ -238,5 +238,5 @@ def _laser_effect(solution: Solution) -> dict[str, Any] | None:
 
 def _sigmas(solution: Solution) -> dict[str, Any]:
     """What all sigmas mean, and the mean ones scaled to the fit."""
-    scaled = {_name(c): point_statistics(solution, c).mean_sigma * solution.sigma0 for c in PointClass}
+    scaled = {_name(c): point_statistics(solution, c).mean_sigma * solution.sigma0 for c in solution.network.classes}
     return {"meaning": _SIGMAS, "sigma0": solution.sigma0, "scaled_by_sigma0": {"mean_sigma_m": scaled}}

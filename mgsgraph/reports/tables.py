@@ -57,14 +57,14 @@ def images_table(solution: Solution) -> Table:
 
 
 def classes_table(solution: Solution) -> Table:
-    """One row per class of points, those without any, too: how many, how well they are known, how far they moved."""
-    found = [point_statistics(solution, c) for c in PointClass]
+    """One row per class of points (`Network.classes`): how many, how well they are known, how far they moved."""
+    found = [point_statistics(solution, c) for c in solution.network.classes]
     sigma, mean, rms = (
         np.array([getattr(one, name) for one in found]) for name in ("mean_sigma", "mean_correction", "rms_correction")
     )
     axes, capital = ("x", "y", "z"), "XYZ"
     return Table("classes", "Ground points by kind", (
-        Column("kind", [c.name.lower() for c in PointClass], page="s", label="Points", text="<10"),
+        Column("kind", [c.name.lower() for c in solution.network.classes], page="s", label="Points", text="<10"),
         Column("count", np.array([one.count for one in found]), head="points", page="s", label="count", text=">8"),
         Column("rejected", np.array([one.rejected for one in found]), page="s", text=">9"),
         Column("mean_sigma_{}", sigma, "m", "for sigma0 = 1, body-fixed", axes, tuple(f"mean σ {a}" for a in capital),
@@ -217,7 +217,10 @@ def connectivity_table(connected: Connectivity) -> Table:
         Column("image_a", picked(names, connected.pairs[:, 0]), meaning="one of the two"),
         Column("image_b", picked(names, connected.pairs[:, 1]), meaning="the other"),
         Column("common_points", points, meaning="seen in both"),
-        *(Column(f"{c.name.lower()}_points", connected.common[:, c], meaning="of these") for c in PointClass),
+        *(
+            Column(f"{c.name.lower()}_points", connected.common[:, c], meaning="of these")
+            for c in PointClass if c.measured
+        ),
         Column("remark", remarks, meaning="bridge: the only link between two parts of the block"),
         Column("overlap", connected.areas, "km2", "of the footprints"),
         Column("overlap_share", connected.shares, meaning="of the smaller footprint"),

@@ -11,6 +11,7 @@ from stereo_pair import SHIFT, stereo_network, surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import lay_out
+from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
@@ -146,8 +147,10 @@ def test_points_that_the_images_do_not_see_are_refused() -> None:
     net = stereo_network(pair())
     assert net.stereo is not None
     far = np.where(net.stereo.surface[:, None] >= 0, -1.0, 1.0) * np.nan_to_num(net.points.places)
+    layout = lay_out(replace(net, stereo=replace(net.stereo, starts=far)), SolverSettings())
+    assert layout.stereo is not None
     with pytest.raises(InputError, match="stereo surface"):
-        lay_out(replace(net, stereo=replace(net.stereo, starts=far)), SolverSettings())
+        require_seen(layout.network, layout.stereo)
 
 
 def test_a_profile_of_unknown_height_and_drift_is_raised_to_the_surface() -> None:

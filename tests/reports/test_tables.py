@@ -73,7 +73,7 @@ def test_residuals_by_image_and_class(solution: Solution) -> None:
         mine = network.rays.image == j
         rms = np.sqrt(np.mean(solution.residuals[mine] ** 2, axis=0))
         assert (image["residual_rms_line_px"], image["residual_rms_sample_px"]) == pytest.approx(rms.tolist())
-        for point_class in PointClass:
+        for point_class in network.classes:
             rays = solution.residuals[mine & (network.points.classes[network.rays.point] == point_class)]
             part = image[point_class.name.lower()]
             assert part["count"] == len(rays)

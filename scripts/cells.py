@@ -1,0 +1,233 @@
+"""Terrain models by cells or by bilinear patches: are the sigmas of their shift, the ties and the laser honest?
+
+Each draw is a simulated site, whose errors have the sigmas that its case states (MEGDR's posts are means over their
+cells of the true ground), in the mission's formats, with dense matches of the true ground in place of pictures. It is
+adjusted with tie points on the bilinear patches of the model, then with its posts on the surface that the images show
+(`registration.relief`), and both are held against the truth.
+
+    python scripts/cells.py [--sites eos,gusev,isidis] [--seeds 200] [--first 1] [--keep FILE] [--page docs/cells.md]
+
+With --keep each draw is noted in FILE as soon as it is done, and not done again. Exit status: 0 done, 2 bad input.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from study import at_least, chi_square_band, command, machine, number, show, student, table, write_page
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.reading import Case, read_case
+from mgsgraph.demo.truth import nees
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import PointClass, SharedKind
+from mgsgraph.registration.relief import registered
+from mgsgraph.registration.relief_records import ReliefSettings
+from mgsgraph.registration.relief_surfaces import averaged_pair, cells_of
+from mgsgraph.simulation.files import write_site
+from mgsgraph.simulation.matches import true_matches
+from mgsgraph.simulation.mgs_files import shot_names
+from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
+from mgsgraph.simulation.sites import SITE_NAMES
+from mgsgraph.simulation.terrain import grid_shift
+
+HEIGHT_SIGMA = 5.0
+"""m, a-priori sigma of the model's height as a whole, from which it is drawn."""
+STEP, NOISE, WINDOW = 14.0, 0.1, 42.0
+"""pixels between matches and of their noise; m, width of a matching window."""
+REACH = 1000.0
+"""m, up to which shifts are searched."""
+KINDS = {"terrain": 3, "mean tie": 3, "ties": 3, "profiles": 2, "laser": 3}
+"""Degrees of freedom of each normalised error."""
+ALONE = ("terrain", "mean tie")
+"""One in each draw, and so chi-square over draws."""
+WAYS = ("patches", "cells")
+WORDS = """# Terrain models by cells against truth
+
+Made by `scripts/cells.py` ({machine}), seeds {first} to {last}: simulated sites whose errors have the sigmas that their
+cases state (terrain model: 200 m east and north, {height:g} m up, 10 m for each post of 463 m, which is the mean of the
+true ground over its cell; profiles 100 m), written in the mission's formats and read again, dense matches of the true
+ground with noise of {noise:g} pixels, no rendering. *patches*: each tie point lies on a bilinear patch of the model, as
+`mgsgraph adjust` has it; *cells*: posts and laser shots lie on the surface that the images show, as `mgsgraph
+coregister` has it. NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in brackets: *terrain* of
+the model's shift east, north and up, *mean tie* of the tie points' mean error (bands: chi-square), *ties* and *laser*
+of all tie points and footprints, *profiles* of the profiles' shifts (bands: scatter over the draws). *95 %*: share of
+tie points within their 95 % ellipsoids. Errors are rms over all draws, in m; of the model the horizontal ones.
+"""
+HEAD = (
+    "site", "by", "draws", "not converged", *KINDS, "95 %", "model, m", "ties, m", "laser, m", "seconds",
+)  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Exit status."""
+    parser = command(__doc__)
+    parser.add_argument("--sites", default=",".join(SITE_NAMES), help="with commas between")
+    parser.add_argument("--seeds", type=at_least(2), default=200, help="draws of each site")
+    parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="note draws here, and go on where it ended")
+    parser.add_argument("--page", type=Path, help="file to write the table to")
+    given = parser.parse_args(arguments)
+    sites, seeds = given.sites.split(","), range(given.first, given.first + given.seeds)
+
+    def make() -> str:
+        found = kept(given.keep)
+        for seed in seeds:
+            for site in sites:
+                if (site, seed) not in found:
+                    show(f"{site}, seed {seed}")
+                    found[site, seed] = one_draw(site, seed)
+                    note(given.keep, found[site, seed])
+        words = WORDS.format(machine=machine(), first=seeds[0], last=seeds[-1], height=HEIGHT_SIGMA, noise=NOISE)
+        rows = [row(site, way, [found[site, seed] for seed in seeds]) for site in sites for way in WAYS]
+        return "\n".join([words, *table(HEAD, rows), ""])
+
+    return write_page(parser, given.page, make)
+
+
+Draw = dict[str, Any]
+"""Site and seed; by way of adjusting: normalised errors by kind, per degree of freedom, and errors in m."""
+
+
+def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
+    """Draws of an earlier run."""
+    if path is None or not path.exists():
+        return {}
+    draws = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return {(draw["site"], draw["seed"]): draw for draw in draws}
+
+
+def note(path: Path | None, draw: Draw) -> None:
+    """Add a draw to those kept."""
+    if path is not None:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(draw) + "\n")
+
+
+def one_draw(name: str, seed: int) -> Draw:
+    """Draw, adjust by patches and by cells, judge."""
+    begin = time.perf_counter()
+    site = simulate_site(name, seed, SimulationOptions(pictures=False))
+    rng = np.random.default_rng([seed, SITE_NAMES.index(name), 7])
+    lift = float(rng.normal(0.0, HEIGHT_SIGMA))
+    site = replace(site, grid=replace(site.grid, radii=site.grid.radii + lift))
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_site(site, Path(folder))
+        path.write_text(f"{path.read_text(encoding='utf-8')}height_sigma_m = {HEIGHT_SIGMA}\n", encoding="utf-8")
+        case = read_case(path)
+    patches = adjust_network(case.network, case.settings, case.name)
+    cells = by_cells(case, patches, site, rng)
+    truth = Truth(site, lift)
+    draw = {"site": name, "seed": seed, "patches": truth.judge(patches), "cells": truth.judge(cells)}
+    return draw | {"seconds": time.perf_counter() - begin}
+
+
+def by_cells(case: Case, before: Solution, site: SimulatedSite, rng: np.random.Generator) -> Solution:
+    """Adjusted with posts and shots on the surface of dense matches."""
+    settings, posterior = ReliefSettings(reach=REACH), Posterior.of(before)
+    matches = true_matches(site.terrain, *(image.true for image in site.images), STEP, NOISE, rng)
+    assert before.network.shifts is not None
+    footprints = [case.footprints[name] for name in before.network.shifts.names]
+    models = cells_of(case.terrain, posterior, settings)
+    surfaces = [
+        averaged_pair(posterior, matches, (0, 1), size, matches.spacing, WINDOW)
+        for size in sorted({*footprints, *(posts.footprint for _, posts in models)})
+    ]
+    return registered(before, footprints, models, surfaces, settings, case.settings).solution
+
+
+class Truth:
+    """What an adjustment should find."""
+
+    def __init__(self, site: SimulatedSite, lift: float) -> None:
+        self._points = dict(zip(site.ties.ids, site.true_ties, strict=True))
+        self._shifts = dict[str, Array]()
+        for image in site.images:
+            profile = image.settings.profile
+            self._shifts[profile] = -image.profile.shift
+            names = [f"{profile}:{one}" for one in shot_names(image)]
+            self._points |= dict(zip(names, image.profile.true_footprints, strict=True))
+        self._model = -np.append(grid_shift(site.terrain), lift)
+
+    def judge(self, solution: Solution) -> Draw:
+        """Errors of a solution, and the same by their covariances, per degree of freedom."""
+        network = solution.network
+        model, of_model = model_shift(solution)
+        members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
+        (ties, of_ties), (laser, of_laser) = (self._errors(solution, mine) for mine in members)
+        assert network.shifts is not None
+        chosen = [(p, name) for p, name in enumerate(network.shifts.names) if name in self._shifts]
+        shifts = np.array([solution.shifts[p] - self._shifts[name] for p, name in chosen])
+        of_shifts = np.array([solution.shift_covariance(p) for p, _ in chosen])
+        each = nees(ties, of_ties)
+        squares = {
+            "terrain": nees((model - self._model)[None], of_model[None]),
+            "mean tie": nees(ties.mean(axis=0)[None], of_ties.mean(axis=0)[None]),
+            "ties": each, "profiles": nees(shifts, of_shifts), "laser": nees(laser, of_laser),
+        }  # fmt: skip
+        return {
+            "converged": solution.converged,
+            "nees": {kind: float(values.mean()) / KINDS[kind] for kind, values in squares.items()},
+            "inside": float(np.mean(each < INSIDE)),
+            "model": float(np.linalg.norm((model - self._model)[:2])),
+            "ties": float(np.sqrt(np.mean(np.sum(ties**2, axis=1)))),
+            "laser": float(np.sqrt(np.mean(np.sum(laser**2, axis=1)))),
+        }
+
+    def _errors(self, solution: Solution, points: Array) -> tuple[Array, Array]:
+        """(n, 3) m east, north and up, errors of points; their covariances."""
+        truth = np.array([self._points[solution.network.points.ids[i]] for i in points.tolist()])
+        axes = east_north_up(truth)
+        covariances = axes @ solution.covariances[points] @ np.swapaxes(axes, 1, 2)
+        return np.einsum("nij,nj->ni", axes, solution.places[points] - truth), covariances
+
+
+INSIDE = 7.815
+"""Chi-square of three degrees of freedom that 95 % stay below."""
+
+
+def model_shift(solution: Solution) -> tuple[Array, Array]:
+    """(3,) m east, north and up, shift of the terrain model, and its covariance."""
+    network = solution.network
+    if network.terrain_moves:
+        last = len(network.shift_names) - 1
+        return solution.shift_values[last], solution.shift_spread(last)
+    (k,) = (k for k, one in enumerate(network.shared) if one.kind is SharedKind.PROFILE_HEIGHT)
+    assert network.shifts is not None
+    p = network.shifts.names.index(network.shared[k].profile)
+    first, second = len(network.images) + p, solution.shared_variable(k)
+    joint = solution.joint_covariance
+    spread = np.zeros((3, 3))
+    spread[:2, :2], spread[2, 2] = joint.block(first, first), joint.block(second, second)[0, 0]
+    spread[:2, 2] = spread[2, :2] = joint.block(first, second)[:, 0]
+    return np.append(solution.shifts[p], solution.shared[k][0]), spread
+
+
+def row(site: str, way: str, draws: list[Draw]) -> list[str]:
+    """Of one site, by patches or by cells."""
+    mine = [draw[way] for draw in draws]
+    cells = []
+    for kind, degrees in KINDS.items():
+        values = np.array([one["nees"][kind] for one in mine])
+        half = student(0.01, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+        low, high = chi_square_band(degrees * len(values)) if kind in ALONE else (1.0 - half, 1.0 + half)
+        within = low <= values.mean() <= high
+        cells.append(f"{'' if within else '**'}{values.mean():.2f}{'' if within else '**'} ({low:.2f} .. {high:.2f})")
+    errors = [float(np.sqrt(np.mean([one[name] ** 2 for one in mine]))) for name in ("model", "ties", "laser")]
+    return [
+        site, way, str(len(mine)), str(sum(not one["converged"] for one in mine)), *cells,
+        f"{100.0 * np.mean([one['inside'] for one in mine]):.1f}", *(number(error) for error in errors),
+        number(float(np.mean([draw["seconds"] for draw in draws]))),
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())
