@@ -148,6 +148,8 @@ def test_slopes_are_those_of_the_surface(registration: ReliefRegistration) -> No
     assert slopes_of(state)[:, 0] == pytest.approx(-east / vertical, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.usefixtures("light_figures")
+@pytest.mark.slow
 def test_the_command_writes_a_result(
     registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -357,7 +359,7 @@ def test_sentences_of_one_profile_not_tied_and_of_several_minima(registration: R
     assert "\n".join(profiles_table(made).text())
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_forty_profiles_have_few_sentences_and_sheets(registration: ReliefRegistration, tmp_path: Path) -> None:
     profiles = [replace(registration.profiles[k % 2], name=f"profile {k}") for k in range(38)]
     profiles += [untied(profiles[0], "plain"), aside(profiles[0], "aside")]
