@@ -12,7 +12,7 @@ from typing import Any
 import kernels
 import once
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from outside import require
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,7 +36,9 @@ sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
 
 gc.set_threshold(20_000, 20, 100)  # a twentieth of the run, else
 # no clock, for machines are shared; the same examples each time (600 random ones passed)
-settings.register_profile("mgsgraph", deadline=None, derandomize=True, max_examples=40)
+settings.register_profile(
+    "mgsgraph", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, max_examples=40
+)
 settings.load_profile("mgsgraph")
 
 
