@@ -35,11 +35,12 @@ from mgsgraph.wording import root_mean_square as rms
 WORDS = """# Registration by relief against truth
 
 Made by `scripts/relief.py` ({machine}), seeds {first} to {last}: simulated sites whose errors have the sigmas that
-their cases state, rendered images, own dense matches, {terrain}. *after*: misplacement of a profile against the stereo
-surface, found minus true, rms of both axes over all profiles and draws; *captured*: profiles for which it is below
-{captured:g} m; *before*: the same of the first search, where it ties the profile. *shifts*: NEES of the profiles' shifts
-per axis. *ties*: rms error of the tie points' positions without and with the rows, and the NEES of their mean position
-in the plane. 99 % bands in brackets (the profiles of a draw share the orientation: they are not independent).
+their cases state, rendered images, own dense matches, {terrain}. *after*: misplacement of a profile against the
+stereo surface, found minus true, rms of both axes over all profiles and draws; *captured*: profiles for which it is
+below {captured:g} m; *before*: the same of the first search, where it ties the profile. *shifts*: NEES of the
+profiles' shifts per axis. *ties*: rms error of the tie points' positions without and with the rows, and the NEES of
+their mean position in the plane. 99 % bands in brackets (the profiles of a draw share the orientation: they are not
+independent).
 """
 HEAD = (
     "site", "draws", "captured", "before, m", "after, m", "shifts", "ties before, m", "ties after, m", "times better",

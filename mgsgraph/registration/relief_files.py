@@ -161,7 +161,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
         ),
         sigma("sigma_misplacement_after_{}", lambda one: one.after.misplacement_covariance),
         Column("misfit", numbers(lambda one: _misfit(one, 0)), meaning="of the likeliest shift, after"),
-        Column("runner_up_misfit", numbers(lambda one: _misfit(one, 1)), meaning="of the second-likeliest minimum, after"),
+        Column("runner_up_misfit", numbers(lambda one: _misfit(one, 1)), meaning="of the second-likeliest, after"),
         Column(
             "runner_up_weight", numbers(lambda one: _of_minimum(one, 1, lambda found: found.weight)),
             meaning="its probability, all shifts being alike beforehand",

@@ -15,7 +15,7 @@ changes linearly along it, by tens of metres. Minima are then compared two by tw
 surface. Their probabilities (`minima`) say whether relief ties the profile: few of them hold all of it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -32,7 +32,7 @@ REACH = 1500.0
 """m, shifts that are searched, in every direction, at least."""
 _MOST_SHOTS = 600
 """Of a profile, evenly taken, that are enough to find a minimum; more where there are few shifts."""
-_MOST_TRIALS = 10_000_000
+_MOST_TRIALS = 3_000_000
 """Shots times shifts, up to which more shots are taken."""
 _LEAST_SHOTS = 12
 """On the surface, below which a shift says nothing."""
@@ -48,6 +48,10 @@ _CLEAR = 1e-3
 """Weight of the second-best minimum up to which the best is the only one."""
 _MOST_COMPARED = 40
 """Minima, the lowest, that are compared with one another."""
+_LEAST_COMPARED = 4
+"""Of them, however badly the others fit."""
+_WORST_COMPARED = 10.0
+"""Times the lowest misfit on the grid up to which a minimum may be the lowest after the fit."""
 _MOST_POSSIBLE = 5
 """Minima above that weight up to which relief ties a profile: more are a plain, in which noise fits anywhere."""
 _CHANGE = 50.0
@@ -55,7 +59,9 @@ _CHANGE = 50.0
 _ONE_PLACE = 13.8
 """chi-square of two degrees of freedom (99.9 %), up to which two minima are one place."""
 _STEPS = 12
-"""Of the fit of a shift and its change."""
+"""Of the fit of a shift and its change, at most."""
+_FITTED_TO = 1.0
+"""m, of a step that ends the fit."""
 
 
 class StereoPair(NamedTuple):
@@ -163,14 +169,14 @@ def search(
     reach : float
         m, up to which shifts are tried.
     step : float, optional
-        m between shifts; a node of the surface when absent.
+        m between shifts; the standard deviation of the footprint when absent.
 
     Returns
     -------
     CostSurface
         Without minima where too few shots are on the surface.
     """
-    step = step or _node_size(pair)
+    step = step or _footprint_width(pair)
     half = int(np.ceil(reach / step))
     moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_TRIALS // (2 * half + 1) ** 2))
     shifts = np.asarray(step * np.arange(-half, half + 1, dtype=np.float64))
@@ -178,17 +184,19 @@ def search(
     misfits, shots = _misfits(pair.surface, moved, np.stack([east.ravel(), north.ravel()], axis=1))
     misfits = misfits.reshape(shifts.size, shifts.size)
     lowest = local_minima(shifts, misfits)[:_MOST_COMPARED]
+    likely = sum(one.misfit <= _WORST_COMPARED * lowest[0].misfit for one in lowest)
+    lowest = lowest[: max(likely, _LEAST_COMPARED)]
     found = _compared(pair.surface, moved, lowest, step)
     return CostSurface(name, shifts, misfits, shots, found, moved.span)
 
 
-def _node_size(pair: StereoPair) -> float:
-    """Distance on the ground between nodes of the surface, m."""
+def _footprint_width(pair: StereoPair) -> float:
+    """Standard deviation of the footprint, m on the ground: two nodes of the surface."""
     image, surface = pair.images[0], pair.surface
     middle = surface.first + 0.5 * surface.step * np.array(surface.covered.shape)
     places = middle + np.array([[0.0, 0.0], [surface.step[0], 0.0], [0.0, surface.step[1]]])
     points = image.image_to_ground(places[:, 0], places[:, 1], 0.0, pair.corrections[0])[0]
-    return float(np.linalg.norm(points[1:] - points[0], axis=1).max())
+    return 2.0 * float(np.linalg.norm(points[1:] - points[0], axis=1).max())
 
 
 def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Moved:
@@ -222,7 +230,9 @@ def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Arra
     result, counts = np.full(len(shifts), np.nan), np.zeros(len(shifts), dtype=np.int64)
     at_once = max(1, 200_000 // max(len(moved.places), 1))
     for begin in range(0, len(shifts), at_once):
-        heights, weights = _heights(surface, moved, shifts[begin : begin + at_once], surface.nearly)
+        places, others = _seen(moved, shifts[begin : begin + at_once, None])
+        near = surface.nearly(places.reshape(-1, 2)).reshape(others.shape)
+        heights, weights = _heights(surface, moved, places, others - near)
         counts[begin : begin + at_once] = np.count_nonzero(weights, axis=1)
         result[begin : begin + at_once] = _left(heights, weights, moved.along)[0]
     most = int(counts.max(initial=0))
@@ -232,33 +242,31 @@ def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Arra
     return np.where(enough, result + (most - counts) * each, np.nan), most
 
 
-def _heights(
-    surface: StereoSurface, moved: _Moved, shifts: Array, values: Callable[[Array], Array] | None = None
-) -> tuple[Array, Array]:
-    """Heights (s, n), m, of shots above the surface after shifts (s, 2) or (s, n, 2) in m, and their weights (s, n),
-    1/m^2: zero beside the surface. The disparities are `values` of the surface, the exact ones when absent.
+def _heights(surface: StereoSurface, moved: _Moved, places: Array, off: Array) -> tuple[Array, Array]:
+    """Heights (s, n), m, of shots above the surface, and their weights (s, n), 1/m^2: zero beside the surface.
+
+    The shots are at `places` (s, n, 2) in the first image, and by `off` (s, n, 2) beside what the surface shows in the
+    second.
     """
-    places, others = _seen(moved, shifts)
-    flat = places.reshape(-1, 2)
-    at = surface.disparity(flat)[0] if values is None else values(flat)
-    off = others - at.reshape(others.shape)
-    covered, sigmas, roughness = (part.reshape(places.shape[:2]) for part in surface.at_nodes(flat))
+    covered, sigmas, roughness = (part.reshape(off.shape[:2]) for part in surface.at_nodes(places.reshape(-1, 2)))
     noise = np.hypot(sigmas, roughness) / moved.pixels_per_metre
     heights = np.einsum("ni,sni->sn", moved.epipolar, off) / moved.pixels_per_metre
     return heights, covered / (moved.sigmas**2 + noise**2)
 
 
-def _slopes(surface: StereoSurface, moved: _Moved, shifts: Array) -> Array:
-    """(s, n, 2) derivative of the heights by shifts (s, n, 2)."""
-    places, _ = _seen(moved, shifts)
-    slopes = surface.disparity(places.reshape(-1, 2))[1].reshape(*places.shape, 2)
-    off = moved.other_by_shift - slopes @ moved.place_by_shift
-    return np.einsum("ni,snij->snj", moved.epipolar, off) / moved.pixels_per_metre[:, None]
+def _exact(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Array, Array, Array]:
+    """Heights and weights (s, n) of shots after shifts (s, n, 2) in m; (s, n, 2) the heights' derivatives by these."""
+    places, others = _seen(moved, shifts)
+    values, slopes = surface.disparity(places.reshape(-1, 2))
+    heights, weights = _heights(surface, moved, places, others - values.reshape(others.shape))
+    turned = moved.other_by_shift - slopes.reshape(*places.shape, 2) @ moved.place_by_shift
+    by_shift = np.einsum("ni,snij->snj", moved.epipolar, turned) / moved.pixels_per_metre[:, None]
+    return heights, weights, by_shift
 
 
 def _seen(moved: _Moved, shifts: Array) -> tuple[Array, Array]:
-    """(s, n, 2) where shots are in both images after shifts (s, 2) or (s, n, 2) in m."""
-    every = np.broadcast_to(shifts if shifts.ndim == 3 else shifts[:, None], (len(shifts), len(moved.places), 2))
+    """(s, n, 2) where shots are in both images after shifts (s, n, 2), or (s, 1, 2) alike for all, in m."""
+    every = np.broadcast_to(shifts, (len(shifts), len(moved.places), 2))
     return (
         moved.places + np.einsum("nij,snj->sni", moved.place_by_shift, every),
         moved.others + np.einsum("nij,snj->sni", moved.other_by_shift, every),
@@ -288,7 +296,7 @@ def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step
     if not bowls:
         return ()
     fitted = _bent(surface, moved, np.array([one.shift for one in bowls]), step)
-    heights, weights = _heights(surface, moved, fitted.along(moved))
+    heights, weights, _ = _exact(surface, moved, fitted.along(moved))
     misfits, left = _left(heights, weights, moved.along)
     counts = np.count_nonzero(weights, axis=1)
     each = (misfits + fitted.penalty) / np.maximum(counts, 1)
@@ -344,20 +352,24 @@ def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float) -> _
     found = _Bent(begin.copy(), np.zeros_like(begin), np.zeros((len(begin), 2, 2)))
     level = np.stack([np.ones_like(moved.along), moved.along], axis=1)
     known = np.diag([1e-12, 1e-12, _CHANGE**-2, _CHANGE**-2, 1e-12, 1e-12])
+    going = np.arange(len(begin))
     for _ in range(_STEPS):
-        shifts = found.along(moved)
-        heights, weights = _heights(surface, moved, shifts)
-        slopes = _slopes(surface, moved, shifts)
+        heights, weights, slopes = _exact(surface, moved, found.along(moved)[going])
         _, left = _left(heights, weights, moved.along)
         weights = weights * np.where(np.abs(left) > _HUBER, _HUBER / np.maximum(np.abs(left), 1e-12), 1.0)
-        every = np.broadcast_to(level, (len(begin), *level.shape))
+        every = np.broadcast_to(level, (going.size, *level.shape))
         terms = np.concatenate([slopes, slopes * moved.along[:, None], every], axis=2)
         normal = np.einsum("sn,sni,snj->sij", weights, terms, terms) + known
         right = np.einsum("sn,sni,sn->si", weights, terms, heights)
-        right[:, 2:4] += found.changes / _CHANGE**2
+        right[:, 2:4] += found.changes[going] / _CHANGE**2
         move = -np.linalg.solve(normal, right[:, :, None])[:, :4, 0]
         move *= np.minimum(1.0, step / np.maximum(np.abs(move).max(axis=1, keepdims=True), 1e-12))
-        found = _Bent(found.shifts + move[:, :2], found.changes + move[:, 2:], np.linalg.inv(normal)[:, :2, :2])
+        found.shifts[going] += move[:, :2]
+        found.changes[going] += move[:, 2:]
+        found.covariances[going] = np.linalg.inv(normal)[:, :2, :2]
+        going = going[np.abs(move).max(axis=1) > _FITTED_TO]
+        if not going.size:
+            break
     return found
 
 
