@@ -36,7 +36,7 @@ _FINER = 2
 within a standard deviation of the footprint."""
 _REACH = 4.0
 """Standard deviations up to which matches count."""
-_LEAST_SHARE = 0.5
+LEAST_SHARE = 0.5
 """Of the usual weight of matches about a node, below which it has no average: a hole, or the edge."""
 _RESOLUTION = 2.0**-16
 """pixels, of which places are whole multiples: a thousandth of what matches are good to. So files hold them whole."""
@@ -122,7 +122,13 @@ class StereoSurface:
 
 
 def averaged_surface(
-    anchors: Array, places: Array, variances: Array, ground_pixel: Array, width: float, window: float
+    anchors: Array,
+    places: Array,
+    variances: Array,
+    ground_pixel: Array,
+    width: float,
+    window: float,
+    least_share: float = LEAST_SHARE,
 ) -> StereoSurface:
     """Average dense matches over a footprint.
 
@@ -138,6 +144,8 @@ def averaged_surface(
         m, standard deviation of the Gaussian footprint: a quarter of its diameter.
     window : float
         m, width of the matching window: matches nearer to one another are not independent.
+    least_share : float
+        Of the usual weight of matches about a node, below which it is not covered.
 
     Raises
     ------
@@ -152,7 +160,7 @@ def averaged_surface(
     left = places - trend.at(anchors)
     taken = np.ones(len(anchors), dtype=bool)
     for _ in range(2):
-        found = _local_planes(spots[taken], left[taken], variances[taken], shape)
+        found = _local_planes(spots[taken], left[taken], variances[taken], shape, least_share)
         if not np.any(found.covered):
             raise InputError(
                 "stereo surface", f"{len(anchors)} dense matches, nowhere enough for a footprint of {4 * width:.0f} m",
@@ -263,7 +271,9 @@ class _Planes(NamedTuple):
     """(r, c) rms of the values about the plane, along the larger of both."""
 
 
-def _local_planes(spots: Array, values: Array, variances: Array, shape: tuple[int, ...]) -> _Planes:
+def _local_planes(
+    spots: Array, values: Array, variances: Array, shape: tuple[int, ...], least_share: float
+) -> _Planes:
     """Planes with Gaussian weights about nodes: moments of the matches, gathered at nodes and smoothed.
 
     `spots` (n, 2) are places counted in nodes; `values` (n, 2).
@@ -290,7 +300,7 @@ def _local_planes(spots: Array, values: Array, variances: Array, shape: tuple[in
     usual = np.median(s[s > 0.1 * s.max()])
     normal = np.stack([np.stack(row, axis=2) for row in ((s, sy, sx), (sy, syy, syx), (sx, syx, sxx))], axis=2)
     spread = np.linalg.det(normal) > 1e-3 * np.prod(np.diagonal(normal, axis1=2, axis2=3), axis=2)
-    covered = (s > _LEAST_SHARE * usual) & spread
+    covered = (s > least_share * usual) & spread
     normal = np.where(covered[:, :, None, None], normal, np.eye(3))
     found, scatter = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     for k in range(2):
