@@ -1,9 +1,9 @@
 """Do laser and images agree after registration by relief, as its sigmas say? Simulated sites against their truth.
 
 Each draw is a simulated site, whose errors have the sigmas that its case states: rendered images in the mission's
-formats are read, matched densely, and the profiles registered (`registration.relief`), without a terrain model.
+formats are read, matched densely, and the profiles registered (`registration.relief`).
 
-    python scripts/relief.py [--sites gusev,eos,isidis] [--seeds 20] [--first 1] [--page docs/relief.md]
+    python scripts/relief.py [--sites gusev,eos,isidis] [--seeds 20] [--first 1] [--no-terrain] [--page docs/relief.md]
 
 One line per draw goes to stdout. Exit status: 0 done, 2 bad input.
 """
@@ -75,13 +75,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--sites", default=",".join(SITE_NAMES), help="with commas between")
     parser.add_argument("--seeds", type=at_least(1), default=20, help="draws of each site")
     parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
+    parser.add_argument("--no-terrain", action="store_true", help="leave out the case's terrain model")
     parser.add_argument("--page", type=Path, help="file to write the table to")
     given = parser.parse_args(arguments)
     sites = [site_settings(name) for name in given.sites.split(",")]
 
     def make() -> str:
         seeds = range(given.first, given.first + given.seeds)
-        draws = [draw for seed in seeds for settings in sites for draw in _drawn(settings, seed)]
+        draws = [draw for seed in seeds for settings in sites for draw in _drawn(settings, seed, not given.no_terrain)]
         words = WORDS.format(
             machine=machine(), first=seeds[0], last=seeds[-1], position="100 and 200 m", captured=_CAPTURED
         )
@@ -90,13 +91,13 @@ def main(arguments: list[str] | None = None) -> int:
     return write_page(parser, given.page, make)
 
 
-def _drawn(settings: SiteSettings, seed: int) -> Iterator[Draw]:
+def _drawn(settings: SiteSettings, seed: int, terrain: bool) -> Iterator[Draw]:
     show(f"{settings.name}, seed {seed}")
     begin = time.perf_counter()
     site = simulate_site(settings, seed)
     with tempfile.TemporaryDirectory() as folder:
         case = read_case(write_site(site, Path(folder)))
-        found = register_by_relief(replace(case, network=replace(case.network, surface=None)))
+        found = register_by_relief(case if terrain else replace(case, network=replace(case.network, surface=None)))
     draw = _judged(site, found, seed, time.perf_counter() - begin)
     print(
         f"{draw.site} {draw.seed}: before {rms(draw.before):.1f}, after {rms(draw.after):.1f} m, shifts "

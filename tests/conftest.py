@@ -98,6 +98,15 @@ def case_file(_written_pair: Path, tmp_path: Path) -> Path:
     return folder / "case.toml"
 
 
+@pytest.fixture
+def vector_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures' PNG files stay empty: to draw them takes as long again as the SVG files, which show the same."""
+    from mgsgraph.figures import sheet
+
+    drawn = sheet.encoded
+    monkeypatch.setattr(sheet, "encoded", lambda one, kind, **how: drawn(one, kind, **how) if kind != "png" else b"")
+
+
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
     """Debian's Chromium, driven by Playwright; the tests are skipped where either is missing."""

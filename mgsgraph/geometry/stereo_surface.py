@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
@@ -358,14 +359,19 @@ def heights_above(
     second: PushbroomImage,
     points: Array,
     corrections: tuple[OrientationCorrection, OrientationCorrection],
+    level: Mask | None = None,
 ) -> SurfaceHeights:
-    """Heights of points (n, 3), m, above a surface, by the corrections of the two images."""
+    """Heights of points (n, 3), m, above a surface, by the corrections of the two images; those of points that are
+    `level` (n,) along the vertical, with the derivatives that level ground would have.
+    """
     (places, by_point), (others, other_by_point) = (
         image.ground_to_image(points, one) for image, one in zip((first, second), corrections, strict=True)
     )
     seen = np.isfinite(places[:, 0]) & np.isfinite(others[:, 0])
     known = np.where(seen[:, None], places, surface.first)
     disparity, slopes = surface.disparity(known)
+    if level is not None:
+        slopes[level] = _level_slopes(points[level], by_point[level], other_by_point[level])
     towards = -first.sightlines(known[:, 0], known[:, 1], corrections[0])[1]
     epipolar = np.einsum("nij,nj->ni", other_by_point, towards)
     epipolar /= np.linalg.norm(epipolar, axis=1, keepdims=True)
@@ -386,3 +392,10 @@ def heights_above(
         roughness / size[:, 0],
         epipolar[:, 0] * off[:, 1] - epipolar[:, 1] * off[:, 0],
     )
+
+
+def _level_slopes(points: Array, by_point: Array, other_by_point: Array) -> Array:
+    """(n, 2, 2) derivative of the disparity by the position in the first image, of level ground at points (n, 3)."""
+    ways = np.swapaxes(east_north(points), 1, 2)
+    first, second = (np.swapaxes(part @ ways, 1, 2) for part in (by_point, other_by_point))
+    return np.swapaxes(np.linalg.solve(first, second), 1, 2)

@@ -26,6 +26,9 @@ class StereoControl:
     for the a-priori positions."""
     rejected: Mask | None = None
     """(n,) True for heights that are blunders of the last batch adjustment, as for rays."""
+    level: Mask | None = None
+    """(n,) points whose height counts as if the ground were level, so that relief moves nothing horizontally: those
+    whose horizontal position the search has not found, or not yet. None for none."""
 
     def chosen(self, points: Index) -> "StereoControl | None":
         """Some points (n,) and the surfaces on which they lie, the images' numbers kept; None where there are none."""
@@ -35,10 +38,11 @@ class StereoControl:
             return None
         surface = np.full(mine.size, -1)
         surface[mine >= 0] = inside
-        starts = None if self.starts is None else self.starts[points]
-        rejected = None if self.rejected is None else self.rejected[points]
+        starts, rejected, level = (
+            None if one is None else one[points] for one in (self.starts, self.rejected, self.level)
+        )
         shown = tuple(self.surfaces[s] for s in kept.tolist())
-        return StereoControl(shown, self.images[kept], surface, self.sigmas[points], starts, rejected)
+        return StereoControl(shown, self.images[kept], surface, self.sigmas[points], starts, rejected, level)
 
     def without(self, images: Mask) -> "StereoControl":
         """The same with no point on the surfaces that some images (m,) show."""
@@ -62,7 +66,8 @@ def joined_control(
     """
     number, surfaces, images = dict[int, int](), list[StereoSurface](), list[Index]()
     surface, sigmas = np.full(count, -1), np.full(count, np.inf)
-    starts, rejected = np.full((count, 3), np.nan), np.zeros(count, dtype=bool)
+    starts = np.full((count, 3), np.nan)
+    rejected, level = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
     for control, place, image in zip(controls, place_of, image_of, strict=True):
         if control is None:
             continue
@@ -76,4 +81,7 @@ def joined_control(
         surface[place[on]], sigmas[place[on]] = own[control.surface[on]], control.sigmas[on]
         starts[place[on]] = np.nan if control.starts is None else control.starts[on]
         rejected[place[on]] = control.rejected is not None and control.rejected[on]
-    return StereoControl(tuple(surfaces), np.array(images), surface, sigmas, starts, rejected) if surfaces else None
+        level[place[on]] = control.level is not None and control.level[on]
+    if not surfaces:
+        return None
+    return StereoControl(tuple(surfaces), np.array(images), surface, sigmas, starts, rejected, level)

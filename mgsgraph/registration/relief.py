@@ -32,13 +32,13 @@ from mgsgraph.network.posts import with_posts
 from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
-from mgsgraph.registration.search import CostSurface, StereoPair, search
+from mgsgraph.registration.search import CostSurface, StereoPair, search, shots_alike
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.wording import some
 
 _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
-_MOST_ROUNDS = 4
+_MOST_ROUNDS = 6
 """Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
 _LIKELY = 0.01
 """Weight from which on a minimum counts as one where the profile may be."""
@@ -139,8 +139,9 @@ def registered(
     network, placed = _with_cells(before, cells)
     footprints = [*footprints, *(posts.footprint for _, posts in cells)]
     first = _searched(network, surfaces, Posterior.of(before), placed, footprints, settings.reach, progress)
-    found, solution = first, before
+    left, solution = first, before
     for _ in range(_MOST_ROUNDS):
+        found = left
         control = _control(network, surfaces, found)
         shown = _counted(progress, "adjustment with stereo rows", solver)
         anew = replace(network, stereo=control)
@@ -148,9 +149,8 @@ def registered(
         solution = adjust_network(anew, solver, before.name, shown, begin=begin)
         placed = _Placed(network.points.places + footprint_shifts(network, solution.shared), solution.shifts)
         left = _searched(network, surfaces, Posterior.of(solution), placed, footprints, settings.reach, progress)
-        if all(one.at_rest for one in left):
+        if all(new.at_rest(old) for old, new in zip(found, left, strict=True)):
             break
-        found = left
     profiles = tuple(
         ReliefProfile(
             one.cost.name, PointClass(network.points.classes[one.mine[0]]), one.mine, control.surface[one.mine] >= 0,
@@ -234,11 +234,12 @@ class _Found:
     moved: SurfaceHeights
     """There."""
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether the profile fits where it is, or relief doesn't tie it."""
-        if not self.cost.tied:
-            return True
+    def at_rest(self, before: "_Found") -> bool:
+        """Whether the profile fits where it is, or relief ties it as little as it did `before` the last adjustment."""
+        if not self.cost.clear:
+            return not before.cost.clear and len(self.cost.possible) == len(before.cost.possible)
+        if not before.cost.clear:
+            return False
         step = float(np.diff(self.cost.shifts[:2])[0])
         near = [
             np.all(np.abs(one.shift) <= np.maximum(3.0 * np.sqrt(np.diag(one.covariance)), step))
@@ -285,7 +286,7 @@ def _search_profile(
     costs = [search(oriented[k], points, sigmas, network.shifts.names[p], reach) for k in usable]
     best = int(np.argmax([cost.shots for cost in costs]))
     pair, cost = oriented[usable[best]], costs[best]
-    starts = points + np.einsum("k,nkj->nj", cost.minima[0].shift if cost.tied else np.zeros(2), ways)
+    starts = points + np.einsum("nk,nkj->nj", cost.best(mine.size), ways) if cost.clear else points
     here, moved = (heights_above(pair.surface, *pair.images, places, pair.corrections) for places in (points, starts))
     return _Found(mine, usable[best], points, here, cost, starts, moved)
 
@@ -294,14 +295,19 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
     """Shots on the surfaces of all profiles that have enough there."""
     n = len(network.points)
     surface, sigmas, starts = np.full(n, -1, dtype=np.int64), np.full(n, np.inf), np.full((n, 3), np.nan)
+    level = np.zeros(n, dtype=bool)
     for one in found:
         on = one.moved.covered
         if int(on.sum()) < _LEAST_SHOTS:
             continue
+        surface[one.mine[on]] = one.surface
+        post = network.points.classes[one.mine[0]] == PointClass.POST
         # a post is the mean of its cell: how rough the ground is within makes it no less certain
-        rough = np.where(network.points.classes[one.mine] == PointClass.POST, 0.0, one.moved.roughness)
+        rough = np.zeros(on.size) if post else one.moved.roughness
         surface[one.mine[on]] = one.surface
         sigmas[one.mine[on]] = np.hypot(one.moved.sigmas, rough)[on]
+        if not (post or one.cost.clear):
+            level[one.mine], sigmas[one.mine[on]] = True, _level_sigma(one.moved.heights[on])
         starts[one.mine[on]] = one.starts[on]
     if not np.any(surface >= 0):
         shots = sum(one.mine.size for one in found)
@@ -310,4 +316,14 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
             "profiles that cross the ground that two images show", "check the images' overlap and the profiles' places",
         )  # fmt: skip
     images = np.array([one.images for one in surfaces])
-    return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts)
+    return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts, level=level)
+
+
+def _level_sigma(heights: Array) -> float:
+    """m, of heights (n,) above ground of unknown horizontal position: what they differ by from a line along the track,
+    as often as successive ones count as one.
+    """
+    along = np.linspace(-1.0, 1.0, heights.size)
+    left = heights - np.polyval(np.polyfit(along, heights, 1), along)
+    return float(np.sqrt(np.mean(left**2) * shots_alike(left)))
+

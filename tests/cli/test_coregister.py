@@ -326,6 +326,7 @@ def test_sentences_of_one_profile_not_tied_and_of_several_minima(registration: R
     assert "\n".join(profiles_table(made).text())
 
 
+@pytest.mark.usefixtures("vector_figures")
 def test_forty_profiles_have_few_sentences_and_sheets(registration: ReliefRegistration, tmp_path: Path) -> None:
     profiles = [replace(registration.profiles[k % 2], name=f"profile {k}") for k in range(38)]
     profiles += [untied(profiles[0], "plain"), aside(profiles[0], "aside")]
@@ -336,7 +337,7 @@ def test_forty_profiles_have_few_sentences_and_sheets(registration: ReliefRegist
     assert any(line.startswith("1 of 40 profiles are not tied") or "(plain)" in line for line in said)
     names = save(relief_sheets(made), tmp_path)
     assert len(names) == 2 * (2 + 5 + 1)
-    assert all((tmp_path / name).stat().st_size > 10_000 for name in names)
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in names if name.endswith(".svg"))
 
 
 def test_shots_beside_the_surface_have_no_height(registration: ReliefRegistration) -> None:

@@ -46,9 +46,9 @@ def by_batch(adjustment: IncrementalAdjustment) -> Any:
 
 
 def test_every_addition_gives_what_batch_gives() -> None:
-    """Twelve images of 30 ties, and the end of the path after the closing check."""
-    made, adjustment = strip(12, 30, 10), IncrementalAdjustment()
-    for k in range(12):
+    """Eight images of 15 ties, and the end of the path after the closing check."""
+    made, adjustment = strip(8, 15, 5), IncrementalAdjustment()
+    for k in range(8):
         impact = take(adjustment, made, k)
         assert impact.converged
         found = distances(adjustment, by_batch(adjustment))

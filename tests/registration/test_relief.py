@@ -10,7 +10,7 @@ from networks import pair
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import averaged_surface
-from mgsgraph.registration.search import CostSurface, StereoPair, minima, search, together
+from mgsgraph.registration.search import CostSurface, Minimum, StereoPair, local_minima, search, weighted
 
 NOISE = 0.05
 """pixels, of a dense match."""
@@ -110,6 +110,26 @@ def test_a_plain_does_not_tie_a_profile() -> None:
         assert not cost.clear
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_plain_under_exact_shots_has_no_confident_wrong_place(seed: int) -> None:
+    """2 m of relief under shots of 3 m."""
+    cost = found(plain, track(plain, np.zeros(2), seed), 1500.0)
+    best = cost.minima[0]
+    assert not cost.clear or best.shift @ np.linalg.solve(best.covariance, best.shift) < 13.8
+
+
+def test_a_shift_that_changes_along_the_track_is_found() -> None:
+    """As where the yaw of an image is wrong: by 60 m from the middle to the end."""
+    shift, change = np.array([-300.0, 200.0]), np.array([60.0, -40.0])
+    footprints = track(hills, shift)
+    along = np.linspace(-1.0, 1.0, SHOTS)[:, None]
+    bent = footprints - np.einsum("nk,nkj->nj", along * change, east_north(footprints))
+    cost = found(hills, bent, 800.0)
+    assert cost.clear
+    assert np.abs(cost.best(SHOTS) - shift - along * change).max() < 40.0
+    assert np.linalg.norm(cost.minima[0].change - change) < 30.0
+
+
 def test_nor_does_it_where_shifts_leave_the_surface() -> None:
     """Up to 1500 m, the half width of the surface."""
     assert not any(found(plain, track(plain, np.zeros(2), seed, 10.0), 1500.0, 10.0).tied for seed in range(8))
@@ -135,15 +155,6 @@ def test_profiles_beside_the_images_have_no_minimum() -> None:
         assert cost.shots == 0
 
 
-def test_two_profiles_together_have_the_sum_of_their_misfits() -> None:
-    shift = np.array([-250.0, 130.0])
-    each = [found(hills, track(hills, shift, seed), 600.0) for seed in (1, 2)]
-    both = together("both", each)
-    assert both.shots == each[0].shots + each[1].shots
-    assert np.linalg.norm(both.minima[0].shift - shift) < 12.0
-    assert np.all(np.diag(both.minima[0].covariance) < np.diag(each[0].minima[0].covariance))
-
-
 # --- minima of a surface that is given
 
 
@@ -158,30 +169,58 @@ def bowls(depths: tuple[float, ...], widths: tuple[float, ...]) -> tuple[Array, 
     return shifts, np.min(each, axis=0)
 
 
-def test_weights_are_probabilities_of_the_minima() -> None:
-    """exp(-chi^2 / 2) times the root of the covariance's determinant."""
-    shifts, misfits = bowls((56.0, 60.0), (30.0, 30.0))
-    first, second = minima(shifts, misfits, shots=60)
+PRIOR = 10.0
+"""Shots as stated, which the scale's prior counts as."""
+
+
+def alone(misfits: Array, shifts: Array, shots: int, alike: float = 1.0) -> tuple[Minimum, ...]:
+    """Minima of a misfit, all of them over the same shots."""
+    bowls = local_minima(shifts, misfits)
+    lowest = np.full(len(bowls), bowls[0].misfit)
+    each = np.array([one.misfit for one in bowls])
+    return weighted(bowls, each, lowest, np.full(len(bowls), shots), np.zeros(len(bowls)), alike)
+
+
+@pytest.mark.parametrize("scale", [0.25, 1.0, 4.0])
+def test_weights_are_probabilities_of_the_minima(scale: float) -> None:
+    """(chi^2_1 / chi^2_2)^(freedom / 2) times the root of the covariance's determinant, by unknown scale."""
+    shifts, misfits = bowls((56.0 * scale, 60.0 * scale), (30.0, 30.0))
+    first, second = alone(misfits, shifts, 60)
     assert first.shift == pytest.approx([-200.0, 0.0], abs=1e-6)
     assert second.shift == pytest.approx([200.0, 0.0], abs=1e-6)
     assert first.weight + second.weight == pytest.approx(1.0)
-    assert second.weight / first.weight == pytest.approx(np.exp(-2.0))
-    assert first.covariance == pytest.approx(np.eye(2) * 30.0**2, rel=1e-6, abs=1e-6)
+    ratio = (56.0 * scale + PRIOR) / (60.0 * scale + PRIOR)
+    assert second.weight / first.weight == pytest.approx(ratio ** ((56.0 + PRIOR) / 2.0))
+    found = (56.0 * scale + PRIOR) / (56.0 + PRIOR)
+    assert first.covariance == pytest.approx(found * np.eye(2) * 30.0**2, rel=1e-6, abs=1e-6)
 
-    narrow, wide = minima(*bowls((56.0, 56.001), (30.0, 60.0)), shots=60)
+    shifts, misfits = bowls((56.0, 56.001), (30.0, 60.0))
+    wide, narrow = alone(misfits, shifts, 60)
     assert wide.weight / narrow.weight == pytest.approx(4.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("scale", [0.25, 4.0])
-def test_weights_and_covariances_count_in_units_of_the_best_misfit_per_shot(scale: float) -> None:
-    shifts, misfits = bowls((60.0 * scale, 66.0 * scale), (30.0, 30.0))
-    first, second = minima(shifts, misfits, shots=64)
-    assert second.weight / first.weight == pytest.approx(np.exp(-3.0))
-    assert first.covariance == pytest.approx(scale * np.eye(2) * 30.0**2, rel=1e-6, abs=1e-6)
+def test_weights_of_shots_that_count_as_one() -> None:
+    shifts, misfits = bowls((56.0, 60.0), (30.0, 30.0))
+    (first, second), (one, other) = (alone(misfits, shifts, 60, alike) for alike in (1.0, 3.0))
+    assert other.weight / one.weight == pytest.approx((second.weight / first.weight) ** (1.0 / 3.0))
+    assert one.covariance == pytest.approx(3.0 * first.covariance)
+
+
+def test_rough_ground_is_no_better_fit() -> None:
+    """Twice the variance of each shot, and so half the misfit, is the same likelihood but for the scale's prior."""
+    shifts, misfits = bowls((56.0, 56.0), (30.0, 30.0))
+    found = local_minima(shifts, misfits)
+    doubled = np.array([0.0, 60.0 * np.log(2.0)])
+    by_shift = {
+        float(one.shift[0]): one.weight
+        for one in weighted(found, np.array([56.0, 28.0]), np.full(2, 56.0), np.full(2, 60), doubled, 1.0)
+    }
+    rough, smooth = (by_shift[float(one.shift[0])] for one in reversed(found))
+    assert rough / smooth == pytest.approx(2.0**-30 * ((56.0 + PRIOR) / (28.0 + PRIOR)) ** 33, rel=1e-6)
 
 
 def test_shifts_that_say_nothing_are_no_minima() -> None:
     shifts, misfits = bowls((40.0, 44.0), (30.0, 30.0))
     misfits[shifts > 0.0] = np.nan
-    assert len(minima(shifts, misfits, shots=60)) == 1
-    assert minima(shifts, np.full_like(misfits, np.nan), shots=0) == ()
+    assert len(local_minima(shifts, misfits)) == 1
+    assert not local_minima(shifts, np.full_like(misfits, np.nan))

@@ -136,19 +136,19 @@ class Layout:
         if at_rest(self.stereo, anew, self.network, self.variables, shared):
             return self
         places = points.copy()
-        places[anew.points] = accelerated(self.stereo, anew)
-        step, earlier = anew.reference - self.stereo.reference, self.stereo.reference
-        if not np.array_equal(places[anew.points], points[anew.points]):
-            anew = linear_rows(self.network, self.model, self.variables, shared, places, self.stereo)
-            assert anew is not None
-        return replace(self, stereo=anew._replace(step=step, earlier=earlier)).about(self.lines)
+        about, places[anew.points], steps = accelerated(
+            self.stereo, self.network, self.variables, shared, points[anew.points]
+        )
+        anew = linear_rows(self.network, self.model, self.variables, about, places, self.stereo)
+        assert anew is not None
+        return replace(self, stereo=anew._replace(steps=steps)).about(self.lines)
 
     @property
     def without_steps(self) -> "Layout":
         """The same, its stereo rows as they are where an optimisation begins: no step has led there."""
-        if self.stereo is None or self.stereo.step is None:
+        if self.stereo is None or not self.stereo.steps:
             return self
-        return replace(self, stereo=self.stereo._replace(step=None, earlier=None))
+        return replace(self, stereo=self.stereo._replace(steps=()))
 
     def about(self, lines: Array) -> "Layout":
         """The same network, points in and out, starting positions, terrain patches and stereo rows, its rays laid

@@ -24,8 +24,10 @@ from mgsgraph.network.corrections import adjusted_image, whole_correction
 _TOLERANCE = 1e-6
 """Sigmas, of point and surface together, by which a row may differ from the one about the present state, and by how
 much its normal may."""
-_FARTHEST = 5.0
-"""Times the last change, by which a step may go on."""
+_DEPTH = 6
+"""Steps that are looked back upon (`accelerated`)."""
+_FARTHEST = 10.0
+"""Sum of the moduli of their shares up to which they are mixed."""
 
 
 class StereoRows(NamedTuple):
@@ -43,10 +45,11 @@ class StereoRows(NamedTuple):
     """(k, 3) unit, body-fixed."""
     directions: tuple[Array, ...]
     """Of each surface (k_s, c) m per unit of each column that a row depends on: `columns` of both images."""
-    step: Array | None = None
-    """(k, 3) m, from `earlier` to where the points were found with the rows about it; None at first."""
-    earlier: Array | None = None
-    """(k, 3) m, about which the rows before were linear."""
+    about: Array
+    """(columns,) shared unknowns, about which they are linear."""
+    steps: tuple[tuple[Array, Array], ...] = ()
+    """Each (columns + 3 k,): unknowns about which earlier rows were linear, and those found with them, the last step
+    last; shared unknowns in a-priori sigmas, points in sigmas of their heights."""
 
     @property
     def parts(self) -> list[tuple[slice, Array]]:
@@ -96,8 +99,9 @@ def linear_rows(
     mine, sides, heights, normals, directions = zip(*found, strict=True)
     chosen = np.concatenate(mine)
     rows = StereoRows(
-        chosen, np.concatenate(sides), points[chosen], np.concatenate(heights), np.concatenate(normals), directions
-    )
+        chosen, np.concatenate(sides), points[chosen], np.concatenate(heights), np.concatenate(normals), directions,
+        orientation,
+    )  # fmt: skip
     unseen = ~np.isfinite(rows.heights)
     if not np.any(unseen):
         return rows
@@ -127,6 +131,7 @@ def _kept(unseen: Mask, before: StereoRows, rows: StereoRows) -> StereoRows:
             np.where(unseen[part, None], old, new)
             for (part, old), new in zip(before.parts, rows.directions, strict=True)
         ),
+        rows.about,
     )
 
 
@@ -136,13 +141,14 @@ def _of_surface(
     """Points, sides, heights, normals and directions of the rows of one surface."""
     assert network.stereo is not None
     first, second = network.stereo.images[s].tolist()
-    angles = angles_of(model)
+    angles, level = angles_of(model), network.stereo.level
     at = heights_above(
         network.stereo.surfaces[s],
         adjusted_image(network, first, values),
         adjusted_image(network, second, values),
         points[mine],
         (whole_correction(network, first, values, angles), whole_correction(network, second, values, angles)),
+        None if level is None else level[mine],
     )
     sides, parts = np.full((mine.size, 4), -1, dtype=np.int64), []
     for side, image in enumerate((first, second)):
@@ -199,20 +205,31 @@ def at_rest(before: StereoRows, after: StereoRows, network: Network, variables: 
     return bool(off.max(initial=0.0) <= _TOLERANCE and turned.max(initial=0.0) <= _TOLERANCE)
 
 
-def accelerated(before: StereoRows, after: StereoRows) -> Array:
-    """(k, 3) m, about which rows are to be linear next: where a secant step (Anderson's method of depth one, point by
-    point) takes them, for on a steep wall whole steps go to and fro; where the points are (`after`) if the surface has
-    not turned.
+def accelerated(
+    before: StereoRows, network: Network, variables: Variables, shared: Array, points: Array
+) -> tuple[Array, Array, tuple[tuple[Array, Array], ...]]:
+    """Shared unknowns (columns,) and points (k, 3), m, about which rows are to be linear next, and the steps so far,
+    when the rows before have led to `shared` and `points`.
+
+    Each step alone may lead to and fro: on a steep wall, or where the heights are hardly linear in unknowns that little
+    else determines. So the next state is that mixture of the last ones of which all steps together are smallest
+    (Anderson 1965, method of type II; Walker & Ni 2011, Eq. 2.2).
     """
-    turned = np.linalg.norm(after.normals - before.normals, axis=1) > _TOLERANCE
-    step = after.reference - before.reference
-    if before.step is None or before.earlier is None or not np.any(turned):
-        return after.reference
-    change = step - before.step
-    share = np.einsum("kc,kc->k", step, change) / np.maximum(np.einsum("kc,kc->k", change, change), 1e-12)
-    moved = before.reference - before.earlier + change
-    taken = np.where(turned, np.clip(share, -_FARTHEST, 0.9), 0.0)
-    return np.asarray(after.reference - taken[:, None] * moved)
+    assert network.stereo is not None
+    scales = np.where(np.isfinite(variables.sigmas), variables.sigmas, 1.0)
+    sigmas = network.stereo.sigmas[before.points, None]
+    about, found = (
+        np.concatenate([one / scales, (many / sigmas).ravel()])
+        for one, many in ((before.about, before.reference), (shared, points))
+    )
+    steps = (*before.steps, (about, found))[-_DEPTH:]
+    begun, ended = (np.stack(part, axis=1) for part in zip(*steps, strict=True))
+    left = ended - begun
+    share = np.linalg.lstsq(left[:, -1:] - left[:, :-1], left[:, -1], rcond=1e-6)[0]
+    if np.abs(share).sum() > _FARTHEST:
+        share = np.zeros_like(share)
+    mixed = ended[:, -1] - (ended[:, -1:] - ended[:, :-1]) @ share
+    return mixed[: scales.size] * scales, mixed[scales.size :].reshape(-1, 3) * sigmas, steps
 
 
 def _counted(network: Network, values: list[Array], sides: Index, directions: Array) -> Array:
