@@ -15,6 +15,7 @@ the footprint; between nodes it is a cubic spline.
 """
 
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -42,7 +43,10 @@ LEAST_SHARE = 0.5
 _RESOLUTION = 2.0**-16
 """pixels, of which places are whole multiples: a thousandth of what matches are good to. So files hold them whole."""
 _OUTLIER = 4.0
-"""Robust standard deviations from the average beyond which a match is left out of it."""
+"""Standard deviations from the average, by the mean distance of the matches about, beyond which one is left out of it.
+"""
+_OF_NORMAL = 1.2533
+"""Standard deviation of a normal distribution in its mean distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +171,7 @@ def averaged_surface(
                 "stereo surface", f"{len(anchors)} dense matches, nowhere enough for a footprint of {4 * width:.0f} m",
                 "images that overlap and match", "take a smaller spacing of the matches",
             )  # fmt: skip
-        row, column = np.rint(spots).astype(np.int64).T
-        off = np.abs(left - found.values[row, column])
-        taken = np.all(off <= _OUTLIER * 1.4826 * np.median(off, axis=0) + 1e-12, axis=1)
+        taken = _alike(spots, left, _continued(found.values, found.covered))
     rows, columns = np.meshgrid(*(np.arange(size) for size in shape), indexing="ij")
     nodes = first + np.stack([rows, columns], axis=2).reshape(-1, 2) * step
     whole = trend.at(nodes).reshape(*shape, 2) + _continued(found.values, found.covered)
@@ -272,13 +274,8 @@ class _Planes(NamedTuple):
     """(r, c) rms of the values about the plane, along the larger of both."""
 
 
-def _local_planes(
-    spots: Array, values: Array, variances: Array, shape: tuple[int, ...], least_share: float
-) -> _Planes:
-    """Planes with Gaussian weights about nodes: moments of the matches, gathered at nodes and smoothed.
-
-    `spots` (n, 2) are places counted in nodes; `values` (n, 2).
-    """
+def _moments(spots: Array, shape: tuple[int, ...]) -> Callable[[Array], Array]:
+    """Gaussian sums about nodes, as a function of the weights (n,) of matches at `spots` (n, 2) counted in nodes."""
     from scipy.ndimage import gaussian_filter
 
     low = np.floor(spots).astype(np.int64)
@@ -290,6 +287,32 @@ def _local_planes(
         gathered = np.bincount(number.ravel(), (share * weights).ravel(), shape[0] * shape[1]).reshape(shape)
         return np.asarray(gaussian_filter(gathered, _NODES_PER_WIDTH, mode="constant", truncate=_REACH))
 
+    return moment
+
+
+def _alike(spots: Array, values: Array, averages: Array) -> Mask:
+    """(n,) matches at `spots` (n, 2) counted in nodes whose values (n, 2) are no farther from the averages (r, c, 2) at
+    nodes than those about them: on a canyon's edge all are far.
+    """
+    from scipy.ndimage import map_coordinates
+
+    moment, kept = _moments(spots, averages.shape[:2]), np.ones(len(spots), dtype=bool)
+    every = np.maximum(moment(np.ones(len(spots))), 1e-12)
+    for k in range(2):
+        off = np.abs(values[:, k] - map_coordinates(averages[:, :, k], spots.T, order=1))
+        usual = _OF_NORMAL * map_coordinates(moment(off) / every, spots.T, order=1)
+        kept &= off <= _OUTLIER * usual + 1e-12
+    return kept
+
+
+def _local_planes(
+    spots: Array, values: Array, variances: Array, shape: tuple[int, ...], least_share: float
+) -> _Planes:
+    """Planes with Gaussian weights about nodes: moments of the matches, gathered at nodes and smoothed.
+
+    `spots` (n, 2) are places counted in nodes; `values` (n, 2).
+    """
+    moment = _moments(spots, shape)
     r, c = np.meshgrid(*(np.arange(size, dtype=np.float64) for size in shape), indexing="ij")
     y, x = spots.T
     ones = np.ones(len(spots))
