@@ -36,6 +36,7 @@ WORDS = """# Errors of simulated sites over their stated sigmas
 Made by `scripts/fair_draws.py`, seeds {first} to {last}: mean square of each kind of error over the sigma that the case
 of the site states, with the 99 % band of as many independent draws (of shots and ties, of as many draws as there are
 seeds times points). `pitch 0`, `pitch 1` and `pitch 2` are the coefficients of 1, u and u^2 of the normalised line.
+One value in a hundred falls outside by chance.
 """
 OPTIONS = SimulationOptions(pictures=False, resolution=16)
 """Of all draws."""

@@ -101,7 +101,8 @@ def prepared(name: str) -> tuple[Network, SolverSettings]:
         if case.ground is None:
             path = write_strip(simulate_strip(BLOCK), Path(folder))
         else:
-            path = write_site(simulate_site(case.ground, 1, SimulationOptions(pictures=False)), Path(folder))
+            site = simulate_site(case.ground, 1, SimulationOptions("published", pictures=False))
+            path = write_site(site, Path(folder))
         read = read_case(path)
     priors = tuple(OrientationPrior(one.sigmas * case.prior) for one in read.network.priors)
     surface = read.network.surface if case.surface else None

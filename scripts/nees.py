@@ -156,7 +156,7 @@ def page(wanted: Namespace) -> str:
     found = []
     with tempfile.TemporaryDirectory() as folder:
         for site in wanted.sites:
-            simulated = simulate_site(site, 1, SimulationOptions(pictures=False))
+            simulated = simulate_site(site, 1, SimulationOptions("published", pictures=False))
             for case in wanted.cases:
                 read = read_case(write_site(simulated, Path(folder, site), CASES[case]))
                 network = replace(read.network, surface=None) if case == "no-terrain" else read.network

@@ -40,8 +40,8 @@ dense matches, no terrain model, sigmas of ranges and footprints as drawn. *afte
 the stereo surface, found minus true, rms of both axes over all profiles and draws; *captured*: profiles for which it is
 below {captured:g} m; *before*: the same of the first search alone, in a surface that heights wrong by a kilometre
 distort. *shifts*: NEES of the profiles' shifts per axis. *ties*: rms error of the tie points' positions without and
-with the rows, and the NEES of their mean position in the plane. 99 % bands in brackets (two profiles of a draw share
-the size of their shift, and the orientation: they are not independent).
+with the rows, and the NEES of their mean position in the plane. 99 % bands in brackets (the profiles of a draw
+share its orientation: they are not independent).
 """
 HEAD = (
     "site", "draws", "captured", "before, m", "after, m", "shifts", "ties before, m", "ties after, m", "times better",

@@ -12,7 +12,7 @@ from typing import Any
 import kernels
 import once
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from outside import require
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,8 +34,11 @@ LONG = (
 """Those that take long, next, so that short files fill up what is left at the end."""
 sys.path[:] = [p for p in sys.path if Path(p or ".").resolve() != ROOT]
 
+gc.set_threshold(20_000, 20, 100)  # a twentieth of the run, else
 # no clock, for machines are shared; the same examples each time (600 random ones passed)
-settings.register_profile("mgsgraph", deadline=None, derandomize=True, max_examples=60)
+settings.register_profile(
+    "mgsgraph", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, max_examples=40
+)
 settings.load_profile("mgsgraph")
 
 
@@ -99,12 +102,15 @@ def case_file(_written_pair: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def vector_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures' PNG files stay empty: to draw them takes as long again as the SVG files, which show the same."""
-    from mgsgraph.figures import sheet
+def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures' PNG files stay empty: to draw them takes as long again as the SVG files, which show the same; pages have
+    blank ones.
+    """
+    from mgsgraph.figures import page, sheet
 
     drawn = sheet.encoded
     monkeypatch.setattr(sheet, "encoded", lambda one, kind, **how: drawn(one, kind, **how) if kind != "png" else b"")
+    monkeypatch.setattr(page, "encoded", lambda *_, **how: b"")
 
 
 @pytest.fixture(scope="session")

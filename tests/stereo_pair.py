@@ -1,16 +1,17 @@
 """The simulated pair with the surface that its images show, and its laser profile, displaced, on that surface."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
-from networks import network
+from networks import network, pair
+from once import once
 
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.stereo_surface import StereoSurface, averaged_surface, heights_above
 from mgsgraph.network import Network, PointClass, ProfileShifts
 from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.simulation.ground import rays_to_sines
+from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import SimulatedPair
 
 SHIFT = 60.0
@@ -19,18 +20,24 @@ NOISE = 0.05
 """pixels, of a dense match."""
 
 
-@cache
-def surface(made: SimulatedPair, noise: float = NOISE) -> StereoSurface:
-    """What dense matches of the pair give, every 12 pixels."""
+def surface(made: SimulatedPair) -> StereoSurface:
+    """What dense matches of the pair give, every 12 pixels: whatever its ties and shots are."""
+    noise = made.settings.noise
+    return _surface(made.seed, noise.position, noise.angle, noise.trend)
+
+
+@once
+def _surface(seed: int, position: float, angle: float, trend: tuple[float, ...]) -> StereoSurface:
+    made = pair(seed=seed, noise=NoiseSettings(position=position, angle=angle, trend=trend))
     first, second = made.images
     grid = np.meshgrid(np.arange(6.5, first.lines, 12.0), np.arange(6.5, first.samples, 12.0), indexing="ij")
     anchors = np.stack([part.ravel() for part in grid], axis=1)
     ground = rays_to_sines(first, made.true_corrections[0], *anchors.T, made.settings.relief)
     places, _ = second.ground_to_image(ground, made.true_corrections[1])
     seen = np.all((places > 0.0) & (places < [second.lines, second.samples]), axis=1)
-    places = places[seen] + np.random.default_rng(made.seed).normal(0.0, noise, (int(seen.sum()), 2))
+    places = places[seen] + np.random.default_rng(made.seed).normal(0.0, NOISE, (int(seen.sum()), 2))
     pixel = np.linalg.norm(np.diff(ground[[0, 1]], axis=0)) / 12.0
-    variances = np.full(len(places), noise**2)
+    variances = np.full(len(places), NOISE**2)
     return averaged_surface(anchors[seen], places, variances, np.full(2, pixel), 40.0, 12.0 * pixel)
 
 

@@ -2,8 +2,8 @@
 Laser profile and images
 ========================
 
-Gusev Crater as the demo has it: kernels with the errors that the papers found, MOLA profiles, MOC labels. At the MOLA
-footprints the two images contradict each other by 228 m along the flight before the adjustment; :doc:`/tutorial`.
+Gusev Crater with kernels as wrong as the papers found them, MOLA profiles, MOC labels. At the MOLA footprints the two
+images contradict each other by 230 m along the flight before the adjustment.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ import mgsgraph
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 
-site = simulate_site("gusev", 1, SimulationOptions(pictures=False))
+site = simulate_site("gusev", 1, SimulationOptions("published", pictures=False))
 case = mgsgraph.read_case(write_site(site, Path(mkdtemp())))
 solution = mgsgraph.adjust(case)
 print(solution)

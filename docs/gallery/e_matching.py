@@ -2,7 +2,7 @@
 Tie points from the images
 ==========================
 
-The first 640 lines of both images of the Gusev pair, with pixels, over a terrain model that lies 200 m beside the
+The first 640 lines of both images of the Gusev pair, with pixels, over a terrain model that lies 140 m beside the
 ground; :doc:`/matching`.
 """
 

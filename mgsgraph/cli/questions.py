@@ -189,7 +189,7 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     their checksums.
     """
     from mgsgraph.case.reading import read_case
-    from mgsgraph.project.reading import results_of
+    from mgsgraph.project.reading import comparison_with_truth, results_of
     from mgsgraph.reports.archive import read_solution
     from mgsgraph.reports.page import require_page, write_report
 
@@ -202,7 +202,8 @@ def report(solution: Path, compare: Path | None, case: Path | None, ties: Path |
     if ties is not None and case is None:
         raise click.UsageError("--ties is for a case: give --case, too")
     read = None if case is None else read_case(case, ties=ties)
-    write_report(adjusted, out, read, earlier, _inputs([solution, compare], case, ties))
+    inputs = _inputs([solution, compare], case, ties)
+    write_report(adjusted, out, read, earlier, inputs, comparison_with_truth(solution))
     if warning:
         click.echo(f"- {warning}")
     click.echo(f"The page is {out}")

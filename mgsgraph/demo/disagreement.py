@@ -25,7 +25,7 @@ from mgsgraph.wording import root_mean_square
 
 KERNELS, TIES, BY_RELIEF = "kernels", "ties and ranges", "relief"
 """Steps after which footprints and images are compared."""
-_MOST = 20
+_MOST = 8
 """Footprints of a profile in an image whose sigmas are predicted; between them these change little."""
 
 

@@ -27,6 +27,7 @@ from mgsgraph.registration.relief_files import write_coregistration_into
 from mgsgraph.registration.relief_records import ReliefRegistration
 from mgsgraph.registration.tables import discrepancy_json, write_registration_into
 from mgsgraph.reports.results import write_into
+from mgsgraph.simulation.mgs_files import grid_file
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions
 from mgsgraph.simulation.terrain import grid_shift
 from mgsgraph.stages import Stages
@@ -155,7 +156,8 @@ def shifts_table(demo: Demonstration) -> Table:
     """True and found shift of profiles and terrain model: what is to be added to archived positions."""
     solution = demo.solution
     true = {image.settings.profile: -np.asarray(image.profile.shift) for image in demo.simulated.images}
-    true["terrain model"] = -np.asarray(grid_shift(demo.simulated.terrain))
+    moved = -np.asarray(grid_shift(demo.simulated.terrain))  # known by its file's name where it takes part by cells
+    true |= dict.fromkeys(("terrain model", grid_file(demo.simulated, "r")), moved)
     names, ways = solution.network.shift_names, ("east", "north")
     sigmas = np.array([np.sqrt(np.diagonal(solution.shift_covariance(p))) for p in range(len(names))])
     return Table("shifts", "Truth: shifts of profiles and terrain model, to be added to archived positions", (

@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import group_blocks
-from mgsgraph.adjustment.graph.stereo import linear_rows
+from mgsgraph.adjustment.graph.stereo import heights_at, linear_rows
 from mgsgraph.adjustment.passes import Selection, determined_points, unmarked, without_weak
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
@@ -25,14 +25,14 @@ for the errors of bundles add up."""
 _ROBUST_SHARE = 0.01
 """Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
 _STEP = 10.0
-"""m, within which a stereo surface's curvature is taken."""
+"""m, within which a stereo surface's slope and curvature are taken."""
 _MOST_ROUNDS = 20
 """Times that rows of stereo surfaces are made anew for the same unknowns."""
 _PROBES = 48
 """Points that represent all of a bundle: their moves are polynomials of the line, of low degree."""
 
 
-def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array, bend: Array) -> float:
+def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array, relief: Array) -> float:
     """Pixels by which image places of a bundle may move before its reduced system has to be made anew.
 
     The orientation enters the collinearity equations by sines of small angles: a move of p pixels, of w radians each,
@@ -47,8 +47,9 @@ def slack(network: Network, settings: SolverSettings, motion: Array, spread: Arr
         Pixels per m and per rad, of the image that has most of them.
     spread : (n,)
         m^2, variance of each point's place in all directions by its rows alone; NaN for those that take no part.
-    bend : (k,)
-        Per m^2, curvature of the stereo surface at each point on one, in sigmas of its height.
+    relief : (k, 2)
+        Of each point on a stereo surface, in sigmas of its height: slope that its row doesn't know, per m, and
+        curvature, per m^2.
     """
     distance, squares, least = motion[1] / motion[0], 0.0, math.inf
     if network.rays.point.size:
@@ -57,11 +58,13 @@ def slack(network: Network, settings: SolverSettings, motion: Array, spread: Arr
         squares += float(np.maximum(by_distance, motion[1] ** -2).sum()) / least**2
     # a range at r turns with the camera: by x across it, it grows by x^2 / 2r
     squares += float(np.sum((0.5 / (motion[0] ** 2 * distance * network.ranges.sigmas)) ** 2))
-    # so does a stereo surface that is not plane
-    squares += float(np.sum((0.5 * bend / motion[0] ** 2) ** 2))
+    # on a stereo surface a point comes to another height
+    unknown, curved = np.sum((relief * [1.0 / motion[0], 0.5 / motion[0] ** 2]) ** 2, axis=0).tolist()
+    squares += curved
     if squares == 0.0:
         return math.inf
     allowed = math.sqrt(TOLERANCE / math.sqrt(squares))
+    allowed = min(allowed, TOLERANCE / math.sqrt(unknown)) if unknown else allowed
     return allowed if settings.loss == "none" else min(allowed, _ROBUST_SHARE * least)
 
 
@@ -88,7 +91,7 @@ class Sweep:
         self._select(layout, unmarked(network))
         self._last: Reduction | None = None
         self._spread: Array | None = None
-        self._bend: Array | None = None
+        self._relief: Array | None = None
 
     def reduce(self, values: Mapping[Unknown, Array], task: int = SYSTEM) -> Reduction:
         """All points solved and eliminated at values of the unknowns; points that nothing determines are left out.
@@ -127,10 +130,10 @@ class Sweep:
         (group,) = layout.group_variables
         normal, gradient = dense(found, layout.groups, self._blocks, 0)
         names = tuple(self._names[v] for v in group)
-        if self._spread is None or self._bend is None:  # hardly change where the points are as near as this
+        if self._spread is None or self._relief is None:  # hardly change where the points are as near as this
             self._spread = np.trace(self._covariances(found, None), axis1=1, axis2=2)
-            self._bend = self._curvature(found)
-        allowed = slack(self.network, self._settings, motion, self._spread, self._bend)
+            self._relief = self._stereo_relief(found)
+        allowed = slack(self.network, self._settings, motion, self._spread, self._relief)
         return ReducedSystem(names, found.orientation, normal, gradient, found.cost, allowed)
 
     def placed(self, values: Mapping[Unknown, Array], system: ReducedSystem | None, joint: Array | None) -> Bundle:
@@ -150,18 +153,26 @@ class Sweep:
             )
         )
 
-    def _curvature(self, found: Reduction) -> Array:
-        """(k,) per m^2: by how much the normals of stereo surfaces turn within a step, in sigmas of the heights."""
+    def _stereo_relief(self, found: Reduction) -> Array:
+        """(k, 2) for `slack`: by how much heights differ from what the rows say of them a step away, where these take
+        the ground for level; and by how much normals turn.
+        """
         layout, rows, control = self._layout, self._layout.stereo, self.network.stereo
         if rows is None or control is None:
-            return np.zeros(0)
-        points, turned = layout.network_order(found.points), np.zeros(rows.points.size)
+            return np.zeros((0, 2))
+        points, squares = layout.network_order(found.points), np.zeros((rows.points.size, 2))
+        level = np.zeros(rows.points.size) if control.level is None else control.level[rows.points]
         for way in range(2):
             ahead = points + _STEP * east_north(points)[:, way]
             there = linear_rows(self.network, layout.model, layout.variables, found.orientation, ahead, rows)
             assert there is not None
-            turned += np.sum((there.normals - rows.normals) ** 2, axis=1)
-        return np.sqrt(turned) / (_STEP * control.sigmas[rows.points])
+            said, say = (
+                heights_at(one, self.network, layout.variables, found.orientation, there.reference)
+                for one in (rows, there)
+            )
+            turned = np.sum((there.normals - rows.normals) ** 2, axis=1)
+            squares += np.stack([level * (say - said) ** 2, turned], axis=1)
+        return np.sqrt(squares) / (_STEP * control.sigmas[rows.points])[:, None]
 
     def places(self, values: Mapping[Unknown, Array]) -> Array:
         """(n, 3) m, where the unknowns put the points; NaN for undetermined ones."""

@@ -38,9 +38,8 @@ class StereoControl:
             return None
         surface = np.full(mine.size, -1)
         surface[mine >= 0] = inside
-        starts, rejected, level = (
-            None if one is None else one[points] for one in (self.starts, self.rejected, self.level)
-        )
+        rejected, level = (None if one is None else one[points] for one in (self.rejected, self.level))
+        starts = None if self.starts is None else self.starts[points]
         shown = tuple(self.surfaces[s] for s in kept.tolist())
         return StereoControl(shown, self.images[kept], surface, self.sigmas[points], starts, rejected, level)
 

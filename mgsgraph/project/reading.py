@@ -1,5 +1,6 @@
 """What a command reads from a folder of results, a demonstration or a project: files, network state, posterior."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -24,6 +25,8 @@ from mgsgraph.reports.archive import ARCHIVE, read_solution
 
 _OWN_CASE = Path("inputs", "case.toml")
 """Where a demonstration's results hold their case."""
+_SUMMARY = "summary.json"
+"""Where they hold how they compare with the truth."""
 _NETWORK = "network.pvl"
 _Values = Mapping[Unknown, Array]
 
@@ -39,6 +42,14 @@ class Results(NamedTuple):
     """Tie points that take the place of the case's own."""
     warning: str = ""
     """What of the project is not in them; empty where all is."""
+
+
+def comparison_with_truth(folder: Path) -> str:
+    """The sentence that says how a demonstration compares with its truth; empty for other results."""
+    path = folder / _SUMMARY
+    if not path.is_file():
+        return ""
+    return next(iter(json.loads(path.read_text(encoding="utf-8")).get("statements", [])), "")
 
 
 def results_of(path: Path) -> Results:

@@ -25,7 +25,8 @@ _STEREO = (
     point INTEGER PRIMARY KEY REFERENCES point,
     surface INTEGER NOT NULL REFERENCES stereo_surface,
     sigma NOT NULL, -- m, of the height above it
-    rejected INTEGER NOT NULL DEFAULT 0 -- 1: a blunder to the last batch adjustment
+    rejected INTEGER NOT NULL DEFAULT 0, -- 1: a blunder to the last batch adjustment
+    level INTEGER NOT NULL DEFAULT 0 -- 1: as if the ground were level, for its horizontal position isn't found
 )""",
 )
 TABLES = (

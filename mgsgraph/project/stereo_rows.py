@@ -12,7 +12,7 @@ from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.project.rows import Run, index_among
 from mgsgraph.reports.archive_arrays import pack, unpack
 
-_HEIGHTS = "SELECT point, surface, sigma, rejected FROM stereo_height"
+_HEIGHTS = "SELECT point, surface, sigma, rejected, level FROM stereo_height"
 
 
 class StoredStereo:
@@ -44,17 +44,18 @@ class StoredStereo:
         rows = self._connection.execute(*chosen).fetchall()
         if not rows:
             return None
-        point, surface, sigma, rejected = (np.array(column) for column in zip(*rows, strict=True))
+        point, surface, sigma, *marks = (np.array(column) for column in zip(*rows, strict=True))
         used, inside = np.unique(surface, return_inverse=True)
         pairs = [
             self._connection.execute("SELECT first, second FROM stereo_surface WHERE id = ?", (number,)).fetchone()
             for number in used.tolist()
         ]
         of_point, sigmas = np.full(points.size, -1), np.full(points.size, np.inf)
-        out, mine = np.zeros(points.size, dtype=bool), index_among(point, points)
-        of_point[mine], sigmas[mine], out[mine] = inside, sigma, rejected != 0
+        mine, (rejected, level) = index_among(point, points), np.zeros((2, points.size), dtype=bool)
+        of_point[mine], sigmas[mine], rejected[mine], level[mine] = inside, sigma, *(one != 0 for one in marks)
         shown = tuple(self._surface(number) for number in used.tolist())
-        return StereoControl(shown, index_among(np.array(pairs), images), of_point, sigmas, starts, out)
+        sides = index_among(np.array(pairs), images)
+        return StereoControl(shown, sides, of_point, sigmas, starts, rejected, level)
 
     def put(self, network: Network, first_point: int, images: Index) -> None:
         """Write the heights of a bundle whose points are written; `images` are numbers as for `control`."""
@@ -65,12 +66,12 @@ class StoredStereo:
         numbers = [
             self._number(one, images[pair]) for one, pair in zip(control.surfaces, control.images, strict=True)
         ]
-        rejected = np.zeros(on.size) if control.rejected is None else control.rejected[on]
+        marks = [np.zeros(on.size) if one is None else one[on] for one in (control.rejected, control.level)]
         self._connection.executemany(
-            "INSERT INTO stereo_height VALUES (?, ?, ?, ?)",
+            "INSERT INTO stereo_height VALUES (?, ?, ?, ?, ?)",
             zip(
                 (on + first_point).tolist(), (numbers[s] for s in control.surface[on].tolist()),
-                control.sigmas[on].tolist(), rejected.astype(int).tolist(), strict=True,
+                control.sigmas[on].tolist(), *(one.astype(int).tolist() for one in marks), strict=True,
             ),
         )  # fmt: skip
 

@@ -28,6 +28,7 @@ def write_report(
     case: Case | None = None,
     earlier: Solution | None = None,
     inputs: Mapping[str, str | None] | None = None,
+    lead: str = "",
 ) -> Path:
     """Write the page.
 
@@ -43,6 +44,8 @@ def write_report(
         To be compared with, by the names of images and points.
     inputs : mapping, optional
         SHA-256 of each file that the page is made from, by its name; None for one that can't be read.
+    lead : str
+        Sentence that stands before everything else.
 
     Returns
     -------
@@ -55,7 +58,7 @@ def write_report(
         If `path` is no HTML file or can't be written, the case is another one, or nothing can be compared.
     """
     path = require_page(path)
-    write_page(_TEMPLATE, _content(solution, case, earlier, inputs or {}), path)
+    write_page(_TEMPLATE, _content(solution, case, earlier, inputs or {}) | {"lead": lead}, path)
     return path
 
 

@@ -333,7 +333,7 @@ def test_nobody_there() -> None:
     assert refusal("tcp://127.0.0.1:9", 0.5).startswith(
         "--cluster tcp://127.0.0.1:9: no scheduler answers there within 0.5 s"
     )
-    assert time.monotonic() - began < 5.0
+    assert time.monotonic() - began < 20.0  # dask itself would wait for 30 s
 
 
 def test_somebody_else_there() -> None:

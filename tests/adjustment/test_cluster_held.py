@@ -1,6 +1,5 @@
 """Partitions of an adjustment's rows: they add up to the whole, and a worker that holds one does as it is told."""
 
-import time
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +14,7 @@ from mgsgraph.adjustment.cluster.partitions import blocks_of_partition
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import Variables, make_groups, pair_blocks
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.kernel import sweep
 from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import partition
 from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM
@@ -127,9 +127,8 @@ def test_what_comes_over_the_wire_is_what_the_kernel_was_compiled_for(source: So
     for values in (x, *(one for one in source.rows if isinstance(one, np.ndarray))):
         values.flags.writeable = False
     try:
-        began = time.monotonic()
         assert carry_out(Order("a", SYSTEM, x, source)) != NOT_HELD
-        assert time.monotonic() - began < 5.0
+        assert len(sweep.sweep.signatures) == 1
         assert all(one.flags.writeable for one in held._partitions["a"].source.rows)
     finally:
         for values in source.rows:

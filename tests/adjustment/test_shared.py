@@ -61,6 +61,7 @@ def test_bundle_is_explicit(angles: Angles, line: Line, held: tuple[bool, bool])
     assert one.fit.squares == pytest.approx(2.0 * one.cost_final, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_on_a_cluster() -> None:
     pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
     one = everything()

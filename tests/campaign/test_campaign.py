@@ -177,6 +177,7 @@ def test_as_written_changes_nothing() -> None:
 # --- on a cluster
 
 
+@pytest.mark.slow
 def test_on_a_cluster_the_same(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
     run()

@@ -19,7 +19,7 @@ paths = st.lists(words, min_size=2, max_size=5).map(lambda parts: Path("/").join
 
 
 @given(st.lists(paths, unique=True, max_size=12), st.integers(0, 12))
-@settings(max_examples=200)
+@settings(max_examples=80)
 def test_every_case_has_a_folder_of_its_own_which_stays(cases: list[Path], first: int) -> None:
     try:
         earlier = result_folders(cases[:first], {})

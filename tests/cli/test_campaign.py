@@ -7,10 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 from commands import COMMAND, run
+
+from mgsgraph.adjustment.cluster import open_cluster
+from mgsgraph.cli import group
+from mgsgraph.errors import InputError
 
 
 def folders(record: Path) -> list[str]:
@@ -57,19 +62,24 @@ def test_a_failed_case_is_exit_status_one_and_in_the_table(sites: Path, tmp_path
         (("SITES", "--out", "SITES"), "has no campaign.jsonl"),
         (("SITES", "--out", "out", "--cluster", "dusk"), "expected local, local:N"),
         (("SITES", "--out", "out", "--cluster", "local:0"), "0 workers; expected 1 to"),
-        (("SITES", "--out", "out"), ""),
     ],
 )
 def test_bad_input_is_one_line(arguments: tuple[str, ...], said: str, sites: Path, tmp_path: Path) -> None:
-    if not said:  # an unreachable scheduler; ten seconds
-        arguments, said = (*arguments, "--cluster", "tcp://127.0.0.1:9"), "no scheduler answers there within 10 s"
-        pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
     places = {"SITES": sites, "out": tmp_path / "out", "none.toml": tmp_path / "none.toml"}
     done = run("campaign", *(places.get(word, word) for word in arguments))
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1, done.stderr
     assert said in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_scheduler_that_does_not_answer(sites: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
+    monkeypatch.setattr("mgsgraph.campaign.run.open_cluster", partial(open_cluster, timeout=0.5))
+    out = tmp_path / "out"
+    with pytest.raises(InputError, match=r"no scheduler answers there within 0\.5 s"):
+        group(["campaign", str(sites), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"], standalone_mode=False)
+    assert not out.exists()
 
 
 def test_typing_errors_show_the_way() -> None:

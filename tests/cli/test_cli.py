@@ -88,7 +88,7 @@ def test_check_names_weak_spots(case_file: Path) -> None:
 
 @pytest.mark.slow
 def test_demo_against_truth(tmp_path: Path) -> None:
-    done = run("demo", "--out", tmp_path / "demo", "--no-figures")
+    done = run("demo", "--out", tmp_path / "demo", "--no-figures", "--no-relief")
     assert done.returncode == 0, done.stderr
     assert "NEES" in done.stdout
     assert (tmp_path / "demo" / "inputs" / "case.toml").is_file()

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,17 @@ import profiles as mola_profiles
 import pytest
 import relief_site
 from commands import run
+from sites import plain_site
 
 import mgsgraph
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.cli import group
+from mgsgraph.demo.disagreement import BY_RELIEF, KERNELS, TIES, disagreement_table, disagreements, overall
+from mgsgraph.demo.truth import true_shots
 from mgsgraph.errors import InputError
 from mgsgraph.figures.relief import relief_sheets
-from mgsgraph.figures.sheet import save
+from mgsgraph.figures.sheet import Sheet, save
+from mgsgraph.figures.story import story_sheet
 from mgsgraph.geometry.body import east_north
 from mgsgraph.project import relief as project_relief
 from mgsgraph.project.project import open_project
@@ -106,6 +111,32 @@ def test_the_adjusted_shift_is_true_within_its_sigma(registration: ReliefRegistr
         assert np.all(np.sqrt(np.diag(one.covariance)) < prior.sigmas[p])
 
 
+def test_disagreements_with_the_truth_come_down_to_their_sigmas(
+    registration: ReliefRegistration, tmp_path: Path
+) -> None:
+    """As the demo tells and draws it."""
+    site, case = plain_site(), mgsgraph.read_case(relief_site.case_path())
+    steps = ((KERNELS, None), (TIES, registration.before), (BY_RELIEF, registration.solution))
+    found = disagreements(site, case, steps)
+    assert len(disagreement_table(found)) == 12
+    (_, none), (ties, of_ties), (now, predicted) = (overall(found, state) for state, _ in steps)
+    assert np.isnan(none)
+    assert now < 0.2 * ties
+    assert predicted < 0.2 * of_ties
+    assert 0.2 * predicted < now < 3.0 * predicted
+    one = registration.profiles[0]
+    true = {name: point for name, (point, _) in true_shots(site).items()}
+    ids = [registration.solution.network.points.ids[i].split(":", 1)[1] for i in one.mine]
+    sheet = story_sheet(registration, one, np.array([true[name] for name in ids]), site.terrain.ground_radius, "So.")
+    assert (tmp_path / save([sheet], tmp_path)[0]).stat().st_size > 20_000
+    before, after = (float(size) for size in re.findall(r"([0-9.]+) m rms", " ".join(_titles(sheet))))
+    assert after < before
+
+
+def _titles(sheet: Sheet) -> list[str]:
+    return [panel.get_title() for panel in sheet.figure.axes]
+
+
 def test_slopes_are_those_of_the_surface(registration: ReliefRegistration) -> None:
     """A horizontal step lowers the height above the surface by the slope."""
     one = registration.profiles[0]
@@ -117,6 +148,8 @@ def test_slopes_are_those_of_the_surface(registration: ReliefRegistration) -> No
     assert slopes_of(state)[:, 0] == pytest.approx(-east / vertical, rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.usefixtures("light_figures")
+@pytest.mark.slow
 def test_the_command_writes_a_result(
     registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -326,7 +359,7 @@ def test_sentences_of_one_profile_not_tied_and_of_several_minima(registration: R
     assert "\n".join(profiles_table(made).text())
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_forty_profiles_have_few_sentences_and_sheets(registration: ReliefRegistration, tmp_path: Path) -> None:
     profiles = [replace(registration.profiles[k % 2], name=f"profile {k}") for k in range(38)]
     profiles += [untied(profiles[0], "plain"), aside(profiles[0], "aside")]

@@ -1,9 +1,6 @@
 """`mgsgraph dem` as a person uses it: from pictures to a terrain model that is true; one line for errors."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +10,7 @@ import matched
 import numpy as np
 import pytest
 import rasterio
+from commands import run
 from rasterio.warp import transform
 
 import mgsgraph
@@ -26,13 +24,6 @@ from mgsgraph.io.control.ties import control_network
 def call(*arguments: str | Path) -> int:
     """A command in this process; its exit status."""
     return group([str(one) for one in arguments], standalone_mode=False) or 0
-
-
-def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mgsgraph.cli", *map(str, arguments)], capture_output=True, text=True, timeout=300,
-        check=False, env=os.environ | {"COLUMNS": "110"},
-    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

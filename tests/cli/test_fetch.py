@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 import flaky_archive
 import pytest
+from commands import run
 from flaky_archive import Flaky, stall
 
 from mgsgraph.cli import group
@@ -93,10 +94,7 @@ def test_a_dry_run(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture
 )
 def test_one_line_for_errors(archive: Flaky, tmp_path: Path, arguments: list[str], said: str) -> None:
     where = [] if any(one.startswith("--") for one in arguments) else ["--mirror", archive.address]
-    done = subprocess.run(
-        command("fetch", *arguments, *where, "--out", tmp_path / "out"), capture_output=True, text=True, check=False,
-        timeout=60, cwd=tmp_path,
-    )  # fmt: skip
+    done = run("fetch", *arguments, *where, "--out", tmp_path / "out", cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert said in done.stderr
     assert done.stderr.count("\n") == 1
@@ -140,6 +138,7 @@ def test_an_interruption_does_not_wait_for_a_silent_server(archive: Flaky, tmp_p
 
 
 def test_help_names_the_options() -> None:
-    done = subprocess.run(command("fetch", "--help"), capture_output=True, text=True, check=True, timeout=60)
+    done = run("fetch", "--help")
+    assert done.returncode == 0
     for option in ("--out", "--terrain", "--volume", "--mirror", "--mirrors", "--dry-run", "--update", "--verify"):
         assert option in done.stdout

@@ -50,6 +50,7 @@ def out(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_matches_are_written_and_replaced(site: Path, out: Path) -> None:
     assert {path.name for path in out.iterdir()} == {
         "match.json", "matches.csv", "network.net", "network.pvl", "matches.png", "matches.svg",
@@ -74,6 +75,7 @@ def test_a_regular_grid(site: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "tie points with 2 to 2 measures" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_matches_are_adjusted(
     site: Path, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -29,6 +29,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "case.toml"
 
 
+@pytest.mark.slow
 def test_table_sentences_and_files(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = case.parent / "out"
     arguments = ("nodes", case, "--spacings", "3,0.02,1.85", "--hold-out", "0.5", "--out", out)

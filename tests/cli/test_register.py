@@ -13,6 +13,7 @@ def mola_case(case_file: Path) -> Path:
     return profiles.with_profile(case_file)
 
 
+@pytest.mark.slow
 def test_before_and_after_an_adjustment(mola_case: Path, tmp_path: Path) -> None:
     result, out = tmp_path / "result", tmp_path / "registration"
     assert run("adjust", mola_case, "--out", result, "--no-figures").returncode == 0

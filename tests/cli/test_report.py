@@ -14,6 +14,7 @@ def mola_case(case_file: Path) -> Path:
     return profiles.with_profile(case_file)
 
 
+@pytest.mark.slow
 def test_a_page_of_a_result(mola_case: Path, tmp_path: Path) -> None:
     result = tmp_path / "result"
     assert run("adjust", mola_case, "--out", result, "--no-figures").returncode == 0

@@ -49,6 +49,7 @@ def test_campaigns_are_simulated_but_not_demonstrated(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_three_sites_are_written_with_a_folder_for_each(tmp_path: Path) -> None:
     out = tmp_path / "three"
     done = run("simulate", "three-sites", "--no-pictures", "--out", out)

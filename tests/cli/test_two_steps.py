@@ -35,6 +35,7 @@ def add_terrain(case_file: Path, east: float = 0.0, missing: float = 0.0) -> Non
         file.write(f'\n[terrain]\nradius = "terrain.tif"\nreference_radius_m = {REFERENCE}\n')
 
 
+@pytest.mark.slow
 def test_from_a_case_to_the_page_and_the_map(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = run("adjust", case_file, "--two-steps", "--out", out)

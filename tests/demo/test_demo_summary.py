@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mgsgraph.demo import demonstration
 from mgsgraph.demo.demonstration import DRAWING, RELIEF, STAGES, Demonstration, demonstrate
 from mgsgraph.demo.disagreement import KERNELS, TIES, overall
 from mgsgraph.demo.simulate import DEMONSTRATED, PAIR, simulation_options
@@ -30,7 +31,9 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module", params=SITE_NAMES)
 def demo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Demonstration:
     folder = tmp_path_factory.mktemp(request.param)
-    return demonstrate(request.param, folder, 1, simulation_options(request.param, pictures=False), relief=False)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demonstration, "has_opencv", lambda: False)
+        return demonstrate(request.param, folder, 1, simulation_options(request.param, pictures=False))
 
 
 def test_misregistration_is_seen_before_and_gone_after(demo: Demonstration) -> None:
@@ -136,6 +139,7 @@ def test_words_say_what_was_wrong_and_what_is_right(demo: Demonstration) -> None
     text = demo_statements(demo)
     for state in (KERNELS, TIES):
         assert f"{overall(demo.disagreements, state)[0]:.0f} m" in text[0]
+    assert "mgsgraph[match]" in str(demo.relief)
     assert str(demo.relief) in text[0]
     rms = root_mean_square(np.concatenate([pair.before.metres[:, 0] for pair in demo.discrepancies]))
     assert any(f"{rms:.0f} m apart" in one for one in text)
@@ -154,6 +158,7 @@ def test_sources_are_named_from_the_results(demo: Demonstration) -> None:
     assert network.surface is not None
     assert network.areoid is not None
     sources = [network.surface.grid.source, network.areoid.source, *(shots.source for shots in demo.case.profiles)]
+    assert [one.grid.source for one in demo.case.terrain] == sources[:1]  # by which both are known to be one model
     assert all(source.startswith(f"{folder.name}/") for source in sources)
     assert not any(str(folder) in source for source in sources)
 

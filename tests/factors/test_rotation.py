@@ -21,7 +21,7 @@ compiled = njit(rotation.sine_cosine, error_model="numpy")
 """As the kernel calls it."""
 
 
-@settings(max_examples=500, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(angle=ANGLES)
 @example(angle=0.0)
 @example(angle=-0.0)

@@ -105,7 +105,7 @@ def test_a_server_that_gives_another_range(archive: Flaky, tmp_path: Path, by: i
     assert archive.requests(NAME) == [None, "bytes=70000-", None]
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(cuts=st.lists(st.integers(0, 60_000), max_size=6), ranges=st.booleans(), validators=st.booleans())
 def test_any_cuts_end_in_the_same_bytes(
     archive: Flaky, tmp_path: Path, cuts: list[int], ranges: bool, validators: bool

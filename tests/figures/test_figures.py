@@ -229,7 +229,7 @@ def test_files_of_the_pair_whatever_the_users_style(
     assert b"<dc:date>" not in (first / "map.svg").read_bytes()
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_without_laser_there_is_no_registration(case_file: Path, tmp_path: Path) -> None:
     found = mgsgraph.adjust(mgsgraph.read_case(case_file, laser=False))
     names = write_figures(found, tmp_path)
@@ -237,7 +237,7 @@ def test_without_laser_there_is_no_registration(case_file: Path, tmp_path: Path)
     assert kinds(names) == {"residuals", "orientation", "map", "connectivity"}
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_without_ties(case_file: Path, tmp_path: Path) -> None:
     def change(text: str) -> str:
         head, rest = text.split("[ties]")
@@ -247,7 +247,7 @@ def test_without_ties(case_file: Path, tmp_path: Path) -> None:
     assert kinds(write_figures(found, tmp_path)) == {"residuals", "orientation", "registration", "map", "connectivity"}
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_held_images(case_file: Path, tmp_path: Path) -> None:
     def hold(which: int) -> Callable[[str], str]:
         return lambda text: text.replace('.isd"', '.isd"\nheld = true', which)
@@ -277,7 +277,7 @@ def blunders(solution: Solution) -> Solution:
     )
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_undetermined_points_and_rejected_rays(solution: Solution, tmp_path: Path) -> None:
     found = blunders(solution)
     names = write_figures(found, tmp_path)
@@ -330,7 +330,7 @@ def repeated(solution: Solution, images: int, copies: int) -> Solution:
     )
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_a_large_block_has_few_sheets_which_say_so(
     solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -345,7 +345,7 @@ def test_a_large_block_has_few_sheets_which_say_so(
     assert "outlines of 40 images" in (tmp_path / "map.svg").read_text()
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_many_points_are_thinned_which_is_said(solution: Solution, tmp_path: Path) -> None:
     found = repeated(solution, 2, 1000)
     assert found.network.rays.point.size == 120_000
@@ -360,7 +360,7 @@ def test_many_points_are_thinned_which_is_said(solution: Solution, tmp_path: Pat
         assert len(text) < 4e6
 
 
-@pytest.mark.usefixtures("vector_figures")
+@pytest.mark.usefixtures("light_figures")
 def test_one_image(solution: Solution, tmp_path: Path) -> None:
     """One image and ground control that is fixed: no pair, no ties."""
     network, rays = solution.network, solution.network.rays

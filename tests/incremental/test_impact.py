@@ -93,9 +93,9 @@ def shared_points(network: Network, name: str, places: Places) -> dict[str, int]
 
 
 def test_additions() -> None:
-    made = fan(9, 15, 5)
-    adjustment = grown(made, 4)
-    for k in range(4, 9):
+    made = fan(7, 10, 4)
+    adjustment = grown(made, 3)
+    for k in range(3, 7):
         before, state = places_of(adjustment), state_of(adjustment)
         impact = take(adjustment, made, k)
         after = places_of(adjustment)

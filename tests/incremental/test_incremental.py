@@ -197,7 +197,6 @@ def rich(held: tuple[int, ...] = ()) -> Network:
 @pytest.mark.parametrize(
     ("choices", "held"),
     [
-        ({}, ()),
         ({}, (1,)),
         ({"loss": "huber"}, (0, 3)),
         ({"loss": "cauchy"}, ()),

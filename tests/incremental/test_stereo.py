@@ -21,13 +21,13 @@ LATER = np.arange(6, 18)
 
 
 def begun() -> tuple[Network, Network]:
-    """A network whose shots lie on a stereo surface, one of them a blunder; and ties that come later."""
+    """A network of shots on a stereo surface, one a blunder, one as on level ground; and ties that come later."""
     net = stereo_network(pair(24, 24))
     sooner = np.setdiff1d(np.arange(len(net.points)), LATER)
     first = part(net, sooner)
     assert first.stereo is not None
-    blunder = np.arange(len(first.points)) == len(first.points) - 3
-    return replace(first, stereo=replace(first.stereo, rejected=blunder)), part(net, LATER)
+    blunder, level = (np.arange(len(first.points)) == len(first.points) - k for k in (3, 5))
+    return replace(first, stereo=replace(first.stereo, rejected=blunder, level=level)), part(net, LATER)
 
 
 def test_ties_that_come_later_move_the_surface_as_batch_does(tmp_path: Path) -> None:
@@ -43,6 +43,7 @@ def test_ties_that_come_later_move_the_surface_as_batch_does(tmp_path: Path) -> 
         order = [number[name] for name in first.points.ids]
         assert np.array_equal(kept.stereo.surface[order], first.stereo.surface)
         assert np.array_equal(kept.stereo.sigmas[order], first.stereo.sigmas)
+        assert np.array_equal(kept.stereo.level[order], first.stereo.level)
         assert np.array_equal(kept.stereo.surfaces[0].places, first.stereo.surfaces[0].places)
         adjustment = IncrementalAdjustment(store=project.store)
         moved = adjustment.add(more)

@@ -44,7 +44,7 @@ def test_fields_are_those_of_the_documentation() -> None:
     longitude=st.floats(-180, 180), latitude=st.floats(-90, 90), height=st.floats(-8e3, 22e3),
     sigma=st.floats(1e-3, 1e3), line=st.floats(0.5, 1e5), sample=st.floats(0.5, 1e4), fixed=st.booleans(),
 )  # fmt: skip
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_points_survive(
     tmp_path: Path, longitude: float, latitude: float, height: float, sigma: float, line: float, sample: float,
     fixed: bool,

@@ -19,7 +19,7 @@ from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPo
 PAIR = ("one", "two")
 IN_ISIS = SINGLE.map(lambda place: place + 1.0)
 """Places that are float32 in the pipeline's count."""
-_ANY_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40)
+_ANY_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 def record(x: float, y: float, scale: float = 1.0, descriptors: Sequence[float] = ()) -> bytes:

@@ -16,7 +16,7 @@ from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPo
 SIZES = dict(zip(IMAGES, [(4864, 672), (5001, 1023), (10_000, 2048), (1, 1)], strict=True))
 GRID = st.integers(512, 12_000 * 1024).map(lambda k: k / 1024.0)
 """Places that lose nothing when half an image is taken off."""
-_ANY_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40)
+_ANY_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 TEXT = """NVM_V3
 2
 left.tif 1 1 0 0 0 0 0 0 0 0

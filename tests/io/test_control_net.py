@@ -146,7 +146,7 @@ def written(records: list[dict[str, Any]], spelling: dict[str, Any]) -> str:
     return text + "End_Object\nEnd\nwhatever = ( follows"
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(records=points(), spelling=spellings())
 def test_what_is_written_comes_back(tmp_path: Path, records: list[dict[str, Any]], spelling: dict[str, Any]) -> None:
     got = read(tmp_path, written(records, spelling))

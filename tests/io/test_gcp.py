@@ -44,7 +44,7 @@ def test_latitude_is_geodetic(tmp_path: Path) -> None:
 
 
 @given(latitude=st.floats(-90, 90), longitude=st.floats(-180, 360), height=st.floats(-8e3, 22e3))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_place_lies_at_its_height_along_the_normal(
     tmp_path: Path, latitude: float, longitude: float, height: float
 ) -> None:

@@ -167,7 +167,7 @@ def test_text_may_have_other_columns_and_blanks(tmp_path: Path) -> None:
     np.testing.assert_array_equal(times_of(cube(tmp_path), path).starts, [change[0] for change in CHANGES])
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     exposures=st.lists(st.sampled_from([8.96, 12.8, 13.25]), min_size=20, max_size=20),
     pause=st.one_of(st.none(), st.integers(1, 19)),

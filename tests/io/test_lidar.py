@@ -73,7 +73,7 @@ def place(latitude: float, longitude: float, radius: float) -> np.ndarray:
     return np.array([planar * np.cos(longitude), planar * np.sin(longitude), radius * np.sin(latitude)])
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     latitude=st.floats(-85.0, 85.0),
     longitude=st.floats(-180.0, 360.0),

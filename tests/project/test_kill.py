@@ -62,6 +62,8 @@ def test_killed_at_any_moment_it_holds_the_state_before_or_after(tmp_path: Path)
         killed(folder, float(rng.uniform(0.1, 6.0)) * took)
         with open_project(folder, thorough=True) as project:
             now = len(project.changes())
+            if now == done:  # others may have come to share the machine
+                took *= 1.5
             for earlier in range(done, now):
                 change(replayed, earlier)
             done = now

@@ -67,6 +67,7 @@ def test_images_wait(project: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
         assert not (tmp_path / out).exists()
 
 
+@pytest.mark.slow
 def test_the_whole_road_by_its_name(
     ready: Path, case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -274,6 +274,7 @@ def test_figures_are_whole_with_and_without_a_solution(case: Case, solution: Sol
     assert sizes["both"] > sizes["before"]
 
 
+@pytest.mark.usefixtures("light_figures")
 def test_one_footprint_and_none(case: Case, tmp_path: Path) -> None:
     one = case.profiles[0].chosen(np.array([20]))
     write_registration(register_case(replace(case, profiles=(one,))), tmp_path / "one")

@@ -331,7 +331,7 @@ def test_record_that_is_no_json(archive: Path, tmp_path: Path) -> None:
     assert_refused(edited(archive, tmp_path / "x.npz", spoil), "damaged")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.floats(0.0, 0.999))
 def test_truncated_archives(archive: Path, tmp_path: Path, share: float) -> None:
     content = archive.read_bytes()
@@ -339,7 +339,7 @@ def test_truncated_archives(archive: Path, tmp_path: Path, share: float) -> None
     assert_refused(tmp_path / "x.npz", "no archive of mgsgraph, or a damaged one")
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.floats(0.0, 0.999999), st.integers(1, 255), st.booleans())
 def test_damaged_archives(
     solution: Solution, archive: Path, tmp_path: Path, share: float, flip: int, near_end: bool

@@ -152,6 +152,7 @@ def test_an_earlier_page_stays_whole(solution: Solution, tmp_path: Path) -> None
 # --- solutions of other kinds
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_one_that_has_not_converged_is_marked(tmp_path: Path) -> None:
     bad = adjust_network(networks.network(networks.pair()), SolverSettings(max_iterations=1), "A <b>&")
     text = text_of(bad, tmp_path)

@@ -71,6 +71,7 @@ def test_rays_put_aside_and_sigmas_that_are_wrong_are_named() -> None:
     assert "blunders" not in " ".join(node_statements(study()))
 
 
+@pytest.mark.usefixtures("light_figures")
 def test_files(tmp_path: Path) -> None:
     names = write_nodes(study(), tmp_path / "out")
     assert sorted(names) == sorted(path.name for path in (tmp_path / "out").iterdir())

@@ -246,6 +246,7 @@ def test_the_curve_passes_through_its_nodes(solution: Solution, spline: Solution
             assert np.all(sigma > 0.0)
 
 
+@pytest.mark.usefixtures("light_figures")
 def test_files(solution: Solution, mixed: Solution, tmp_path: Path) -> None:
     names = write_figures(solution, tmp_path / "block")
     assert "strips.png" in names

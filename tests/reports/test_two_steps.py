@@ -246,6 +246,7 @@ def test_files(which: str, tmp_path: Path) -> None:
     assert np.sqrt(squares / used.size) == pytest.approx(found.whole.heights.rms[0])
 
 
+@pytest.mark.usefixtures("light_figures")
 def test_results_with_figures_can_be_replaced(tmp_path: Path) -> None:
     found, out = merit("block"), tmp_path / "out"
     write_two_steps(found, out)

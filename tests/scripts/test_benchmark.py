@@ -203,6 +203,7 @@ def test_a_peer_that_is_not_there_is_named(tmp_path: Path) -> None:
 # --- the command line
 
 
+@pytest.mark.slow
 def test_one_file_of_the_peers_format(tmp_path: Path) -> None:
     """In a process of its own, as it is meant."""
     problem, truth = blocks.chain(4, 80, seed=2, shots=10)

@@ -34,6 +34,7 @@ def test_the_page_has_medians_of_all() -> None:
         assert line in text.splitlines()
 
 
+@pytest.mark.slow
 def test_a_whole_run_at_the_smallest_size(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

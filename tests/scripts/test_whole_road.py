@@ -17,6 +17,7 @@ from simulated_archive import write_archive  # noqa: E402
 from sites import plain_site  # noqa: E402
 
 
+@pytest.mark.slow
 def test_fetch_and_init_from_a_served_archive(tmp_path: Path) -> None:
     site = plain_site()
     archive = write_archive(site, tmp_path / "archive", (4,))

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import matched
 import numpy as np
 import pytest
 from sites import PLAIN, plain_site
@@ -235,10 +236,10 @@ def test_same_seed_same_bytes(gusev: Written, tmp_path: Path) -> None:
         assert (other / name).read_bytes() != (gusev.folder / name).read_bytes(), name
 
 
-def test_pictures_show_the_same_ground_at_ties() -> None:
-    """Grey values about the true places of ties go together in both: the road from ground to pixels is right."""
-    site = simulate_site("isidis", 1)
-    places = [np.rint(image.true.ground_to_image(site.true_ties)[0] - 0.5).astype(int) for image in site.images]
+def test_pictures_show_the_same_ground() -> None:
+    """Grey values about the true places of points go together in both: the road from ground to pixels is right."""
+    site = matched.site()
+    places = [np.rint(image.true.ground_to_image(matched.inner())[0] - 0.5).astype(int) for image in site.images]
     offsets = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-6, 7), indexing="ij"), axis=-1).reshape(-1, 2)
     patches = []
     for image, place in zip(site.images, places, strict=True):

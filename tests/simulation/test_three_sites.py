@@ -107,10 +107,15 @@ def test_all_sites_adjust_as_one(simulated: SimulatedThreeSites, case: Case) -> 
     assert nees(solution.places[mine] - truth, solution.covariances[mine]).mean() / 3.0 < 2.0
 
 
-def test_the_same_seed_gives_the_same_campaign(simulated: SimulatedThreeSites) -> None:
+def test_the_same_seed_gives_the_same_campaign(
+    simulated: SimulatedThreeSites, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of sites that are the same (`test_site.test_same_seed_same_bytes`)."""
+    sites = {site.settings.name: site for site in simulated.sites}
     options = SimulationOptions(pictures=False)
+    with pytest.raises(InputError, match="seed: -1"):
+        simulate_three_sites(-1, options)
+    monkeypatch.setattr("mgsgraph.simulation.three_sites.simulate_site", lambda name, *_: sites[name])
     again = simulate_three_sites(1, options)
     assert np.array_equal(again.ties.measures, simulated.ties.measures)
     assert np.array_equal(again.true_bridge.coefficients, simulated.true_bridge.coefficients)
-    with pytest.raises(InputError, match="seed: -1"):
-        simulate_three_sites(-1, options)
