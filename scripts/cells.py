@@ -138,8 +138,8 @@ def by_cells(case: Case, before: Solution, site: SimulatedSite, rng: np.random.G
     footprints = [case.footprints[name] for name in before.network.shifts.names]
     models = cells_of(case.terrain, posterior, settings)
     surfaces = [
-        averaged_pair(posterior, matches, (0, 1), size, matches.spacing, WINDOW)
-        for size in sorted({*footprints, *(posts.footprint for _, posts in models)})
+        averaged_pair(posterior, matches, (0, 1), size, matches.spacing, WINDOW, cells)
+        for size, cells in [*((size, False) for size in set(footprints)), *((one.footprint, True) for _, one in models)]
     ]
     return registered(before, footprints, models, surfaces, settings, case.settings).solution
 

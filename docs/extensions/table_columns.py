@@ -20,6 +20,7 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.dem.checking import HeightChecks
 from mgsgraph.dem.files import shots_table
+from mgsgraph.demo.disagreement import disagreement_table
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.matching.files import matches_table
 from mgsgraph.network import PointClass
@@ -110,6 +111,7 @@ def _without_rows() -> Iterator[tuple[str, Table]]:
     yield "profiles.csv", profiles_table(relief)
     yield "shots.csv of coregister", relief_shots_table(relief)
     yield "costs.csv", costs_table(relief)
+    yield "disagreement.csv", disagreement_table(())
 
 
 def _relief_without_shots() -> Any:
@@ -117,7 +119,7 @@ def _relief_without_shots() -> Any:
     none, index, mask = np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
     vectors = np.zeros((0, 3))
     heights = SurfaceHeights(none, vectors, np.zeros((0, 2, 7)), np.zeros((0, 2)), mask, none, none, none)
-    state = ProfileState(vectors, heights, CostSurface("", none, np.zeros((0, 0)), 0, ()))
+    state = ProfileState(vectors, heights, CostSurface("", np.zeros(1), np.zeros((1, 1)), 0, ()))
     profile = ReliefProfile("", PointClass.LASER, index, mask, none, state, state, np.zeros(2), np.zeros((2, 2)))
     points, image = SimpleNamespace(ids=(), places=vectors), SimpleNamespace(body=MARS)
     network = SimpleNamespace(points=points, images=(image,), shifts=SimpleNamespace(sigmas=np.zeros(1)))

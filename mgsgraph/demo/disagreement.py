@@ -112,17 +112,18 @@ def overall(found: Sequence[Disagreement], state: str) -> tuple[float, float]:
 
 def disagreement_table(found: Sequence[Disagreement]) -> Table:
     """One row per state, profile and image."""
-    metres = [one.found.metres for one in found]
+    means = np.array([one.found.metres.mean(axis=0) for one in found]).reshape(-1, 2)
+    sigmas = np.array([one.sigmas for one in found]).reshape(-1, 2)
     return Table("disagreement", "MOLA's footprints in MOC's images, beside their true pixels", (
         Column("state", [one.state for one in found], meaning="orientation and footprints after which step", head="by",
                text="<16"),
         Column("profile", [one.profile for one in found], text="<10"),
         Column("image", [one.found.image for one in found], text="<10"),
         Column("footprints", np.array([one.found.shots.size for one in found]), label="shots", text=">6d"),
-        Column("mean_{}", np.array([one.mean(axis=0) for one in metres]), "m", "of the flight, on the ground",
-               ("along", "across"), label="mean (m)", text=">+8.1f", gap=2),
+        Column("mean_{}", means, "m", "of the flight, on the ground", ("along", "across"), label="mean (m)",
+               text=">+8.1f", gap=2),
         Column("rms", np.array([one.rms for one in found]), "m", "of the distances", label="rms (m)", text=">8.1f",
                gap=2),
-        Column("sigma_{}", np.array([one.sigmas for one in found]), "m", "predicted", ("along", "across"),
-               label="predicted sigma (m)", text=">8.1f", gap=2),
+        Column("sigma_{}", sigmas, "m", "predicted", ("along", "across"), label="predicted sigma (m)", text=">8.1f",
+               gap=2),
     ))  # fmt: skip

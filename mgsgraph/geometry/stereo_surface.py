@@ -15,6 +15,7 @@ the footprint; between nodes it is a cubic spline.
 """
 
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -37,12 +38,15 @@ _FINER = 2
 within a standard deviation of the footprint."""
 _REACH = 4.0
 """Standard deviations up to which matches count."""
-_LEAST_SHARE = 0.5
+LEAST_SHARE = 0.5
 """Of the usual weight of matches about a node, below which it has no average: a hole, or the edge."""
 _RESOLUTION = 2.0**-16
 """pixels, of which places are whole multiples: a thousandth of what matches are good to. So files hold them whole."""
 _OUTLIER = 4.0
-"""Robust standard deviations from the average beyond which a match is left out of it."""
+"""Standard deviations from the average, by the mean distance of the matches about, beyond which one is left out of it.
+"""
+_OF_NORMAL = 1.2533
+"""Standard deviation of a normal distribution in its mean distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +127,13 @@ class StereoSurface:
 
 
 def averaged_surface(
-    anchors: Array, places: Array, variances: Array, ground_pixel: Array, width: float, window: float
+    anchors: Array,
+    places: Array,
+    variances: Array,
+    ground_pixel: Array,
+    width: float,
+    window: float,
+    least_share: float = LEAST_SHARE,
 ) -> StereoSurface:
     """Average dense matches over a footprint.
 
@@ -139,6 +149,8 @@ def averaged_surface(
         m, standard deviation of the Gaussian footprint: a quarter of its diameter.
     window : float
         m, width of the matching window: matches nearer to one another are not independent.
+    least_share : float
+        Of the usual weight of matches about a node, below which it is not covered.
 
     Raises
     ------
@@ -153,15 +165,13 @@ def averaged_surface(
     left = places - trend.at(anchors)
     taken = np.ones(len(anchors), dtype=bool)
     for _ in range(2):
-        found = _local_planes(spots[taken], left[taken], variances[taken], shape)
+        found = _local_planes(spots[taken], left[taken], variances[taken], shape, least_share)
         if not np.any(found.covered):
             raise InputError(
                 "stereo surface", f"{len(anchors)} dense matches, nowhere enough for a footprint of {4 * width:.0f} m",
                 "images that overlap and match", "take a smaller spacing of the matches",
             )  # fmt: skip
-        row, column = np.rint(spots).astype(np.int64).T
-        off = np.abs(left - found.values[row, column])
-        taken = np.all(off <= _OUTLIER * 1.4826 * np.median(off, axis=0) + 1e-12, axis=1)
+        taken = _alike(spots, left, _continued(found.values, found.covered))
     rows, columns = np.meshgrid(*(np.arange(size) for size in shape), indexing="ij")
     nodes = first + np.stack([rows, columns], axis=2).reshape(-1, 2) * step
     whole = trend.at(nodes).reshape(*shape, 2) + _continued(found.values, found.covered)
@@ -264,11 +274,8 @@ class _Planes(NamedTuple):
     """(r, c) rms of the values about the plane, along the larger of both."""
 
 
-def _local_planes(spots: Array, values: Array, variances: Array, shape: tuple[int, ...]) -> _Planes:
-    """Planes with Gaussian weights about nodes: moments of the matches, gathered at nodes and smoothed.
-
-    `spots` (n, 2) are places counted in nodes; `values` (n, 2).
-    """
+def _moments(spots: Array, shape: tuple[int, ...]) -> Callable[[Array], Array]:
+    """Gaussian sums about nodes, as a function of the weights (n,) of matches at `spots` (n, 2) counted in nodes."""
     from scipy.ndimage import gaussian_filter
 
     low = np.floor(spots).astype(np.int64)
@@ -280,6 +287,32 @@ def _local_planes(spots: Array, values: Array, variances: Array, shape: tuple[in
         gathered = np.bincount(number.ravel(), (share * weights).ravel(), shape[0] * shape[1]).reshape(shape)
         return np.asarray(gaussian_filter(gathered, _NODES_PER_WIDTH, mode="constant", truncate=_REACH))
 
+    return moment
+
+
+def _alike(spots: Array, values: Array, averages: Array) -> Mask:
+    """(n,) matches at `spots` (n, 2) counted in nodes whose values (n, 2) are no farther from the averages (r, c, 2) at
+    nodes than those about them: on a canyon's edge all are far.
+    """
+    from scipy.ndimage import map_coordinates
+
+    moment, kept = _moments(spots, averages.shape[:2]), np.ones(len(spots), dtype=bool)
+    every = np.maximum(moment(np.ones(len(spots))), 1e-12)
+    for k in range(2):
+        off = np.abs(values[:, k] - map_coordinates(averages[:, :, k], spots.T, order=1))
+        usual = _OF_NORMAL * map_coordinates(moment(off) / every, spots.T, order=1)
+        kept &= off <= _OUTLIER * usual + 1e-12
+    return kept
+
+
+def _local_planes(
+    spots: Array, values: Array, variances: Array, shape: tuple[int, ...], least_share: float
+) -> _Planes:
+    """Planes with Gaussian weights about nodes: moments of the matches, gathered at nodes and smoothed.
+
+    `spots` (n, 2) are places counted in nodes; `values` (n, 2).
+    """
+    moment = _moments(spots, shape)
     r, c = np.meshgrid(*(np.arange(size, dtype=np.float64) for size in shape), indexing="ij")
     y, x = spots.T
     ones = np.ones(len(spots))
@@ -291,7 +324,7 @@ def _local_planes(spots: Array, values: Array, variances: Array, shape: tuple[in
     usual = np.median(s[s > 0.1 * s.max()])
     normal = np.stack([np.stack(row, axis=2) for row in ((s, sy, sx), (sy, syy, syx), (sx, syx, sxx))], axis=2)
     spread = np.linalg.det(normal) > 1e-3 * np.prod(np.diagonal(normal, axis1=2, axis2=3), axis=2)
-    covered = (s > _LEAST_SHARE * usual) & spread
+    covered = (s > least_share * usual) & spread
     normal = np.where(covered[:, :, None, None], normal, np.eye(3))
     found, scatter = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     for k in range(2):

@@ -15,7 +15,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.stereo_surface import StereoSurface, averaged_surface
+from mgsgraph.geometry.stereo_surface import LEAST_SHARE, StereoSurface, averaged_surface
 from mgsgraph.matching.scene import Scene
 from mgsgraph.network import PointClass
 from mgsgraph.network.posts import Posts, TerrainModel, posts_of
@@ -33,6 +33,9 @@ _CLOSEST = 5.0
 """pixels of the ground grid between dense matches, at least."""
 _MATCHES_ACROSS = 12.0
 """Matches across the cell of a terrain model, whose mean they are to show, not its roughness."""
+_CELL_SHARE = 0.9
+"""Of the usual weight of matches about a node of a cell, below which it is not covered: what a plane through part of a
+cell's ground makes of the rest is no mean of it."""
 _CELL_PIXELS = 20.0
 """pixels of the images across a cell, at least: what is finer is averaged first."""
 _MARGIN = 500.0
@@ -125,7 +128,7 @@ def stereo_surfaces(
         first, second = (posterior.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
         for size in sizes:
             progress("stereo surface", len(found), len(matches) * len(sizes))
-            found.append(averaged_pair(posterior, one, (first, second), size, spacing, window))
+            found.append(averaged_pair(posterior, one, (first, second), size, spacing, window, size in of_cells))
     return tuple(found)
 
 
@@ -148,14 +151,24 @@ def _over_adjusted_ground(scene: Scene, posterior: Posterior) -> Scene:
 
 
 def averaged_pair(
-    posterior: Posterior, matches: "DenseMatches", images: tuple[int, int], size: float, spacing: float, window: float
+    posterior: Posterior,
+    matches: "DenseMatches",
+    images: tuple[int, int],
+    size: float,
+    spacing: float,
+    window: float,
+    cells: bool = False,
 ) -> AveragedPair:
     """Matches of two images of a network, `spacing` m apart and made with windows of `window` m, averaged over
-    footprints of `size` m.
+    footprints of `size` m, or over cells, which have to be covered as a whole.
     """
     variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 1], dtype=np.float64)
     pixel = _ground_pixel(posterior, images[0], matches.anchors.mean(axis=0))
     width = max(size / SPOT_WIDTHS, spacing)
     return AveragedPair(
-        averaged_surface(matches.anchors, matches.pixels, variances, pixel, width, window), images, size
+        averaged_surface(
+            matches.anchors, matches.pixels, variances, pixel, width, window, _CELL_SHARE if cells else LEAST_SHARE
+        ),
+        images,
+        size,
     )

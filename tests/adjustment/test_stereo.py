@@ -69,7 +69,7 @@ def test_both_forms_agree(held: bool, loss: Loss) -> None:
         places = net.points.places.copy()
         places[-1] *= 1.0 - 30.0 / np.linalg.norm(places[-1])
         net = replace(net, points=replace(net.points, places=places))
-    settings = SolverSettings(loss=loss, cost_tolerance=1e-11 if loss == "none" else 1e-14)
+    settings = SolverSettings(loss=loss, cost_tolerance=1e-11 if loss == "none" else 1e-13)
     bundle, explicit = (adjust_network(net, replace(settings, form=form)) for form in ("bundle", "explicit"))
     assert bundle.converged
     assert explicit.converged
