@@ -154,8 +154,8 @@ def registered(
             break
     profiles = tuple(
         ReliefProfile(
-            one.cost.name, PointClass(network.points.classes[one.mine[0]]), one.mine, control.surface[one.mine] >= 0,
-            control.sigmas[one.mine],
+            one.cost.name, PointClass(network.points.classes[one.mine[0]]), one.mine,
+            solution.stereo_used[one.mine], control.sigmas[one.mine],
             ProfileState(one.points, one.here, one.cost), ProfileState(after.points, after.here, after.cost),
             solution.shifts[p], solution.shift_covariance(p),
         )
