@@ -126,6 +126,7 @@ def test_nodes_take_ties_too(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 # ---- going on
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on(
     site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,6 +105,7 @@ def changed_later(solved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert f"has changed since this solution (remove {name}); for" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_case_that_says_something_else_by_now(ready: Path, case: Path, tmp_path: Path) -> None:
     """Its settings count until ties are there; other images are refused before they are matched."""
     other = tmp_path / "site"

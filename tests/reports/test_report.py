@@ -111,6 +111,7 @@ def test_it_is_one_file_without_an_outside_address(page: Path) -> None:
     assert len(text) < 5_000_000
 
 
+@pytest.mark.slow
 def test_the_same_inputs_give_the_same_page(page: Path, case: Case, solution: Solution, tmp_path: Path) -> None:
     earlier = replace(solution, name="earlier", places=solution.places + 1.0)
     again = text_of(solution, tmp_path, case=case, earlier=earlier,

@@ -101,6 +101,7 @@ def test_normalised_errors_of_drawn_errors_average_to_one() -> None:
     assert nees_peer.normalised(2.0 * errors, covariances) == pytest.approx(4.0 * found)
 
 
+@pytest.mark.slow
 def test_nees_of_two_draws_of_the_smallest_size(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

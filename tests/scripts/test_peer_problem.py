@@ -243,6 +243,7 @@ def test_a_shot_outside_its_image_is_named(chain: tuple[peer.PeerProblem, peer.T
 # --- generated problems
 
 
+@pytest.mark.slow
 def test_a_block_of_kaguyas_size() -> None:
     problem, truth = blocks.kaguya()
     assert (problem.orientation.shape[0], problem.places.shape[0], problem.u.size) == blocks.KAGUYA
