@@ -88,19 +88,12 @@ class StereoSurface:
         return line, sample
 
     @cached_property
-    def _fine(self) -> Array:
-        """(2, rows, columns) the splines at nodes that are `_FINER` times as dense."""
-        rows, columns = (np.linspace(0.0, size - 1.0, (size - 1) * _FINER + 1) for size in self.covered.shape)
-        return np.stack([spline(rows, columns) for spline in self._splines])
-
-    def nearly(self, places: Array) -> Array:
-        """Line and sample (n, 2) in the second image of places (n, 2) in the first, linear between points of the
-        splines: fast, for searches; beyond the nodes, the last.
+    def fine(self) -> tuple[int, Array]:
+        """How much denser the nodes are, and (2, rows, columns) line and sample in the second image there; between them
+        the surface is nearly linear: for searches.
         """
-        from scipy.ndimage import map_coordinates
-
-        spots = ((places - self.first) / self.step).T * _FINER
-        return np.stack([map_coordinates(part, spots, order=1, mode="nearest") for part in self._fine], axis=1)
+        rows, columns = (np.linspace(0.0, size - 1.0, (size - 1) * _FINER + 1) for size in self.covered.shape)
+        return _FINER, np.stack([spline(rows, columns) for spline in self._splines])
 
     def disparity(self, places: Array) -> tuple[Array, Array]:
         """Line and sample (n, 2) in the second image of places (n, 2) in the first, beyond the nodes the last; and

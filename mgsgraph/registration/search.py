@@ -27,6 +27,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.registration.minima import FITTED, Bowl, Minimum, local_minima, shots_alike, weighted
+from mgsgraph.registration.trials import left_of_lines, misfits_of_shifts, robust_weights
 
 REACH = 1500.0
 """m, shifts that are searched, in every direction, at least."""
@@ -40,10 +41,6 @@ _LEAST_SHARE = 0.8
 """Of the most shots that any shift has on the surface, below which a shift is none: half of them fit by chance."""
 _NEARLY_ALL = 0.9
 """Of the most shots: shifts by whose best a shot beside the surface counts."""
-_HUBER = 2.0
-"""Sigmas from which on a shot counts linearly."""
-_ROUNDS = 3
-"""Of reweighting."""
 _CLEAR = 1e-3
 """Weight of the second-best minimum up to which the best is the only one."""
 _MOST_COMPARED = 40
@@ -227,14 +224,11 @@ def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Mo
 
 def _misfits(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Array, int]:
     """Misfits (s,) of shifts (s, 2) in m, NaN where too few shots are on the surface; most shots that any has there."""
-    result, counts = np.full(len(shifts), np.nan), np.zeros(len(shifts), dtype=np.int64)
-    at_once = max(1, 200_000 // max(len(moved.places), 1))
-    for begin in range(0, len(shifts), at_once):
-        places, others = _seen(moved, shifts[begin : begin + at_once, None])
-        near = surface.nearly(places.reshape(-1, 2)).reshape(others.shape)
-        heights, weights = _heights(surface, moved, places, others - near)
-        counts[begin : begin + at_once] = np.count_nonzero(weights, axis=1)
-        result[begin : begin + at_once] = _left(heights, weights, moved.along)[0]
+    result, counts = misfits_of_shifts(
+        shifts, moved.places, moved.others, moved.place_by_shift, moved.other_by_shift, moved.epipolar,
+        moved.pixels_per_metre, moved.sigmas**2, moved.along, surface.first, surface.step, *surface.fine,
+        surface.covered, surface.sigmas**2 + surface.roughness**2,
+    )  # fmt: skip
     most = int(counts.max(initial=0))
     enough = counts >= max(_LEAST_SHOTS, _LEAST_SHARE * most)
     nearly_all = enough & (counts >= _NEARLY_ALL * most)
@@ -265,30 +259,11 @@ def _exact(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Array,
 
 
 def _seen(moved: _Moved, shifts: Array) -> tuple[Array, Array]:
-    """(s, n, 2) where shots are in both images after shifts (s, n, 2), or (s, 1, 2) alike for all, in m."""
-    every = np.broadcast_to(shifts, (len(shifts), len(moved.places), 2))
+    """(s, n, 2) where shots are in both images after shifts (s, n, 2) in m."""
     return (
-        moved.places + np.einsum("nij,snj->sni", moved.place_by_shift, every),
-        moved.others + np.einsum("nij,snj->sni", moved.other_by_shift, every),
+        moved.places + np.einsum("nij,snj->sni", moved.place_by_shift, shifts),
+        moved.others + np.einsum("nij,snj->sni", moved.other_by_shift, shifts),
     )
-
-
-def _left(heights: Array, weights: Array, along: Array) -> tuple[Array, Array]:
-    """Of heights (s, n) with weights (s, n) about a level and a slope along the track: (s,) sum of the losses, and
-    (s, n) what is left of each, in sigmas.
-    """
-    terms = np.stack([np.ones_like(along), along], axis=1)
-    robust = np.ones_like(heights)
-    for _ in range(_ROUNDS):
-        both = weights * robust
-        normal = np.einsum("sn,ni,nj->sij", both, terms, terms) + 1e-12 * np.eye(2)
-        right = np.einsum("sn,ni,sn->si", both, terms, heights)
-        level = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-        left = (heights - level @ terms.T) * np.sqrt(weights)
-        ratio = np.abs(left)
-        robust = np.where(ratio > _HUBER, _HUBER / np.maximum(ratio, 1e-12), 1.0)
-    loss = np.where(ratio > _HUBER, 2.0 * _HUBER * ratio - _HUBER**2, ratio**2)
-    return np.asarray(np.sum(loss * (weights > 0.0), axis=1)), left
 
 
 def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step: float) -> tuple[Minimum, ...]:
@@ -297,7 +272,7 @@ def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step
         return ()
     fitted = _bent(surface, moved, np.array([one.shift for one in bowls]), step)
     heights, weights, _ = _exact(surface, moved, fitted.along(moved))
-    misfits, left = _left(heights, weights, moved.along)
+    misfits, left = left_of_lines(heights, weights, moved.along)
     counts = np.count_nonzero(weights, axis=1)
     each = (misfits + fitted.penalty) / np.maximum(counts, 1)
     each[counts < _LEAST_SHARE * counts.max()] = np.inf
@@ -307,7 +282,7 @@ def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step
     first = int(np.argmin(each[apart]))
     both = (weights > 0.0) & (weights[first] > 0.0)
     misfits, lowest = (
-        _left(some, weight * both, moved.along)[0] + penalty
+        left_of_lines(some, weight * both, moved.along)[0] + penalty
         for some, weight, penalty in (
             (heights, weights, fitted.penalty),
             (heights[[first]], weights[[first]], fitted.penalty[first]),
@@ -355,8 +330,8 @@ def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float) -> _
     going = np.arange(len(begin))
     for _ in range(_STEPS):
         heights, weights, slopes = _exact(surface, moved, found.along(moved)[going])
-        _, left = _left(heights, weights, moved.along)
-        weights = weights * np.where(np.abs(left) > _HUBER, _HUBER / np.maximum(np.abs(left), 1e-12), 1.0)
+        _, left = left_of_lines(heights, weights, moved.along)
+        weights = weights * robust_weights(left)
         every = np.broadcast_to(level, (going.size, *level.shape))
         terms = np.concatenate([slopes, slopes * moved.along[:, None], every], axis=2)
         normal = np.einsum("sn,sni,snj->sij", weights, terms, terms) + known
