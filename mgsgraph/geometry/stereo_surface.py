@@ -14,22 +14,18 @@ D is made of local planes: at each node the matches' least-squares plane with Ga
 the footprint; between nodes it is a cubic spline.
 """
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
-
-Bytes = NDArray[np.uint8]
+from mgsgraph.geometry.records import Array, Mask, assign, frozen
 
 _NODES_PER_WIDTH = 2.0
 """Nodes per standard deviation of the footprint: the spline between them is exact to 1e-3 of what the average lost."""
@@ -40,7 +36,7 @@ _REACH = 4.0
 """Standard deviations up to which matches count."""
 LEAST_SHARE = 0.5
 """Of the usual weight of matches about a node, below which it has no average: a hole, or the edge."""
-_RESOLUTION = 2.0**-16
+RESOLUTION = 2.0**-16
 """pixels, of which places are whole multiples: a thousandth of what matches are good to. So files hold them whole."""
 _OUTLIER = 4.0
 """Standard deviations from the average, by the mean distance of the matches about, beyond which one is left out of it.
@@ -168,75 +164,16 @@ def averaged_surface(
     rows, columns = np.meshgrid(*(np.arange(size) for size in shape), indexing="ij")
     nodes = first + np.stack([rows, columns], axis=2).reshape(-1, 2) * step
     whole = trend.at(nodes).reshape(*shape, 2) + _continued(found.values, found.covered)
-    places = _RESOLUTION * np.rint(whole / _RESOLUTION)
+    places = RESOLUTION * np.rint(whole / RESOLUTION)
     independent = max(1.0, 4.0 * np.pi * width**2 / window**2)  # windows that the Gaussian's equivalent area holds
     sigmas = np.sqrt(found.variance / independent)
-    coarse = [_coarse(np.where(found.covered, one, 0.0)) for one in (sigmas, found.roughness)]
-    return StereoSurface(first, step, places, found.covered, *coarse)
+    rounded = [coarse(np.where(found.covered, one, 0.0)) for one in (sigmas, found.roughness)]
+    return StereoSurface(first, step, places, found.covered, *rounded)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PackedSurface:
-    """A stereo surface in a fifth of its bytes, from which it is made again whole: numbers less what neighbours say,
-    their bytes sorted by significance and deflated.
-    """
-
-    first: Array
-    """(2,) as of the surface."""
-    step: Array
-    """(2,) as of the surface."""
-    shape: Index
-    """(2,) rows and columns of nodes."""
-    places: Bytes
-    """Second differences along both axes, in units of the resolution, int64."""
-    covered: Bytes
-    """int8."""
-    sigmas: Bytes
-    """float16."""
-    roughness: Bytes
-    """float16."""
-
-    @property
-    def surface(self) -> StereoSurface:
-        """The surface."""
-        shape = tuple(self.shape.tolist())
-        places = _inflated(self.places, np.int64, (*shape, 2))
-        for axis in (0, 0, 1, 1):
-            places = np.cumsum(places, axis=axis)
-        covered = _inflated(self.covered, np.int8, shape) != 0
-        coarse = [_inflated(one, np.float16, shape) for one in (self.sigmas, self.roughness)]
-        return StereoSurface(self.first, self.step, places * _RESOLUTION, covered, *coarse)
-
-
-def packed(surface: StereoSurface) -> PackedSurface | StereoSurface:
-    """A stereo surface packed; itself where it is of another resolution, as earlier versions made them."""
-    whole = np.rint(surface.places / _RESOLUTION).astype(np.int64)
-    coarse = surface.sigmas, surface.roughness
-    if not np.array_equal(whole * _RESOLUTION, surface.places):
-        return surface
-    if not all(np.array_equal(_coarse(one), one) for one in coarse):
-        return surface
-    for axis in (0, 0, 1, 1):
-        whole = np.diff(whole, axis=axis, prepend=0)
-    shape = np.array(surface.covered.shape, dtype=np.int64)
-    small = [_deflated(one.astype(np.float16)) for one in coarse]
-    covered = _deflated(surface.covered.astype(np.int8))
-    return PackedSurface(surface.first, surface.step, shape, _deflated(whole), covered, *small)
-
-
-def _coarse(values: Array) -> Array:
+def coarse(values: Array) -> Array:
     """Values rounded to eleven bits, which is enough of a sigma."""
     return values.astype(np.float16).astype(np.float64)
-
-
-def _deflated(values: NDArray[Any]) -> Bytes:
-    sorted_bytes = np.ascontiguousarray(values).view(np.uint8).reshape(-1, values.dtype.itemsize).T
-    return np.frombuffer(zlib.compress(sorted_bytes.tobytes()), dtype=np.uint8)
-
-
-def _inflated(data: Bytes, kind: type[np.generic], shape: tuple[int, ...]) -> NDArray[Any]:
-    sorted_bytes = np.frombuffer(zlib.decompress(data.tobytes()), dtype=np.uint8)
-    return np.ascontiguousarray(sorted_bytes.reshape(np.dtype(kind).itemsize, -1).T).view(kind).reshape(shape)
 
 
 class _Trend:

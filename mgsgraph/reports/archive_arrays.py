@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
 from mgsgraph.geometry.image import ExteriorOrientation
+from mgsgraph.geometry.packed_surface import PackedSurface, packed
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
 from mgsgraph.geometry.records import assign
-from mgsgraph.geometry.stereo_surface import PackedSurface, StereoSurface, packed
+from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.network import JointNodePrior, NodePrior
 
