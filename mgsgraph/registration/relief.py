@@ -301,7 +301,6 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
         on = one.moved.covered
         if int(on.sum()) < _LEAST_SHOTS:
             continue
-        surface[one.mine[on]] = one.surface
         post = network.points.classes[one.mine[0]] == PointClass.POST
         # a post is the mean of its cell: how rough the ground is within makes it no less certain
         rough = np.zeros(on.size) if post else one.moved.roughness

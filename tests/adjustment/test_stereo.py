@@ -81,6 +81,31 @@ def test_both_forms_agree(held: bool, loss: Loss) -> None:
     np.testing.assert_allclose(bundle.shift_covariance(0), explicit.shift_covariance(0), rtol=1e-6)
 
 
+def test_level_ground_gives_height_and_moves_nothing_horizontally() -> None:
+    """A profile whose place is not known: no relief acts on its shift, whatever the slopes."""
+    made = pair(12, 24)
+    found = heights_above(
+        surface(made), *made.images, made.true_footprints, made.true_corrections, np.ones(24, dtype=bool)
+    )
+    up = made.true_footprints / np.linalg.norm(made.true_footprints, axis=1, keepdims=True)
+    np.testing.assert_allclose(found.normals, up, atol=1e-5)
+
+    net = stereo_network(made)
+    assert net.stereo is not None
+    assert net.shifts is not None
+    level = replace(net, stereo=replace(net.stereo, level=net.stereo.surface >= 0))
+    by_relief, alone, without = (
+        adjust_network(one, SolverSettings()) for one in (net, level, replace(net, stereo=None))
+    )
+    prior = net.shifts.sigmas[0]
+    assert np.sqrt(np.diag(by_relief.shift_covariance(0))).max() < 0.6 * prior
+    np.testing.assert_allclose(np.sqrt(np.diag(alone.shift_covariance(0))), prior, rtol=1e-3)
+    np.testing.assert_allclose(alone.shifts, without.shifts, atol=0.1 * prior)
+    laser = net.points.classes == PointClass.LASER
+    heights = [np.trace(one.covariances[laser], axis1=1, axis2=2).mean() for one in (alone, without)]
+    assert heights[0] <= heights[1] * (1.0 + 1e-6)
+
+
 def test_starting_at_the_answer_moves_nothing() -> None:
     """The objective is one function: rows that are linear about the answer have the answer for their minimum."""
     net = stereo_network(pair(12, 24))
