@@ -117,7 +117,7 @@ def test_classes_are_counted_apart() -> None:
     """Two tie points, one laser point and one control point in common; the images' own points don't count."""
     classes = [0, 0, PointClass.TIE, PointClass.TIE, PointClass.LASER, PointClass.CONTROL]
     found = block(2, [(0, 1, 4)], classes=classes)
-    assert found.common.tolist() == [[2, 1, 1]]
+    assert found.common.tolist() == [[2, 1, 1, 0]]
     assert found.points.tolist() == [4]
     assert found.seen.tolist() == [5, 5]
 

@@ -108,7 +108,7 @@ def test_an_image_after_the_last_range(archive: Flaky, tmp_path: Path) -> None:
     assert "R10/00002: no laser profile, MOLA's ranging ended on 2001-06-30" in fetched.notes
     case = decode(fetched.case)
     assert not case.mola
-    assert case.terrain is None
+    assert case.terrain == ()
     assert not [name for name in files(tmp_path / "d") if name.startswith(("pedr", "megdr"))]
 
 
