@@ -83,7 +83,7 @@ def _between(values: Array, row: float, column: float) -> float:
     v, u = row - r, column - c
     upper = (1.0 - u) * values[r, c] + u * values[r, c + 1]
     lower = (1.0 - u) * values[r + 1, c] + u * values[r + 1, c + 1]
-    return (1.0 - v) * upper + v * lower
+    return float((1.0 - v) * upper + v * lower)
 
 
 @compiled
