@@ -31,9 +31,9 @@ from mgsgraph.registration.trials import left_of_lines, misfits_of_shifts, robus
 
 REACH = 1500.0
 """m, shifts that are searched, in every direction, at least."""
-_MOST_SHOTS = 600
+_MOST_SHOTS = 300
 """Of a profile, evenly taken, that are enough to find a minimum; more where there are few shifts."""
-_MOST_TRIALS = 3_000_000
+_MOST_TRIALS = 1_500_000
 """Shots times shifts, up to which more shots are taken."""
 _LEAST_SHOTS = 12
 """On the surface, below which a shift says nothing."""
