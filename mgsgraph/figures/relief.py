@@ -364,7 +364,7 @@ def _map(registration: ReliefRegistration) -> Sheet:
             for c in sorted({one.point_class for one in profiles})
         ),
         Line2D([], [], color=BEFORE, lw=2.5, label="before"),
-        Line2D([], [], color=AFTER, lw=2.5, label="after, with its sigma"),
+        Line2D([], [], color=AFTER, lw=2.5, label="after"),
     ])  # fmt: skip
     return sheet
 
@@ -387,8 +387,6 @@ def _draw_arrows(panel: Axes, profiles: Sequence[ReliefProfile], tracks: Sequenc
         if k == 0:
             scale = round_figure(longest)
             panel.quiverkey(arrows, 0.84, 0.04, scale, f"{scale:g} m", labelpos="N", coordinates="axes", color=INK)
-
-
     for one, start in zip(profiles, starts, strict=True):
         if one.after.cost.tied:
             covariance = one.after.misplacement_covariance / metres_per_km**2
@@ -400,7 +398,9 @@ def _draw_arrows(panel: Axes, profiles: Sequence[ReliefProfile], tracks: Sequenc
 def _start(one: ReliefProfile, track: Array, p: int) -> Array:
     """(2,) km, where the arrow of the p-th profile begins: neighbours' at different parts of their tracks."""
     shots = np.flatnonzero(one.taken) if np.any(one.taken) else np.arange(len(track))
-    return np.asarray(track[shots[int((0.3 + 0.1 * (2 * p % 5)) * (shots.size - 1))]])
+    share = 0.3 + 0.1 * (2 * p % 5)
+    share = 1.0 - share if one.of_posts else share  # posts begin in the north
+    return np.asarray(track[shots[int(share * (shots.size - 1))]])
 
 
 def _map_caption(profiles: Sequence[ReliefProfile]) -> str:
