@@ -41,6 +41,8 @@ _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
 _MOST_ROUNDS = 6
 """Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
+_REACH_OF_MODEL = 5.0
+"""A-priori sigmas of a terrain model's shift up to which it is searched."""
 _LIKELY = 0.01
 """Weight from which on a minimum counts as one where the profile may be."""
 
@@ -284,7 +286,11 @@ def _search_profile(
     given = network.points.places[mine]
     ways, sigmas = east_north(given), local_sigmas(network.points.covariances[mine], given)[:, 2]
     points = placed.lifted[mine] + np.einsum("k,nkj->nj", placed.shifts[p], ways)
-    costs = [search(oriented[k], points, sigmas, network.shifts.names[p], reach) for k in usable]
+    model = network.points.classes[mine[0]] == PointClass.POST
+    if model:  # its shift is known better than that of a profile to which nobody has put an image
+        reach = min(reach, _REACH_OF_MODEL * float(network.shifts.sigmas[p]))
+    name = network.shifts.names[p]
+    costs = [search(oriented[k], points, sigmas, name, reach, rigid=bool(model)) for k in usable]
     best = int(np.argmax([cost.shots for cost in costs]))
     pair, cost = oriented[usable[best]], costs[best]
     starts = points + np.einsum("nk,nkj->nj", cost.best(mine.size), ways) if cost.clear else points

@@ -53,6 +53,8 @@ _MOST_POSSIBLE = 5
 """Minima above that weight up to which relief ties a profile: more are a plain, in which noise fits anywhere."""
 _CHANGE = 50.0
 """m, sigma of the change of a shift from the middle of a profile to its end."""
+_RIGID = 1e-3
+"""m, the same of what has one shift everywhere."""
 _ONE_PLACE = 13.8
 """chi-square of two degrees of freedom (99.9 %), up to which two minima are one place."""
 _STEPS = 12
@@ -151,6 +153,7 @@ def search(
     name: str,
     reach: float = REACH,
     step: float | None = None,
+    rigid: bool = False,
 ) -> CostSurface:
     """Search the shift of one profile.
 
@@ -167,6 +170,8 @@ def search(
         m, up to which shifts are tried.
     step : float, optional
         m between shifts; the standard deviation of the footprint when absent.
+    rigid : bool
+        Whether the shift is the same everywhere, as that of a terrain model.
 
     Returns
     -------
@@ -183,7 +188,7 @@ def search(
     lowest = local_minima(shifts, misfits)[:_MOST_COMPARED]
     likely = sum(one.misfit <= _WORST_COMPARED * lowest[0].misfit for one in lowest)
     lowest = lowest[: max(likely, _LEAST_COMPARED)]
-    found = _compared(pair.surface, moved, lowest, step)
+    found = _compared(pair.surface, moved, lowest, step, half * step, _RIGID if rigid else _CHANGE)
     return CostSurface(name, shifts, misfits, shots, found, moved.span)
 
 
@@ -266,18 +271,26 @@ def _seen(moved: _Moved, shifts: Array) -> tuple[Array, Array]:
     )
 
 
-def _compared(surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step: float) -> tuple[Minimum, ...]:
-    """Minima with their weights, the likeliest first; each is compared with the lowest over the shots of both."""
+def _compared(
+    surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step: float, reach: float, change: float
+) -> tuple[Minimum, ...]:
+    """Minima with their weights, the likeliest first; each is compared with the lowest over the shots of both.
+
+    Fits that leave the shifts searched, up to `reach` m, are none; `change` is the sigma of a shift's change, m.
+    """
     if not bowls:
         return ()
-    fitted = _bent(surface, moved, np.array([one.shift for one in bowls]), step)
+    fitted = _bent(surface, moved, np.array([one.shift for one in bowls]), step, change)
     heights, weights, _ = _exact(surface, moved, fitted.along(moved))
     misfits, left = left_of_lines(heights, weights, moved.along)
     counts = np.count_nonzero(weights, axis=1)
     each = (misfits + fitted.penalty) / np.maximum(counts, 1)
-    each[counts < _LEAST_SHARE * counts.max()] = np.inf
+    away = np.abs(fitted.shifts).max(axis=1) > reach + step
+    each[away | (counts < _LEAST_SHARE * counts[~away].max(initial=0))] = np.inf
     apart = _apart(fitted, each, step)
-    fitted = _Bent(*(part[apart] for part in fitted))
+    if not apart.size:
+        return ()
+    fitted = _Bent(*(part[apart] for part in fitted[:3]), change)
     heights, weights, left = heights[apart], weights[apart], left[apart]
     first = int(np.argmin(each[apart]))
     both = (weights > 0.0) & (weights[first] > 0.0)
@@ -309,6 +322,8 @@ class _Bent(NamedTuple):
     """(s, 2) m, from there to the end."""
     covariances: Array
     """(s, 2, 2) m^2, of the shifts, by the sigmas that are stated."""
+    change: float
+    """m, sigma of the changes."""
 
     def along(self, moved: _Moved) -> Array:
         """(s, n, 2) m, shift of each shot."""
@@ -317,16 +332,16 @@ class _Bent(NamedTuple):
     @property
     def penalty(self) -> Array:
         """(s,) chi^2 of the changes."""
-        return np.asarray(np.sum((self.changes / _CHANGE) ** 2, axis=1))
+        return np.asarray(np.sum((self.changes / self.change) ** 2, axis=1))
 
 
-def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float) -> _Bent:
+def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float, change: float) -> _Bent:
     """Shifts and their changes of least misfit, from shifts (s, 2) in m on: robust Gauss-Newton steps, none longer than
-    `step` m, with a level and a slope along the track.
+    `step` m, with a level and a slope along the track; changes have a sigma of `change` m.
     """
-    found = _Bent(begin.copy(), np.zeros_like(begin), np.zeros((len(begin), 2, 2)))
+    found = _Bent(begin.copy(), np.zeros_like(begin), np.zeros((len(begin), 2, 2)), change)
     level = np.stack([np.ones_like(moved.along), moved.along], axis=1)
-    known = np.diag([1e-12, 1e-12, _CHANGE**-2, _CHANGE**-2, 1e-12, 1e-12])
+    known = np.diag([1e-12, 1e-12, change**-2, change**-2, 1e-12, 1e-12])
     going = np.arange(len(begin))
     for _ in range(_STEPS):
         heights, weights, slopes = _exact(surface, moved, found.along(moved)[going])
@@ -336,7 +351,7 @@ def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float) -> _
         terms = np.concatenate([slopes, slopes * moved.along[:, None], every], axis=2)
         normal = np.einsum("sn,sni,snj->sij", weights, terms, terms) + known
         right = np.einsum("sn,sni,sn->si", weights, terms, heights)
-        right[:, 2:4] += found.changes[going] / _CHANGE**2
+        right[:, 2:4] += found.changes[going] / change**2
         move = -np.linalg.solve(normal, right[:, :, None])[:, :4, 0]
         move *= np.minimum(1.0, step / np.maximum(np.abs(move).max(axis=1, keepdims=True), 1e-12))
         found.shifts[going] += move[:, :2]
@@ -360,4 +375,4 @@ def _apart(fitted: _Bent, misfits: Array, step: float) -> Index:
         ratio = np.einsum("si,si->s", off, np.linalg.solve(both, off[:, :, None])[:, :, 0])
         if np.all((np.linalg.norm(off, axis=1) > step) & (ratio > _ONE_PLACE)):
             apart.append(k)
-    return np.array(apart)
+    return np.array(apart, dtype=np.int64)
