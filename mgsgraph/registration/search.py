@@ -290,7 +290,9 @@ def _compared(
     apart = _apart(fitted, each, step)
     if not apart.size:
         return ()
-    fitted = _Bent(*(part[apart] for part in fitted[:3]), change)
+    fitted = fitted._replace(
+        shifts=fitted.shifts[apart], changes=fitted.changes[apart], covariances=fitted.covariances[apart]
+    )
     heights, weights, left = heights[apart], weights[apart], left[apart]
     first = int(np.argmin(each[apart]))
     both = (weights > 0.0) & (weights[first] > 0.0)
