@@ -41,7 +41,7 @@ _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
 _MOST_ROUNDS = 6
 """Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
-_REACH_OF_MODEL = 5.0
+_REACH_OF_MODEL = 3.0
 """A-priori sigmas of a terrain model's shift up to which it is searched."""
 _LIKELY = 0.01
 """Weight from which on a minimum counts as one where the profile may be."""
