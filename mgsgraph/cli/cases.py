@@ -380,7 +380,7 @@ def _coregistered(
         registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
         show("tables and figures" if figures else "tables", 0, 1)
         write_coregistration(registration, out, figures, read.path)
-    return _told(registration, out)
+    return _print_registration(registration, out)
 
 
 def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int | None, figures: bool) -> bool:
@@ -391,10 +391,10 @@ def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int
 
     with counting_bars() as show, open_project(folder, write=True) as opened:
         found = register(opened, settings, workers, figures, show)
-    return _told(found.registration, found.folder)
+    return _print_registration(found.registration, found.folder)
 
 
-def _told(registration: "ReliefRegistration", out: Path) -> bool:
+def _print_registration(registration: "ReliefRegistration", out: Path) -> bool:
     """Print what a registration by relief has found; whether it converged."""
     from mgsgraph.registration.relief_files import profiles_table, relief_statements
 

@@ -36,7 +36,7 @@ class PackedSurface:
 
     @property
     def surface(self) -> StereoSurface:
-        """The surface."""
+        """The stereo surface that was packed, to its resolution."""
         shape = tuple(self.shape.tolist())
         places = _inflated(self.places, np.int64, (*shape, 2))
         for axis in (0, 0, 1, 1):

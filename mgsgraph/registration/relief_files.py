@@ -286,7 +286,8 @@ def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
     if not one.after.cost.tied:
         return [f"{one.name}: relief does not tie it; {found}.", carried]
     if not one.after.cost.clear:
-        return [f"{_several(one)} Its heights count as those of level ground; {found}.", carried]
+        level = "" if one.of_posts else "; its heights count as those of level ground"
+        return [_several(one), f"{one.name}: {found}{level}.", carried]
     return [_disagreement(one), _uniqueness(one, reach), carried]
 
 
@@ -306,8 +307,8 @@ def _east_north(shift: Array) -> str:
 
 
 def _uniqueness(one: ReliefProfile, reach: float) -> str:
-    """How much worse the second-best minimum fits."""
-    minima = one.after.cost.minima
+    """How much worse the second-best minimum fits, within the shifts that were searched, `reach` m at most."""
+    minima, reach = one.after.cost.minima, min(reach, float(one.after.cost.shifts[-1]))
     if len(minima) == 1:
         return f"{one.name}: one minimum within {reach:.0f} m."
     return (

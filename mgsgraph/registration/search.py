@@ -152,7 +152,6 @@ def search(
     sigmas: Array,
     name: str,
     reach: float = REACH,
-    step: float | None = None,
     rigid: bool = False,
 ) -> CostSurface:
     """Search the shift of one profile.
@@ -167,9 +166,7 @@ def search(
     name : str
         Of the profile.
     reach : float
-        m, up to which shifts are tried.
-    step : float, optional
-        m between shifts; the standard deviation of the footprint when absent.
+        m, up to which shifts are tried, a standard deviation of the footprint apart.
     rigid : bool
         Whether the shift is the same everywhere, as that of a terrain model.
 
@@ -178,7 +175,7 @@ def search(
     CostSurface
         Without minima where too few shots are on the surface.
     """
-    step = step or _footprint_width(pair)
+    step = _footprint_width(pair)
     half = int(np.ceil(reach / step))
     moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_TRIALS // (2 * half + 1) ** 2))
     shifts = np.asarray(step * np.arange(-half, half + 1, dtype=np.float64))
