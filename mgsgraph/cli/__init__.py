@@ -37,7 +37,7 @@ _VERBS = {
 }
 """Module of each verb, and its line of help: known before that module is imported."""
 _LATER = 0.01
-"""s after which an interrupt tries again that came during an import."""
+"""s after which an interrupt tries again that came during an import or a library's callback."""
 
 
 class _Verbs(click.Group):
@@ -86,6 +86,7 @@ def main() -> None:
     signals = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
     for number in signals:  # so that nothing half-written stays behind
         signal.signal(number, interrupt)
+    sys.unraisablehook = _lost
     try:
         status = group(standalone_mode=False)
         if sys.stdout is not None:  # closed by the caller
@@ -116,6 +117,14 @@ def _importing(frame: FrameType | None) -> bool:
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None
+
+
+def _lost(ignored: "sys.UnraisableHookArgs") -> None:
+    """An error Python could raise nowhere (in a weak reference's callback, a finalizer): an interrupt tries again."""
+    if ignored.exc_type is KeyboardInterrupt:
+        signal.setitimer(signal.ITIMER_REAL, _LATER)
+    else:
+        sys.__unraisablehook__(ignored)
 
 
 def _said(error: click.ClickException) -> str:

@@ -3,6 +3,7 @@
 import json
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -194,6 +195,34 @@ def test_an_interrupt_leaves_nothing(case_file: Path, tmp_path: Path, wait: floa
     if process.returncode != 0:
         assert process.returncode == 130
         assert sorted(path.name for path in tmp_path.iterdir()) == ["case"]
+
+
+_INTERRUPTED_IN_A_FINALIZER = """
+import signal, sys, time
+import click
+from mgsgraph import cli
+
+class Finalized:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def work():
+    Finalized()
+    time.sleep(30.0)
+
+cli.group = click.Command("work", callback=work)
+sys.argv = ["mgsgraph"]
+cli.main()
+"""
+
+
+def test_an_interrupt_in_a_finalizer_is_not_lost() -> None:
+    """Python can't raise it there, and would print a traceback and go on."""
+    done = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED_IN_A_FINALIZER], capture_output=True, text=True, check=False, timeout=20
+    )
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
 
 
 def test_a_loss_that_forgets_blunders_converges(case_file: Path, tmp_path: Path) -> None:
