@@ -97,8 +97,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 Draw = dict[str, Any]
-"""Site and seed; by way of adjusting: normalised errors by kind, per degree of freedom, and errors in m. Or why the draw
-is no case: a profile is so far off that it misses its image."""
+"""Site and seed; by way of adjusting: normalised errors by kind, per degree of freedom, and errors in m. Or why the
+draw is no case: a profile is so far off that it misses its image."""
 
 
 def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
