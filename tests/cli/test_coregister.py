@@ -350,7 +350,8 @@ def test_sentences_of_one_profile_not_tied_and_of_several_minima(registration: R
     misfits, shots = 96.0 + bowls, 100  # four unknowns: a misfit of one per shot
     found = local_minima(shifts, misfits)
     lowest = np.full(2, 96.0)
-    alike = weighted(found, np.array([one.misfit for one in found]), lowest, np.full(2, shots), np.zeros(2), 1.0)
+    each, nothing = np.array([one.misfit for one in found]), np.zeros(2)
+    alike = weighted(found, each, lowest, np.full(2, shots), nothing, 1.0, nothing)
     several = CostSurface("two", shifts, misfits, shots, alike)
     made = with_profiles(registration, [untied(one, "plain"), with_cost(one, "two", several), aside(one, "aside")])
     said = relief_statements(made)
