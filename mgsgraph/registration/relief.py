@@ -65,7 +65,7 @@ def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Pla
     shifts, surface = before.shifts[: len(profile_names(before.network))], before.network.surface
     for model, posts in cells:
         places, shift = np.concatenate([places, posts.points]), np.zeros(2)
-        if surface is not None and model.grid.source == surface.grid.source:
+        if surface is not None and model.lattice.source == surface.grid.source:
             network, shift = replace(network, surface=None), before.shifts[-1]
         shifts = np.concatenate([shifts, shift[None]])
     return network, _Placed(places, shifts, _horizontal_sigma(before))

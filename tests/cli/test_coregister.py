@@ -311,7 +311,7 @@ def test_posts_that_two_images_may_show_are_taken() -> None:
         image = posterior.image(j)
         pixels = image.ground_to_image(posts.points, posterior.correction(j))[0]
         assert np.all((pixels > -500.0) & (pixels < np.array([image.lines, image.samples]) + 500.0))
-    away = replace(model, grid=replace(model.grid, first_longitude=0.0))
+    away = replace(model, lattice=replace(model.lattice, located=lambda *at: -model.lattice.located(*at)))
     with pytest.raises(InputError, match="none in two images"):
         cells_of((away,), posterior, SETTINGS)
 
