@@ -187,23 +187,25 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A terrain model: control for the tie points, and where their heights above the areoid come from."""
 
     radius: str | tuple[str, ...] = ()
-    """MEGDR grid of radii (.img, .lbl) or GeoTIFF; several: tiles of one grid."""
+    """MEGDR grid of radii (.img, .lbl) or GeoTIFF in any map projection; several: tiles of one grid."""
     tracks: str | tuple[str, ...] = ()
     """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[mola]]."""
     topography: str | None = None
     """MEGDR grid of topography with the same posts: radius minus topography is the areoid."""
     areoid: str | None = None
-    """MEGDR grid of the areoid's radius (MEGA...), where the values of `radius` are heights above it."""
+    """MEGDR grid of the areoid's radius (MEGA...) or GeoTIFF, where the values of `radius` are heights above it."""
     control: bool = True
     """Tie points lie on it."""
     reference_radius_m: Positive | None = None
     """Sphere above which a GeoTIFF's heights are."""
+    reference_ellipsoid_m: tuple[Positive, Positive] | None = None
+    """Ellipsoid above which they are, along its normal: equatorial and polar radius."""
     vertical_sigma_m: Sigma = 10.0
     """Sigma of its heights."""
     planimetric_sigma_m: Sigma = 200.0
-    """Sigma of its horizontal place as a whole, which becomes an unknown; or, without `shift`, part of the heights'."""
+    """Sigma of its horizontal place as a whole, which becomes an unknown."""
     shift: bool = True
-    """Its horizontal place is an unknown; false: its error times the slope enters each point's sigma instead."""
+    """That unknown is estimated; false: it is considered, held at zero while its sigma enters all others."""
     height_sigma_m: Sigma | None = None
     """Sigma of its height as a whole, which becomes an unknown; absent: none."""
     tilt_sigma_mrad: Sigma | None = None
@@ -335,6 +337,9 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     control by relief alone."""
     shared: tuple[SharedInput, ...] = ()
     """Unknowns that several images share."""
+    considered: tuple[str, ...] = ()
+    """Names of profiles' shifts and shared unknowns, as reports have them, that are not estimated but held at zero,
+    while their sigmas enter those of all else (Schmidt 1966)."""
     strips: tuple[StripInput, ...] = ()
     """Images on one trajectory, adjusted through orientation images."""
     spice: SpiceInput | None = None

@@ -65,7 +65,7 @@ def prior_factors(layout: Layout) -> Iterator[gtsam.NonlinearFactor]:
     joined = {v for factor in layout.prior.factors for v in factor.variables}
     for v in layout.variables.adjusted():
         if v not in joined:
-            yield zero_prior(variable_key(layout, v), layout.sigmas[layout.columns_of(v)])
+            yield zero_prior(variable_key(layout, v), layout.variables.prior_sigmas[layout.columns_of(v)])
     for factor in layout.prior.factors:
         yield linear_prior([variable_key(layout, v) for v in factor.variables], factor.blocks)
 
