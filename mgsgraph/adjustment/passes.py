@@ -148,7 +148,7 @@ def solve_in_passes(
     search, returned = Search(settings.reject, sweeper) if settings.reject > 0.0 else None, b""
     for number in range(1, (_MOST_PASSES if search is None else _MOST_SEARCHED) + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
-        layout, history = solved.layout, history + solved.history
+        layout, selection, history = solved.layout, solved.selection, history + solved.history
         initial = solved.cost_initial if np.isnan(initial) else initial
         solved = replace(solved, history=history, cost_initial=initial, passes=number)
         chosen, onward = selection, solved.orientation
@@ -163,9 +163,6 @@ def solve_in_passes(
         layout, selection, orientation, known = followed, chosen, onward, None
         if search is not None:
             returned = search.memory
-            known = BundleGraph(layout, selection.rows(layout), sweeper).reduction(orientation)
-            strong = _without_lost(layout, selection, known)
-            selection, known = strong, known if strong is selection else None
         if _state(layout, selection) + returned in seen:
             break
     last = tuple(seen.values())[-1].selection  # costs compare where the same rows take part
@@ -198,6 +195,8 @@ def _solve_exactly(
     """One pass: solve, and again with rays laid out about their predicted lines until every row is exact."""
     layout = layout.without_steps
     graph = BundleGraph(layout, selection.rows(layout), sweeper)
+    if known is None:
+        selection, graph, known = _start(graph, selection, orientation, None, settings)
     solved = _solve(graph, selection, orientation, known, settings, progress)
     initial, history = solved.cost_initial, solved.history
     for _ in range(_MOST_LAYOUTS):
@@ -206,7 +205,7 @@ def _solve_exactly(
             break
         graph = BundleGraph(anew, selection.rows(anew), sweeper)
         points = solved.layout.network_order(solved.points)[anew.point_order]
-        known = graph.reduction(solved.orientation, points=points)
+        selection, graph, known = _start(graph, selection, solved.orientation, points, settings)
         solved = _solve(graph, selection, solved.orientation, known, settings, progress)
         history += solved.history
     else:
@@ -214,6 +213,18 @@ def _solve_exactly(
             message = f"Heights above stereo surfaces have not come to rest in {_MOST_LAYOUTS} rounds."
             solved = replace(solved, outcome=replace(solved.outcome, converged=False, message=message))
     return replace(solved, cost_initial=initial, history=history)
+
+
+def _start(
+    graph: BundleGraph, selection: Selection, orientation: Array, points: Array | None, settings: SolverSettings
+) -> tuple[Selection, BundleGraph, Reduction]:
+    """Where an optimisation begins; when blunders are sought, without points that are lost there."""
+    known = graph.reduction(orientation, points=points)
+    strong = _without_lost(graph.layout, selection, known) if settings.reject > 0.0 else selection
+    if strong is selection:
+        return selection, graph, known
+    graph = BundleGraph(graph.layout, strong.rows(graph.layout), graph.sweeper)
+    return strong, graph, graph.reduction(orientation, points=points)
 
 
 def _state(layout: Layout, selection: Selection) -> bytes:
@@ -323,7 +334,7 @@ def _least_squares(
     reduction = solved.reduction if plain is layout else None
     if reduction is None:
         reduction = graph.reduction(solved.orientation, points=solved.points)
-    joint = orientation_covariance(graph, reduction)
+    joint = orientation_covariance(graph, reduction, consider=False)
     return Linearised(plain, settings, graph.rows, solved.orientation, reduction.points, joint), reduction
 
 
