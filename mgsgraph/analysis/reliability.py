@@ -7,12 +7,9 @@ a row of weight p keeps its own sigma in its test, while the others keep their w
 residual against what the others predict. One without weight doesn't take part.
 """
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +29,7 @@ from mgsgraph.analysis.measures import (
     pair_tests,
     units_of,
 )
+from mgsgraph.compiled import in_threads
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel import reduction
 from mgsgraph.kernel.reliability import NUMBERS
@@ -41,7 +39,6 @@ _AT_A_TIME = 1 << 17
 """Observations that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
 _RAYS = 1 << 18
 """Rays: large pages of memory, which arrays of 4 MB and more get, cost least."""
-_Part = TypeVar("_Part")
 _BOTH = np.arange(2, dtype=np.int8)
 _MISFIT, _SHARE, _EFFECT, _BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
 """Columns of the kernel's numbers of the first two rows of observations (t, 8), side by side, lest each look-up cost
@@ -212,7 +209,8 @@ def _swept(at: Linearised, ground: Index) -> tuple[Array, Array]:
     found, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
     order = np.argsort(ground)
 
-    def part(first: int, last: int) -> None:
+    def part(ends: tuple[int, int]) -> None:
+        first, last = ends
         mine, point = partition(rows, first, last), int(rows.piece[first, 1])
         points = at.points[point : point + mine.kind.size]
         values = reduction.reliability(
@@ -226,16 +224,8 @@ def _swept(at: Linearised, ground: Index) -> tuple[Array, Array]:
         chosen[own] = values[ground[own] - begins[first]]
 
     edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
-    _in_threads(part, edges)
+    in_threads(part, pairwise(edges))
     return found, chosen
-
-
-def _in_threads(part: Callable[[int, int], _Part], edges: list[int]) -> list[_Part]:
-    """What becomes of each stretch between edges, in their order; NumPy and the kernel let go of the interpreter."""
-    if len(edges) <= 2:
-        return [part(a, b) for a, b in pairwise(edges)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(part, edges[:-1], edges[1:]))
 
 
 def _robust_roots(at: Linearised, numbers: Array) -> _Roots | None:
@@ -270,7 +260,8 @@ def _rays(
     counts = [int(np.count_nonzero(used[a:b])) for a, b in pairwise(edges)]
     begins = dict(zip(edges, 2 * np.cumsum([0, *counts]), strict=True))
 
-    def part(first: int, last: int) -> float:
+    def part(ends: tuple[int, int]) -> float:
+        first, last = ends
         number = np.arange(first, last, dtype=np.int32)
         chosen: slice | Index = slice(first, last)
         if begins[last] - begins[first] < 2 * number.size:
@@ -286,7 +277,7 @@ def _rays(
         mine.joint[:], mine.dimensions[:] = np.repeat(joint, 2), np.repeat(dimensions, 2)
         return float(misfit @ misfit)
 
-    return _in_threads(part, edges)
+    return in_threads(part, pairwise(edges))
 
 
 def _ranges(
