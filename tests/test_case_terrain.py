@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import profiles
 import pytest
+from rasters import PROJECTIONS, RADIUS, SPHERE, ground, pixels, raster
 
 import mgsgraph
 from mgsgraph.campaign.inputs import checksums
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import nominal_ground
+from mgsgraph.network.posts import posts_of
 from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.reports.control import control_json, control_statements
 from mgsgraph.reports.inventory import inventory
@@ -143,11 +145,13 @@ def test_ties_beside_it_and_over_holes_are_counted(case_file: Path) -> None:
 def test_a_model_of_other_ground_is_an_error_with_both_boxes(case_file: Path) -> None:
     said = r"no tie point lies over.*of 20, 20 outside the model \(points .*; model "
     with pytest.raises(InputError, match=said) as error:
-        mgsgraph.read_case(with_terrain(case_file, west=3.0, east=4.0))
+        mgsgraph.read_case(with_terrain(case_file, west=0.1, east=4.0))
     numbers = [float(x) for x in re.findall(r"-?\d+\.\d{3}", str(error.value).replace("+", ""))]
     assert len(numbers) == 8
-    assert numbers[4] - numbers[0] > 2.5
-    case = with_terrain(without(case_file), hole=(-0.4, 0.4))
+    assert numbers[4] > numbers[1]
+    with pytest.raises(InputError, match=r"no post within 8 km of the images \(.*; expected a model of their ground"):
+        mgsgraph.read_case(with_terrain(without(case_file), west=3.0, east=4.0))
+    case = with_terrain(without(case_file), hole=(-0.15, 0.15))
     with pytest.raises(InputError, match="of 20, 20 over missing posts"):
         mgsgraph.read_case(case)
 
@@ -218,6 +222,34 @@ def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:
         mgsgraph.read_case(case_file)
 
 
+def hills(longitudes: Array, latitudes: Array) -> Array:
+    """m above the sphere: the ellipsoid, where the ties are, and 15 m up and down on it."""
+    directions = from_planetocentric(np.column_stack([longitudes, latitudes, np.ones(longitudes.size)]))
+    return MARS.radius(directions) - RADIUS + 0.05 * (ground(longitudes, latitudes) + 2000.0)
+
+
+@pytest.mark.parametrize("name", PROJECTIONS)
+def test_any_projection_has_the_same_posts_and_the_same_adjustment(case_file: Path, name: str) -> None:
+    """Two models of the same hills, by meridians and in a projection: posts on the hills, and ties to sigma / 100."""
+    middle = middle_of(case_file).mean(axis=0) * DEG
+    definitions = {"plain": (f"+proj=longlat {SPHERE}", lambda x, y: np.stack([x, y]) * DEG)} | PROJECTIONS
+    found = []
+    for one in ("plain", name):
+        crs, inverse = definitions[one]
+        place, x, y = pixels(crs, shape=(500, 500), step=150.0, middle=middle)
+        raster(case_file.with_name("hills.tif"), hills(*inverse(x, y)).reshape(500, 500), crs, place)
+        without(case_file)
+        case = mgsgraph.read_case(add(case_file, f'radius = "hills.tif"\nreference_radius_m = {RADIUS}'))
+        posts = posts_of(case.terrain[0], 600.0)
+        longitude, latitude, radius = planetocentric(posts.points).T
+        # a mean of four by four posts is that of the hills but for their curvature within the cell
+        assert np.abs(radius - RADIUS - hills(longitude, latitude)).max() < 0.05
+        assert len(posts.ids) < 125**2  # what lies near the images
+        found.append(mgsgraph.adjust(case))
+    off = np.abs(found[1].places - found[0].places) / np.sqrt(np.diagonal(found[0].covariances, axis1=1, axis2=2))
+    assert off.max() < 0.01
+
+
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
@@ -225,6 +257,7 @@ def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:
         ('radius = "a.img"\ntracks = "b.csv"', "both radius and tracks"),
         ('radius = "a.img"\nareoid = "b.img"\ntopography = "c.img"', "both areoid and topography"),
         ('radius = "a.tif"\nareoid = "b.img"\nreference_radius_m = 3396000.0', "both areoid and reference_radius_m"),
+        ('radius = "a.tif"\nreference_radius_m = 1.0\nreference_ellipsoid_m = [3.4e6, 3.3e6]', "both reference"),
         ('radius = "a.img"\ntilt_sigma_mrad = -1.0', "tilt_sigma_mrad"),
         ('radius = "a.img"\npost_step_deg = 3.0', "post_step_deg"),
     ],
@@ -251,7 +284,7 @@ def test_of_several_models_tie_points_lie_on_the_first(case_file: Path) -> None:
     assert case.network.surface.grid.source == only.network.surface.grid.source
     assert np.array_equal(case.network.surface.sigmas, only.network.surface.sigmas)
     assert [one.name for one in only.terrain] == ["dtm"]
-    assert [(one.name, one.grid.planimetric_sigma, one.height_sigma) for one in case.terrain] == [
+    assert [(one.name, one.lattice.planimetric_sigma, one.height_sigma) for one in case.terrain] == [
         ("dtm", 200.0, None), ("b", 50.0, 4.0),
     ]  # fmt: skip
 

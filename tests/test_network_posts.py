@@ -23,7 +23,7 @@ SIDE = RADIUS * STEP
 def model(radii: Array, latitude: float = 0.0, **more: object) -> TerrainModel:
     """Posts from a latitude southward; 10 m each."""
     sigmas = {"vertical_sigma": 10.0, "planimetric_sigma": 200.0}
-    return TerrainModel("dtm", TerrainGrid("dtm.tif", radii, 0.3, latitude, STEP, STEP, **sigmas), **more)  # type: ignore[arg-type]
+    return TerrainModel("dtm", TerrainGrid("dtm.tif", radii, 0.3, latitude, STEP, STEP, **sigmas).lattice(), **more)  # type: ignore[arg-type]
 
 
 def plane(rows: int, columns: int) -> Array:
@@ -33,12 +33,13 @@ def plane(rows: int, columns: int) -> Array:
 
 
 def test_posts_are_where_the_grid_has_them() -> None:
-    grid = model(plane(4, 5)).grid
     posts = posts_of(model(plane(4, 5)), 0.0)
     assert len(set(posts.ids)) == len(posts.ids) == 20
     assert posts.ids[6] == "dtm:2:2"
-    assert np.linalg.norm(posts.points, axis=1) == pytest.approx(grid.radii.ravel(), abs=1e-6)
-    assert grid.at(posts.points) == pytest.approx(grid.radii.ravel(), abs=1e-4)
+    assert np.linalg.norm(posts.points, axis=1) == pytest.approx(plane(4, 5).ravel(), abs=1e-6)
+    longitude, latitude, _ = planetocentric(posts.points).T
+    assert (longitude - 0.3) / STEP == pytest.approx(np.tile(np.arange(5.0), 4), abs=1e-6)
+    assert latitude / STEP == pytest.approx(-np.repeat(np.arange(4.0), 5), abs=1e-6)
     assert posts.sigmas == pytest.approx(np.full(20, 10.0))
     assert posts.footprint == pytest.approx(4.0 / np.sqrt(12.0) * SIDE, rel=1e-3)  # the second moment of a square
 
@@ -68,17 +69,17 @@ def test_a_cell_of_few_posts_is_none_and_posts_have_sigmas_of_their_own() -> Non
     radii = plane(4, 4)
     radii[:2, 1:3] = np.nan
     sigmas = np.full((4, 4), 7.0)
-    grid = replace(model(radii).grid, post_sigmas=sigmas)
-    posts = posts_of(TerrainModel("dtm", grid), 2.0 * SIDE)
+    lattice = replace(model(radii).lattice, post_sigmas=sigmas)
+    posts = posts_of(TerrainModel("dtm", lattice), 2.0 * SIDE)
     assert [name[4:] for name in posts.ids] == ["3:1", "3:3"]
     assert posts.sigmas == pytest.approx(np.full(2, 3.5))
 
 
 def test_what_is_not_known_is_said() -> None:
     with pytest.raises(InputError, match="no sigma of its heights"):
-        posts_of(TerrainModel("dtm", replace(model(plane(4, 4)).grid, vertical_sigma=None)), 0.0)
+        posts_of(TerrainModel("dtm", replace(model(plane(4, 4)).lattice, vertical_sigma=None)), 0.0)
     with pytest.raises(InputError, match="no sigma of its horizontal place"):
-        TerrainModel("dtm", replace(model(plane(4, 4)).grid, planimetric_sigma=None))
+        TerrainModel("dtm", replace(model(plane(4, 4)).lattice, planimetric_sigma=None))
 
 
 def test_models_become_profiles_of_their_own() -> None:

@@ -34,7 +34,7 @@ from mgsgraph.network.observations import nominal_ground, require_inside
 from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.registration.footprints import footprints_in_images, points_in_images
 from mgsgraph.ties import PointKind, TiePoints
-from mgsgraph.units import KM, MRAD
+from mgsgraph.units import MRAD
 
 
 class Parts:
@@ -206,16 +206,6 @@ class Parts:
                 "a model of the images' ground",
             )  # fmt: skip
         terrain = terrain.around(ground)
-        radius = terrain.at(places)
-        body = self.images[0].body
-        if np.any(np.abs(radius[np.isfinite(radius)] - body.equatorial) > 0.05 * body.equatorial):
-            found = f"radii about {np.nanmedian(radius) / KM:.0f} km"
-            raise InputError(
-                terrain.source,
-                found,
-                f"those of a body of {body.equatorial / KM:.0f} km",
-                "give the terrain model of the images' body",
-            )
         sigmas = np.full(len(points), np.inf)
         sigmas[members] = np.nan_to_num(terrain.height_sigmas(places, wanted.shift), nan=np.inf)
         return Surface(

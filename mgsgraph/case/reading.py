@@ -20,7 +20,7 @@ from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
 from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, MolaInput, TerrainInput, TiesInput, decode
 from mgsgraph.case.strips import members, strips_of
-from mgsgraph.case.terrain import read_terrain_model, under_images
+from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
@@ -248,12 +248,12 @@ def _read_terrain(
             found = "shift = false, a tilt, tracks or control = false in a terrain model after the first"
             expected = "a grid with an unknown horizontal place: tie points lie on the first model alone"
             raise InputError(f"{path}, terrain[{k}]", found, expected)
-        grid, beneath = read_terrain_model(entry, path, images, terrain_shots(entry, path))
+        model, beneath = read_terrain_model(entry, path, images, terrain_shots(entry, path))
         if k == 0:
-            radii, areoid = grid if entry.control else None, beneath
+            radii, areoid = as_grid(model) if entry.control else None, beneath
         if entry.cells:
             name = entry.name or Path(entry.grids[0]).stem
-            models.append(TerrainModel(name, under_images(grid, images), entry.height_sigma_m))
+            models.append(TerrainModel(name, model.lattice(), entry.height_sigma_m))
     require_unique(tuple(model.name for model in models), f"{path}, terrain models")
     return radii, areoid, tuple(models)
 

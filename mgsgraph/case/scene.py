@@ -10,7 +10,7 @@ from mgsgraph.case.images import read_images
 from mgsgraph.case.reading import picture_of, read_mola, terrain_shots
 from mgsgraph.case.schema import CaseInput, decode
 from mgsgraph.case.strips import members
-from mgsgraph.case.terrain import read_terrain_model
+from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
@@ -101,7 +101,7 @@ def _ground(
     body = images[0].body
     terrain: TerrainGrid | None = None
     for model in wanted.terrain_models[:1]:
-        terrain, _ = read_terrain_model(model, path, images, terrain_shots(model, path))
+        terrain = as_grid(read_terrain_model(model, path, images, terrain_shots(model, path))[0])
     chart = _chart(images, height or 0.0)
     seen = _heights(wanted, images, path, terrain) if height is None else np.array([height])
     if seen.size == 0:

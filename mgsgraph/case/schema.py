@@ -187,17 +187,19 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A terrain model: control for the tie points, and where their heights above the areoid come from."""
 
     radius: str | tuple[str, ...] = ()
-    """MEGDR grid of radii (.img, .lbl) or GeoTIFF; several: tiles of one grid."""
+    """MEGDR grid of radii (.img, .lbl) or GeoTIFF in any map projection; several: tiles of one grid."""
     tracks: str | tuple[str, ...] = ()
     """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[mola]]."""
     topography: str | None = None
     """MEGDR grid of topography with the same posts: radius minus topography is the areoid."""
     areoid: str | None = None
-    """MEGDR grid of the areoid's radius (MEGA...), where the values of `radius` are heights above it."""
+    """MEGDR grid of the areoid's radius (MEGA...) or GeoTIFF, where the values of `radius` are heights above it."""
     control: bool = True
     """Tie points lie on it."""
     reference_radius_m: Positive | None = None
     """Sphere above which a GeoTIFF's heights are."""
+    reference_ellipsoid_m: tuple[Positive, Positive] | None = None
+    """Ellipsoid above which they are, along its normal: equatorial and polar radius."""
     vertical_sigma_m: Sigma = 10.0
     """Sigma of its heights."""
     planimetric_sigma_m: Sigma = 200.0

@@ -2,30 +2,38 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.body import Ellipsoid, east_north, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind, areoid_grid
+from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, areoid_grid
 from mgsgraph.geometry.terrain_grids import above_areoid, mosaic
-from mgsgraph.units import DEG
+from mgsgraph.network.terrain_control import box_of, in_degrees
+from mgsgraph.units import DEG, KM
+
+if TYPE_CHECKING:
+    from mgsgraph.io.terrain_file import TerrainRaster
 
 _EDGES = 65
 """Lines of each image at whose edges and middle its ground is taken."""
 _MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoid": "mega"}
 """How MEGDR's files of each kind begin."""
+_SAMPLE = 1000
+"""Posts by which a terrain model is held against the body."""
 _BEYOND = 8000.0
 """m, of a terrain model kept beside the ellipsoid's points under the images."""
 
 
 def read_terrain_model(
     entry: TerrainInput, where: Path, images: Sequence[PushbroomImage], tracks: Callable[[Path], AltimeterShots]
-) -> tuple[TerrainGrid, TerrainGrid | None]:
-    """Radii, and the areoid, where it is known.
+) -> tuple["TerrainGrid | TerrainRaster", TerrainGrid | None]:
+    """What a terrain model has under images, and the areoid there, where it is known.
 
     Parameters
     ----------
@@ -33,7 +41,7 @@ def read_terrain_model(
     where : Path
         The case file, to whose folder paths are relative.
     images : sequence of PushbroomImage
-        Under whose ground tracks are triangulated.
+        Under whose ground files are read, and tracks triangulated.
     tracks : callable
         Reads a file of shots.
     """
@@ -41,52 +49,113 @@ def read_terrain_model(
     if bool(entry.grids) == bool(entry.profiles):
         found = "both radius and tracks" if entry.grids else "neither radius nor tracks"
         raise InputError(place, found, "one of them")
-    if entry.areoid is not None:
-        for other in ("topography", "reference_radius_m", "tracks"):
-            if getattr(entry, other):
-                raise InputError(place, f"both areoid and {other}", "heights above one reference")
+    levels = [key for key in ("areoid", "reference_radius_m", "reference_ellipsoid_m") if getattr(entry, key)]
+    others = [key for key in ("topography", "tracks") if entry.areoid and getattr(entry, key)]
+    if len(levels + others) > 1:
+        raise InputError(place, f"both {levels[0]} and {(levels + others)[1]}", "heights above one reference")
+    ground = _ground(images)
     if entry.profiles:
-        radii = _of_tracks(entry, folder, images, tracks)
-    else:
-        kind: TerrainKind = "topography" if entry.areoid is not None else "radius"
-        radii = mosaic([_read_grid(folder / name, entry, kind) for name in entry.grids])
+        return _of_tracks(entry, folder, ground, tracks), None
+    files = _Files(entry, folder, images[0].body, _about(ground))
     areoid = None
     if entry.areoid is not None:
-        areoid = _read_grid(folder / entry.areoid, entry, "areoid")
-        radii = above_areoid(radii, areoid)
-    elif entry.topography is not None:
-        areoid = areoid_grid(radii, _read_grid(folder / entry.topography, entry, "topography"))
-    return radii, areoid
+        areoid = as_grid(files.read((entry.areoid,), "areoid"), "areoid")
+    model = files.read(entry.grids, "topography" if areoid else "radius", areoid)
+    if areoid and isinstance(model, TerrainGrid) and model.kind == "topography":
+        model = above_areoid(model, areoid)
+    _require_body(model.lattice(), images[0].body)
+    if entry.topography is not None:
+        areoid = areoid_grid(as_grid(model), as_grid(files.read((entry.topography,), "topography"), "topography"))
+    return model, areoid
 
 
-def _read_grid(path: Path, entry: TerrainInput, kind: TerrainKind) -> TerrainGrid:
-    from mgsgraph.io.megdr import read_megdr
-    from mgsgraph.io.terrain_file import read_terrain
+def as_grid(model: "TerrainGrid | TerrainRaster", kind: TerrainKind = "radius") -> TerrainGrid:
+    """Posts at equal steps of longitude and latitude, those of a raster in another projection interpolated there."""
+    return model if isinstance(model, TerrainGrid) else model.grid(kind)
 
-    sigmas = entry.vertical_sigma_m, entry.planimetric_sigma_m
-    if path.suffix.lower() in (".img", ".lbl"):
-        grid = read_megdr(path, *sigmas)
-        if grid.kind != kind:
-            raise InputError(str(path), f"a grid of {grid.kind}", f"one of {kind}", f"MEGDR's {_MEGDR[kind]} files")
-        return grid
-    return read_terrain(path, entry.reference_radius_m if kind == "radius" else None, kind, *sigmas)
+
+class _Files(NamedTuple):
+    """How the files of one terrain model are read."""
+
+    entry: TerrainInput
+    folder: Path
+    body: Ellipsoid
+    near: Array
+    """(n, 3) m, around which posts are wanted."""
+
+    def read(
+        self, names: Sequence[str], kind: TerrainKind, areoid: TerrainGrid | None = None
+    ) -> "TerrainGrid | TerrainRaster":
+        """Tiles put together, as far as they lie near; `areoid`: what rasters of topography are above."""
+        tiles = [tile for name in names if (tile := self._one(self.folder / name, kind, areoid)) is not None]
+        if not tiles:
+            paths = ", ".join(str(self.folder / name) for name in names)
+            longitude = float(planetocentric(self.near.mean(axis=0))[0])
+            found = f"no post within {_BEYOND / KM:g} km of the images ({in_degrees(box_of(self.near, longitude))})"
+            raise InputError(paths, found, "a model of their ground")
+        if len(tiles) == 1:
+            return tiles[0]
+        grids = [tile for tile in tiles if isinstance(tile, TerrainGrid)]
+        for tile in tiles:
+            if not isinstance(tile, TerrainGrid):
+                raise InputError(
+                    tile.source, f"one of several tiles, in the projection {tile.projection.name!r}", "one file",
+                    "put them together by gdalbuildvrt",
+                )  # fmt: skip
+        return mosaic(grids)
+
+    def _one(self, path: Path, kind: TerrainKind, areoid: TerrainGrid | None) -> "TerrainGrid | TerrainRaster | None":
+        from mgsgraph.io.megdr import read_megdr
+        from mgsgraph.io.terrain_file import read_terrain
+
+        entry, sigmas = self.entry, (self.entry.vertical_sigma_m, self.entry.planimetric_sigma_m)
+        if path.suffix.lower() in (".img", ".lbl"):
+            grid = read_megdr(path, *sigmas, near=self.near)
+            if grid is not None and grid.kind != kind:
+                raise InputError(str(path), f"a grid of {grid.kind}", f"one of {kind}", f"MEGDR's {_MEGDR[kind]} files")
+            return grid
+        if areoid is not None:
+            return read_terrain(path, areoid, "radius", *sigmas, self.near, self.body)
+        level: float | Ellipsoid = 0.0
+        if kind == "radius":
+            level = entry.reference_radius_m or 0.0
+            if entry.reference_ellipsoid_m is not None:
+                level = Ellipsoid(*entry.reference_ellipsoid_m)
+        return read_terrain(path, level, kind, *sigmas, self.near, self.body)
+
+
+def _require_body(lattice: PostLattice, body: Ellipsoid) -> None:
+    """Raise InputError unless some of its posts are about as far from the middle of the body as its surface."""
+    rows, columns = np.nonzero(np.isfinite(lattice.values))
+    some = np.linspace(0, rows.size - 1, min(rows.size, _SAMPLE)).astype(np.int64) if rows.size else np.zeros(0, int)
+    rows, columns = rows[some], columns[some]
+    values = lattice.values[rows, columns].astype(np.float64)
+    radii = np.linalg.norm(lattice.located(rows.astype(np.float64), columns.astype(np.float64), values), axis=1)
+    radii = radii[np.isfinite(radii)]
+    if np.any(np.abs(radii - body.equatorial) > 0.05 * body.equatorial):
+        raise InputError(
+            lattice.source, f"radii about {np.median(radii) / KM:.0f} km",
+            f"those of a body of {body.equatorial / KM:.0f} km", "give the terrain model of the images' body",
+        )  # fmt: skip
 
 
 def _of_tracks(
-    entry: TerrainInput, folder: Path, images: Sequence[PushbroomImage], tracks: Callable[[Path], AltimeterShots]
+    entry: TerrainInput, folder: Path, ground: Array, tracks: Callable[[Path], AltimeterShots]
 ) -> TerrainGrid:
     from mgsgraph.geometry.track_terrain import track_terrain  # scipy.spatial takes its time to load
 
     shots = [tracks(folder / name) for name in entry.profiles]
     return track_terrain(
-        shots, _ground(images), entry.longest_edge_m, entry.post_step_deg * DEG, entry.vertical_sigma_m,
+        shots, ground, entry.longest_edge_m, entry.post_step_deg * DEG, entry.vertical_sigma_m,
         entry.planimetric_sigma_m,
     )  # fmt: skip
 
 
-def under_images(grid: TerrainGrid, images: Sequence[PushbroomImage]) -> TerrainGrid:
-    """The part of a grid under images, and as far beyond as their heights and orientation may be wrong."""
-    return grid.around(_ground(images), int(np.ceil(_BEYOND / (images[0].body.equatorial * grid.latitude_step))))
+def _about(ground: Array) -> Array:
+    """(4 n, 3) m, points beside those of the ground (n, 3) by as far as heights and orientation may be wrong."""
+    known = ground[np.all(np.isfinite(ground), axis=1)]
+    aside = _BEYOND * east_north(known)
+    return np.concatenate([known + sign * aside[:, axis] for axis in range(2) for sign in (-1.0, 1.0)])
 
 
 def _ground(images: Sequence[PushbroomImage]) -> Array:

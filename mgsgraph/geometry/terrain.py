@@ -5,6 +5,7 @@ the patch's normal: with F = r - R(lon, lat), the distance F / |grad F|, which i
 (its error is the square of the height times the patch's curvature, and it vanishes with the residual).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, get_args
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.factors.surface import bilinear, height_above
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask, assign
 
 TerrainKind = Literal["radius", "topography", "areoid"]
@@ -35,6 +36,70 @@ class _Patch(NamedTuple):
     """per cell."""
     twist: Array
     """second derivative by both; the other two are zero in a bilinear patch."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PostLattice:
+    """Posts in rows and columns of whatever projection, of a model whose horizontal place as a whole is unknown."""
+
+    source: str
+    """File they come from, for messages."""
+    values: NDArray[np.float32] | Array
+    """(rows, columns) m, radii or heights, as `located` takes them; NaN where a post is missing."""
+    located: Callable[[Array, Array, Array], Array]
+    """Points (n, 3) in m, body-fixed, of rows and columns (n,), which may lie between posts, and values (n,)."""
+    vertical_sigma: float | None = None
+    """m, of a post; None where unknown."""
+    planimetric_sigma: float | None = None
+    """m, of the posts' common horizontal place; None where unknown."""
+    post_sigmas: NDArray[np.float32] | Array | None = None
+    """(rows, columns) m, of each post by itself, in place of `vertical_sigma`; NaN where a post is missing."""
+
+
+def window(
+    at: Array, shape: tuple[int, int], margin: int, turn: float | None = None, wraps: bool = False
+) -> tuple[slice, Index] | None:
+    """The part of a raster around places.
+
+    Parameters
+    ----------
+    at : (n, 2)
+        Fractional rows and columns of the places; NaN where unknown.
+    shape : (rows, columns)
+        Of the raster.
+    margin : int
+        Rows and columns beyond the places.
+    turn : float, optional
+        Columns in a full turn of longitude, where columns are meridians.
+    wraps : bool
+        Whether the first column follows the last one.
+
+    Returns
+    -------
+    rows : slice
+    columns : (k,)
+        In their order eastward, which may lead across the seam of a raster that wraps.
+
+    None in place of both where the raster has less than two rows or columns there.
+    """
+    row, column = at[np.all(np.isfinite(at), axis=1)].T
+    if not row.size:
+        return None
+    rows, columns = shape
+    if turn is not None:
+        unit = 2.0 * np.pi / turn
+        middle = float(np.angle(np.mean(np.exp(1j * unit * column)))) if wraps else 0.5 * columns * unit
+        column = in_turn(unit * column, middle) / unit
+    top, west = (int(np.floor(one.min())) - margin for one in (row, column))
+    bottom, east = (int(np.floor(one.max())) + margin + 2 for one in (row, column))
+    if not wraps:
+        west, east = max(west, 0), min(east, columns)
+    elif east - west >= columns:
+        west, east = 0, columns
+    top, bottom = max(top, 0), min(bottom, rows)
+    if min(bottom - top, east - west) < 2:
+        return None
+    return slice(top, bottom), np.arange(west, east) % columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,21 +300,36 @@ class TerrainGrid:
     def around(self, points: Array, margin: int = 8) -> "TerrainGrid":
         """The part of the grid under points (n, 3) in m, body-fixed, and `margin` posts beyond.
 
-        The whole of it where it would be cut where the columns wrap, or where no point lies over it.
+        The whole of it where no point lies over it.
         """
         longitudes, latitudes, _ = planetocentric(points).T
-        row, left, _, _, _, inside = self._cell(longitudes, latitudes)
-        if not np.any(inside) or (self.wraps and np.ptp(left[inside]) > self.radii.shape[1] // 2):
+        at = np.column_stack([self.first_latitude - latitudes, longitudes - self.first_longitude])
+        at /= [self.latitude_step, self.longitude_step]
+        found = window(at, self.radii.shape, margin, 2.0 * np.pi / self.longitude_step, self.wraps)
+        if found is None:
             return self
-        top, west = (max(int(index[inside].min()) - margin, 0) for index in (row, left))
-        bottom, east = row[inside].max() + margin + 2, left[inside].max() + margin + 2
+        rows, columns = found
         return replace(
             self,
-            radii=self.radii[top:bottom, west:east],
-            post_sigmas=None if self.post_sigmas is None else self.post_sigmas[top:bottom, west:east],
-            first_longitude=self.first_longitude + west * self.longitude_step,
-            first_latitude=self.first_latitude - top * self.latitude_step,
-            wraps=False,
+            radii=self.radii[rows][:, columns],
+            post_sigmas=None if self.post_sigmas is None else self.post_sigmas[rows][:, columns],
+            first_longitude=self.first_longitude + int(columns[0]) * self.longitude_step,
+            first_latitude=self.first_latitude - rows.start * self.latitude_step,
+            wraps=self.wraps and columns.size == self.radii.shape[1],
+        )
+
+    def points(self, rows: Array, columns: Array, radii: Array) -> Array:
+        """Points (n, 3) in m, body-fixed, at rows and columns (n,), fractional ones too, with radii (n,) in m."""
+        longitudes = self.first_longitude + self.longitude_step * columns
+        return from_planetocentric(
+            np.column_stack([longitudes, self.first_latitude - self.latitude_step * rows, radii])
+        )
+
+    def lattice(self) -> PostLattice:
+        """Its posts as those of any projection."""
+        self._require("radius", "posts")
+        return PostLattice(
+            self.source, self.radii, self.points, self.vertical_sigma, self.planimetric_sigma, self.post_sigmas
         )
 
     def _require(self, kind: TerrainKind, what: str) -> None:

@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind
+from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind, window
 from mgsgraph.io.files import read_text
 from mgsgraph.io.pvl import Block, flat_label
 from mgsgraph.units import DEG
@@ -28,6 +30,8 @@ _SHAPES = {"C": (180, 360), "D": (180, 360), "E": (180, 360), "F": (180, 360), "
 """degrees of latitude and longitude in one file."""
 _NAMES = "MEGR90N000CB.IMG (radius), MEGT... (topography) or MEGA... (areoid)"
 _BYTES = 2
+_MARGIN = 4
+"""Posts kept beyond the points around which a grid is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +55,9 @@ class _Layout:
 
 
 def read_megdr(
-    path: Path, vertical_sigma: float | None = None, planimetric_sigma: float | None = None
-) -> TerrainGrid:
-    """Read a MEGDR grid of 16-bit numbers.
+    path: Path, vertical_sigma: float | None = None, planimetric_sigma: float | None = None, near: Array | None = None
+) -> TerrainGrid | None:
+    """Read a MEGDR grid of 16-bit numbers, or the part of it around points; None where none of it is there.
 
     Parameters
     ----------
@@ -61,6 +65,8 @@ def read_megdr(
         The image file or its label, ``.img`` or ``.lbl``.
     vertical_sigma, planimetric_sigma : float, optional
         m, handed on to the grid; the files don't say.
+    near : (n, 3), optional
+        m, body-fixed; all of the grid when absent.
 
     Returns
     -------
@@ -85,15 +91,24 @@ def read_megdr(
             str(image), f"{size} bytes",
             f"{expected}: {layout.lines} lines x {layout.samples} samples x {_BYTES} bytes", "fetch it anew",
         )
-    counts = np.fromfile(image, dtype=">i2", offset=layout.skipped).reshape(layout.lines, layout.samples)
+    counts = np.memmap(image, ">i2", "r", layout.skipped, (layout.lines, layout.samples))
+    step, wraps = DEG / layout.resolution, abs(layout.samples - 360.0 * layout.resolution) < 0.5
+    first = np.array([layout.latitude, layout.longitude]) * DEG
+    rows, columns = slice(0, layout.lines), np.arange(layout.samples)
+    if near is not None:
+        longitudes, latitudes, _ = planetocentric(near).T
+        at = np.column_stack([first[0] - latitudes, longitudes - first[1]]) / step
+        found = window(at, counts.shape, _MARGIN, 2.0 * np.pi / step, wraps)
+        if found is None:
+            return None
+        rows, columns = found
     # counts are whole metres below 2^15: float32 holds them and the radii (to 0.25 m) in half the memory
-    posts = counts.astype(np.float32) * np.float32(layout.scale) + np.float32(layout.offset)
-    step = DEG / layout.resolution
+    posts = counts[rows][:, columns].astype(np.float32) * np.float32(layout.scale) + np.float32(layout.offset)
     return TerrainGrid(
-        str(image), posts, layout.longitude * DEG, layout.latitude * DEG, step, step,
-        wraps=abs(layout.samples - 360.0 * layout.resolution) < 0.5, kind=layout.kind,
-        vertical_sigma=vertical_sigma, planimetric_sigma=planimetric_sigma,
-    )
+        str(image), posts, float(first[1] + columns[0] * step), float(first[0] - rows.start * step), step, step,
+        wraps=wraps and columns.size == layout.samples, kind=layout.kind, vertical_sigma=vertical_sigma,
+        planimetric_sigma=planimetric_sigma,
+    )  # fmt: skip
 
 
 def _files(path: Path) -> tuple[Path, Path | None]:

@@ -7,15 +7,15 @@ cells as large as that.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS, footprint_covariances
-from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.terrain import PostLattice
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import GroundPoints, PointClass, ProfileShifts
 from mgsgraph.network.shared import SharedUnknown
@@ -35,14 +35,14 @@ class TerrainModel:
 
     name: str
     """What reports call it."""
-    grid: TerrainGrid
-    """Radii, with their sigma and that of their common horizontal place."""
+    lattice: PostLattice
+    """Posts, with their sigma and that of their common horizontal place."""
     height_sigma: float | None = None
     """m, a-priori, of its height as a whole, which is an unknown; None where that is known."""
 
     def __post_init__(self) -> None:
-        if self.grid.planimetric_sigma is None:
-            raise InputError(f"terrain {self.grid.source}", "no sigma of its horizontal place", "metres, above zero")
+        if self.lattice.planimetric_sigma is None:
+            raise InputError(f"terrain {self.lattice.source}", "no sigma of its horizontal place", "metres, above zero")
 
 
 class Posts(NamedTuple):
@@ -64,51 +64,57 @@ class Posts(NamedTuple):
 
 
 def posts_of(model: TerrainModel, least: float) -> Posts:
-    """Posts of a terrain model by rows from the north; m by n of them averaged to one where a cell would be smaller
+    """Posts of a terrain model by rows from its first one; m by n of them averaged to one where a cell would be smaller
     than `least`, m. The posts' errors count as independent, and so a mean's sigma is theirs by the root of m n.
 
     Raises
     ------
     InputError
-        Where a post's sigma is unknown.
+        Where a post's sigma is unknown, or there is no post.
     """
-    grid = model.grid
-    rows, columns = grid.radii.shape
-    narrower = np.cos(grid.first_latitude - 0.5 * (rows - 1) * grid.latitude_step)
-    sides = float(np.nanmean(grid.radii)) * np.array([grid.latitude_step, grid.longitude_step * narrower])
+    lattice = model.lattice
+    known = np.isfinite(lattice.values)
+    if not np.any(known):
+        raise InputError(f"terrain {lattice.source}", "no post", "a model of the images' ground")
+    sides = _sides(lattice)
     wanted = max(least, *sides.tolist())
     high, wide = np.maximum(np.rint(wanted / sides), 1.0).astype(int).tolist()
-    radii = np.asarray(grid.radii, dtype=np.float64)
-    known = np.isfinite(_blocks(radii, high, wide))
-    there = known.sum(axis=2) > _LEAST_SHARE * high * wide
-    known = known[there]
-    count = known.sum(axis=1)
+    blocks = _blocks(known, high, wide)
+    there = blocks.sum(axis=(1, 3)) > _LEAST_SHARE * high * wide
+    count = blocks.sum(axis=(1, 3))[there]
+    first = np.argwhere(there) * [high, wide]
+    row = first[:, 0] + (blocks.sum(axis=3) * np.arange(high)[:, None]).sum(axis=1)[there] / count
+    column = first[:, 1] + (blocks.sum(axis=1) * np.arange(wide)).sum(axis=2)[there] / count
 
-    def mean(values: Array) -> Array:
+    def mean(values: NDArray[Any]) -> Array:
         """(k,) of values (rows, columns) at posts, over the posts of each block that are there."""
-        return np.asarray(np.where(known, _blocks(values, high, wide)[there], 0.0).sum(axis=1) / count)
+        posts = _blocks(np.where(known, values, 0.0), high, wide)
+        return np.asarray(posts.sum(axis=(1, 3), dtype=np.float64)[there] / count)
 
-    row, column = (mean(one) for one in np.indices((rows, columns), dtype=np.float64))
-    sigmas = np.full((rows, columns), grid.vertical_sigma or np.nan)
-    if grid.post_sigmas is not None:
-        sigmas[:] = grid.post_sigmas
-    spread = mean(sigmas**2) / count
+    own = lattice.post_sigmas
+    spread = (np.full(count.size, lattice.vertical_sigma or np.nan) ** 2 if own is None else mean(own**2)) / count
     if not np.all(spread > 0.0):
-        raise InputError(f"terrain {grid.source}", "no sigma of its heights", "metres, above zero")
-    longitude = grid.first_longitude + grid.longitude_step * column
-    latitude = grid.first_latitude - grid.latitude_step * row
-    points = from_planetocentric(np.column_stack([longitude, latitude, mean(radii)]))
-    first = np.argwhere(there) * [high, wide] + 1
-    names = tuple(f"{model.name}:{i}:{j}" for i, j in first.tolist())
-    return Posts(names, points, np.sqrt(spread), _WIDTH * float(np.sqrt(np.prod(sides * [high, wide]))))
+        raise InputError(f"terrain {lattice.source}", "no sigma of its heights", "metres, above zero")
+    points = lattice.located(row, column, mean(lattice.values))
+    names = tuple(f"{model.name}:{i}:{j}" for i, j in (first + 1).tolist())
+    posts = Posts(names, points, np.sqrt(spread), _WIDTH * float(np.sqrt(np.prod(sides * [high, wide]))))
+    return posts.chosen(np.flatnonzero(np.all(np.isfinite(points), axis=1)))
 
 
-def _blocks(values: Array, high: int, wide: int) -> Array:
-    """(r, c, high * wide) values of blocks of posts (rows, columns); NaN beyond the last post."""
-    rows, columns = -(-values.shape[0] // high), -(-values.shape[1] // wide)
-    whole = np.full((rows * high, columns * wide), np.nan)
-    whole[: values.shape[0], : values.shape[1]] = values
-    return whole.reshape(rows, high, columns, wide).swapaxes(1, 2).reshape(rows, columns, high * wide)
+def _sides(lattice: PostLattice) -> Array:
+    """(2,) m from the middle post to the one below it and to the one beside it."""
+    row, column = (np.array(lattice.values.shape) - 1) // 2
+    places = lattice.located(
+        row + np.array([0.0, 1.0, 0.0]), column + np.array([0.0, 0.0, 1.0]), np.full(3, np.nanmean(lattice.values))
+    )
+    return np.asarray(np.linalg.norm(places[1:] - places[0], axis=1))
+
+
+def _blocks(values: NDArray[Any], high: int, wide: int) -> NDArray[Any]:
+    """(r, high, c, wide) values (rows, columns) of posts in blocks; zero beyond the last post."""
+    rows, columns = values.shape
+    whole = np.pad(values, ((0, -rows % high), (0, -columns % wide)))
+    return whole.reshape(whole.shape[0] // high, high, whole.shape[1] // wide, wide)
 
 
 def with_posts(network: Network, models: Sequence[tuple[TerrainModel, Posts]]) -> Network:
@@ -129,7 +135,7 @@ def with_posts(network: Network, models: Sequence[tuple[TerrainModel, Posts]]) -
         shifts = ProfileShifts(
             (*shifts.names, model.name),
             np.append(shifts.profile, np.full(n, first)),
-            np.append(shifts.sigmas, model.grid.planimetric_sigma or np.nan),
+            np.append(shifts.sigmas, model.lattice.planimetric_sigma or np.nan),
         )
         if model.height_sigma is not None:
             shared.append(SharedUnknown.of_height(model.name, model.height_sigma))

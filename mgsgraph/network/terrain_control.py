@@ -42,7 +42,7 @@ class Coverage(NamedTuple):
         parts = []
         if self.beside:
             parts.append(
-                f"{self.beside} outside the model (points {_degrees(self.points)}; model {_degrees(self.model)})"
+                f"{self.beside} outside the model (points {in_degrees(self.points)}; model {in_degrees(self.model)})"
             )
         if self.over_holes:
             parts.append(f"{self.over_holes} over missing posts")
@@ -56,7 +56,7 @@ def coverage(grid: TerrainGrid, places: Array) -> Coverage:
     inside[known] = grid.holds(places[known])
     on = int(np.count_nonzero(np.isfinite(grid.at(places[inside]))))
     within = int(np.count_nonzero(inside))
-    return Coverage(on, known.size - within, within - on, _box(places[known], grid), grid.box)
+    return Coverage(on, known.size - within, within - on, box_of(places[known], float(grid.box[:, 0].mean())), grid.box)
 
 
 def terrain_ground(images: Sequence[PushbroomImage], rays: ImageRays, grid: TerrainGrid) -> Array:
@@ -78,17 +78,19 @@ def over_terrain(images: Sequence[PushbroomImage], rays: ImageRays, grid: Terrai
     return points, terrain_ground(images, rays.chosen(first), grid)
 
 
-def _box(places: Array, grid: TerrainGrid) -> Array:
-    """(2, 2) rad, longitudes in the turn of the grid's middle."""
+def box_of(places: Array, middle: float) -> Array:
+    """(2, 2) rad, least and largest longitude, in the turn about a middle, and latitude of places (n, 3) in m; NaN
+    without any.
+    """
     if places.shape[0] == 0:
         return np.full((2, 2), np.nan)
     longitudes, latitudes, _ = planetocentric(places).T
-    middle = grid.box[:, 0].mean()
     longitudes = in_turn(longitudes, middle)
     corners = np.stack([longitudes, latitudes], axis=1)
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 
-def _degrees(box: Array) -> str:
+def in_degrees(box: Array) -> str:
+    """A box (2, 2) of longitude and latitude in rad, in words."""
     (west, south), (east, north) = box / DEG
     return f"{west:.3f} .. {east:.3f} E, {south:+.3f} .. {north:+.3f} N"

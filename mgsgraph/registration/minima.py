@@ -8,7 +8,7 @@ the likelihood of a shift against another is -D,
 
 k being the number of shots that count as one, by the correlation r of successive heights at the best shift. The weight
 of a minimum is exp(-D / 2) times the root of its covariance's determinant: the probability that its neighbourhood is
-the right one when all shifts are alike beforehand.
+the right one when all shifts are alike beforehand. Where more is known beforehand, its chi^2 is added to D.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ class Minimum:
     change: Array
     """(2,) m east and north, from the middle of the profile to its end, of the shift."""
     weight: float
-    """Probability, all shifts being alike beforehand."""
+    """Probability."""
 
 
 class Bowl(NamedTuple):
@@ -68,7 +68,13 @@ def local_minima(shifts: Array, misfits: Array) -> list[Bowl]:
 
 
 def weighted(
-    bowls: Sequence[Bowl], misfits: Array, lowest: Array, shots: Index, variances: Array, alike: float
+    bowls: Sequence[Bowl],
+    misfits: Array,
+    lowest: Array,
+    shots: Index,
+    variances: Array,
+    alike: float,
+    known: Array,
 ) -> tuple[Minimum, ...]:
     """Minima with their weights, the likeliest first.
 
@@ -84,11 +90,13 @@ def weighted(
         Sum of the logarithms of their variances, less that at the best.
     alike : float
         Shots that count as one.
+    known : (n,)
+        chi^2 of their shifts by what is known beforehand.
     """
     freedom = np.maximum(shots - FITTED, 1) + _AS_STATED
     misfits, lowest = misfits + _AS_STATED, lowest + _AS_STATED
     scale = float(np.min(lowest / freedom)) * alike
-    logs = -0.5 * (freedom * np.log(misfits / lowest) + variances) / alike
+    logs = -0.5 * (freedom * np.log(misfits / lowest) + variances) / alike - 0.5 * known
     logs += np.array([0.5 * np.linalg.slogdet(one.covariance)[1] for one in bowls])
     weights = np.exp(logs - logs.max())
     every = [

@@ -35,7 +35,7 @@ from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.registration.minima import shots_alike
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile, ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
-from mgsgraph.registration.search import CostSurface, StereoPair, search
+from mgsgraph.registration.search import CostSurface, Expected, StereoPair, search
 from mgsgraph.stages import Progress, no_progress
 from mgsgraph.wording import some
 
@@ -43,8 +43,6 @@ _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
 _MOST_ROUNDS = 6
 """Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
-_REACH_OF_MODEL = 3.0
-"""A-priori sigmas of a terrain model's shift up to which it is searched."""
 _LIKELY = 0.01
 """Weight from which on a minimum counts as one where the profile may be."""
 
@@ -56,6 +54,8 @@ class _Placed(NamedTuple):
     """(n, 3) m, by the heights of their profiles, and boresights."""
     shifts: Array
     """(p, 2) m east and north, of the profiles."""
+    sigma: float
+    """m, east and north, of what the images show, by an adjustment without stereo rows."""
 
 
 def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Placed]:
@@ -67,10 +67,17 @@ def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Pla
     shifts, surface = before.shifts[: len(profile_names(before.network))], before.network.surface
     for model, posts in cells:
         places, shift = np.concatenate([places, posts.points]), np.zeros(2)
-        if surface is not None and model.grid.source == surface.grid.source:
+        if surface is not None and model.lattice.source == surface.grid.source:
             network, shift = replace(network, surface=None), before.shifts[-1]
         shifts = np.concatenate([shifts, shift[None]])
-    return network, _Placed(places, shifts)
+    return network, _Placed(places, shifts, _horizontal_sigma(before))
+
+
+def _horizontal_sigma(solution: Solution) -> float:
+    """m, east and north, of most tie points."""
+    ties = solution.members(PointClass.TIE)
+    spreads = local_sigmas(solution.covariances[ties], solution.places[ties])[:, :2]
+    return float(np.sqrt(np.median(np.mean(spreads**2, axis=1))))
 
 
 def register_by_relief(
@@ -152,7 +159,8 @@ def registered(
         anew = replace(network, stereo=control)
         begin = None if solution is before else solution
         solution = adjust_network(anew, solver, before.name, shown, begin=begin)
-        placed = _Placed(network.points.places + footprint_shifts(network, solution.shared), solution.shifts)
+        lifted = network.points.places + footprint_shifts(network, solution.shared)
+        placed = placed._replace(lifted=lifted, shifts=solution.shifts)
         left = _searched(network, surfaces, Posterior.of(solution), placed, footprints, settings.reach, progress)
         if all(new.at_rest(old) for old, new in zip(found, left, strict=True)):
             break
@@ -288,11 +296,11 @@ def _search_profile(
     given = network.points.places[mine]
     ways, sigmas = east_north(given), local_sigmas(network.points.covariances[mine], given)[:, 2]
     points = placed.lifted[mine] + np.einsum("k,nkj->nj", placed.shifts[p], ways)
-    model = network.points.classes[mine[0]] == PointClass.POST
-    if model:  # its shift is known better than that of a profile to which nobody has put an image
-        reach = min(reach, _REACH_OF_MODEL * float(network.shifts.sigmas[p]))
+    expected = None
+    if network.points.classes[mine[0]] == PointClass.POST:
+        expected = Expected(-placed.shifts[p], float(np.hypot(network.shifts.sigmas[p], placed.sigma)))
     name = network.shifts.names[p]
-    costs = [search(oriented[k], points, sigmas, name, reach, rigid=bool(model)) for k in usable]
+    costs = [search(oriented[k], points, sigmas, name, reach, expected) for k in usable]
     best = int(np.argmax([cost.shots for cost in costs]))
     pair, cost = oriented[usable[best]], costs[best]
     starts = points + np.einsum("nk,nkj->nj", cost.best(mine.size), ways) if cost.clear else points
@@ -314,8 +322,8 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
         rough = np.zeros(on.size) if post else one.moved.roughness
         surface[one.mine[on]] = one.surface
         sigmas[one.mine[on]] = np.hypot(one.moved.sigmas, rough)[on]
-        if not (post or one.cost.clear):
-            level[one.mine], sigmas[one.mine[on]] = True, _level_sigma(one.moved.heights[on])
+        if not one.cost.clear:
+            level[one.mine], sigmas[one.mine[on]] = True, _level_sigma(one.moved.heights[on], 2 if post else 1)
         starts[one.mine[on]] = one.starts[on]
     if not np.any(surface >= 0):
         shots = sum(one.mine.size for one in found)
@@ -327,11 +335,11 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence
     return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts, level=level)
 
 
-def _level_sigma(heights: Array) -> float:
+def _level_sigma(heights: Array, directions: int) -> float:
     """m, of heights (n,) above ground of unknown horizontal position: what they differ by from a line along the track,
-    as often as successive ones count as one.
+    as often as neighbours, in so many `directions`, count as one.
     """
     along = np.linspace(-1.0, 1.0, heights.size)
     left = heights - np.polyval(np.polyfit(along, heights, 1), along)
-    return float(np.sqrt(np.mean(left**2) * shots_alike(left)))
+    return float(np.sqrt(np.mean(left**2) * shots_alike(left) ** directions))
 

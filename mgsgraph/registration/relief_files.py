@@ -286,8 +286,7 @@ def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
     if not one.after.cost.tied:
         return [f"{one.name}: relief does not tie it; {found}.", carried]
     if not one.after.cost.clear:
-        level = "" if one.of_posts else "; its heights count as those of level ground"
-        return [_several(one), f"{one.name}: {found}{level}.", carried]
+        return [_several(one), f"{one.name}: {found}; its heights count as those of level ground.", carried]
     return [_disagreement(one), _uniqueness(one, reach), carried]
 
 

@@ -67,7 +67,7 @@ def cells_of(
         there = np.flatnonzero(np.count_nonzero(seen, axis=0) > 1)
         if not there.size:
             raise InputError(
-                model.grid.source, f"{len(posts.ids)} posts, none in two images", "a model of the images' ground"
+                model.lattice.source, f"{len(posts.ids)} posts, none in two images", "a model of the images' ground"
             )
         found.append((model, posts.chosen(there)))
     return tuple(found)

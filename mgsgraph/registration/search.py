@@ -16,7 +16,7 @@ surface. Their probabilities (`minima`) say whether relief ties the profile: few
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +55,8 @@ _CHANGE = 50.0
 """m, sigma of the change of a shift from the middle of a profile to its end."""
 _RIGID = 1e-3
 """m, the same of what has one shift everywhere."""
+_REACH_OF_EXPECTED = 4.0
+"""Sigmas of an expected shift up to which it is sought."""
 _ONE_PLACE = 13.8
 """chi-square of two degrees of freedom (99.9 %), up to which two minima are one place."""
 _STEPS = 12
@@ -123,6 +125,24 @@ class CostSurface:
         return self.tied and len(self.possible) == 1
 
 
+class Expected(NamedTuple):
+    """What is known of the shift at which a terrain model fits."""
+
+    shift: Array
+    """(2,) m east and north."""
+    sigma: float
+    """m, of each."""
+
+    @property
+    def reach(self) -> float:
+        """m, shifts to be searched."""
+        return _REACH_OF_EXPECTED * self.sigma + float(np.abs(self.shift).max())
+
+    def misfits(self, shifts: Array) -> Array:
+        """(s,) chi^2 of shifts (s, 2)."""
+        return np.asarray(np.sum(((shifts - self.shift) / self.sigma) ** 2, axis=1))
+
+
 class _Moved(NamedTuple):
     """Shots of a profile and how shifts move their images; n shots."""
 
@@ -152,7 +172,7 @@ def search(
     sigmas: Array,
     name: str,
     reach: float = REACH,
-    rigid: bool = False,
+    expected: Expected | None = None,
 ) -> CostSurface:
     """Search the shift of one profile.
 
@@ -167,8 +187,8 @@ def search(
         Of the profile.
     reach : float
         m, up to which shifts are tried, a standard deviation of the footprint apart.
-    rigid : bool
-        Whether the shift is the same everywhere, as that of a terrain model.
+    expected : Expected, optional
+        Of a terrain model, which has one shift everywhere.
 
     Returns
     -------
@@ -176,6 +196,11 @@ def search(
         Without minima where too few shots are on the surface.
     """
     step = _footprint_width(pair)
+    if expected is not None:
+        reach = min(reach, expected.reach)
+        # a post is the mean of its cell: how rough the ground is within makes it no less certain
+        smooth = replace(pair.surface, roughness=np.zeros_like(pair.surface.roughness))
+        pair = pair._replace(surface=smooth)
     half = int(np.ceil(reach / step))
     moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_TRIALS // (2 * half + 1) ** 2))
     shifts = np.asarray(step * np.arange(-half, half + 1, dtype=np.float64))
@@ -185,7 +210,7 @@ def search(
     lowest = local_minima(shifts, misfits)[:_MOST_COMPARED]
     likely = sum(one.misfit <= _WORST_COMPARED * lowest[0].misfit for one in lowest)
     lowest = lowest[: max(likely, _LEAST_COMPARED)]
-    found = _compared(pair.surface, moved, lowest, step, half * step, _RIGID if rigid else _CHANGE)
+    found = _compared(pair.surface, moved, lowest, step, half * step, expected)
     return CostSurface(name, shifts, misfits, shots, found, moved.span)
 
 
@@ -269,14 +294,15 @@ def _seen(moved: _Moved, shifts: Array) -> tuple[Array, Array]:
 
 
 def _compared(
-    surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step: float, reach: float, change: float
+    surface: StereoSurface, moved: _Moved, bowls: Sequence[Bowl], step: float, reach: float, expected: Expected | None
 ) -> tuple[Minimum, ...]:
     """Minima with their weights, the likeliest first; each is compared with the lowest over the shots of both.
 
-    Fits that leave the shifts searched, up to `reach` m, are none; `change` is the sigma of a shift's change, m.
+    Fits that leave the shifts searched, up to `reach` m, are none.
     """
     if not bowls:
         return ()
+    change = _CHANGE if expected is None else _RIGID
     fitted = _bent(surface, moved, np.array([one.shift for one in bowls]), step, change)
     heights, weights, _ = _exact(surface, moved, fitted.along(moved))
     misfits, left = left_of_lines(heights, weights, moved.along)
@@ -294,22 +320,25 @@ def _compared(
     first = int(np.argmin(each[apart]))
     both = (weights > 0.0) & (weights[first] > 0.0)
     misfits, lowest = (
-        left_of_lines(some, weight * both, moved.along)[0] + penalty
+        left_of_lines(np.ascontiguousarray(np.broadcast_to(some, both.shape)), weight * both, moved.along)[0] + penalty
         for some, weight, penalty in (
             (heights, weights, fitted.penalty),
-            (heights[[first]], weights[[first]], fitted.penalty[first]),
+            (heights[first], weights[first], fitted.penalty[first]),
         )
     )
     logs = np.log(np.where(both, weights, 1.0))
     variances = np.sum(np.where(both, logs[first] - logs, 0.0), axis=1)
     alike = shots_alike(left[first][both[first]])
+    known = np.zeros(len(both))
+    if expected is not None:  # posts are alike in two directions, and have neighbours in one of them
+        alike, known = alike**2, expected.misfits(fitted.shifts)
     found = [
         Bowl(shift, float(misfit), covariance, change)
         for shift, misfit, covariance, change in zip(
             fitted.shifts, misfits, fitted.covariances, fitted.changes, strict=True
         )
     ]
-    return weighted(found, misfits, lowest, np.count_nonzero(both, axis=1), variances, alike)
+    return weighted(found, misfits, lowest, np.count_nonzero(both, axis=1), variances, alike, known)
 
 
 class _Bent(NamedTuple):

@@ -311,7 +311,7 @@ def test_posts_that_two_images_may_show_are_taken() -> None:
         image = posterior.image(j)
         pixels = image.ground_to_image(posts.points, posterior.correction(j))[0]
         assert np.all((pixels > -500.0) & (pixels < np.array([image.lines, image.samples]) + 500.0))
-    away = replace(model, grid=replace(model.grid, first_longitude=0.0))
+    away = replace(model, lattice=replace(model.lattice, located=lambda *at: -model.lattice.located(*at)))
     with pytest.raises(InputError, match="none in two images"):
         cells_of((away,), posterior, SETTINGS)
 
@@ -350,7 +350,8 @@ def test_sentences_of_one_profile_not_tied_and_of_several_minima(registration: R
     misfits, shots = 96.0 + bowls, 100  # four unknowns: a misfit of one per shot
     found = local_minima(shifts, misfits)
     lowest = np.full(2, 96.0)
-    alike = weighted(found, np.array([one.misfit for one in found]), lowest, np.full(2, shots), np.zeros(2), 1.0)
+    each, nothing = np.array([one.misfit for one in found]), np.zeros(2)
+    alike = weighted(found, each, lowest, np.full(2, shots), nothing, 1.0, nothing)
     several = CostSurface("two", shifts, misfits, shots, alike)
     made = with_profiles(registration, [untied(one, "plain"), with_cost(one, "two", several), aside(one, "aside")])
     said = relief_statements(made)

@@ -11,7 +11,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import averaged_surface
 from mgsgraph.registration.minima import Minimum, local_minima, weighted
-from mgsgraph.registration.search import CostSurface, StereoPair, search
+from mgsgraph.registration.search import CostSurface, Expected, StereoPair, search
 
 NOISE = 0.05
 """pixels, of a dense match."""
@@ -146,6 +146,44 @@ def test_a_level_and_a_slope_along_the_track_are_the_orientation_s() -> None:
     assert other.misfit == pytest.approx(one.misfit, rel=0.1)
 
 
+def posts(ground: Ground, shift: Array, seed: int, sigma: float) -> Array:
+    """(n, 3) m, posts every 460 m over the first image, as `track` has its footprints."""
+    first = pair().images[0]
+    made = np.meshgrid(np.linspace(0.05, 0.95, 44) * first.lines, np.linspace(0.05, 0.95, 6) * first.samples)
+    points = _ground(ground, made[0].ravel(), made[1].ravel())
+    noise = np.random.default_rng(seed).normal(0.0, sigma, len(points))
+    points = points * (1.0 + noise / np.linalg.norm(points, axis=1))[:, None]
+    return points - np.einsum("k,nkj->nj", shift, east_north(points))
+
+
+def low_hills(points: Array) -> Array:
+    """The same with 3 m rms of relief."""
+    return hills(points) / 10.0
+
+
+@pytest.mark.parametrize("seed", range(5, 10))
+def test_minima_with_few_posts_on_the_surface_are_no_better(seed: int) -> None:
+    """Far from where a model fits, a third of its posts are beside the images."""
+    shift = np.random.default_rng(seed).normal(0.0, 200.0, 2)
+    points = posts(low_hills, shift, seed, 10.0)
+    cost = search(stereo(low_hills), points, np.full(len(points), 10.0), "model", 1500.0, Expected(np.zeros(2), 400.0))
+    best = cost.minima[0]
+    off = best.shift - shift
+    assert off @ np.linalg.solve(best.covariance, off) < 13.8
+    assert np.abs(best.change).max() < 1e-6
+    assert sum(one.weight for one in cost.minima) == pytest.approx(1.0)
+
+
+def test_what_is_known_of_a_model_decides_between_minima() -> None:
+    """Of two minima that fit alike, by the chi-square of what is known."""
+    shifts, misfits = bowls((56.0, 56.0), (30.0, 30.0))
+    found = local_minima(shifts, misfits)
+    known = Expected(np.array([-200.0, 0.0]), 100.0).misfits(np.array([one.shift for one in found]))
+    first, second = weighted(found, np.full(2, 56.0), np.full(2, 56.0), np.full(2, 60), np.zeros(2), 1.0, known)
+    assert first.shift == pytest.approx([-200.0, 0.0], abs=1e-6)
+    assert second.weight / first.weight == pytest.approx(np.exp(-8.0))
+
+
 def test_profiles_beside_the_images_have_no_minimum() -> None:
     """20 km, and half of Mars, away."""
     footprints = track(hills, np.zeros(2))
@@ -179,7 +217,8 @@ def alone(misfits: Array, shifts: Array, shots: int, alike: float = 1.0) -> tupl
     bowls = local_minima(shifts, misfits)
     lowest = np.full(len(bowls), bowls[0].misfit)
     each = np.array([one.misfit for one in bowls])
-    return weighted(bowls, each, lowest, np.full(len(bowls), shots), np.zeros(len(bowls)), alike)
+    nothing = np.zeros(len(bowls))
+    return weighted(bowls, each, lowest, np.full(len(bowls), shots), nothing, alike, nothing)
 
 
 @pytest.mark.parametrize("scale", [0.25, 1.0, 4.0])
@@ -214,7 +253,7 @@ def test_rough_ground_is_no_better_fit() -> None:
     doubled = np.array([0.0, 60.0 * np.log(2.0)])
     by_shift = {
         float(one.shift[0]): one.weight
-        for one in weighted(found, np.array([56.0, 28.0]), np.full(2, 56.0), np.full(2, 60), doubled, 1.0)
+        for one in weighted(found, np.array([56.0, 28.0]), np.full(2, 56.0), np.full(2, 60), doubled, 1.0, np.zeros(2))
     }
     rough, smooth = (by_shift[float(one.shift[0])] for one in reversed(found))
     assert rough / smooth == pytest.approx(2.0**-30 * ((56.0 + PRIOR) / (28.0 + PRIOR)) ** 33, rel=1e-6)
