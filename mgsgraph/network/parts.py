@@ -78,6 +78,12 @@ def require_nothing_shared(network: Network) -> None:
             "images with an orientation of their own",
             "adjust such a case as a whole (`mgsgraph adjust`), or take [[strips]] out",
         )
+    for name in network.considered:
+        raise InputError(
+            f"considered unknown {name!r}", "a covariance carried in what is adjusted image by image",
+            "unknowns that are estimated",
+            "adjust such a case as a whole (`mgsgraph adjust`), or take `considered` and `shift = false` out",
+        )
     if network.surface is not None and network.surface.raised:
         raise InputError(
             f"terrain {network.surface.grid.source}", "an unknown height or tilt in what is adjusted image by image",

@@ -13,7 +13,7 @@ from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows, with_stereo
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import LOSS_WIDTHS, Loss, SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -146,6 +146,10 @@ class Layout:
             return replace(self, stereo=anew).about(self.lines)
         rows = with_stereo(self.network, self.patterns, self.rows, anew)
         return replace(self, stereo=anew, rows=rows)
+
+    def with_loss(self, loss: Loss) -> "Layout":
+        """The same with another loss, at its customary width."""
+        return replace(self, model=self.model._replace(loss=_LOSSES[loss], width=LOSS_WIDTHS[loss]))
 
     @property
     def without_steps(self) -> "Layout":

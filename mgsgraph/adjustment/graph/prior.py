@@ -41,11 +41,13 @@ class Prior:
     """On the unknowns of strips."""
     first: Index
     """(v,) first column of each variable."""
+    considered: tuple[int, ...] = ()
+    """Variables with considered columns: they get a joint covariance, whatever the observations say."""
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of variables, first < second, that some factor joins."""
-        members = (factor.variables for factor in self.factors)
+        members = [*(factor.variables for factor in self.factors), self.considered]
         return sorted({(v, w) for mine in members for k, v in enumerate(mine) for w in mine[k + 1 :]})
 
     @cached_property
@@ -133,12 +135,11 @@ class Prior:
 
 def make_prior(network: Network, variables: Variables) -> Prior:
     """Of a network."""
-    with np.errstate(divide="ignore"):
-        weights = np.where(np.isinf(variables.sigmas), 0.0, 1.0 / variables.sigmas)
+    weights = 1.0 / variables.prior_sigmas
     factors = list[PriorFactor]()
     for strip, first in network.numbered_strips:
         weights[variables.columns_from(first, strip.widths.size)] = 0.0
         for unknowns, blocks, about in strip.prior.factors(strip.nodes):
             columns = variables.first[first + about[:, 0]] + about[:, 1]
             factors.append(PriorFactor(tuple(first + k for k in unknowns), blocks, columns))
-    return Prior(variables.sigmas.size, weights, tuple(factors), variables.first)
+    return Prior(variables.sigmas.size, weights, tuple(factors), variables.first, tuple(variables.with_considered))
