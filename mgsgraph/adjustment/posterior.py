@@ -221,8 +221,14 @@ def _strip_by_strip(layout: Layout) -> SquareRoot:
 
 
 def _known_together(layout: Layout) -> list[list[int]]:
-    """Adjusted variables in groups that no prior joins: strip by strip, and any other by itself."""
-    adjusted = np.array(layout.variables.adjusted(), dtype=np.int64)
-    strip = np.searchsorted(layout.network.first_of_strips, adjusted, side="right") - 1
-    alone = [[v] for v in adjusted[strip < 0].tolist()]
-    return alone + [adjusted[strip == k].tolist() for k in np.unique(strip[strip >= 0]).tolist()]
+    """Adjusted variables in groups that no prior joins: strips, profiles that cross, and any other by itself."""
+    from scipy.sparse import coo_array  # slow to import
+    from scipy.sparse.csgraph import connected_components
+
+    adjusted, count = layout.variables.adjusted(), layout.variables.first.size
+    one, other = np.array(layout.prior.pairs, dtype=np.int64).reshape(-1, 2).T
+    group = connected_components(coo_array((np.ones(one.size), (one, other)), (count, count)), directed=False)[1]
+    together = dict[int, list[int]]()
+    for v in adjusted:
+        together.setdefault(int(group[v]), []).append(v)
+    return list(together.values())

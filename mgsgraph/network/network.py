@@ -10,6 +10,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, frozen_mask, require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network.crossovers import Crossovers
 from mgsgraph.network.records import (
     GroundPoints,
     ImageRays,
@@ -55,6 +56,8 @@ class Network:
 
     stereo: StereoControl | None = None
     """Points on the surfaces that images show."""
+    crossovers: Crossovers | None = None
+    """Where laser profiles cross."""
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
@@ -99,6 +102,11 @@ class Network:
                 raise InputError(f"shared unknown {one.name!r}", f"profile {one.profile!r}", "one with a shift")
         self._require_strips()
         self._require_stereo()
+        if self.crossovers is not None:
+            profiles = np.zeros(n) if self.shifts is None else np.asarray(self.shifts.profile) + 1.0
+            shots = frozen_index(self.crossovers.shots, "crossovers, shots", self.crossovers.shots.size, n)
+            if not np.all(profiles[shots] > 0):
+                raise InputError("crossovers", "shots of no profile", "profiles with an unknown shift")
 
     def _require_stereo(self) -> None:
         if self.stereo is None:

@@ -78,6 +78,11 @@ def require_nothing_shared(network: Network) -> None:
             "images with an orientation of their own",
             "adjust such a case as a whole (`mgsgraph adjust`), or take [[strips]] out",
         )
+    if network.crossovers is not None:
+        raise InputError(
+            "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
+            "profiles by themselves", "adjust such a case as a whole (`mgsgraph adjust`)",
+        )
     if network.surface is not None and network.surface.raised:
         raise InputError(
             f"terrain {network.surface.grid.source}", "an unknown height or tilt in what is adjusted image by image",
