@@ -26,6 +26,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.demo.truth import nees
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass, SharedKind
@@ -88,13 +89,16 @@ def main(arguments: list[str] | None = None) -> int:
                     note(given.keep, found[site, seed])
         words = WORDS.format(machine=machine(), first=seeds[0], last=seeds[-1], height=HEIGHT_SIGMA, noise=NOISE)
         rows = [row(site, way, [found[site, seed] for seed in seeds]) for site in sites for way in WAYS]
-        return "\n".join([words, *table(HEAD, rows), ""])
+        refused = sum("refused" in found[site, seed] for site in sites for seed in seeds)
+        end = f"\nOf all draws {refused} are no cases: a profile is drawn so far off that it misses its image."
+        return "\n".join([words, *table(HEAD, rows), end, ""])
 
     return write_page(parser, given.page, make)
 
 
 Draw = dict[str, Any]
-"""Site and seed; by way of adjusting: normalised errors by kind, per degree of freedom, and errors in m."""
+"""Site and seed; by way of adjusting: normalised errors by kind, per degree of freedom, and errors in m. Or why the
+draw is no case: a profile is so far off that it misses its image."""
 
 
 def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
@@ -122,7 +126,10 @@ def one_draw(name: str, seed: int) -> Draw:
     with tempfile.TemporaryDirectory() as folder:
         path = write_site(site, Path(folder))
         path.write_text(f"{path.read_text(encoding='utf-8')}height_sigma_m = {HEIGHT_SIGMA}\n", encoding="utf-8")
-        case = read_case(path)
+        try:
+            case = read_case(path)
+        except InputError as error:
+            return {"site": name, "seed": seed, "refused": str(error)}
     patches = adjust_network(case.network, case.settings, case.name)
     cells = by_cells(case, patches, site, rng)
     truth = Truth(site, lift)
@@ -213,6 +220,7 @@ def model_shift(solution: Solution) -> tuple[Array, Array]:
 
 def row(site: str, way: str, draws: list[Draw]) -> list[str]:
     """Of one site, by patches or by cells."""
+    draws = [draw for draw in draws if "refused" not in draw]
     mine = [draw[way] for draw in draws]
     cells = []
     for kind, degrees in KINDS.items():

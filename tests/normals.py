@@ -219,7 +219,7 @@ def _variables(units: list[np.ndarray]) -> Variables:
     width = np.array([unit.size for unit in units], dtype=np.int64)
     first = np.where(width > 0, np.cumsum(width) - width, -1)
     sigmas = np.concatenate(units)
-    return Variables(0, first, width, sigmas, np.zeros(sigmas.size, dtype=bool))
+    return Variables(0, first, width, sigmas, *np.zeros((2, sigmas.size), dtype=bool))
 
 
 def _tables(

@@ -84,18 +84,19 @@ def middle_of(case_file: Path) -> Array:
     return ties(mgsgraph.read_case(case_file).network)
 
 
-def test_its_place_is_an_unknown_or_part_of_each_sigma(case_file: Path) -> None:
+def test_its_shift_is_estimated_or_considered(case_file: Path) -> None:
     moving = surface_of(with_terrain(case_file, scale=0.25, height=-4000.0))
     assert np.abs(moving.grid.radii - MARS.equatorial + 4000.0).max() < 200.0
     assert [term.name for term in moving.terms] == ["east shift", "north shift"]
     assert np.all(moving.sigmas[np.isfinite(moving.sigmas)] == 10.0)
     assert np.isfinite(moving.sigmas).sum() == 20
-    resting = surface_of(add(case_file, 'radius = "dtm.tif"\nreference_radius_m = 3396190.0\nshift = false'))
-    assert resting.terms == ()
-    mine = np.isfinite(resting.sigmas)
-    # the ellipsoid's own slope against the sphere
-    assert np.all(resting.sigmas[mine] > 10.0)
-    assert np.all(resting.sigmas[mine] < 11.0)
+    assert mgsgraph.read_case(case_file).network.considered == ()
+    path = add(case_file, 'radius = "dtm.tif"\nreference_radius_m = 3396190.0\nshift = false')
+    assert mgsgraph.read_case(path).network.considered == ("terrain model",)
+    assert surface_of(path).terms == moving.terms
+    solution = mgsgraph.adjust(mgsgraph.read_case(path))
+    assert np.abs(solution.shift_values[-1]).max() < 1e-3
+    assert solution.shift_spread(0) == pytest.approx(200.0**2 * np.eye(2), rel=1e-6, abs=1e-2)
 
 
 def test_height_and_tilt_may_be_unknown_and_are_said(case_file: Path) -> None:

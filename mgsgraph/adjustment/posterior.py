@@ -3,7 +3,8 @@
 Covariances are stated for sigma0 = 1, as the a-priori sigmas imply; multiply by sigma0 squared to scale them.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -135,10 +136,21 @@ def _weighted(squares: Array, model: Model) -> float:
     return float((squares * np.maximum(1.0 - ratio, 0.0) ** 2).sum())
 
 
-def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCovariance:
+def orientation_covariance(graph: BundleGraph, reduction: Reduction, consider: bool = True) -> JointCovariance:
     """Joint covariance of all orientation coefficients, m and rad, from a reduced system.
 
-    Raises WeakNetwork, naming the directions, where nothing determines some of them.
+    Parameters
+    ----------
+    graph : BundleGraph
+    reduction : Reduction
+        Of all points, eliminated.
+    consider : bool
+        False is the covariance of the estimates were considered unknowns zero without error: what redundancy is about.
+
+    Raises
+    ------
+    WeakNetwork
+        Naming the directions, where nothing determines some of them.
     """
     layout = graph.layout
     try:
@@ -149,7 +161,42 @@ def orientation_covariance(graph: BundleGraph, reduction: Reduction) -> JointCov
         weak = defects(layout, scaled_normal(layout, reduction), POORLY)
         if weak.number:
             raise weak.error()
-    return joint_covariance(factor.square_root())
+    joint = joint_covariance(factor.square_root())
+    if not (consider and layout.prior.considered):
+        return joint
+    assert reduction.blocks is not None
+    flat, more = reduction.blocks.copy(), dict[tuple[int, int], Array](_considered_information(layout, joint))
+    for v, w, block in layout.blocks.each(flat, layout.variables.width):
+        if (v, w) in more:
+            block += more[v, w]
+    return joint_covariance(graph.factor(replace(reduction, blocks=flat)).square_root())
+
+
+def _considered_information(layout: Layout, joint: JointCovariance) -> Iterator[tuple[tuple[int, int], Array]]:
+    """Information to be added on pairs of variables with considered columns (the first not after the second), so that
+    the covariance of these becomes what it was beforehand.
+
+    Schmidt (1966): of estimates x with considered unknowns c held at zero, S = dx/dc and a-priori covariance C_c,
+
+        cov(x) = N_xx^-1 + S C_c S',    cov(x, c) = S C_c,    cov(c) = C_c,    S = -N_xx^-1 N_xc,
+
+    which is the inverse of the normal matrix with C_c^-1 + N_cx N_xx^-1 N_xc in place of N_cc. Here x are the other
+    columns of the same variables (heights of a terrain model whose shift is considered), everything else is eliminated.
+    """
+    variables, members = layout.variables, list(layout.prior.considered)
+    columns = np.concatenate([np.arange(*variables.columns_of(v).indices(layout.columns)) for v in members])
+    c, scales = np.flatnonzero(variables.considered[columns]), variables.prior_sigmas[columns]
+    x = np.flatnonzero(~variables.considered[columns])
+    scales = np.where(np.isfinite(scales), scales, layout.scales[columns])
+    information = np.linalg.inv(joint.of(members) / scales / scales[:, None]) / scales / scales[:, None]
+    wanted = np.diag(variables.sigmas[columns[c]] ** -2)
+    wanted += information[np.ix_(c, x)] @ np.linalg.solve(information[np.ix_(x, x)], information[np.ix_(x, c)])
+    more = np.zeros_like(information)
+    more[np.ix_(c, c)] = wanted - information[np.ix_(c, c)]
+    edges = np.concatenate([[0], np.cumsum(variables.width[members])]).tolist()
+    for a, v in enumerate(members):
+        for b, w in enumerate(members[a:], a):
+            yield (v, w), more[edges[a] : edges[a + 1], edges[b] : edges[b + 1]]
 
 
 def shared_marginals(layout: Layout, linear: gtsam.GaussianFactorGraph) -> JointCovariance:
@@ -178,14 +225,32 @@ def explicit_covariances(
 ) -> tuple[JointCovariance, Array]:
     """The same two from the explicit graph: GTSAM eliminates its points, and gives their marginals (n, 3, 3)."""
     linear, first_points = graph.linearize(values), gtsam.Ordering()
-    covariances = np.zeros((layout.rows.kind.size, 3, 3))
-    found = gtsam.Marginals(linear, values)
-    for i in range(covariances.shape[0]):
-        if values.exists(point_key(i)):
-            covariances[i] = found.marginalCovariance(point_key(i))
-            first_points.push_back(point_key(i))
+    points = [i for i in range(layout.rows.kind.size) if values.exists(point_key(i))]
+    for i in points:
+        first_points.push_back(point_key(i))
     _, reduced = linear.eliminatePartialMultifrontal(first_points)
-    return shared_marginals(layout, reduced), covariances
+    joint = shared_marginals(layout, reduced)
+    if layout.prior.considered:
+        for factor in _considered_factors(layout, joint):
+            reduced.push_back(factor)
+            linear.push_back(factor)
+        joint = shared_marginals(layout, reduced)
+    covariances, found = np.zeros((layout.rows.kind.size, 3, 3)), gtsam.Marginals(linear, values)
+    for i in points:
+        covariances[i] = found.marginalCovariance(point_key(i))
+    return joint, covariances
+
+
+def _considered_factors(layout: Layout, joint: JointCovariance) -> Iterator[gtsam.HessianFactor]:
+    """The information on considered unknowns that is to be added, as GTSAM's factors."""
+    for (v, w), block in _considered_information(layout, joint):
+        one, other = np.zeros(block.shape[0]), np.zeros(block.shape[1])
+        if v == w:
+            yield gtsam.HessianFactor(variable_key(layout, v), block, one, 0.0)
+        else:
+            none = np.zeros((one.size, one.size)), np.zeros((other.size, other.size))
+            keys = variable_key(layout, v), variable_key(layout, w)
+            yield gtsam.HessianFactor(*keys, none[0], block, one, none[1], other, 0.0)
 
 
 def prior_covariance(layout: Layout) -> JointCovariance | None:
@@ -222,13 +287,7 @@ def _strip_by_strip(layout: Layout) -> SquareRoot:
 
 def _known_together(layout: Layout) -> list[list[int]]:
     """Adjusted variables in groups that no prior joins: strips, profiles that cross, and any other by itself."""
-    from scipy.sparse import coo_array  # slow to import
-    from scipy.sparse.csgraph import connected_components
-
-    adjusted, count = layout.variables.adjusted(), layout.variables.first.size
-    one, other = np.array(layout.prior.pairs, dtype=np.int64).reshape(-1, 2).T
-    group = connected_components(coo_array((np.ones(one.size), (one, other)), (count, count)), directed=False)[1]
-    together = dict[int, list[int]]()
-    for v in adjusted:
+    group, together = layout.prior.group, dict[int, list[int]]()
+    for v in layout.variables.adjusted():
         together.setdefault(int(group[v]), []).append(v)
     return list(together.values())

@@ -207,9 +207,9 @@ class Parts:
             )  # fmt: skip
         terrain = terrain.around(ground)
         sigmas = np.full(len(points), np.inf)
-        sigmas[members] = np.nan_to_num(terrain.height_sigmas(places, wanted.shift), nan=np.inf)
+        sigmas[members] = np.nan_to_num(terrain.height_sigmas(places), nan=np.inf)
         return Surface(
-            terrain, sigmas, (terrain.planimetric_sigma or 0.0) * wanted.shift, wanted.height_sigma_m or 0.0,
+            terrain, sigmas, terrain.planimetric_sigma or 0.0, wanted.height_sigma_m or 0.0,
             (wanted.tilt_sigma_mrad or 0.0) * MRAD,
             places[np.isfinite(sigmas[members])].mean(axis=0) if wanted.tilt_sigma_mrad else None,
         )  # fmt: skip

@@ -32,7 +32,7 @@ from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.network import Network, PointClass, SharedUnknown
+from mgsgraph.network import TERRAIN, Network, PointClass, SharedUnknown
 from mgsgraph.network.posts import TerrainModel
 from mgsgraph.ties import TiePoints
 
@@ -108,6 +108,7 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     network = parts.network(priors, held, radii, areoid, next(iter(wanted.terrain_models), None))
     network = _with_strips(network, wanted, of_strips, path)
     network = _with_shared(network, wanted, path, laser, parts.heights)
+    network = _with_considered(network, wanted, path, laser)
     _require_seeing_images(network)
     pictures = tuple(picture_of(image, folder) for image in wanted.images)
     return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits, models, parts.footprints)
@@ -128,6 +129,18 @@ def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]]
     strips = strips_of(wanted.strips, of_strips, network.images, to_et, str(path))
     with errors_from(str(path)):
         return replace(network, strips=strips)
+
+
+def _with_considered(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
+    """The network with unknowns that are considered, not estimated; those of the laser go with its rows."""
+    names = wanted.considered
+    if not laser:
+        there = (*network.shift_names, *(one.name for one in network.shared))
+        names = tuple(name for name in names if name in there)
+    if network.surface_shifts and not wanted.terrain_models[0].shift:
+        names += (TERRAIN,)
+    with errors_from(str(path)):
+        return replace(network, considered=names)
 
 
 def _with_shared(

@@ -203,9 +203,9 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     vertical_sigma_m: Sigma = 10.0
     """Sigma of its heights."""
     planimetric_sigma_m: Sigma = 200.0
-    """Sigma of its horizontal place as a whole, which becomes an unknown; or, without `shift`, part of the heights'."""
+    """Sigma of its horizontal place as a whole, which becomes an unknown."""
     shift: bool = True
-    """Its horizontal place is an unknown; false: its error times the slope enters each point's sigma instead."""
+    """That unknown is estimated; false: it is considered, held at zero while its sigma enters all others."""
     height_sigma_m: Sigma | None = None
     """Sigma of its height as a whole, which becomes an unknown; absent: none."""
     tilt_sigma_mrad: Sigma | None = None
@@ -337,6 +337,9 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     control by relief alone."""
     shared: tuple[SharedInput, ...] = ()
     """Unknowns that several images share."""
+    considered: tuple[str, ...] = ()
+    """Names of profiles' shifts and shared unknowns, as reports have them, that are not estimated but held at zero,
+    while their sigmas enter those of all else (Schmidt 1966)."""
     strips: tuple[StripInput, ...] = ()
     """Images on one trajectory, adjusted through orientation images."""
     spice: SpiceInput | None = None

@@ -145,7 +145,7 @@ def _missed(place: Array, heights: Array, sigma: float) -> float:
     where there is one in the middle, and as it falls from two to one, from one to a half; without the shots' own
     noise, which is `sigma` for each.
     """
-    one, two = (
+    squares = [
         np.mean(
             (heights[lag:-lag]
             - heights[: -2 * lag]
@@ -154,6 +154,6 @@ def _missed(place: Array, heights: Array, sigma: float) -> float:
             ** 2
         )
         for lag in (1, 2)
-    )
-    one, two = (max(float(square) - _OWN * sigma**2, 0.0) for square in (one, two))
+    ]
+    one, two = (max(float(square) - _OWN * sigma**2, 0.0) for square in squares)
     return float(np.sqrt(one * min(one / max(two, 1e-9), 1.0)))

@@ -222,45 +222,14 @@ class TerrainGrid:
         east = patch.eastward / self.longitude_step / np.cos(latitudes)
         return np.asarray(np.arctan(np.hypot(east, patch.southward / self.latitude_step) / patch.value))
 
-    def rise(self, longitudes: Array, latitudes: Array) -> Array:
-        """How steep the ground is about places (n,), m per m: slope of the plane through the 4 x 4 posts around each.
-
-        What a horizontal error of the model makes of heights follows from the ground as it is over some hundred metres,
-        not from the noise of four posts: 10 m of noise on posts 460 m apart (1/128 degree) are a slope of 0.022 per
-        direction in a patch, and 0.005 in the 16 posts. Where some of the 16 are missing it is that of the patch.
-        """
-        self._require("radius", "a slope")
-        row, left, _, _, _, _ = self._cell(longitudes, latitudes)
-        rows, columns = self.radii.shape
-        east, north = np.zeros(longitudes.size), np.zeros(longitudes.size)
-        for i in range(-1, 3):
-            for j in range(-1, 3):
-                there = (row + i >= 0) & (row + i < rows)
-                there &= self.wraps | ((left + j >= 0) & (left + j < columns))
-                post = self.radii[np.clip(row + i, 0, rows - 1), (left + j) % columns].astype(np.float64)
-                post = np.where(there, post, np.nan)
-                east += (j - 0.5) / _SQUARES * post
-                north -= (i - 0.5) / _SQUARES * post
-        patch = self._patch(longitudes, latitudes)
-        whole = np.isfinite(east)
-        by_longitude = np.where(whole, east, patch.eastward) / self.longitude_step
-        by_latitude = np.where(whole, north, -patch.southward) / self.latitude_step
-        return np.asarray(np.hypot(by_longitude / np.cos(latitudes), by_latitude) / patch.value)
-
-    def height_sigmas(self, points: Array, shifts: bool) -> Array:
-        """Sigma (n,) in m of the model's height under points (n, 3) in m: sqrt(vertical^2 + (slope x planimetric)^2).
-
-        Ebner et al. (2004) give 10 m and 200 m for MOLA. The second part is for a model that stays where it is: with
-        `shifts`, its horizontal place is an unknown of its own, and would count twice. Along the patch's normal the
-        sigma would be smaller by the cosine of the slope (2 % at 10 degrees), which is left out. NaN outside the grid
-        and beside missing posts, infinite where the grid doesn't know its own sigma.
+    def height_sigmas(self, points: Array) -> Array:
+        """Sigma (n,) in m of the model's height under points (n, 3) in m, without that of its horizontal position,
+        which is common to all. NaN outside the grid and beside missing posts, infinite where the grid knows no sigma.
         """
         longitudes, latitudes, _ = planetocentric(points).T
         sigmas = np.full(longitudes.size, self.vertical_sigma or np.inf)
         if self.post_sigmas is not None:
             sigmas = replace(self, radii=self.post_sigmas, kind="topography", post_sigmas=None).at(points)
-        if not shifts and self.planimetric_sigma is not None:
-            sigmas = np.hypot(sigmas, self.rise(longitudes, latitudes) * self.planimetric_sigma)
         return np.where(np.isfinite(self._patch(longitudes, latitudes).value), sigmas, np.nan)
 
     @property

@@ -1,6 +1,7 @@
 """The network of an adjustment, its parts, and how its images hang together."""
 
 from mgsgraph.network.network import Network as Network
+from mgsgraph.network.records import TERRAIN as TERRAIN
 from mgsgraph.network.records import GroundPoints as GroundPoints
 from mgsgraph.network.records import ImageRays as ImageRays
 from mgsgraph.network.records import PointClass as PointClass

@@ -13,7 +13,7 @@ import numpy as np
 
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.crossovers import crossing, gradient
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index
 from mgsgraph.network.records import GroundPoints, PointClass, ProfileShifts
 
 
@@ -39,6 +39,12 @@ class Crossovers:
         for name, shape in (("shares", (m, 4)), ("gradients", (m, 2)), ("about", (m, 2)), ("sigmas", (m,))):
             assign(self, **{name: frozen(getattr(self, name), f"crossovers, {name}", shape)})
 
+    def without(self, out: Mask) -> "Crossovers | None":
+        """Those on which none of some ground points (n,) lies; None without any."""
+        left = ~np.any(out[self.shots], axis=1)
+        parts = (getattr(self, name)[left] for name in self.__slots__)
+        return Crossovers(*parts) if np.any(left) else None
+
     def profiles(self, shifts: ProfileShifts) -> Index:
         """(m, 2) which cross."""
         return shifts.profile[self.shots[:, ::2]]
@@ -55,7 +61,9 @@ class Crossovers:
         return np.asarray(np.einsum("mk,mkj,mkj...->m...", self.shares, rise, motion[self.shots]))
 
 
-def crossovers(points: GroundPoints, shifts: ProfileShifts, moved: Array, sigmas: Array) -> Crossovers | None:
+def crossovers(
+    points: GroundPoints, shifts: ProfileShifts, moved: Array, sigmas: Array, unsure: Mask
+) -> Crossovers | None:
     """Where profiles of laser shots cross; None where none do.
 
     Parameters
@@ -64,12 +72,16 @@ def crossovers(points: GroundPoints, shifts: ProfileShifts, moved: Array, sigmas
         With the shots, at their a-priori places.
     shifts : ProfileShifts
         Their profiles.
-    moved : (p, 2)
-        m, east and north: where each profile is thought to lie.
+    moved : (k, 2)
+        m, east and north: how far each of the first k profiles is thought to lie from there.
     sigmas : (n,)
         m, of the heights of the shots.
+    unsure : (k,)
+        Profiles of which nobody knows where within the sigmas of their shifts they lie: their crossovers say something
+        of heights alone, as if the ground were level, within what its slope makes of these sigmas.
     """
-    members = [np.flatnonzero((shifts.profile == p) & (points.classes == PointClass.LASER)) for p in range(len(moved))]
+    laser = points.classes == PointClass.LASER
+    members = [np.flatnonzero((shifts.profile == p) & laser) for p in range(len(moved))]
     used = np.concatenate([np.zeros(0, dtype=np.int64), *members])
     places = points.places.copy()
     ways = east_north_up(places[used])[:, :2]
@@ -85,8 +97,9 @@ def crossovers(points: GroundPoints, shifts: ProfileShifts, moved: Array, sigmas
         if found is not None:
             shots = np.concatenate([members[k][found[0].shots], members[other][found[1].shots]])
             shares = np.concatenate([found[0].shares, -found[1].shares])
-            sigma = float(np.hypot(found[0].sigma, found[1].sigma))
-            rows.append((shots, shares, gradient(found), moved[k] - moved[other], sigma))
+            slope, doubt = gradient(found), shifts.sigmas[[k, other]][unsure[[k, other]]]
+            sigma = np.linalg.norm([found[0].sigma, found[1].sigma, np.linalg.norm(slope) * np.linalg.norm(doubt)])
+            rows.append((shots, shares, slope * (not doubt.size), moved[k] - moved[other], float(sigma)))
     return _as_record(rows) if rows else None
 
 

@@ -12,6 +12,7 @@ from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index,
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.crossovers import Crossovers
 from mgsgraph.network.records import (
+    TERRAIN,
     GroundPoints,
     ImageRays,
     PointClass,
@@ -25,6 +26,7 @@ from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.network.strips import Strip
 from mgsgraph.notebook import card
 from mgsgraph.ties import PointKind
+from mgsgraph.wording import some
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +60,9 @@ class Network:
     """Points on the surfaces that images show."""
     crossovers: Crossovers | None = None
     """Where laser profiles cross."""
+    considered: tuple[str, ...] = ()
+    """Shifts (`shift_names`) and shared unknowns that are not estimated, but held at zero: what their a-priori
+    covariance does to all else is carried (Schmidt 1966)."""
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
@@ -102,11 +107,23 @@ class Network:
                 raise InputError(f"shared unknown {one.name!r}", f"profile {one.profile!r}", "one with a shift")
         self._require_strips()
         self._require_stereo()
+        self._require_considered()
         if self.crossovers is not None:
             profiles = np.zeros(n) if self.shifts is None else np.asarray(self.shifts.profile) + 1.0
             shots = frozen_index(self.crossovers.shots, "crossovers, shots", self.crossovers.shots.size, n)
             if not np.all(profiles[shots] > 0):
                 raise InputError("crossovers", "shots of no profile", "profiles with an unknown shift")
+
+    def _require_considered(self) -> None:
+        require_unique(self.considered, "considered unknowns")
+        known = (*self.shift_names, *(one.name for one in self.shared))
+        for name in self.considered:
+            if name not in known:
+                there = some(known, len(known)) if known else "none: there are no such unknowns"
+                raise InputError("considered unknowns", f"{name!r}", f"a shift or a shared unknown ({there})")
+            terms = self.surface.terms if self.surface is not None and name == TERRAIN else ()
+            if terms and not self.surface_shifts:
+                raise InputError("considered unknowns", f"{name!r}, whose horizontal position is known", "a shift")
 
     def _require_stereo(self) -> None:
         if self.stereo is None:
@@ -222,7 +239,7 @@ class Network:
     def shift_names(self) -> tuple[str, ...]:
         """Unknown shifts: of profiles, then of the terrain model, where it has one."""
         profiles = self.shifts.names if self.shifts else ()
-        return (*profiles, "terrain model") if self.terrain_moves else profiles
+        return (*profiles, TERRAIN) if self.terrain_moves else profiles
 
     @property
     def shift_terms(self) -> tuple[tuple[ShiftTerm, ...], ...]:
@@ -280,6 +297,11 @@ class Network:
     def terrain_moves(self) -> bool:
         """Whether the terrain model has an unknown shift or tilt of its own."""
         return self.surface is not None and bool(self.surface.terms)
+
+    @property
+    def surface_shifts(self) -> bool:
+        """Whether the terrain model has an unknown horizontal shift."""
+        return self.surface is not None and self.surface.shift_sigma > 0.0
 
     @property
     def ray_counts(self) -> Index:

@@ -81,7 +81,13 @@ def require_nothing_shared(network: Network) -> None:
     if network.crossovers is not None:
         raise InputError(
             "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
-            "profiles by themselves", "adjust such a case as a whole (`mgsgraph adjust`)",
+            "profiles by themselves", "register them without (`mgsgraph coregister --no-crossovers`)",
+        )
+    for name in network.considered:
+        raise InputError(
+            f"considered unknown {name!r}", "a covariance carried in what is adjusted image by image",
+            "unknowns that are estimated",
+            "adjust such a case as a whole (`mgsgraph adjust`), or take `considered` and `shift = false` out",
         )
     if network.surface is not None and network.surface.raised:
         raise InputError(

@@ -131,6 +131,10 @@ def _chosen(marks: Mask | None, rows: Index | Mask) -> Mask | None:
     return None if marks is None else marks[rows]
 
 
+TERRAIN = "terrain model"
+"""Name of the shift of the terrain model on whose bilinear patches tie points lie."""
+
+
 class ShiftTerm(NamedTuple):
     """One unknown of a laser profile's shift, or of where the terrain model is."""
 
@@ -140,10 +144,12 @@ class ShiftTerm(NamedTuple):
     """m or rad."""
     sigma: float
     """A-priori, in that unit."""
+    horizontal: bool = False
+    """Whether it is eastward or northward."""
 
 
 def _horizontal(sigma: float) -> tuple[ShiftTerm, ...]:
-    return tuple(ShiftTerm(f"{way} shift", "m", sigma) for way in ("east", "north"))
+    return tuple(ShiftTerm(f"{way} shift", "m", sigma, True) for way in ("east", "north"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import PointClass
+from mgsgraph.network import TERRAIN, PointClass
 from mgsgraph.network.terrain_control import Coverage, coverage
 from mgsgraph.units import MRAD
 from mgsgraph.wording import root_mean_square
@@ -57,6 +57,7 @@ def control_json(solution: Solution) -> dict[str, Any]:
                 "name": name,
                 "east_north_m": solution.shifts[p].tolist(),
                 "sigma_east_north_m": np.sqrt(np.diag(solution.shift_covariance(p))).tolist(),
+                "considered": name in solution.network.considered,
                 **_lift_json(solution, p),
             }
             for p, name in enumerate(names)
@@ -120,11 +121,17 @@ def control_statements(solution: Solution) -> list[str]:
     sentences = []
     for p, name in enumerate(solution.network.shift_names):
         (east, north), sigma = solution.shifts[p], np.sqrt(np.diag(solution.shift_covariance(p)))
-        who = "The terrain model" if name == "terrain model" else f"Profile {name}: its footprints"
-        sentences.append(
-            f"{who} moved as a whole by {east:+.1f} m east and {north:+.1f} m north "
-            f"(sigmas {sigma[0]:.1f} and {sigma[1]:.1f} m)."
-        )
+        who = "The terrain model" if name == TERRAIN else f"Profile {name}: its footprints"
+        if name in solution.network.considered:
+            sentences.append(
+                f"{who} stayed: the horizontal shift is considered, not estimated; its sigma of {sigma[0]:.1f} m is "
+                "part of all sigmas."
+            )
+        else:
+            sentences.append(
+                f"{who} moved as a whole by {east:+.1f} m east and {north:+.1f} m north "
+                f"(sigmas {sigma[0]:.1f} and {sigma[1]:.1f} m)."
+            )
         sentences += _lift_statement(solution, p)
     before, after = surface_heights(solution)
     if after.size:

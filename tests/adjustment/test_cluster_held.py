@@ -69,7 +69,7 @@ def test_blocks_of_some_groups_keep_their_places(data: st.DataObject) -> None:
     member = st.sets(st.integers(0, count - 1), max_size=count).map(lambda one: tuple(sorted(one)))
     sets = tuple(sorted(data.draw(st.sets(member, min_size=1, max_size=8))))
     first, columns = np.cumsum(widths) - widths, int(widths.sum())
-    variables = Variables(count, first, widths, np.ones(columns), np.zeros(columns, dtype=bool))
+    variables = Variables(count, first, widths, np.ones(columns), *np.zeros((2, columns), dtype=bool))
     first_member = np.cumsum([0, *(len(mine) for mine in sets)])
     groups = make_groups(variables, first_member, np.array([v for mine in sets for v in mine], dtype=np.int64))
     whole = pair_blocks(variables, groups).target

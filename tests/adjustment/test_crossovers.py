@@ -71,12 +71,14 @@ def crossing_network() -> Network:
     return replace(net, points=points, shifts=shifts, shared=shared)
 
 
-def crossed(moved: Array | None = None) -> Network:
-    """The same with its crossovers, the profiles thought to be moved (p, 2)."""
+def crossed(moved: Array | None = None, unsure: int | None = None) -> Network:
+    """The same with its crossovers, the profiles thought to be moved (p, 2), but for an unsure one."""
     net = crossing_network()
     assert net.shifts is not None
     moved = np.zeros(SHIFTS.shape) if moved is None else moved
-    return replace(net, crossovers=crossovers(net.points, net.shifts, moved, np.ones(len(net.points))))
+    return replace(net, crossovers=crossovers(
+        net.points, net.shifts, moved, np.ones(len(net.points)), np.arange(4) == unsure
+    ))  # fmt: skip
 
 
 def test_where_the_profiles_lie_right_the_rows_are_zero() -> None:
@@ -114,6 +116,17 @@ def test_rows_are_linear_in_what_moves_the_shots() -> None:
     rows = [layout.prior.residuals(one)[layout.columns :] * net.crossovers.sigmas for one in (state, 0.0 * state)]
     np.testing.assert_allclose(rows[0] - rows[1], change, rtol=0, atol=1e-6)
     np.testing.assert_allclose(rows[1], net.crossovers.differences(net.points.places), rtol=0, atol=1e-9)
+
+
+def test_crossovers_of_a_profile_that_may_lie_anywhere_give_heights_alone() -> None:
+    sure, unsure = crossed(SHIFTS).crossovers, crossed(SHIFTS, 1).crossovers
+    assert sure is not None
+    assert unsure is not None
+    of_it = np.array([True, False, False, True, True, False])
+    assert np.all(unsure.gradients[of_it] == 0.0)
+    np.testing.assert_array_equal(unsure.gradients[~of_it], sure.gradients[~of_it])
+    wider = np.hypot(sure.sigmas, np.linalg.norm(sure.gradients, axis=1) * SIGMAS[1])
+    np.testing.assert_allclose(unsure.sigmas, np.where(of_it, wider, sure.sigmas))
 
 
 def test_both_forms_agree_and_shifts_are_found() -> None:

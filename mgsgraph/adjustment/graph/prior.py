@@ -46,13 +46,15 @@ class Prior:
     """On the unknowns of strips, then those of crossovers, one row each."""
     first: Index
     """(v,) first column of each variable."""
+    considered: tuple[int, ...] = ()
+    """Variables with considered columns: they get a joint covariance, whatever the observations say."""
     crossovers: int = 0
     """Rows at the end that are crossovers."""
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of variables, first < second, that some factor joins."""
-        members = (factor.variables for factor in self.factors)
+        members = [*(factor.variables for factor in self.factors), self.considered]
         return sorted({(v, w) for mine in members for k, v in enumerate(mine) for w in mine[k + 1 :]})
 
     @cached_property
@@ -94,6 +96,16 @@ class Prior:
     def joined(self) -> frozenset[int]:
         """Variables that some factor joins with others."""
         return frozenset(v for factor in self.factors for v in factor.variables)
+
+    @property
+    def group(self) -> Index:
+        """(v,) number of the set of variables that factors join, one with the next, to which each belongs."""
+        from scipy.sparse import coo_array  # slow to import
+        from scipy.sparse.csgraph import connected_components
+
+        one, other = np.array(self.pairs, dtype=np.int64).reshape(-1, 2).T
+        links = coo_array((np.ones(one.size), (one, other)), (self.first.size, self.first.size))
+        return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
 
     @property
     def rows(self) -> int:
@@ -150,8 +162,7 @@ class Prior:
 
 def make_prior(network: Network, variables: Variables) -> Prior:
     """Of a network."""
-    with np.errstate(divide="ignore"):
-        weights = np.where(np.isinf(variables.sigmas), 0.0, 1.0 / variables.sigmas)
+    weights = 1.0 / variables.prior_sigmas
     factors = list[PriorFactor]()
     for strip, first in network.numbered_strips:
         weights[variables.columns_from(first, strip.widths.size)] = 0.0
@@ -160,7 +171,10 @@ def make_prior(network: Network, variables: Variables) -> Prior:
             joined = tuple(first + k for k in unknowns)
             factors.append(PriorFactor(joined, blocks, columns, np.zeros(columns.size)))
     of_crossovers = list(_of_crossovers(network, variables))
-    return Prior(variables.sigmas.size, weights, (*factors, *of_crossovers), variables.first, len(of_crossovers))
+    return Prior(
+        variables.sigmas.size, weights, (*factors, *of_crossovers), variables.first,
+        tuple(variables.with_considered), len(of_crossovers),
+    )  # fmt: skip
 
 
 def _of_crossovers(network: Network, variables: Variables) -> Iterator[PriorFactor]:

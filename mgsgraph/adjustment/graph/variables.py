@@ -33,6 +33,18 @@ class Variables:
     """(columns,) a-priori sigmas, m and rad, each by itself; infinite where nothing is known."""
     angular: Mask
     """(columns,) True for a column in rad."""
+    considered: Mask
+    """(columns,) True for one that is held at zero, while its a-priori covariance is carried."""
+
+    @property
+    def prior_sigmas(self) -> Array:
+        """(columns,) sigmas of the priors about zero in the solver, m and rad: those that hold considered unknowns."""
+        return self.sigmas * np.where(self.considered, _HELD, 1.0)
+
+    @property
+    def with_considered(self) -> list[int]:
+        """Variables of which some column is considered."""
+        return [v for v in self.adjusted() if np.any(self.considered[self.columns_of(v)])]
 
     def columns_of(self, variable: int) -> slice:
         """Columns of one variable."""
@@ -59,6 +71,10 @@ class Variables:
         ]
 
 
+_HELD = 1e-4
+"""A-priori sigmas to which a considered unknown is held: it moves by 1e-8 of what the observations would have it."""
+
+
 def make_variables(network: Network) -> Variables:
     """Of a network."""
     sigmas = [prior.sigmas.ravel() for prior in network.priors]
@@ -69,18 +85,17 @@ def make_variables(network: Network) -> Variables:
     angular += [np.full(shared.kind.width, shared.kind.unit == "rad") for shared in network.shared]
     sigmas += [part for strip in network.strips for part in strip.sigmas]
     angular += [part for strip in network.strips for part in strip.angular]
+    considered = [np.zeros(prior.sigmas.size, dtype=bool) for prior in network.priors]
+    for name, terms in zip(network.shift_names, network.shift_terms, strict=True):  # heights and tilts are estimated
+        considered.append(np.array([term.horizontal and name in network.considered for term in terms]))
+    considered += [np.full(shared.kind.width, shared.name in network.considered) for shared in network.shared]
+    considered += [np.zeros(part.size, dtype=bool) for strip in network.strips for part in strip.sigmas]
     width = np.array([part.size for part in sigmas], dtype=np.int64)
     adjusted = np.concatenate([network.with_polynomial, np.ones(len(sigmas) - len(network.images), dtype=bool)])
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
-    kept = [part for part, taken in zip(sigmas, adjusted, strict=True) if taken]
-    angular = [part for part, taken in zip(angular, adjusted, strict=True) if taken]
-    return Variables(
-        len(network.images),
-        first,
-        width,
-        np.concatenate(kept) if kept else np.zeros(0),
-        np.concatenate(angular) if angular else np.zeros(0, dtype=bool),
-    )
+    columns = np.repeat(adjusted, width)
+    every = (np.concatenate(part)[columns] for part in (sigmas, angular, considered))
+    return Variables(len(network.images), first, width, *every)
 
 
 class Terms:

@@ -1,0 +1,108 @@
+"""Considered unknowns: held at zero, their a-priori covariance carried into all else (Schmidt 1966)."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from networks import network, pair, with_shift_and_surface, with_tilting_surface
+from sharing import shared
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import TERRAIN, Network, PointClass, SharedKind
+
+SHIFT = 60.0
+"""m, a-priori sigma of the profile's shift."""
+EXACT = SolverSettings(cost_tolerance=1e-15, step_tolerance=1e-9)
+
+
+@cache
+def with_profile() -> Network:
+    """The pair with a laser profile of unknown shift."""
+    return replace(with_shift_and_surface(network(pair()), SHIFT), surface=None)
+
+
+def values(solution: Solution) -> Array:
+    """All that is estimated of the orientation and of the points, m and rad."""
+    return np.concatenate([*(part.ravel() for part in solution.coefficients), solution.places.ravel()])
+
+
+def displaced(net: Network, shift: Array) -> Network:
+    """The network without an unknown shift, its footprints elsewhere by (2,) m east and north."""
+    laser = net.points.classes == PointClass.LASER
+    moved = np.einsum("k,nkj->nj", shift, east_north(net.points.places[laser]))
+    places = net.points.places.copy()
+    places[laser] += moved
+    return replace(net, shifts=None, points=replace(net.points, places=places))
+
+
+def test_the_covariance_is_that_of_estimates_that_a_shift_displaces() -> None:
+    """cov = cov without the unknown + S C S', S by adjusting data that truly are displaced, which shares no line of
+    code with the covariance.
+    """
+    net = with_profile()
+    found = adjust_network(replace(net, considered=("profile",)), EXACT)
+    plain = adjust_network(displaced(net, np.zeros(2)), EXACT)
+    assert values(found) == pytest.approx(values(plain), abs=1e-4)
+    assert np.abs(found.shifts).max() < 1e-4
+    step = 20.0
+    slopes = np.stack([
+        (values(adjust_network(displaced(net, step * way), EXACT))
+         - values(adjust_network(displaced(net, -step * way), EXACT))) / (2.0 * step)
+        for way in np.eye(2)
+    ])  # fmt: skip
+    columns, n = found.joint_covariance.columns - 2, len(net.points)
+    of_points = slopes[:, columns:].reshape(2, n, 3)
+    added = SHIFT**2 * np.einsum("kni,knj->nij", of_points, of_points)
+    size = np.sqrt(np.trace(added, axis1=1, axis2=2))[:, None, None]
+    assert size.max() > 10.0
+    np.testing.assert_allclose((found.covariances - plain.covariances) / size**2, added / size**2, atol=2e-3)
+    images = range(len(net.images))
+    more = found.joint_covariance.of(images) - plain.joint_covariance.of(images)
+    expected = SHIFT**2 * slopes[:, :columns].T @ slopes[:, :columns]
+    units = np.sqrt(np.diagonal(plain.joint_covariance.of(images)))
+    np.testing.assert_allclose(more / units / units[:, None], expected / units / units[:, None], atol=2e-3)
+    assert found.shift_covariance(0) == pytest.approx(SHIFT**2 * np.eye(2), rel=1e-6, abs=1e-3)
+
+
+@pytest.mark.parametrize("considered", [("profile",), (TERRAIN,), ("profile", TERRAIN, "camera boresight")])
+def test_both_forms_agree(considered: tuple[str, ...]) -> None:
+    """The bundle form and GTSAM's own marginals; a terrain model's height and tilts are estimated beside its shift."""
+    net = with_tilting_surface(network(pair()))
+    boresight = shared(SharedKind.CAMERA_BORESIGHT, [0, 1])
+    net = replace(net, shared=(boresight,), considered=considered)
+    bundle, explicit = (adjust_network(net, replace(EXACT, form=form)) for form in ("bundle", "explicit"))
+    assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
+    sigmas = bundle.joint_covariance.sigmas
+    dense = [one.joint_covariance.dense() / sigmas / sigmas[:, None] for one in (bundle, explicit)]
+    np.testing.assert_allclose(dense[0], dense[1], atol=1e-6)
+    np.testing.assert_allclose(bundle.sigmas, explicit.sigmas, rtol=1e-6)
+    last = len(net.shift_names) - 1
+    before = SHIFT if considered == ("profile",) else 150.0
+    spread = bundle.shift_spread(0 if considered == ("profile",) else last)[:2, :2]
+    assert spread == pytest.approx(before**2 * np.eye(2), rel=1e-6, abs=1e-2)
+
+
+def test_an_unknown_that_is_known_already_may_be_considered_or_estimated() -> None:
+    """With a sigma far below what the observations tell, the two are the same."""
+    net = with_profile()
+    assert net.shifts is not None
+    net = replace(net, shifts=replace(net.shifts, sigmas=np.array([0.01])))
+    estimated, considered = (adjust_network(one, EXACT) for one in (net, replace(net, considered=("profile",))))
+    np.testing.assert_allclose(considered.covariances, estimated.covariances, rtol=1e-5)
+
+
+def test_names_of_no_unknowns_are_refused() -> None:
+    with pytest.raises(InputError, match="profile"):
+        replace(with_profile(), considered=("nothing",))
+    with pytest.raises(InputError, match="considered"):
+        replace(with_profile(), considered=("profile", "profile"))
+    tilting = with_tilting_surface(network(pair()))
+    assert tilting.surface is not None
+    with pytest.raises(InputError, match="horizontal"):
+        replace(tilting, surface=replace(tilting.surface, shift_sigma=0.0), considered=(TERRAIN,))
