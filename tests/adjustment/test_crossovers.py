@@ -172,16 +172,21 @@ def test_they_are_measures_with_redundancy_and_a_group(tmp_path) -> None:  # typ
     names = names_of(found.at.layout, found.measures, mine)
     assert names[0] == "crossover of profile 0 and profile 1"
     assert found.degrees_of_freedom == pytest.approx(solution.fit.observations - solution.fit.unknowns, abs=1e-6)
+    k, crossing = int(np.argmax(np.abs(found.measures.test[mine]))), solution.network.crossovers
+    assert crossing is not None
+    free = replace(crossing, sigmas=np.where(np.arange(6) == k, 1e6, crossing.sigmas))
+    without = adjust_network(replace(solution.network, crossovers=free), SolverSettings())
+    drop = 2.0 * (solution.cost_final - without.cost_final)
+    assert drop == pytest.approx(found.measures.test[mine[k]] ** 2, rel=1e-3)
     grouping = group_rows(solution.network)
     factors = np.where(np.array(grouping.names) == "crossovers", 3.0, 1.0)
     larger = scaled(solution.network, grouping, factors)
     assert larger.crossovers is not None
-    assert solution.network.crossovers is not None
-    np.testing.assert_allclose(larger.crossovers.sigmas, 3.0 * solution.network.crossovers.sigmas)
+    np.testing.assert_allclose(larger.crossovers.sigmas, 3.0 * crossing.sigmas)
     write_archive(solution, tmp_path / "solution.npz")
     again = read_solution(tmp_path / "solution.npz").network.crossovers
     assert isinstance(again, Crossovers)
-    np.testing.assert_array_equal(again.shares, solution.network.crossovers.shares)
+    np.testing.assert_array_equal(again.shares, crossing.shares)
 
 
 def test_what_they_cannot_be() -> None:
