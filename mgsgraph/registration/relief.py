@@ -10,6 +10,7 @@ covariances decide.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.reading import Case
 from mgsgraph.case.scene import picture_file
 from mgsgraph.case.schema import decode
+from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
@@ -221,10 +223,10 @@ def _require_same(case: Case, before: Solution) -> None:
 
 def _counted(progress: Progress, what: str, solver: SolverSettings) -> Callable[[Iteration], None]:
     """A callback of the adjustment that counts its iterations."""
-    count = iter(range(1, 10**9))
+    done = count(1)
 
     def show(_: Iteration) -> None:
-        progress(what, min(next(count), solver.max_iterations), solver.max_iterations)
+        progress(what, min(next(done), solver.max_iterations), solver.max_iterations)
 
     return show
 
@@ -274,13 +276,13 @@ def _searched(
 ) -> list[_Found]:
     """All profiles, from where their shots and posts are."""
     oriented = [one.oriented(posterior) for one in surfaces]
-    found = []
-    for p, size in enumerate(footprints):
-        progress("search", p, len(footprints))
-        usable = [k for k, one in enumerate(surfaces) if one.footprint == size]
-        found.append(_search_profile(network, oriented, usable, placed, p, reach))
-    progress("search", len(footprints), len(footprints))
-    return found
+
+    def one_profile(p: int) -> _Found:
+        usable = [k for k, one in enumerate(surfaces) if one.footprint == footprints[p]]
+        return _search_profile(network, oriented, usable, placed, p, reach)
+
+    progress("search", 0, len(footprints))
+    return in_threads(one_profile, range(len(footprints)), done=lambda p: progress("search", p, len(footprints)))
 
 
 def _search_profile(
