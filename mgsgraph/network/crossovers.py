@@ -98,8 +98,9 @@ def crossovers(
             shots = np.concatenate([members[k][found[0].shots], members[other][found[1].shots]])
             shares = np.concatenate([found[0].shares, -found[1].shares])
             slope, doubt = gradient(found), shifts.sigmas[[k, other]][unsure[[k, other]]]
-            sigma = np.linalg.norm([found[0].sigma, found[1].sigma, np.linalg.norm(slope) * np.linalg.norm(doubt)])
-            rows.append((shots, shares, slope * (not doubt.size), moved[k] - moved[other], float(sigma)))
+            vague = float(np.linalg.norm(slope) * np.linalg.norm(doubt))
+            sigma = float(np.linalg.norm(np.array([found[0].sigma, found[1].sigma, vague])))
+            rows.append((shots, shares, slope * (not doubt.size), moved[k] - moved[other], sigma))
     return _as_record(rows) if rows else None
 
 
