@@ -19,7 +19,7 @@ UNCONTROLLED = 1e-6
 _SINGULAR = 1e-12
 """Share of its largest eigenvalue below which one of a point's normal matrix is rounding."""
 _PARALLEL = 0.005
-"""Convergence of a point's rays in rad, times the root of a half, below which they hardly place it."""
+"""Half the convergence of two rays in rad below which they hardly place a point: 0.6 deg."""
 INSEPARABLE = 0.99
 """Correlation of two tests from which on they can't be separated."""
 
