@@ -55,10 +55,10 @@ class Crossovers:
         return np.asarray(heights + np.einsum("mk,mk->m", self.gradients, self.about))
 
     def effect(self, places: Array, motion: Array) -> Array:
-        """(m, ...) m by which motions (n, 3, ...) of the shots at places (n, 3), m, change the differences."""
+        """(m, ...) m by which motions (m, 4, 3, ...) of the shots, at places (n, 3) in m, change the differences."""
         ways = east_north_up(places[self.shots.ravel()]).reshape(*self.shots.shape, 3, 3)
         rise = ways[:, :, 2] - np.einsum("mc,mkcj->mkj", self.gradients, ways[:, :, :2])
-        return np.asarray(np.einsum("mk,mkj,mkj...->m...", self.shares, rise, motion[self.shots]))
+        return np.asarray(np.einsum("mk,mkj,mkj...->m...", self.shares, rise, motion))
 
 
 def crossovers(

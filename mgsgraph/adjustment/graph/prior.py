@@ -182,16 +182,16 @@ def _of_crossovers(network: Network, variables: Variables) -> Iterator[PriorFact
     crossing, shifts, places = network.crossovers, network.shifts, network.points.places
     if crossing is None or shifts is None:
         return
-    effects = dict[int, Array]()
-    ways = east_north(places).swapaxes(1, 2)
-    for p in np.unique(shifts.profile[crossing.shots]).tolist():
-        moved = np.where((shifts.profile == p)[:, None, None], ways, 0.0)
-        effects[len(network.images) + p] = crossing.effect(places, moved)
+    effects, shots = dict[int, Array](), crossing.shots
+    ways = east_north(places[shots.ravel()]).reshape(*shots.shape, 2, 3).swapaxes(2, 3)
+    for p in np.unique(shifts.profile[shots]).tolist():
+        mine = (shifts.profile[shots] == p)[:, :, None, None]
+        effects[len(network.images) + p] = crossing.effect(places, np.where(mine, ways, 0.0))
     for k, shared in enumerate(network.shared):
         if shared.kind.moves_footprints:
             points, motion = footprint_motion(network, shared)
-            moved = np.zeros((len(network.points), 3, shared.kind.width))
-            moved[points] = motion.swapaxes(1, 2)
+            index = np.searchsorted(points, shots).clip(max=points.size - 1)
+            moved = np.where((points[index] == shots)[:, :, None, None], motion[index].swapaxes(2, 3), 0.0)
             effects[network.first_shared + k] = crossing.effect(places, moved)
     differences = crossing.differences(places)
     for row, sigma in enumerate(crossing.sigmas.tolist()):

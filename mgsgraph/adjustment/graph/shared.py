@@ -113,10 +113,10 @@ def crossover_differences(network: Network, shifts: Array, values: tuple[Array, 
     """
     if network.crossovers is None or network.shifts is None:
         return np.zeros(0)
-    moved, places, profile = footprint_shifts(network, values), network.points.places, network.shifts.profile
-    shots = np.flatnonzero(profile >= 0)
-    moved[shots] += np.einsum("pk,pkj->pj", shifts[profile[shots]], east_north(places[shots]))
-    return network.crossovers.differences(places) + network.crossovers.effect(places, moved)
+    places, shots = network.points.places, network.crossovers.shots.ravel()
+    moved = footprint_shifts(network, values)[shots]
+    moved += np.einsum("pk,pkj->pj", shifts[network.shifts.profile[shots]], east_north(places[shots]))
+    return network.crossovers.differences(places) + network.crossovers.effect(places, moved.reshape(-1, 4, 3))
 
 
 def footprint_shifts(network: Network, values: tuple[Array, ...]) -> Array:
