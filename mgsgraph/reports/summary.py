@@ -244,10 +244,10 @@ def _unchecked(dimensions: NDArray[np.int8]) -> list[str]:
     partly, nothing = int(np.sum(dimensions == 1)), int(np.sum(dimensions == 0))
     if not partly + nothing:
         return []
-    of_none = f"; nothing at all checks {many(nothing, 'ray')}" if nothing else ""
+    of_none = f", and {many(nothing, 'ray')} not at all" if nothing else ""
     return [
-        f"Of the {dimensions.size} rays that took part, {partly} can be checked in one direction only (in most cases "
-        f"across the epipolar line){of_none}. They were not found bad there, nor good."
+        f"Of the {dimensions.size} rays that took part, others check {partly} in one direction only (in most cases "
+        f"across the epipolar line){of_none}. There a blunder goes unnoticed."
     ]
 
 

@@ -81,7 +81,8 @@ def classes_table(solution: Solution) -> Table:
         Column("mean_correction_{}", mean, "m", "adjusted minus before", axes),
         Column("rms_correction_{}", rms, "m", "the same", axes, tuple(f"rms Δ{a}" for a in capital), ".2f",
                "rms correction [m]", ">9", gap=2),
-    ), "Body-fixed axes. Sigmas for sigma0 = 1, and scaled by sigma0; corrections are adjusted minus before.",
+    ), "Body-fixed axes. Sigmas for sigma0 = 1; the median, also times sigma0, is not moved by weak points. "
+       "Corrections are adjusted minus before.",
     )  # fmt: skip
 
 
