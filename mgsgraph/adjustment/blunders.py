@@ -200,20 +200,20 @@ class Search:
             back[own[out[own]]] = True
         return back
 
-    def _closing(self, rows: PointRows, chosen: Mask, judged: Mask, units: Array, at: Linearised) -> Mask:
+    def _closing(self, rows: PointRows, chosen: Mask, there: Mask, units: Array, at: Linearised) -> Mask:
         """Which observations (m, slots) of lost points place them again: all, or all but one that is the blunder."""
-        shared, unit = at.joint.of(rows.variables), np.where(judged, units, 0.0).max(axis=1)
-        omitted, tests = [-1, *np.flatnonzero(np.any(judged, axis=0)).tolist()], list[Array]()
+        shared, unit = at.joint.of(rows.variables), np.where(there, units, 0.0).max(axis=1)
+        omitted, tests = [-1, *np.flatnonzero(np.any(there, axis=0)).tolist()], list[Array]()
         for slot in omitted:
             used = chosen[:, rows.observation] & (rows.observation != slot)
             test, dimensions = closure(rows, used, shared)
-            limits = np.array([critical_value(self.limit, d) if d > 0 else 0.0 for d in dimensions.tolist()])
+            limits = np.array([critical_value(self.limit, d) if d > 0 else -1.0 for d in dimensions.tolist()])
             fits = (test <= unit * limits) & ~hardly_converging(rows, used)
             tests.append(np.where(fits, test / unit, np.inf))
         every, *without = tests
         best, second = np.partition(without, 1, axis=0)[:2] if len(without) > 1 else (without[0], np.inf)
         one = ~np.isfinite(every) & np.isfinite(best) & (second > best + _DECISIVE)
-        returns = judged & chosen & (np.isfinite(every) | one)[:, None]
+        returns = there & chosen & (np.isfinite(every) | one)[:, None]
         returns[one, np.array(omitted[1:])[np.argmin(without, axis=0)][one]] = False
         return returns
 
