@@ -196,8 +196,7 @@ class Search:
         for rows, table in _pieces(whole, mine, points[lost[points]]):
             there = table >= 0
             returns = self._closing(rows, np.where(there, taken[table] | out[table], True), there, units[table], at)
-            own = table[returns]
-            back[own[out[own]]] = True
+            back[table[returns & out[table]]] = True
         return back
 
     def _closing(self, rows: PointRows, chosen: Mask, there: Mask, units: Array, at: Linearised) -> Mask:
