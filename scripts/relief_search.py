@@ -71,17 +71,16 @@ only one; *clear, wrong*: of these, farther off than {right:g} m and outside the
 
 ## Planted plains
 {relief:g} m rms of relief under two profiles of {site}, of several kinds; *shots*: noise of ranges and heights, m, as
-the case states. *tied*: a few minima hold all the weight; *clear*: one does; *NEES*: mean square of their error by what the
-minimum's covariance says, per axis. *sigma*: median of the stated sigma of the
+the case states. *tied*: a few minima hold all the weight; *clear*: one does; *clear, wrong*: as above; *NEES*: mean
+square of the errors of the clear ones by the minimum's covariance, per axis. *sigma*: median of the stated sigma of the
 profiles' shifts east and north, m, of those that are clear and of the others; it was 100 m before.
 
 {plains}
 
 ## Time
-Seconds of one processor, of all threads together, beside the matching (waiting for others is not counted, on two
-processors it takes little more than half): profiles across one pair of images ({site}), *read* from files,
-*adjusted* without relief, matches *averaged* to surfaces, profiles *searched* (in all rounds), *adjusted again*
-with one row per shot.
+Processor seconds, of all threads together, beside the matching: profiles across one pair of images ({site}), *read*
+from files, *adjusted* without relief, matches *averaged* to surfaces, profiles *searched* (in all rounds), *adjusted
+again* with one row per shot. The terrain model and the site's own two profiles take part.
 
 {times}
 """
