@@ -10,16 +10,27 @@ adjusted with tie points on the bilinear patches of the model, then with its pos
 With --keep each draw is noted in FILE as soon as it is done, and not done again. Exit status: 0 done, 2 bad input.
 """
 
-import json
 import sys
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from study import at_least, chi_square_band, command, machine, number, show, student, table, write_page
+from study import (
+    Draw,
+    at_least,
+    cases,
+    chi_square_band,
+    command,
+    draws,
+    machine,
+    number,
+    refusals,
+    student,
+    table,
+    write_page,
+)
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -46,9 +57,9 @@ STEP, NOISE, WINDOW = 14.0, 0.1, 42.0
 """pixels between matches and of their noise; m, width of a matching window."""
 REACH = 1000.0
 """m, up to which shifts are searched."""
-KINDS = {"terrain": 3, "mean tie": 3, "ties": 3, "profiles": 2, "laser": 3}
+KINDS = {"terrain": 3, "ties": 3, "profiles": 2, "laser": 3}
 """Degrees of freedom of each normalised error."""
-ALONE = ("terrain", "mean tie")
+ALONE = ("terrain",)
 """One in each draw, and so chi-square over draws."""
 WAYS = ("patches", "cells")
 WORDS = """# Terrain models by cells against truth
@@ -59,8 +70,8 @@ true ground over its cell; profiles 100 m), written in the mission's formats and
 ground with noise of {noise:g} pixels, no rendering. *patches*: each tie point lies on a bilinear patch of the model, as
 `mgsgraph adjust` has it; *cells*: posts and laser shots lie on the surface that the images show, as `mgsgraph
 coregister` has it. NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in brackets: *terrain* of
-the model's shift east, north and up, *mean tie* of the tie points' mean error (bands: chi-square), *ties* and *laser*
-of all tie points and footprints, *profiles* of the profiles' shifts (bands: scatter over the draws). *95 %*: share of
+the model's shift east, north and up (bands: chi-square), *ties* and *laser* of all tie points and footprints,
+*profiles* of the profiles' shifts (bands: scatter over the draws). *95 %*: share of
 tie points within their 95 % ellipsoids. Errors are rms over all draws, in m; of the model the horizontal ones.
 """
 HEAD = (
@@ -80,40 +91,12 @@ def main(arguments: list[str] | None = None) -> int:
     sites, seeds = given.sites.split(","), range(given.first, given.first + given.seeds)
 
     def make() -> str:
-        found = kept(given.keep)
-        for seed in seeds:
-            for site in sites:
-                if (site, seed) not in found:
-                    show(f"{site}, seed {seed}")
-                    found[site, seed] = one_draw(site, seed)
-                    note(given.keep, found[site, seed])
+        every = draws(sites, seeds, one_draw, given.keep)
         words = WORDS.format(machine=machine(), first=seeds[0], last=seeds[-1], height=HEIGHT_SIGMA, noise=NOISE)
-        rows = [row(site, way, [found[site, seed] for seed in seeds]) for site in sites for way in WAYS]
-        refused = sum("refused" in found[site, seed] for site in sites for seed in seeds)
-        end = f"\nOf all draws {refused} are no cases: a profile is drawn so far off that it misses its image."
-        return "\n".join([words, *table(HEAD, rows), end, ""])
+        rows = [row(site, way, cases(every, site)) for site in sites for way in WAYS]
+        return "\n".join([words, *table(HEAD, rows), "", refusals(every), ""])
 
     return write_page(parser, given.page, make)
-
-
-Draw = dict[str, Any]
-"""Site and seed; by way of adjusting: normalised errors by kind, per degree of freedom, and errors in m. Or why the
-draw is no case: a profile is so far off that it misses its image."""
-
-
-def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
-    """Draws of an earlier run."""
-    if path is None or not path.exists():
-        return {}
-    draws = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {(draw["site"], draw["seed"]): draw for draw in draws}
-
-
-def note(path: Path | None, draw: Draw) -> None:
-    """Add a draw to those kept."""
-    if path is not None:
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(draw) + "\n")
 
 
 def one_draw(name: str, seed: int) -> Draw:
@@ -129,12 +112,12 @@ def one_draw(name: str, seed: int) -> Draw:
         try:
             case = read_case(path)
         except InputError as error:
-            return {"site": name, "seed": seed, "refused": str(error)}
+            return {"refused": str(error)}
     patches = adjust_network(case.network, case.settings, case.name)
     cells = by_cells(case, patches, site, rng)
     truth = Truth(site, lift)
-    draw = {"site": name, "seed": seed, "patches": truth.judge(patches), "cells": truth.judge(cells)}
-    return draw | {"seconds": time.perf_counter() - begin}
+    judged = {"patches": truth.judge(patches), "cells": truth.judge(cells)}
+    return judged | {"seconds": time.perf_counter() - begin}
 
 
 def by_cells(case: Case, before: Solution, site: SimulatedSite, rng: np.random.Generator) -> Solution:
@@ -177,7 +160,6 @@ class Truth:
         each = nees(ties, of_ties)
         squares = {
             "terrain": nees((model - self._model)[None], of_model[None]),
-            "mean tie": nees(ties.mean(axis=0)[None], of_ties.mean(axis=0)[None]),
             "ties": each, "profiles": nees(shifts, of_shifts), "laser": nees(laser, of_laser),
         }  # fmt: skip
         return {
@@ -218,10 +200,9 @@ def model_shift(solution: Solution) -> tuple[Array, Array]:
     return np.append(solution.shifts[p], solution.shared[k][0]), spread
 
 
-def row(site: str, way: str, draws: list[Draw]) -> list[str]:
+def row(site: str, way: str, every: list[Draw]) -> list[str]:
     """Of one site, by patches or by cells."""
-    draws = [draw for draw in draws if "refused" not in draw]
-    mine = [draw[way] for draw in draws]
+    mine = [draw[way] for draw in every]
     cells = []
     for kind, degrees in KINDS.items():
         values = np.array([one["nees"][kind] for one in mine])
@@ -233,7 +214,7 @@ def row(site: str, way: str, draws: list[Draw]) -> list[str]:
     return [
         site, way, str(len(mine)), str(sum(not one["converged"] for one in mine)), *cells,
         f"{100.0 * np.mean([one['inside'] for one in mine]):.1f}", *(number(error) for error in errors),
-        number(float(np.mean([draw["seconds"] for draw in draws]))),
+        number(float(np.mean([draw["seconds"] for draw in every]))),
     ]  # fmt: skip
 
 

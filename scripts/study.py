@@ -127,6 +127,40 @@ def write_figure(figure: Any, path: Path) -> None:
         figure.savefig(aside, dpi=110, format="png")
 
 
+# --- draws of simulated sites
+
+Draw = dict[str, Any]
+"""What one draw gave, as JSON has it: site, seed and figures; or why the draw is no case (`refused`)."""
+
+
+def draws(sites: Sequence[str], seeds: Sequence[int], one: Callable[[str, int], Draw], keep: Path | None) -> list[Draw]:
+    """Draws of all sites and seeds, those of an earlier run that are kept in a file not made again."""
+    found = dict[tuple[str, int], Draw]()
+    if keep is not None and keep.exists():
+        lines = keep.read_text(encoding="utf-8").splitlines()
+        found = {(draw["site"], draw["seed"]): draw for draw in map(json.loads, lines)}
+    for seed in seeds:
+        for site in sites:
+            if (site, seed) not in found:
+                show(f"{site}, seed {seed}")
+                found[site, seed] = {"site": site, "seed": seed} | one(site, seed)
+                if keep is not None:
+                    with keep.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(found[site, seed]) + "\n")
+    return [found[site, seed] for site in sites for seed in seeds]
+
+
+def cases(every: Sequence[Draw], site: str) -> list[Draw]:
+    """Draws of a site that are cases."""
+    return [draw for draw in every if draw["site"] == site and "refused" not in draw]
+
+
+def refusals(every: Sequence[Draw]) -> str:
+    """A sentence on draws that are no cases."""
+    count = sum("refused" in draw for draw in every)
+    return f"Of {len(every)} draws {count} are no cases: a profile is drawn so far off that it misses its image."
+
+
 # --- Markdown
 
 
