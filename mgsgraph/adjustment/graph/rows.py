@@ -135,8 +135,8 @@ def lay_out_rows(
         _fill_scales(network, model, store, parts, starts)
     on_terrain = _fill_surface(network, store, starts, weight)
     observation_rows = ObservationRows(rays, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
-    order, surface = patterns.point_order, network.surface
-    grid = None if surface is None else surface.grid
+    order = patterns.point_order
+    posts = None if network.surface is None else network.surface.grid.continued()
     rows = Rows(
         kind=kinds[order],
         start=starts[order],
@@ -144,11 +144,8 @@ def lay_out_rows(
         weight=weight,
         piece=store.piece,
         **tables,
-        terrain=np.zeros((0, 0)) if grid is None else np.ascontiguousarray(grid.radii, dtype=np.float64),
-        terrain_frame=np.zeros(4)
-        if grid is None
-        else np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
-        terrain_cell=np.zeros((0, 3), dtype=np.int64) if grid is None else grid.cells(starts[order]),
+        terrain=np.zeros((0, 0)) if posts is None else posts.radii,
+        terrain_frame=np.zeros(4) if posts is None else np.array([*posts.first, *posts.step]),
     )
     return observation_rows, rows
 
