@@ -60,7 +60,8 @@ ONLY_IN = {
     "click": ("mgsgraph.cli",),
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
-        "mgsgraph.analysis", "mgsgraph.adjustment.datum", "mgsgraph.adjustment.graph.prior",
+        "mgsgraph.analysis", "mgsgraph.adjustment.blunders", "mgsgraph.adjustment.datum",
+        "mgsgraph.adjustment.graph.prior",
         "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.stereo_surface", "mgsgraph.geometry.track_terrain",
         "mgsgraph.matching", "mgsgraph.dem", "mgsgraph.spacing",
     ),

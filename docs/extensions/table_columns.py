@@ -49,6 +49,9 @@ sigma_m = 5.0
 [[strips]]
 name = "A"
 images = ["SIM/A"]
+
+[solver]
+reject = 4.0
 """
 """What a small simulated case gets, so that every table has something in it."""
 

@@ -290,6 +290,7 @@ def _posterior(
         rays_rejected=~solved.selection.rays,
         ranges_rejected=~solved.selection.ranges,
         stereo_rejected=~solved.selection.stereo,
+        test_dimensions=solved.dimensions,
         stereo_heights=np.where(determined, found.stereo, np.nan),
         shared=shared_values(network, layout.variables, orientation),
         nodes=nodes,

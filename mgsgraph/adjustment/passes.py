@@ -1,5 +1,6 @@
 """Passes of one adjustment: solve, let terrain patches follow their points, reject and re-admit rows, solve again."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -8,28 +9,30 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration, Outcome
+from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.stereo import require_seen
-from mgsgraph.adjustment.posterior import Residuals, residuals
+from mgsgraph.adjustment.linearised import Linearised
+from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.problems import solve_bundle, solve_explicit
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.errors import PointBehindCamera
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.errors import PointBehindCamera, SolverError
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import BEHIND, OUT, WEAK, Rows
+from mgsgraph.kernel.rows import BEHIND, NO_LOSS, OUT, WEAK, Rows, Small
 from mgsgraph.kernel.sweep import COSTS
-from mgsgraph.network import Network, PointClass
+from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
 
 Progress = Callable[[Iteration], None]
 
 _MOST_PASSES = 10
+_MOST_SEARCHED = 100
+"""Passes when blunders are sought: each takes something out, or back once."""
 _MOST_LAYOUTS = 60
 """Times that rays are laid out anew in one pass."""
-_FLOOR = 0.1
-"""A-priori sigmas below which a class's spread is not taken at its word when blunders are sought."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +112,8 @@ class Solved:
     """How many there were."""
     circling: bool = False
     """Whether they ran in a circle."""
+    dimensions: Small | None = None
+    """(k + r + n,) as of `blunders.Search`; None when none were sought."""
 
 
 def solve_in_passes(
@@ -140,20 +145,29 @@ def solve_in_passes(
             orientation = begin
             points = BundleGraph(layout, bare.rows(layout), sweeper).reduction(orientation, COSTS).points
         layout, known = _on_surfaces(layout, orientation, points), None
-    for number in range(1, _MOST_PASSES + 1):
+    search, returned = Search(settings.reject, sweeper) if settings.reject > 0.0 else None, b""
+    for number in range(1, (_MOST_PASSES if search is None else _MOST_SEARCHED) + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
         layout, history = solved.layout, history + solved.history
         initial = solved.cost_initial if np.isnan(initial) else initial
         solved = replace(solved, history=history, cost_initial=initial, passes=number)
-        chosen = select(layout, solved, settings.reject, sweeper) if settings.reject > 0.0 else selection
+        chosen, onward = selection, solved.orientation
+        if search is not None:
+            chosen, onward, tried = _next(search, layout, solved, settings, sweeper)
+            history += tried
+            solved = replace(solved, dimensions=search.dimensions)
         followed = layout.following(solved.points, solved.orientation)
         if followed is layout and chosen.same(selection):
             return solved
-        seen[_state(layout, selection)] = solved
-        layout, selection, orientation, known = followed, chosen, solved.orientation, None
-        if _state(layout, selection) in seen:
+        seen[_state(layout, selection) + returned] = solved
+        layout, selection, orientation, known = followed, chosen, onward, None
+        if search is not None:
+            returned = search.memory
+            selection, known = _before_cameras(layout, selection, orientation, sweeper)
+        if _state(layout, selection) + returned in seen:
             break
-    best = min(seen.values(), key=lambda one: one.outcome.cost_final)
+    last = tuple(seen.values())[-1].selection  # costs compare where the same rows take part
+    best = min((one for one in seen.values() if one.selection.same(last)), key=lambda one: one.outcome.cost_final)
     return replace(best, history=history, circling=True)
 
 
@@ -189,7 +203,9 @@ def _solve_exactly(
         if anew is solved.layout or not solved.outcome.converged:
             break
         graph = BundleGraph(anew, selection.rows(anew), sweeper)
-        solved = _solve(graph, selection, solved.orientation, None, settings, progress)
+        points = solved.layout.network_order(solved.points)[anew.point_order]
+        known = graph.reduction(solved.orientation, points=points)
+        solved = _solve(graph, selection, solved.orientation, known, settings, progress)
         history += solved.history
     else:
         if solved.layout.stereo is not None:
@@ -247,42 +263,63 @@ def _solved(
     )
 
 
-def select(layout: Layout, solved: Solved, limit: float, sweeper: Sweeper = IN_PROCESS) -> Selection:
-    """Rows within `limit` robust standard deviations of their class; all are judged anew, so rejected ones may return.
+def _next(
+    search: Search, layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper
+) -> tuple[Selection, Array, tuple[Iteration, ...]]:
+    """What takes part in the next pass, where its shared unknowns begin, and the steps tried on the way to it.
 
-    Of a point's rays the worst alone goes in one pass: it has pulled the point off the others, which come back to it.
-    The spread of a class is estimated from its median (median of a Rayleigh-distributed norm: 1.1774 sigma; of a normal
-    modulus: 0.6745 sigma), but not below a tenth of the a-priori sigma.
+    Tests are those of least squares, about the adjustment's unknowns. Where the first finds something, it begins again
+    with a robust loss, whose unknowns gross blunders hardly move: there the worst of each point goes at once.
     """
-    network, points = layout.network, places_of_all(layout, solved, sweeper)
-    found = residuals(layout, solved.orientation, points, sweeper)
-    rays = np.linalg.norm(found.image / network.rays.sigmas, axis=1)
-    shots = np.abs(found.ranges / network.ranges.sigmas)
-    class_of_ray = network.points.classes[network.rays.point]
-    keep = np.ones_like(solved.selection.rays)
-    for point_class in PointClass:
-        mine = class_of_ray == point_class
-        keep[mine] = _within(rays[mine], limit, 1.1774)
-    keep = _worst_alone(keep, solved.selection.rays, rays, network.rays.point)
-    return Selection(keep, _within(shots, limit, 0.6745), solved.selection.out, _on_surface(network, found, limit))
+    selection, network, first = solved.selection, layout.network, search.dimensions is None
+    taken = np.concatenate([selection.rays, selection.ranges, selection.stereo])
+    at = _least_squares(layout, solved, settings, sweeper)
+    wanted = first and settings.loss == "none" and search.beyond(at)
+    robust = _robust(layout, solved, settings, sweeper) if wanted else None
+    if robust is not None:
+        left = search.without_gross(_least_squares(robust.layout, robust, settings, sweeper), taken)
+    else:
+        places = places_of_all(layout, solved, sweeper)
+        left = search.next(at, replace(at, rows=at.layout.rows, points=places), taken)
+    rays, ranges, stereo = np.split(left, np.cumsum([network.rays.point.size, network.ranges.point.size]))
+    begin, history = (solved.orientation, ()) if robust is None else (robust.orientation, robust.history)
+    return Selection(rays, ranges, selection.out, stereo), begin, history
 
 
-def _on_surface(network: Network, found: Residuals, limit: float) -> Mask:
-    """(n,) points whose height above a stereo surface stays, and those that lie on none."""
-    keep = np.ones(len(network.points), dtype=bool)
-    if network.stereo is not None:
-        on = np.isfinite(found.stereo)
-        keep[on] = _within(np.abs(found.stereo[on]) / network.stereo.sigmas[on], limit, 0.6745)
-    return keep
+def _before_cameras(
+    layout: Layout, selection: Selection, orientation: Array, sweeper: Sweeper
+) -> tuple[Selection, Reduction]:
+    """The selection without points that the rays left to them put behind a camera, and its reduction."""
+    found = BundleGraph(layout, selection.rows(layout), sweeper).reduction(orientation)
+    behind = layout.point_order[found.states == BEHIND]
+    if not behind.size:
+        return selection, found
+    selection = replace(selection, rays=selection.rays & ~np.isin(layout.network.rays.point, behind))
+    return selection, BundleGraph(layout, selection.rows(layout), sweeper).reduction(orientation)
 
 
-def _worst_alone(keep: Mask, taken: Mask, sizes: Array, points: Index) -> Mask:
-    """Which rays (k,) stay: those to `keep`, and, of others taken so far, all but the worst of each point."""
-    leaving = taken & ~keep
-    known = np.where(np.isfinite(sizes), sizes, np.inf)
-    worst = np.zeros(int(points.max(initial=-1)) + 1)
-    np.maximum.at(worst, points[leaving], known[leaving])
-    return np.asarray(keep | (leaving & (known < worst[points])))
+def _robust(layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper) -> Solved | None:
+    """The same adjustment with a loss that bounds what a blunder does to it; None where that leads nowhere."""
+    selection, layout = solved.selection, layout.with_loss("cauchy")
+    graph = BundleGraph(layout, selection.rows(layout), sweeper)
+    begin = graph.reduction(solved.orientation, points=solved.points)
+    if not math.isfinite(begin.cost):
+        return None
+    try:
+        return _solve_exactly(layout, selection, solved.orientation, begin, settings, lambda _: None, sweeper)
+    except SolverError:  # it has more than one minimum
+        return None
+
+
+def _least_squares(layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper) -> Linearised:
+    """Rows that take part, linearised about the unknowns of an adjustment, at full weight."""
+    plain = layout if layout.model.loss == NO_LOSS else layout.with_loss("none")
+    graph = BundleGraph(plain, solved.selection.rows(plain), sweeper)
+    reduction = solved.reduction if plain is layout else None
+    if reduction is None:
+        reduction = graph.reduction(solved.orientation, points=solved.points)
+    joint = orientation_covariance(graph, reduction)
+    return Linearised(plain, settings, graph.rows, solved.orientation, reduction.points, joint)
 
 
 def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS) -> Array:
@@ -291,13 +328,6 @@ def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS)
     whole = replace(everything(layout.network), out=selection.out)
     by_all = BundleGraph(layout, whole.rows(layout), sweeper).reduction(solved.orientation, COSTS).points
     return np.where(determined_points(solved.rows)[:, None], solved.points, by_all)
-
-
-def _within(sizes: Array, limit: float, median_of_unit: float) -> Mask:
-    if sizes.size == 0:
-        return np.ones(0, dtype=bool)
-    spread = max(float(np.nanmedian(sizes)) / median_of_unit, _FLOOR)
-    return np.asarray(sizes <= limit * spread)
 
 
 def what_changes(settings: SolverSettings, network: Network) -> str:

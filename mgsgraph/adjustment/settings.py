@@ -35,7 +35,8 @@ class SolverSettings:
     loss_width: float | None = None
     """Width of the loss in sigmas; None takes the loss's customary one."""
     reject: float = 0.0
-    """Blunder limit in robust standard deviations of each class of rows; 0 switches the blunder pass off."""
+    """Blunder limit: a good observation is beyond it as rarely as a normal error is beyond so many standard deviations,
+    either side (4: 1 in 15,800), whatever its redundancy (`adjustment.blunders`); 0 seeks none."""
     max_iterations: int = 50
     """Maximum number of iterations."""
     cost_tolerance: float = 1e-11

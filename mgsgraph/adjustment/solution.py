@@ -14,6 +14,7 @@ from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel.rows import Small
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.corrections import adjusted_image, correction_parts, designs, whole_correction
 from mgsgraph.notebook import card
@@ -81,6 +82,10 @@ class Solution:
     """(r,) the same."""
     stereo_rejected: Mask | None = None
     """(n,) the same of the points' heights above stereo surfaces."""
+    test_dimensions: Small | None = None
+    """(k + r + n,) degrees of freedom of the last blunder test of each ray, range and point's height above a stereo
+    surface while it took part: 0 where nothing checks it, 1 of a ray that nothing checks along the epipolar line. None
+    where no blunders were sought."""
     stereo_heights: Array | None = None
     """(n,) m, of each point above its stereo surface, along the normal; NaN for points on none. None where an older
     version didn't say."""

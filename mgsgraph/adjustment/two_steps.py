@@ -14,6 +14,7 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.blunders import MEDIAN, squared_unit
 from mgsgraph.adjustment.cluster import Connection
 from mgsgraph.adjustment.passes import Progress, Selection, everything
 from mgsgraph.adjustment.settings import SolverSettings
@@ -27,10 +28,6 @@ Announce = Callable[[str], None]
 """Called at the beginning of each step with what it is."""
 
 _MOST_PASSES = 6
-_MEDIAN_OF_UNIT = 0.6745
-"""Median modulus of a normal error, in its sigmas."""
-_FLOOR = 0.1
-"""A-priori sigmas below which the spread of heights is not taken at its word, as `passes.select` has it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,13 +170,13 @@ def heights_above(network: Network, places: Array, solution: Solution | None = N
 
 
 def heights_off(network: Network, fitted: Solution, rays_alone: RaysAlone, limit: float) -> Mask:
-    """(n,) points whose height contradicts the terrain model by more than `limit` robust standard deviations.
+    """(n,) points whose height contradicts the terrain model by more than `limit` standard deviations.
 
     Judged is the height h above the model of the place where the rays alone put the point, with the orientation of step
     2, over root(s^2 + q): s is the sigma of the height row, q the variance of h by the rays' noise. That is the row's
     own residual over its standard deviation, s root(1 - q'/s^2) with q' = q s^2 / (s^2 + q), the shared unknowns taken
-    for true; so it is the same test whether the row takes part or not, and rows may return. The spread is estimated
-    from the median, as for rays.
+    for true; so it is the same test whether the row takes part or not, and rows may return. The unit is as
+    for rays (`blunders.squared_unit`).
     """
     surface = network.surface
     assert surface is not None
@@ -190,9 +187,9 @@ def heights_off(network: Network, fitted: Solution, rays_alone: RaysAlone, limit
     heights, normals = heights_above(network, places, fitted)
     own = np.einsum("ni,nij,nj->n", normals, covariances, normals)
     known = np.flatnonzero(np.isfinite(surface.sigmas) & np.isfinite(heights))
-    sizes = np.abs(heights[known]) / np.sqrt(surface.sigmas[known] ** 2 + own[known])
-    unit = max(float(np.median(sizes)) / _MEDIAN_OF_UNIT, _FLOOR) if sizes.size else 1.0
-    result[known[sizes > limit * unit]] = True
+    tests = heights[known] ** 2 / (surface.sigmas[known] ** 2 + own[known])
+    if tests.size:
+        result[known[tests > limit**2 * squared_unit(tests / MEDIAN, tests.size)]] = True
     return result
 
 

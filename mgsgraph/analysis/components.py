@@ -18,12 +18,13 @@ from enum import StrEnum
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.analysis.helmert import CORRELATED, Redundancy, given, group_redundancy, most_correlated, nearest
-from mgsgraph.analysis.linearised import Linearised, at_solution
+from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network

@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mgsgraph.adjustment.linearised import Linearised, PointRows
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.square_root import product
 from mgsgraph.analysis.grouping import Grouping
-from mgsgraph.analysis.linearised import Linearised, PointRows, prior_rows
+from mgsgraph.analysis.linearised import prior_rows
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import OUT
 

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph import Layout
+from mgsgraph.adjustment.redundancy import UNCONTROLLED
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import COMPONENTS
 from mgsgraph.geometry.records import Array, Index
 
-UNCONTROLLED = 1e-6
-"""Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
 Small = NDArray[np.int8]
 Indices = NDArray[np.int32]
 _POWERS = ("constant", "linear", "quadratic", "cubic")
@@ -206,43 +205,6 @@ def judge_scalars(
     out.sigma[:], out.dimensions[:] = sigma, 1
     out.test[loose], out.joint[loose], out.dimensions[loose] = np.nan, 0.0, 0
     out.effect[loose] = np.where(effect[loose] == 0.0, 0.0, effect[loose] * np.inf)
-
-
-def pair_tests(misfit: Array, share: Array, between: Array, root: Array | None) -> tuple[Array, Small]:
-    """Test (k,) of both rows of each ray together, and its dimensions.
-
-    Parameters
-    ----------
-    misfit, share : (k, 2)
-        As for `judge_scalars`.
-    between : (k,)
-        H between the two rows.
-    root : (k,), optional
-        Roots of the robust weights.
-
-    With M = 1 - H = sum l q q': sum (q'v)^2 / l, or, of an error of prediction, / (l (l p + 1 - l)) for the weighted v;
-    eigenvalues that are none leave out what nothing controls.
-    """
-    (z0, z1), (h0, h1) = misfit.T, share.T
-    a, b = 1.0 - h0, 1.0 - h1
-    trace = a + b
-    determinant = a * b - between * between
-    # the smaller eigenvalue is between one and two times determinant / trace; where it is none, v lies along the other
-    two, one = determinant > UNCONTROLLED * trace, trace > UNCONTROLLED
-    dimensions = one.astype(np.int8) + two
-    if root is None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            test = (b * z0 * z0 + (2.0 * between * z0 + a * z1) * z1) / determinant
-        rest = np.flatnonzero(~two)
-        squares = z0[rest] ** 2 + z1[rest] ** 2
-        test[rest] = squares / np.where(one[rest], trace[rest], np.inf)
-        return test, dimensions
-    angle, half = 0.5 * np.arctan2(-between, 0.5 * (a - b)), np.hypot(0.5 * (a - b), between)
-    along, across = z0 * np.cos(angle) + z1 * np.sin(angle), z1 * np.cos(angle) - z0 * np.sin(angle)
-    test = np.zeros(z0.size)
-    for part, size, there in ((along, 0.5 * trace + half, one), (across, 0.5 * trace - half, two)):
-        test += np.where(there, part**2 / np.where(there, size * (size * root**2 + 1.0 - size), 1.0), 0.0)
-    return test, dimensions
 
 
 def judge_ground_priors(out: ScalarMeasures, covariance: Array, numbers: Array, levels: Levels) -> float:

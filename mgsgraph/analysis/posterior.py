@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from mgsgraph.adjustment.graph import Layout
+from mgsgraph.adjustment.linearised import Linearised, PointRows, point_rows
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.estimates import (
     Difference,
@@ -25,7 +26,7 @@ from mgsgraph.analysis.estimates import (
     covariance,
     together,
 )
-from mgsgraph.analysis.linearised import Linearised, PointRows, at_solution, point_rows
+from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
+from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.passes import Selection, everything
 from mgsgraph.adjustment.predicted_lines import exactly
+from mgsgraph.adjustment.redundancy import closure, prediction
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.linearised import Linearised, PointRows
-from mgsgraph.analysis.measures import UNCONTROLLED, MeasureKind
+from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.suspects import PointIndex
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Mask
 from mgsgraph.kernel.rows import GROUND, OUT, STEREO, SURFACE
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
@@ -139,32 +140,6 @@ class ObservationIndex:
         return found
 
 
-def direction(covariance: Array, residuals: Array, rows: Mask) -> tuple[Array, float, int]:
-    """Joint test of some rows of a point.
-
-    Parameters
-    ----------
-    covariance, residuals : (r, r), (r,)
-        Of the point's whitened residuals.
-    rows : (r,)
-        Which to test.
-
-    Returns
-    -------
-    combination : (r,)
-        c, zero but for the rows: of all c'v it has the largest (c'v)^2 / c'Qc.
-    test, dimensions
-        That value, chi-square with these degrees of freedom.
-    """
-    mine = np.flatnonzero(rows)
-    values, vectors = np.linalg.eigh(covariance[np.ix_(mine, mine)])
-    seen = values > UNCONTROLLED
-    turned = vectors[:, seen].T @ residuals[mine]
-    combination = np.zeros(residuals.size)
-    combination[mine] = vectors[:, seen] @ (turned / values[seen])
-    return combination, float(np.sum(turned**2 / values[seen])), int(np.count_nonzero(seen))
-
-
 def readmissible(
     network: Network,
     at: Linearised,
@@ -216,40 +191,7 @@ def _agrees(
     used = np.isin(rows.observation, [slot for one, slot in observations.items() if not taken.holds(one)])
     shared = whole.joint.of(rows.variables)
     if determined:
-        test, dimensions = _prediction(rows, back, used, shared)
+        test, dimensions = prediction(rows, back, used[None], shared), np.count_nonzero(back)
     else:
-        test, dimensions = _closure(rows, back | used, shared)
-    return dimensions > 0 and test <= critical(dimensions)
-
-
-def _chosen_rows(rows: PointRows, chosen: Mask) -> PointRows:
-    """Chosen rows of a point."""
-    return replace(
-        rows,
-        residuals=rows.residuals[:, chosen],
-        by_point=rows.by_point[:, chosen],
-        by_shared=rows.by_shared[:, chosen],
-        observation=rows.observation[chosen],
-        row=rows.row[chosen],
-    )
-
-
-def _prediction(rows: PointRows, back: Mask, used: Mask, shared: Array) -> tuple[float, int]:
-    """Test of rows by what others that are used predict for them, and its dimensions."""
-    own, through = np.zeros((rows.row.size, 3)), rows.by_shared[0]
-    if not rows.known:
-        carried, noise = _chosen_rows(rows, used).eliminated()
-        own, through = rows.by_point[0] @ noise[0], through + rows.by_point[0] @ carried[0]
-    own, through, error = own[back], through[back], rows.residuals[0, back]
-    covariance = np.eye(error.size) + own @ own.T + through @ shared @ through.T
-    return float(error @ np.linalg.solve(covariance, error)), error.size
-
-
-def _closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[float, int]:
-    """Test of how well rows that nothing predicts meet in a point: what is left of them beside those of its place."""
-    by_point, by_shared, error = rows.by_point[0, chosen], rows.by_shared[0, chosen], rows.residuals[0, chosen]
-    left = np.linalg.svd(by_point)[0][:, 3:]
-    through = left.T @ by_shared
-    closing = left.T @ error
-    covariance = np.eye(closing.size) + through @ shared @ through.T
-    return float(closing @ np.linalg.solve(covariance, closing)), closing.size
+        test, (dimensions,) = closure(rows, (back | used)[None], shared)
+    return bool(dimensions > 0 and test[0] <= critical(int(dimensions)))

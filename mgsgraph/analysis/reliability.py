@@ -7,18 +7,18 @@ a row of weight p keeps its own sigma in its test, while the others keep their w
 residual against what the others predict. One without weight doesn't take part.
 """
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.leverage import BETWEEN, EFFECT, MISFIT, SHARE, in_threads
+from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.redundancy import pair_tests, swept
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.linearised import Linearised, PriorRows, at_solution, prior_rows
+from mgsgraph.analysis.linearised import PriorRows, at_solution, prior_rows
 from mgsgraph.analysis.measures import (
     Indices,
     Levels,
@@ -29,23 +29,14 @@ from mgsgraph.analysis.measures import (
     judge_ground_priors,
     judge_scalars,
     names_of,
-    pair_tests,
     units_of,
 )
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel import reduction
-from mgsgraph.kernel.reliability import NUMBERS
-from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR, partition
+from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR
 
-_AT_A_TIME = 1 << 17
-"""Observations that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
 _RAYS = 1 << 18
 """Rays: large pages of memory, which arrays of 4 MB and more get, cost least."""
-_Part = TypeVar("_Part")
 _BOTH = np.arange(2, dtype=np.int8)
-_MISFIT, _SHARE, _EFFECT, _BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
-"""Columns of the kernel's numbers of the first two rows of observations (t, 8), side by side, lest each look-up cost
-several: whitened residuals; diagonal of H; m that an error of one sigma moves the point; H between the two rows."""
 _EXACT = 1e-12
 """Residual in sigmas below which its robust weight is taken as one."""
 
@@ -149,7 +140,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     at, levels = (of if isinstance(of, Linearised) else at_solution(of)), levels or Levels()
     points = np.flatnonzero(at.layout.network_order(at.rows.kind) == PRIOR)
     places = _ground_indices(at, points)
-    numbers, ground = _swept(at, places)
+    numbers, ground = swept(at, places)
     roots = _robust_roots(at, numbers)
     used, shots, heights, stereo = _taking_part(at, roots)
     known = prior_rows(at)
@@ -204,40 +195,6 @@ def _ground_indices(at: Linearised, points: Index) -> Index:
     return np.asarray(observation + of_pattern[pattern] * count + inside - first, dtype=np.int64)
 
 
-def _swept(at: Linearised, ground: Index) -> tuple[Array, Array]:
-    """The kernel's numbers (t, 8), and all of them (g, 3, 7) for some observations."""
-    rows, layout = at.rows, at.layout
-    pairs = at.pair_blocks(layout)
-    begins = np.append(rows.piece[:, 4], rows.weight.shape[1])
-    found, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
-    order = np.argsort(ground)
-
-    def part(first: int, last: int) -> None:
-        mine, point = partition(rows, first, last), int(rows.piece[first, 1])
-        points = at.points[point : point + mine.kind.size]
-        values = reduction.reliability(
-            mine, layout.groups, layout.blocks.target, layout.model, at.orientation, pairs, points
-        )
-        target, moved = found[begins[first] : begins[last]], values[:, :2, 4:]
-        target[:, _MISFIT], target[:, _BETWEEN] = values[:, :2, 0], values[:, 0, 2]
-        target[:, _SHARE] = values[:, [0, 1], [1, 2]]
-        target[:, _EFFECT] = np.sqrt(np.einsum("tik,tik->ti", moved, moved))
-        own = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
-        chosen[own] = values[ground[own] - begins[first]]
-
-    edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
-    _in_threads(part, edges)
-    return found, chosen
-
-
-def _in_threads(part: Callable[[int, int], _Part], edges: list[int]) -> list[_Part]:
-    """What becomes of each stretch between edges, in their order; NumPy and the kernel let go of the interpreter."""
-    if len(edges) <= 2:
-        return [part(a, b) for a, b in pairwise(edges)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(part, edges[:-1], edges[1:]))
-
-
 def _robust_roots(at: Linearised, numbers: Array) -> _Roots | None:
     """Roots of the robust weights; None without a loss."""
     if at.layout.model.loss == NO_LOSS:
@@ -252,7 +209,7 @@ def _robust_roots(at: Linearised, numbers: Array) -> _Roots | None:
         np.abs(found.stereo[on] / sigmas[on]),
     )  # fmt: skip
     scaled = (
-        np.linalg.norm(numbers[places.rays, _MISFIT], axis=1), np.abs(numbers[places.ranges, 0]),
+        np.linalg.norm(numbers[places.rays, MISFIT], axis=1), np.abs(numbers[places.ranges, 0]),
         np.abs(numbers[places.stereo, 0]),
     )  # fmt: skip
     return _Roots(*(
@@ -279,14 +236,14 @@ def _rays(
         found, mine = numbers[index], out.part(begins[first], begins[last])
         point, image = np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
         mine.say(MeasureKind.RAY, np.tile(_BOTH, number.size), np.repeat(number, 2), point, image, np.repeat(index, 2))
-        misfit, share, effect = (found[:, columns].ravel() for columns in (_MISFIT, _SHARE, _EFFECT))
+        misfit, share, effect = (found[:, columns].ravel() for columns in (MISFIT, SHARE, EFFECT))
         twice = None if root is None else np.repeat(root, 2)
         judge_scalars(mine, rays.sigmas[chosen].ravel(), misfit, share, effect, twice, levels)
-        joint, dimensions = pair_tests(found[:, _MISFIT], found[:, _SHARE], found[:, _BETWEEN], root)
+        joint, dimensions = pair_tests(found[:, MISFIT], found[:, SHARE], found[:, BETWEEN], root)
         mine.joint[:], mine.dimensions[:] = np.repeat(joint, 2), np.repeat(dimensions, 2)
         return float(misfit @ misfit)
 
-    return _in_threads(part, edges)
+    return in_threads(part, edges)
 
 
 def _ranges(

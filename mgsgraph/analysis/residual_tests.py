@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows
-from mgsgraph.analysis.linearised import Linearised, at_solution, prior_rows
+from mgsgraph.analysis.linearised import at_solution, prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import reliability

@@ -7,36 +7,33 @@ larger blunders have done to them. In the end each is judged by what the others 
 agrees. A-priori values of the orientation, shifts and biases are tested, but stay.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.blunders import independent
+from mgsgraph.adjustment.linearised import Linearised
+from mgsgraph.adjustment.redundancy import INSEPARABLE, direction, residual_covariance
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.linearised import Linearised, at_solution
+from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.rejection import (
     ObservationIndex,
     ObservationKey,
     Removal,
     Taken,
-    direction,
     nothing_rejected,
     readmissible,
     selection,
 )
 from mgsgraph.analysis.reliability import Reliability, reliability
-from mgsgraph.analysis.suspects import INSEPARABLE, residual_covariance
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 
-_INDEPENDENT = 0.1
-"""Correlation of the tests of different points up to which both may go at a time."""
-_MOST_COLUMNS = 4000
-"""Shared unknowns whose dense covariance (128 MB) is made to compare candidates: the others wait."""
 _MOST_CANDIDATES = 2000
 """Points that are compared at a time."""
 _OF_POINT = {
@@ -165,7 +162,10 @@ class _Search:
             if allowed <= 0:
                 self.complete = False
                 return
-            for one in _independent(candidates, self.at, self.scale)[:allowed]:
+            sizes, critical = np.array([(one.size, one.removal.critical) for one in candidates]).T
+            pulls = [(one.variables, one.pull) for one in candidates]
+            for k in independent(pulls, sizes, self.scale * np.sqrt(critical), self.at)[:allowed]:
+                one = candidates[k]
                 self.removals.append(one.removal)
                 self.taken = self.taken.changed(one.removal.observations, True)
                 self._progress(one.removal)
@@ -197,12 +197,12 @@ def _candidate(found: Reliability, index: ObservationIndex, point: int, scale: f
     """The worst observation of a point, by its direction of the largest test."""
     at = found.at
     rows, observations = at.rows_of(point), index.of(point)
-    covariance, through = residual_covariance(at, rows)
+    (covariance,), (through,) = residual_covariance(at, rows)
     tests = list[tuple[ObservationKey, Array, float, int]]()
     for observation, slot in observations.items():
-        combination, test, dimensions = direction(covariance, rows.residuals[0], rows.observation == slot)
+        (combination,), (test,), (dimensions,) = direction(covariance[None], rows.residuals, rows.observation == slot)
         if dimensions and test > 0.0:
-            tests.append((observation, combination, test, dimensions))
+            tests.append((observation, combination, float(test), int(dimensions)))
     worst = max(tests, key=lambda one: one[2] / found.critical_joint(one[3]))
     _, combination, test, dimensions = worst
     shadow = covariance @ combination
@@ -226,32 +226,3 @@ def _name(at: Linearised, kind: MeasureKind, row: int) -> str:
         of, image = network.points.ids[network.ranges.point[row]], network.images[network.ranges.image[row]].name
         return f"range of point {of} in image {image}"
     return f"{_OF_POINT[kind]} of point {network.points.ids[row]}"
-
-
-def _independent(candidates: Sequence[_Candidate], at: Linearised, scale: float) -> list[_Candidate]:
-    """The first, and those after it whose tests exceed their critical values whatever the ones before do to them."""
-    width, columns = at.layout.variables.width, dict[int, int]()
-    compared, total = list[_Candidate](), 0
-    for one in candidates:
-        new = [v for v in one.variables if v not in columns]
-        if compared and total + sum(int(width[v]) for v in new) > _MOST_COLUMNS:
-            continue
-        for v in new:
-            columns[v] = total
-            total += int(width[v])
-        compared.append(one)
-    pulls = np.zeros((len(compared), total))
-    for pull, one in zip(pulls, compared, strict=True):
-        places = [np.arange(columns[v], columns[v] + width[v]) for v in one.variables]
-        pull[np.concatenate([np.zeros(0, dtype=np.int64), *places])] = one.pull
-    size = np.array([one.size for one in compared])
-    correlation = np.abs(pulls @ at.joint.of(columns) @ pulls.T) / size[:, None] / size
-    limit = scale * np.sqrt([one.removal.critical for one in compared])
-    disturbed, nearest, taken = np.zeros(size.size), np.zeros(size.size), list[_Candidate]()
-    for j, one in enumerate(compared):
-        if taken and (nearest[j] > _INDEPENDENT or size[j] - disturbed[j] <= limit[j]):
-            continue
-        taken.append(one)
-        disturbed += correlation[j] * size[j]
-        nearest = np.maximum(nearest, correlation[j])
-    return taken

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.analysis.linearised import Linearised, PointRows
+from mgsgraph.adjustment.linearised import PointRows
+from mgsgraph.adjustment.redundancy import INSEPARABLE, residual_covariance
 from mgsgraph.analysis.measures import Indices, MeasureKind
 from mgsgraph.analysis.reliability import Reliability
 from mgsgraph.geometry.records import Array, Index
 
-INSEPARABLE = 0.99
-"""Correlation of two tests from which on they can't be separated."""
 _NOTHING = 1e-12
 """Redundancy that is rounding: it has no direction."""
 
@@ -99,19 +98,10 @@ def correlations_of_tests(found: Reliability, index: PointIndex, point: int) -> 
     mine = index.of(point)
     rows = found.at.rows_of(point)
     chosen = combinations(found, mine, rows)
-    covariance = chosen.T @ residual_covariance(found.at, rows)[0] @ chosen
+    covariance = chosen.T @ residual_covariance(found.at, rows)[0][0] @ chosen
     variance, size = np.diagonal(covariance), np.einsum("rq,rq->q", chosen, chosen)
     sigma = np.sqrt(np.where(variance > _NOTHING * size, variance, np.nan))
     return mine, np.asarray(covariance / sigma[:, None] / sigma)
-
-
-def residual_covariance(at: Linearised, rows: PointRows) -> tuple[Array, Array]:
-    """Covariance (r, r) of the whitened residuals of one point's rows, 1 - A Q A'; and how the shared unknowns enter
-    the residuals once the point follows them: (r, columns).
-    """
-    own, through = (part[0] for part in rows.following())
-    left = np.eye(rows.row.size) - own @ own.T - through @ at.joint.of(rows.variables) @ through.T
-    return left, through
 
 
 def combinations(found: Reliability, measures: Index, rows: PointRows) -> Array:

@@ -32,7 +32,7 @@ class Overrides:
     loss: Loss | None = None
     """Robust loss."""
     reject: float | None = None
-    """Blunder limit in robust standard deviations."""
+    """Blunder limit in standard deviations, as `SolverSettings.reject`."""
     laser: bool = True
     """False leaves the laser rows out."""
     figures: bool = True

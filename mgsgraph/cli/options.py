@@ -28,7 +28,7 @@ _OPTIONS = (
         help="Robust loss on image coordinates and ranges.",
     ),
     click.option(
-        "--reject", type=float, help="Reject blunders beyond this many robust standard deviations; 0 for none."
+        "--reject", type=float, help="Reject what good rays exceed as rarely as so many standard deviations; 0: none."
     ),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
     NO_FIGURES,

@@ -86,7 +86,7 @@ def _require_shapes(solution: Solution) -> None:
     }  # fmt: skip
     newer: dict[str, tuple[int, ...]] = {
         "rays_rejected": (k,), "ranges_rejected": (r,), "terrain_cells": (n, 3), "stereo_rejected": (n,),
-        "stereo_heights": (n,),
+        "stereo_heights": (n,), "test_dimensions": (k + r + n,),
     }  # fmt: skip
     expected |= {name: shape for name, shape in newer.items() if getattr(solution, name) is not None}
     for name, shape in expected.items():

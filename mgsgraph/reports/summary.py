@@ -4,6 +4,7 @@ import math
 from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import (
@@ -220,12 +221,26 @@ def _left_out(solution: Solution) -> list[str]:
             f"{many(rays, 'ray')} of {network.rays.point.size} and {many(ranges, 'range')} of "
             f"{network.ranges.point.size}{also} were rejected as blunders; residuals.csv marks them."
         )
+    if solution.test_dimensions is not None:
+        found += _unchecked(solution.test_dimensions[: network.rays.point.size][solution.rays_used])
     bare = np.flatnonzero(solution.determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
     if bare.size:
         found.append(
             f"{many(bare.size, 'point')} lost all rays to that: {some_of(network.points.ids, bare)}."
         )
     return found
+
+
+def _unchecked(dimensions: NDArray[np.int8]) -> list[str]:
+    """Of rays that took part, whose blunder tests have so many degrees of freedom, those that little checks."""
+    partly, nothing = int(np.sum(dimensions == 1)), int(np.sum(dimensions == 0))
+    if not partly + nothing:
+        return []
+    of_none = f"; nothing at all checks {many(nothing, 'ray')}" if nothing else ""
+    return [
+        f"Of the {dimensions.size} rays that took part, {partly} can be checked in one direction only (in most cases "
+        f"across the epipolar line){of_none}. They were not found bad there, nor good."
+    ]
 
 
 # --- the table

@@ -158,6 +158,12 @@ def residuals_table(solution: Solution) -> Table:
     used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[on]])
     shots, before, after = _shot_lines(solution), solution.residuals_before, solution.residuals
     k, r, h = rays.point.size, ranges.point.size, on.size
+    tested, dimensions = list[Column](), solution.test_dimensions
+    if dimensions is not None:
+        tested.append(Column(
+            "tested", np.concatenate([dimensions[: k + r], dimensions[k + r :][on]]),
+            meaning="where blunders were sought: in how many directions others check the measure, 0 for none",
+        ))  # fmt: skip
 
     def of_ray(c: int, way: str) -> list[Column]:
         return [
@@ -180,6 +186,7 @@ def residuals_table(solution: Solution) -> Table:
         Column("image", picked([*(one.name for one in network.images), ""], image),
                meaning="of a range: that carries it", page="s"),
         Column("used", used, meaning="false for blunders that were rejected"),
+        *tested,
         Column("isis_line", padded(np.concatenate([rays.places[:, 0], shots]), 0, h) + ISIS_OFFSET,
                meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
         Column("isis_sample", padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",

@@ -10,7 +10,7 @@ from networks import network, pair, with_shift_and_surface
 from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.graph import BundleGraph, explicit_graph, lay_out
 from mgsgraph.adjustment.graph.bundle import point_key, shared_vector, variable_key
-from mgsgraph.adjustment.passes import everything, select, solve_in_passes
+from mgsgraph.adjustment.passes import everything, solve_in_passes
 from mgsgraph.adjustment.posterior import explicit_covariances, orientation_covariance, point_covariances
 from mgsgraph.adjustment.predicted_lines import about_predicted_lines
 from mgsgraph.adjustment.settings import SolverSettings
@@ -186,14 +186,14 @@ def test_planted_blunders_are_rejected_and_others_kept() -> None:
 
 
 def test_rows_are_admitted_again() -> None:
-    """A selection that is judged anew lets clean rows return when the orientation has recovered."""
+    """What is out returns where what is left agrees with it."""
     net = network(pair(ties=40))
     layout = lay_out(net, SolverSettings())
     whole = everything(net)
     without = replace(whole, rays=np.arange(net.rays.point.size) % 7 != 0)
     before = BundleGraph(layout, without.rows(layout)).reduction(np.zeros(layout.columns))
-    solved = solve_in_passes(layout, SolverSettings(), without, before, lambda _: None)
-    assert np.all(select(layout, solved, 6.0).rays)
+    solved = solve_in_passes(layout, SolverSettings(reject=6.0), without, before, lambda _: None)
+    assert np.all(solved.selection.rays)
 
 
 def test_held_image_does_not_move() -> None:

@@ -30,7 +30,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.kernel import reduction
-from mgsgraph.kernel.sweep import COSTS, GRADIENT, RESIDUALS, SYSTEM
+from mgsgraph.kernel.sweep import COSTS, DESIGN, GRADIENT, RESIDUALS, SYSTEM
 from mgsgraph.network import Network
 
 TIES = 2100
@@ -97,8 +97,10 @@ _sweep_all = reduction.sweep_all
 
 
 def nobody(*given: Any, **named: Any) -> Any:
-    """Nothing is solved here; whether rays have to be laid out anew is looked up where they are laid out."""
-    if given[5] != RESIDUALS:
+    """Nothing is solved here; whether rays have to be laid out anew is looked up where they are laid out, and so are
+    the rows of the few that may be blunders.
+    """
+    if given[5] not in (DESIGN, RESIDUALS):
         raise AssertionError("a sweep in this process")
     return _sweep_all(*given, **named)
 

@@ -12,6 +12,7 @@ from scipy.stats import kstest
 from stereo_pair import on_surface, stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
@@ -25,7 +26,7 @@ from mgsgraph.analysis.components import (
 )
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.analysis.helmert import Redundancy, group_redundancy
-from mgsgraph.analysis.linearised import Linearised, at_values
+from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.residual_tests import (
     PROMISED,
     ResidualStatistics,

@@ -18,15 +18,15 @@ from sharing import with_all_kinds
 from stereo_pair import on_surface, stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.redundancy import UNCONTROLLED, pair_tests, residual_covariance
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.measures import UNCONTROLLED, Levels, MeasureKind, inverse, pair_tests
+from mgsgraph.analysis.measures import Levels, MeasureKind, inverse
 from mgsgraph.analysis.reliability import Reliability, reliability
 from mgsgraph.analysis.suspects import (
     PointIndex,
     combinations,
     correlations_of_tests,
-    residual_covariance,
     suspects,
 )
 from mgsgraph.errors import InputError
@@ -375,7 +375,7 @@ def test_a_blunder_is_found_at_baardas_power(kind: MeasureKind) -> None:
     k = int(of_kind(found, kind, 1e-3)[-1])
     point = int(found.measures.point[k])
     rows = found.at.rows_of(point)
-    covariance, _ = residual_covariance(found.at, rows)
+    (covariance,), _ = residual_covariance(found.at, rows)
     chosen = combinations(found, np.array([k]), rows)[:, 0]
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

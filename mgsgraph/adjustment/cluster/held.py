@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.adjustment.graph.leverage import numbers
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.reduction import all_residuals, point_covariances, reduce
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows
-from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RESIDUALS, SYSTEM, writable
+from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RELIABILITY, RESIDUALS, SYSTEM, writable
 
 HOLD, PLACES = -1, -2
 """Orders beside the kernel's sweeps: take a partition in; return where the points of an earlier sweep ended."""
@@ -52,7 +53,7 @@ class Order:
     token: str
     """Of the partition, unlike any other."""
     task: int
-    """COSTS, GRADIENT, SYSTEM, COVARIANCES, RESIDUALS, HOLD or PLACES."""
+    """COSTS, GRADIENT, SYSTEM, COVARIANCES, RELIABILITY, RESIDUALS, HOLD or PLACES."""
     orientation: Array
     """(columns,) m and rad."""
     source: Source | None = None
@@ -92,7 +93,8 @@ def carry_out(order: Order) -> Answer:
     -------
     tuple
         NOT_HELD, or: COSTS, GRADIENT and SYSTEM: cost of each piece, blocks (SYSTEM) or None, gradient; COVARIANCES:
-        (n, 3, 3) m^2; RESIDUALS: (t, 2); PLACES: (n, 3) m, and states (n,); HOLD: its number of bytes.
+        (n, 3, 3) m^2; RELIABILITY: (t, 8); RESIDUALS: (t, 2); PLACES: (n, 3) m, and states (n,); HOLD: its number of
+        bytes.
     """
     held = _find(order)
     if held is None:
@@ -109,8 +111,10 @@ def carry_out(order: Order) -> Answer:
     assert points is not None
     if order.task == RESIDUALS:
         return (all_residuals(*constants, x, points),)
-    assert order.task == COVARIANCES
     assert order.joint is not None
+    if order.task == RELIABILITY:
+        return (numbers(*constants, x, order.joint, points)[0],)
+    assert order.task == COVARIANCES
     return (point_covariances(*constants, x, order.joint, points),)
 
 

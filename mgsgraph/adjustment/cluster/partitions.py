@@ -38,7 +38,7 @@ from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import Groups, NormalBlocks, Rows, partition
-from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RESIDUALS, even_parts
+from mgsgraph.kernel.sweep import COSTS, COVARIANCES, RELIABILITY, RESIDUALS, even_parts
 
 _COPIES = 2.0
 """Memory for a partition over its own size: what it is unpacked from, or scratch and results."""
@@ -160,8 +160,10 @@ class Partitions:
         cluster.require_memory(LEAST_MEMORY + each * largest.need, what, _REMEDY)
 
     def _take(self, layout: Layout) -> None:
-        """Go on with a layout made of the same network: one whose rays are laid out anew has partitions of its own."""
-        if layout.patterns is not self._layout.patterns:
+        """Go on with a layout made of the same network: one whose rays are laid out anew, or that has another loss, has
+        partitions of its own.
+        """
+        if layout.patterns is not self._layout.patterns or layout.model != self._layout.model:
             self._cluster.call_all(forget, [part.token for part in self._parts])
             self._divide(layout)
 
@@ -195,13 +197,7 @@ class Partitions:
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Covariances (n, 3, 3) of the points in m^2, zero for known ones."""
-        self._take(layout)
-
-        def order(part: _Part) -> Order:
-            mine, places = joint[part.blocks], points[part.points]
-            return Order(part.token, COVARIANCES, orientation, joint=mine, points=places)
-
-        return joined(self._sweep(rows, order), 0)
+        return self._with_covariance(COVARIANCES, layout, rows, orientation, joint, points)
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
         """Residuals (t, 2) of all observations: image rays in pixels, ranges and heights in m."""
@@ -209,6 +205,21 @@ class Partitions:
 
         def order(part: _Part) -> Order:
             return Order(part.token, RESIDUALS, orientation, points=points[part.points])
+
+        return joined(self._sweep(rows, order), 0)
+
+    def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """Residuals (t, 8) of all observations beside their leverage."""
+        return self._with_covariance(RELIABILITY, layout, rows, orientation, joint, points)
+
+    def _with_covariance(
+        self, task: int, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array
+    ) -> Array:
+        self._take(layout)
+
+        def order(part: _Part) -> Order:
+            mine, places = joint[part.blocks], points[part.points]
+            return Order(part.token, task, orientation, joint=mine, points=places)
 
         return joined(self._sweep(rows, order), 0)
 

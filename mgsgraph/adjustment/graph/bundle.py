@@ -13,6 +13,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.bundle_factors import Bundles
 from mgsgraph.adjustment.graph.layout import Layout
+from mgsgraph.adjustment.graph.leverage import numbers
 from mgsgraph.adjustment.graph.patterns import group_blocks
 from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.factors.priors import linear_prior, zero_prior
@@ -86,6 +87,10 @@ class Sweeper(Protocol):
         """(t, 2), see `kernel.reduction.all_residuals`."""
         ...
 
+    def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """(t, 8), see `leverage.numbers`."""
+        ...
+
 
 class InProcess:
     """Sweeps by this process's threads."""
@@ -104,6 +109,10 @@ class InProcess:
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
         """Residuals (t, 2) of all observations: image rays in pixels, ranges and heights in m."""
         return all_residuals(rows, layout.groups, layout.blocks.target, layout.model, orientation, points)
+
+    def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
+        """Residuals (t, 8) of all observations beside their leverage."""
+        return numbers(rows, layout.groups, layout.blocks.target, layout.model, orientation, joint, points)[0]
 
 
 IN_PROCESS = InProcess()

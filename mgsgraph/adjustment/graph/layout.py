@@ -13,7 +13,7 @@ from mgsgraph.adjustment.graph.prior import Prior, make_prior
 from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import LOSS_WIDTHS, Loss, SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import SparseCholesky
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -142,6 +142,10 @@ class Layout:
         anew = linear_rows(self.network, self.model, self.variables, about, places, self.stereo)
         assert anew is not None
         return replace(self, stereo=anew._replace(steps=steps)).about(self.lines)
+
+    def with_loss(self, loss: Loss) -> "Layout":
+        """The same with another loss, at its customary width."""
+        return replace(self, model=self.model._replace(loss=_LOSSES[loss], width=LOSS_WIDTHS[loss]))
 
     @property
     def without_steps(self) -> "Layout":

@@ -1,0 +1,346 @@
+"""Blunders among rays, ranges and heights above stereo surfaces, sought by tests that know each one's redundancy.
+
+An observation's residuals v have the covariance M = 1 - A Q A' (in sigmas), and T = v' M^+ v is chi-square with as many
+degrees of freedom as M has rank: a ray of a tie that two images see has one, for nothing checks it along the epipolar
+line (Baarda 1968; Pope 1976; Foerstner & Wrobel 2016, section 4.6). A limit of so many standard deviations is the
+two-sided probability of a normal error beyond it, for any number of degrees of freedom. The worst goes first, with what
+can't be told apart from it; several go at a time where none could have brought the other about; in the end what is
+out is judged by what the others predict for it, and returns where it agrees. What has no redundancy is not judged.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.graph import Layout
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
+from mgsgraph.adjustment.graph.leverage import BETWEEN, MISFIT, SHARE
+from mgsgraph.adjustment.linearised import Linearised, PointRows
+from mgsgraph.adjustment.redundancy import (
+    closure,
+    direction,
+    pair_tests,
+    prediction,
+    residual_covariance,
+)
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.kernel.rows import OUT, Small
+from mgsgraph.network import PointClass
+
+_INDEPENDENT = 0.1
+"""Correlation of the tests of different points up to which both may go at a time."""
+_MOST_COLUMNS = 4000
+"""Shared unknowns whose dense covariance (128 MB) is made to compare candidates: the others wait."""
+_MOST_CANDIDATES = 2000
+"""Points that are compared at a time."""
+MEDIAN = 0.4549364
+"""Median of chi-square of one degree of freedom."""
+_MEDIANS = MEDIAN, 1.3862944
+"""Medians of chi-square of one and of two degrees of freedom."""
+_DECISIVE = 2.0 * math.log(100.0)
+"""Difference of two tests that makes one of two observations of a point the blunder with odds of 100 to 1."""
+_FLOOR = 0.1
+"""A-priori sigmas below which a class's spread is not taken at its word."""
+_CONTRADICTED = 3.0
+"""Standard errors of a class's spread from which on it holds in place of the a-priori sigmas."""
+_SPREAD_ERROR = 1.17
+"""Standard error of the logarithm of a spread that is estimated from a median, times the root of the sample's size."""
+
+
+class Judged(NamedTuple):
+    """Observations that may be blunders: k rays, r ranges, n heights above stereo surfaces (of all points)."""
+
+    place: Index
+    """(k + r + n,) among the layout's observations; -1 for points that lie on no stereo surface."""
+    point: Index
+    """(k + r + n,) network point."""
+    group: Index
+    """(k + r + n,) class whose spread they share."""
+
+    @property
+    def single(self) -> Mask:
+        """Which have one row: all but rays."""
+        return self.group >= len(PointClass)
+
+
+def judged(layout: Layout) -> Judged:
+    """Observations of a layout's network that may be blunders, and where the layout has them."""
+    network, places = layout.network, layout.observation_rows
+    stereo = np.full(len(network.points), -1)
+    if layout.stereo is not None:
+        stereo[layout.stereo.points] = places.stereo
+    kinds, points = len(PointClass), np.arange(stereo.size)
+    return Judged(
+        np.concatenate([places.rays, places.ranges, stereo]).astype(np.int64),
+        np.concatenate([network.rays.point, network.ranges.point, points]),
+        np.concatenate([
+            network.points.classes[network.rays.point], np.full(network.ranges.point.size, kinds),
+            np.full(stereo.size, kinds + 1),
+        ]).astype(np.int64),
+    )  # fmt: skip
+
+
+def critical_value(limit: float, dimensions: int) -> float:
+    """What chi-square of so many degrees of freedom exceeds as rarely as a normal error `limit` standard deviations."""
+    from scipy.special import chdtri  # slow to import
+
+    return float(chdtri(dimensions, math.erfc(limit / math.sqrt(2.0)))) if dimensions else math.inf
+
+
+@dataclass(slots=True, eq=False)
+class Search:
+    """A search for blunders, from one adjustment to the next."""
+
+    limit: float
+    """Standard deviations of a normal error that is as rare as a good observation beyond the limit."""
+    sweeper: Sweeper = IN_PROCESS
+    """Who goes over the points."""
+    dimensions: Small | None = field(default=None, init=False)
+    """(k + r + n,) degrees of freedom of each one's last test while it took part; 0 where nothing checked it."""
+    _returned: Mask | None = field(default=None, init=False)
+    """(k + r + n,) what was out, and came back: it does so once."""
+
+    @property
+    def memory(self) -> bytes:
+        """What the next step depends on beside the adjustment it judges."""
+        return b"" if self._returned is None else self._returned.tobytes()
+
+    def beyond(self, at: Linearised) -> bool:
+        """Whether any test is beyond the limit by the a-priori sigmas, or those that residuals show where smaller."""
+        tests, dimensions, units = self._tests(at, judged(at.layout))
+        return bool(np.any(tests > np.minimum(units, 1.0) * self._critical(dimensions)))
+
+    def without_gross(self, at: Linearised, taken: Mask) -> Mask:
+        """What is left without the worst of each point that is beyond the limit, where `at` is hardly disturbed."""
+        mine = judged(at.layout)
+        found = self._candidates(at, mine, *self._tests(at, mine), most=taken.size)
+        return _without(taken, found)
+
+    def next(self, at: Linearised, whole: Linearised, taken: Mask) -> Mask:
+        """What is to take part in the next adjustment; what took part in this one, when the search has ended.
+
+        Parameters
+        ----------
+        at : Linearised
+            The adjustment of the observations `taken` (k + r + n,).
+        whole : Linearised
+            The same with the rows of all, points that are lost where all their rays put them.
+        """
+        mine = judged(at.layout)
+        tests, dimensions, units = self._tests(at, mine)
+        self._returned = np.zeros(taken.size, dtype=bool) if self._returned is None else self._returned
+        if found := self._candidates(at, mine, tests, dimensions, units):
+            sizes, limits = np.array([(one.size, one.limit) for one in found]).T
+            pulls = [(one.variables, one.pull) for one in found]
+            return _without(taken, [found[k] for k in independent(pulls, sizes, limits, at)])
+        back = self._agreeing(at, whole, mine, taken, units)
+        self._returned |= back
+        return taken | back
+
+    def _tests(self, at: Linearised, mine: Judged) -> tuple[Array, Small, Array]:
+        """Tests, NaN where there is none, their degrees of freedom, and the square of the unit in which each counts."""
+        tests, dimensions = observed_tests(at, mine, self.sweeper)
+        before = dimensions if self.dimensions is None else self.dimensions
+        self.dimensions = np.where(_present(at, mine), dimensions, before)
+        return tests, dimensions, squared_units(tests, dimensions, mine)
+
+    def _critical(self, dimensions: Small) -> Array:
+        return np.array([critical_value(self.limit, d) for d in range(3)])[dimensions]
+
+    def _candidates(
+        self, at: Linearised, mine: Judged, tests: Array, dimensions: Small, units: Array, most: int = _MOST_CANDIDATES
+    ) -> "list[_Candidate]":
+        """The worst of each point that has one beyond the limit, and what can't be told apart from it; worst first."""
+        severity = np.nan_to_num(tests / (units * self._critical(dimensions)))
+        over = np.flatnonzero(severity > 1.0)
+        worst = over[np.argsort(-severity[over], kind="stable")]
+        points, first = np.unique(mine.point[worst], return_index=True)
+        found = list[_Candidate]()
+        for rows, table in _pieces(at, mine, points[np.argsort(first)[:most]]):
+            found += _worst(at, rows, table, np.where(table >= 0, severity[table], 0.0))
+        return sorted(found, key=lambda one: -one.size / one.limit)
+
+    def _agreeing(self, at: Linearised, whole: Linearised, mine: Judged, taken: Mask, units: Array) -> Mask:
+        """Which of those that are out, and never came back, the others bear out."""
+        assert self._returned is not None
+        out, back = ~taken & ~self._returned & (mine.place >= 0), np.zeros(taken.size, dtype=bool)
+        lost = at.layout.network_order(at.rows.kind) == OUT
+        points = np.unique(mine.point[out])
+        for rows, table in _pieces(whole, mine, points[~lost[points]]):
+            shared, used = at.joint.of(rows.variables), np.where(table >= 0, taken[table], True)[:, rows.observation]
+            wanted = (table >= 0) & out[table]
+            tests = np.full(table.shape, np.inf)
+            for slot in np.flatnonzero(np.any(wanted, axis=0)).tolist():
+                row, own = rows.observation == slot, wanted[:, slot]
+                test = prediction(rows, row, used, shared) / units[table[:, slot]]
+                fits = own & (test <= critical_value(self.limit, np.count_nonzero(row)))
+                tests[fits, slot] = test[fits]
+            for k in np.flatnonzero(np.any(np.isfinite(tests), axis=1)).tolist():
+                some = np.flatnonzero(np.isfinite(tests[k]))
+                row = np.isin(rows.observation, some)
+                together = prediction(rows.of(k), row, used[[k]], shared)[0] / units[table[k, some]].max()
+                if some.size > 1 and together > critical_value(self.limit, np.count_nonzero(row)):
+                    second = np.sort(tests[k, some])[1]
+                    some = some[tests[k, some] < second - _DECISIVE]
+                back[table[k, some]] = True
+        for rows, table in _pieces(whole, mine, points[lost[points]]):
+            there = table >= 0
+            used = np.where(there, taken[table] | out[table], True)[:, rows.observation]
+            test, dimensions = closure(rows, used, at.joint.of(rows.variables))
+            limits = np.array([critical_value(self.limit, d) if d > 0 else 0.0 for d in dimensions.tolist()])
+            fits = test <= limits * np.where(there, units[table], 0.0).max(axis=1)
+            own = table[there & fits[:, None]]
+            back[own[out[own]]] = True
+        return back
+
+
+class _Candidate(NamedTuple):
+    """The observation of a point that is farthest beyond the limit, and those that can't be told apart from it."""
+
+    observations: Index
+    """As in `Judged`."""
+    variables: tuple[int, ...]
+    pull: Array
+    """(columns of the variables,) how they enter its test, before that is divided by its sigma."""
+    size: float
+    """Root of its test."""
+    limit: float
+    """What that is to stay below."""
+
+
+def observed_tests(at: Linearised, mine: Judged, sweeper: Sweeper = IN_PROCESS) -> tuple[Array, Small]:
+    """Tests (k + r + n,) of whole observations and their degrees of freedom; NaN and 0 for those that take no part, and
+    those that nothing checks.
+    """
+    joint = at.pair_blocks(at.layout)
+    numbers = sweeper.leverage(at.layout, at.rows, at.orientation, joint, at.points)[mine.place]
+    share = numbers[:, SHARE]
+    share[mine.single, 1] = 1.0  # there is no second row
+    tests, dimensions = pair_tests(numbers[:, MISFIT], share, numbers[:, BETWEEN], None)
+    none = ~_present(at, mine) | (dimensions == 0)
+    tests[none], dimensions[none] = np.nan, 0
+    return tests, dimensions
+
+
+def _present(at: Linearised, mine: Judged) -> Mask:
+    """Which take part (k + r + n,)."""
+    kind = at.layout.network_order(at.rows.kind)[mine.point]
+    return np.asarray((mine.place >= 0) & (at.rows.weight[0, mine.place] > 0.0) & (kind != OUT))
+
+
+def squared_units(tests: Array, dimensions: Small, mine: Judged) -> Array:
+    """Square of the unit (k + r + n,) in which each test counts: a-priori sigmas, or what its class shows instead.
+
+    The median of the tests over that of chi-square (0.455 for one degree of freedom, 1.386 for two) estimates it from
+    the middle of the class, which blunders hardly move. It holds in place of 1 where it differs by three of its
+    standard errors: of few tests it is a poorer judge than the a-priori sigmas. Points count: the rays of a tie share
+    theirs.
+    """
+    units = np.ones(tests.size)
+    for group in np.unique(mine.group):
+        own = np.flatnonzero((mine.group == group) & (dimensions > 0))
+        if not own.size:
+            continue
+        median = np.array([np.nan, *_MEDIANS])[dimensions[own]]
+        units[mine.group == group] = squared_unit(tests[own] / median, np.unique(mine.point[own]).size)
+    return units
+
+
+def squared_unit(ratios: Array, count: int) -> float:
+    """Square of the unit of one class, of its tests over the median of chi-square, `count` of them independent."""
+    unit = max(float(np.median(ratios)), _FLOOR**2)
+    return unit if abs(0.5 * math.log(unit)) > _CONTRADICTED * _SPREAD_ERROR / math.sqrt(count) else 1.0
+
+
+def independent(
+    pulls: Sequence[tuple[tuple[int, ...], Array]], sizes: Array, limits: Array, at: Linearised
+) -> list[int]:
+    """Which of c tests on different points, worst first, to act on at a time: the first, and those after it that exceed
+    their limits whatever the ones before do to them.
+
+    Parameters
+    ----------
+    pulls : sequence
+        Shared unknowns of each, and how they enter it, before it is divided by its sigma: (columns,).
+    sizes, limits : (c,)
+        Roots of the tests, and of what each is to stay below.
+    """
+    width, columns = at.layout.variables.width, dict[int, int]()
+    compared, total = list[int](), 0
+    for k, (variables, _) in enumerate(pulls):
+        new = [v for v in variables if v not in columns]
+        if compared and total + sum(int(width[v]) for v in new) > _MOST_COLUMNS:
+            continue
+        for v in new:
+            columns[v] = total
+            total += int(width[v])
+        compared.append(k)
+    every = np.zeros((len(compared), total))
+    for row, k in zip(every, compared, strict=True):
+        variables, pull = pulls[k]
+        places = [np.arange(columns[v], columns[v] + width[v]) for v in variables]
+        row[np.concatenate([np.zeros(0, dtype=np.int64), *places])] = pull
+    size, limit = sizes[compared], limits[compared]
+    correlation = np.abs(every @ at.joint.of(columns) @ every.T) / size[:, None] / size
+    disturbed, nearest, taken = np.zeros(size.size), np.zeros(size.size), list[int]()
+    for j, k in enumerate(compared):
+        if taken and (nearest[j] > _INDEPENDENT or size[j] - disturbed[j] <= limit[j]):
+            continue
+        taken.append(k)
+        disturbed += correlation[j] * size[j]
+        nearest = np.maximum(nearest, correlation[j])
+    return taken
+
+
+def _without(taken: Mask, found: Sequence[_Candidate]) -> Mask:
+    """What takes part when some have gone."""
+    left = taken.copy()
+    for one in found:
+        left[one.observations] = False
+    return left
+
+
+def _pieces(at: Linearised, mine: Judged, points: Index) -> Iterator[tuple[PointRows, Index]]:
+    """Rows of some network points, piece by piece, and which of the judged each observation of them is: (m, slots), -1
+    for none.
+    """
+    rows, patterns = at.rows, at.layout.patterns
+    wanted = np.zeros(rows.kind.size, dtype=bool)
+    wanted[points] = True
+    own = np.flatnonzero(wanted[mine.point] & (mine.place >= 0))
+    number = patterns.point_index[mine.point[own]]
+    order = np.lexsort((mine.place[own], patterns.piece_of(number)))
+    own, number = own[order], number[order]
+    pieces, begins = np.unique(patterns.piece_of(number), return_index=True)
+    for piece, (a, b) in zip(pieces.tolist(), pairwise([*begins.tolist(), own.size]), strict=True):
+        _, first, count, _, observation = rows.piece[piece].tolist()
+        inside = number[a:b] - first
+        slot = (mine.place[own[a:b]] - observation - inside) // count
+        several, row = np.unique(inside, return_inverse=True)
+        found = at.rows_inside(piece, several)
+        table = np.full((several.size, int(found.observation.max()) + 1), -1)
+        table[row, slot] = own[a:b]
+        yield found, table
+
+
+def _worst(at: Linearised, rows: PointRows, table: Index, severity: Array) -> Iterator[_Candidate]:
+    """The worst of each point of a piece that has one beyond the limit; `severity` (m, slots) is test over limit."""
+    covariance, through = residual_covariance(at, rows)
+    slots = np.flatnonzero(np.any(table >= 0, axis=0))
+    each = [direction(covariance, rows.residuals, rows.observation == slot) for slot in slots.tolist()]
+    combinations, tests = np.stack([one[0] for one in each]), np.stack([one[1] for one in each], axis=1)
+    here, severity = table[:, slots], severity[:, slots]
+    for k, worst in enumerate(severity.argmax(axis=1).tolist()):
+        test = tests[k, worst]
+        if severity[k, worst] <= 1.0 or test <= 0.0:
+            continue
+        combination = combinations[worst, k]
+        alike = (here[k] >= 0) & (tests[k] > max(test - _DECISIVE, 0.0))
+        alike[worst] = True
+        size = math.sqrt(test)
+        pull = through[k].T @ combination
+        yield _Candidate(here[k, alike], rows.variables, pull, size, size / math.sqrt(severity[k, worst]))
