@@ -2,9 +2,9 @@
 
     F(P) = |P| - R(longitude, latitude),    r = F / |grad F|        m
 
-R goes through the posts and has continuous slopes: cubic convolution of the sixteen posts around (Keys 1981), so that
-the cost of an adjustment is one function that a solver can follow from cell to cell. r is the distance from the ground
-exact to first order in itself; its derivative takes the ground's curvature into account.
+R is the cubic spline through the posts, with continuous slopes and curvatures, of which the sixteen coefficients around
+a place are needed (Unser 1999): the cost of an adjustment is one function, smooth from cell to cell. r is the distance
+from the ground exact to first order in itself; its derivative takes the curvature into account.
 """
 
 from typing import NamedTuple
@@ -29,19 +29,14 @@ def bilinear(east, south, posts):
 
 @equation
 def cubic_weights(t):
-    """Weights of four posts in a row, t of the way from the second to the third, and their first and second derivatives
-    by t (Keys 1981, eq. 4 with a = -1/2).
+    """Cubic B-splines: weights of four coefficients in a row, t of the way from the second to the third, and their
+    first and second derivatives by t.
     """
-    square, cube = t * t, t * t * t
-    values = (
-        0.5 * (-cube + 2.0 * square - t), 0.5 * (3.0 * cube - 5.0 * square + 2.0),
-        0.5 * (-3.0 * cube + 4.0 * square + t), 0.5 * (cube - square),
-    )  # fmt: skip
-    slopes = (
-        0.5 * (-3.0 * square + 4.0 * t - 1.0), 0.5 * (9.0 * square - 10.0 * t),
-        0.5 * (-9.0 * square + 8.0 * t + 1.0), 0.5 * (3.0 * square - 2.0 * t),
-    )  # fmt: skip
-    return values, slopes, (2.0 - 3.0 * t, 9.0 * t - 5.0, 4.0 - 9.0 * t, 3.0 * t - 1.0)
+    s = 1.0 - t
+    inner, outer = 2.0 / 3.0 + (0.5 * t - 1.0) * t * t, 2.0 / 3.0 + (0.5 * s - 1.0) * s * s
+    values = s * s * s / 6.0, inner, outer, t * t * t / 6.0
+    slopes = -0.5 * s * s, (1.5 * t - 2.0) * t, (2.0 - 1.5 * s) * s, 0.5 * t * t
+    return values, slopes, (s, 3.0 * t - 2.0, 3.0 * s - 2.0, t)
 
 
 @equation
@@ -51,15 +46,15 @@ def weighted(weights, values):
 
 
 @equation
-def cubic(east, south, posts):
-    """Value among sixteen posts, its slopes eastward and southward per cell, and its second derivatives: eastward,
-    mixed, southward.
+def cubic(east, south, coefficients):
+    """Value of the spline, its slopes eastward and southward per cell, and its second derivatives: eastward, mixed,
+    southward.
 
-    `posts` are four rows from north to south of four posts from west to east; the place lies between the second and the
-    third of both, `east` and `south` of the way.
+    `coefficients` are four rows from north to south of four from west to east; the place lies between the second and
+    the third of both, `east` and `south` of the way.
     """
     (values, slopes, bends), (down, down_slopes, down_bends) = cubic_weights(east), cubic_weights(south)
-    first, second, third, fourth = posts
+    first, second, third, fourth = coefficients
     rows = weighted(values, first), weighted(values, second), weighted(values, third), weighted(values, fourth)
     eastward = weighted(slopes, first), weighted(slopes, second), weighted(slopes, third), weighted(slopes, fourth)
     bent = weighted(bends, first), weighted(bends, second), weighted(bends, third), weighted(bends, fourth)
@@ -115,8 +110,8 @@ def height_above(point, ground, step):
 class SurfaceHeight(NamedTuple):
     """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
 
-    posts: NDArray[np.float64]
-    """(rows, columns) m, radii."""
+    coefficients: NDArray[np.float64]
+    """(rows, columns) m, of the spline through the posts' radii."""
     first: Vector
     """(2,) rad, longitude and latitude of the first of them."""
     step: Vector
@@ -125,8 +120,9 @@ class SurfaceHeight(NamedTuple):
     def __call__(self, state_at: StateAt, position: Vector) -> Linear:
         """Row (m) at a state: where the model itself is (m)."""
         moved = subtract(position, state_at(0.0)[0])
-        row, column = post_coordinates(moved, self.first, self.step, self.posts.shape)
-        i, j = min(int(row), self.posts.shape[0] - 3), min(int(column), self.posts.shape[1] - 3)
-        posts = tuple(map(tuple, self.posts[i - 1 : i + 3, j - 1 : j + 3].tolist()))
-        height, by_point = height_above(moved, cubic(column - j, row - i, posts), self.step)
+        every = self.coefficients
+        row, column = post_coordinates(moved, self.first, self.step, every.shape)
+        i, j = min(int(row), every.shape[0] - 3), min(int(column), every.shape[1] - 3)
+        around = tuple(map(tuple, every[i - 1 : i + 3, j - 1 : j + 3].tolist()))
+        height, by_point = height_above(moved, cubic(column - j, row - i, around), self.step)
         return Linear(np.array([height]), np.array([by_point]), -np.array([by_point]))

@@ -22,7 +22,6 @@ from mgsgraph.adjustment.passes import (
     everything,
     places_of_all,
     solve_in_passes,
-    what_changes,
     without_weak,
 )
 from mgsgraph.adjustment.posterior import (
@@ -82,7 +81,8 @@ def adjust_network(
     left_in : Selection, optional
         Rays and ranges that take part; all when absent. Not together with a blunder limit, which judges all anew.
     begin : Solution, optional
-        Of the same unknowns, where the stereo rows are linear first; the images' own adjustment when absent.
+        Of the same unknowns and points, where the optimiser begins; the nominal orientation when absent, or, with
+        stereo rows, the images' own adjustment.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def adjust_network(
         require_bundles(settings, cluster.where)
     network.require_observed()
     require_observed_nodes(network, None if left_in is None else left_in.rays)
-    layout = lay_out(network, settings)
+    layout = lay_out(network, settings, None if begin is None else begin.places)
     clock.stop("set up")
     with _sweeper(layout, cluster) as sweeper:
         if cluster is not None:
@@ -256,10 +256,9 @@ def _posterior(
     nodes, trends = strip_values(network, layout.variables, orientation)
     message = solved.outcome.message
     if solved.circling:
-        message += f" This holds for the best of {solved.passes} passes; "
-        message += f"from one pass to the next {what_changes(settings, network)} still changed."
+        message += f" This holds for the best of {solved.passes} passes; what was rejected still changed in each."
     elif solved.passes > 1:
-        message += f" {solved.passes} passes, until {what_changes(settings, network)} stayed as they were."
+        message += f" {solved.passes} passes, until rejected rows stayed as they were."
     return Solution(
         name=name,
         network=network,
@@ -286,7 +285,6 @@ def _posterior(
         sigmas_without_laser=without_laser,
         seconds=clock.seconds,
         versions=versions(),
-        terrain_cells=None if network.surface is None else layout.rows.terrain_cell[layout.patterns.point_index],
         rays_rejected=~solved.selection.rays,
         ranges_rejected=~solved.selection.ranges,
         stereo_rejected=~solved.selection.stereo,

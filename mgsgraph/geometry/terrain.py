@@ -1,9 +1,9 @@
 """Terrain models: a grid of radii over longitude and latitude.
 
 Values are read between the posts by bilinear interpolation. The surface row of an adjustment is the height of a point
-above a surface through the posts whose slopes are continuous, too (`factors.surface.cubic`), along its normal: with F =
-r - R(lon, lat), the distance F / |grad F|, which is exact to first order in the height (its error is the square of the
-height times the curvature, and it vanishes with the residual).
+above the cubic spline through the posts (`factors.surface.cubic`), along its normal: with F = r - R(lon, lat), the
+distance F / |grad F|, which is exact to first order in the height (its error is the square of the height times the
+curvature, and it vanishes with the residual).
 """
 
 from collections.abc import Callable
@@ -23,8 +23,8 @@ TerrainKind = Literal["radius", "topography", "areoid"]
 """What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid."""
 _SQUARES = 20.0
 """Sum of the squares of the 4 x 4 posts' distances from their middle in one direction, in steps."""
-_BEYOND = 3
-"""Posts by which a grid is continued: so many make the surface level where it ends."""
+_BEYOND = 12
+"""Posts by which a grid is continued: what lies beyond them acts on a spline by 1e-7 of itself."""
 _EDGE = 1e-9
 """cells by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
 
@@ -39,26 +39,26 @@ class _Patch(NamedTuple):
     """per cell."""
 
 
-class ContinuedPosts(NamedTuple):
-    """Posts of a grid without holes and continued beyond its edges, so that a smooth surface goes through all places."""
+class SplineSurface(NamedTuple):
+    """The cubic spline through a grid's posts, continued beyond its edges and over holes, there as the nearest post."""
 
-    radii: Array
-    """(rows, columns) m; missing posts are as the nearest that is there."""
+    coefficients: Array
+    """(rows, columns) m."""
     first: tuple[float, float]
-    """rad, longitude and latitude of post [0, 0]."""
+    """rad, longitude and latitude of coefficient [0, 0]."""
     step: tuple[float, float]
     """rad, between columns and rows."""
 
     def height_above(self, points: Array) -> tuple[Array, Array]:
         """Heights (n,) in m of points (n, 3) in m along the normal, and their derivatives (n, 3)."""
         components = rotation.components(points)
-        row, column = post_coordinates(components, self.first, self.step, self.radii.shape)
+        row, column = post_coordinates(components, self.first, self.step, self.coefficients.shape)
         i, j = (
             np.minimum(np.nan_to_num(one, nan=1.0).astype(np.int64), size - 3)
-            for one, size in zip((row, column), self.radii.shape, strict=True)
+            for one, size in zip((row, column), self.coefficients.shape, strict=True)
         )
-        posts = tuple(tuple(self.radii[i + k, j + m] for m in range(-1, 3)) for k in range(-1, 3))
-        height, slope = height_above(components, cubic(column - j, row - i, posts), self.step)
+        around = tuple(tuple(self.coefficients[i + k, j + m] for m in range(-1, 3)) for k in range(-1, 3))
+        height, slope = height_above(components, cubic(column - j, row - i, around), self.step)
         return np.asarray(height), rotation.stacked(slope)
 
 
@@ -209,13 +209,6 @@ class TerrainGrid:
         posts = (self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right))
         return _Patch(*bilinear(e, s, tuple(np.where(inside, post, np.nan) for post in posts)))
 
-    def cells(self, points: Array) -> Index:
-        """(n, 3) row, left and right column of the posts around points (n, 3) in m; row -1 where one is missing."""
-        longitudes, latitudes, _ = planetocentric(points).T
-        row, left, right, _, _, inside = self._cell(longitudes, latitudes)
-        posts = sum(self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right))
-        return np.stack([np.where(inside & np.isfinite(posts), row, -1), left, right], axis=1)
-
     def radius(self, longitudes: Array, latitudes: Array) -> tuple[Array, Array, Array]:
         """Posts' values between the posts.
 
@@ -270,7 +263,7 @@ class TerrainGrid:
         return self._cell(longitudes, latitudes)[5]
 
     def height_above(self, points: Array) -> tuple[Array, Array]:
-        """Distance of points from the smooth surface through the posts around them, along its normal.
+        """Distance of points from the spline through the posts, along its normal.
 
         Parameters
         ----------
@@ -285,13 +278,13 @@ class TerrainGrid:
             d(height) / d(point); a unit vector along the normal where the height is zero.
         """
         self._require("radius", "heights above the terrain")
-        height, slope = self.continued().height_above(points)
+        height, slope = self.spline().height_above(points)
         there = np.isfinite(self.at(points))
         return np.where(there, height, np.nan), np.where(there[:, None], slope, np.nan)
 
-    def continued(self) -> ContinuedPosts:
-        """Its posts without holes, and continued beyond the edges."""
-        from scipy.ndimage import distance_transform_edt  # slow to import
+    def spline(self) -> SplineSurface:
+        """The cubic spline through its posts."""
+        from scipy.ndimage import distance_transform_edt, spline_filter  # slow to import
 
         radii, missing = np.asarray(self.radii, dtype=np.float64), np.isnan(self.radii)
         if np.any(missing) and not np.all(missing):
@@ -300,9 +293,9 @@ class TerrainGrid:
         radii = np.pad(radii, ((_BEYOND, _BEYOND), (0, 0)), "edge")
         radii = np.pad(radii, ((0, 0), (_BEYOND, _BEYOND)), "wrap" if self.wraps else "edge")
         first = self.first_longitude - _BEYOND * self.longitude_step, self.first_latitude + _BEYOND * self.latitude_step
-        return ContinuedPosts(np.ascontiguousarray(radii), first, (self.longitude_step, self.latitude_step))
+        return SplineSurface(spline_filter(radii, 3), first, (self.longitude_step, self.latitude_step))
 
-    def around(self, points: Array, margin: int = 8) -> "TerrainGrid":
+    def around(self, points: Array, margin: int = 16) -> "TerrainGrid":
         """The part of the grid under points (n, 3) in m, body-fixed, and `margin` posts beyond.
 
         The whole of it where no point lies over it.

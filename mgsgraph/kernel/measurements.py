@@ -80,7 +80,7 @@ from mgsgraph.kernel.rows import (
     RANGE,
     STEREO,
 )
-from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_of, point_of
+from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_of
 
 make_equations_compilable()
 
@@ -232,8 +232,8 @@ def ground_rows(w):
 @inlined
 def surface_rows(rows, segments, count, w):
     """Row of a height above the terrain model; its state is where the model is."""
-    frame, posts = rows.terrain_frame, rows.terrain
-    first, step, last = (frame[0], frame[1]), (frame[2], frame[3]), (posts.shape[0] - 3, posts.shape[1] - 3)
+    frame, spline = rows.terrain_frame, rows.terrain
+    first, step, last = (frame[0], frame[1]), (frame[2], frame[3]), (spline.shape[0] - 3, spline.shape[1] - 3)
     for r in range(LANES):
         w[ROWS + RESIDUAL + r] = 0.0
     for r in range(3 * LANES):
@@ -243,13 +243,13 @@ def surface_rows(rows, segments, count, w):
             weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
             if weight > 0.0:
                 moved = subtract(vector(w, POINT, l), vector(w, DELTA, l))
-                row, column = post_coordinates(moved, first, step, posts.shape)
+                row, column = post_coordinates(moved, first, step, spline.shape)
                 i, j = min(int(row), last[0]), min(int(column), last[1])
                 around = (
-                    (posts[i - 1, j - 1], posts[i - 1, j], posts[i - 1, j + 1], posts[i - 1, j + 2]),
-                    (posts[i, j - 1], posts[i, j], posts[i, j + 1], posts[i, j + 2]),
-                    (posts[i + 1, j - 1], posts[i + 1, j], posts[i + 1, j + 1], posts[i + 1, j + 2]),
-                    (posts[i + 2, j - 1], posts[i + 2, j], posts[i + 2, j + 1], posts[i + 2, j + 2]),
+                    (spline[i - 1, j - 1], spline[i - 1, j], spline[i - 1, j + 1], spline[i - 1, j + 2]),
+                    (spline[i, j - 1], spline[i, j], spline[i, j + 1], spline[i, j + 2]),
+                    (spline[i + 1, j - 1], spline[i + 1, j], spline[i + 1, j + 1], spline[i + 1, j + 2]),
+                    (spline[i + 2, j - 1], spline[i + 2, j], spline[i + 2, j + 1], spline[i + 2, j + 2]),
                 )
                 height, slope = height_above(moved, cubic(column - j, row - i, around), step)
                 w[ROWS + RESIDUAL + l] = weight * height

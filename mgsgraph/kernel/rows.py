@@ -86,7 +86,7 @@ class Rows(NamedTuple):
     entry_inside: Index
     """(e,) the same column within that variable."""
     terrain: Array
-    """(rows, columns) m, radii of the terrain model's posts, continued (`TerrainGrid.continued`); (0, 0) without one."""
+    """(rows, columns) m, coefficients of the terrain model's spline; (0, 0) without a model."""
     terrain_frame: Array
     """(4,) first longitude and latitude, and their steps (rad)."""
 

@@ -40,7 +40,7 @@ from mgsgraph.kernel.lanes import (
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.points import solve_tile
 from mgsgraph.kernel.reliability import reliability_tile
-from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, PREDICTED, SURFACE, Groups, Model, NormalBlocks, Rows
+from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, PREDICTED, Groups, Model, NormalBlocks, Rows
 from mgsgraph.kernel.tile import (
     BEGIN,
     END,

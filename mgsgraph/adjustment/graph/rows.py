@@ -136,7 +136,7 @@ def lay_out_rows(
     on_terrain = _fill_surface(network, store, starts, weight)
     observation_rows = ObservationRows(rays, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
     order = patterns.point_order
-    posts = None if network.surface is None else network.surface.grid.continued()
+    spline = None if network.surface is None else network.surface.grid.spline()
     rows = Rows(
         kind=kinds[order],
         start=starts[order],
@@ -144,8 +144,8 @@ def lay_out_rows(
         weight=weight,
         piece=store.piece,
         **tables,
-        terrain=np.zeros((0, 0)) if posts is None else posts.radii,
-        terrain_frame=np.zeros(4) if posts is None else np.array([*posts.first, *posts.step]),
+        terrain=np.zeros((0, 0)) if spline is None else spline.coefficients,
+        terrain_frame=np.zeros(4) if spline is None else np.array([*spline.first, *spline.step]),
     )
     return observation_rows, rows
 
