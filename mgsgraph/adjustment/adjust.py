@@ -81,7 +81,7 @@ def adjust_network(
     left_in : Selection, optional
         Rays and ranges that take part; all when absent. Not together with a blunder limit, which judges all anew.
     begin : Solution, optional
-        Of the same unknowns and points, where the optimiser begins; the nominal orientation when absent, or, with
+        Of the same unknowns, where the optimiser begins; at the nominal orientation when absent, or, with
         stereo rows, the images' own adjustment.
 
     Returns
@@ -106,7 +106,7 @@ def adjust_network(
         require_bundles(settings, cluster.where)
     network.require_observed()
     require_observed_nodes(network, None if left_in is None else left_in.rays)
-    layout = lay_out(network, settings, None if begin is None else begin.places)
+    layout = lay_out(network, settings)
     clock.stop("set up")
     with _sweeper(layout, cluster) as sweeper:
         if cluster is not None:
