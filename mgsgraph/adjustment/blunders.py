@@ -161,7 +161,7 @@ class Search:
         points, first = np.unique(mine.point[worst], return_index=True)
         found = list[_Candidate]()
         for rows, table in _pieces(at, mine, points[np.argsort(first)[:most]]):
-            found += _worst(at, rows, table, np.where(table >= 0, severity[table], 0.0))
+            found += _worst(at, rows, table, np.where(table >= 0, severity[table], 0.0), units[table])
         return sorted(found, key=lambda one: -one.size / one.limit)
 
     def _agreeing(self, at: Linearised, whole: Linearised, mine: Judged, taken: Mask, units: Array) -> Mask:
@@ -177,13 +177,13 @@ class Search:
             for slot in np.flatnonzero(np.any(wanted, axis=0)).tolist():
                 row, own = rows.observation == slot, wanted[:, slot]
                 test = prediction(rows, row, used, shared) / units[table[:, slot]]
-                fits = own & (test <= critical_value(self.limit, np.count_nonzero(row)))
+                fits = own & (test <= critical_value(self.limit, int(row.sum())))
                 tests[fits, slot] = test[fits]
             for k in np.flatnonzero(np.any(np.isfinite(tests), axis=1)).tolist():
                 some = np.flatnonzero(np.isfinite(tests[k]))
                 row = np.isin(rows.observation, some)
                 together = prediction(rows.of(k), row, used[[k]], shared)[0] / units[table[k, some]].max()
-                if some.size > 1 and together > critical_value(self.limit, np.count_nonzero(row)):
+                if some.size > 1 and together > critical_value(self.limit, int(row.sum())):
                     second = np.sort(tests[k, some])[1]
                     some = some[tests[k, some] < second - _DECISIVE]
                 back[table[k, some]] = True
@@ -327,8 +327,10 @@ def _pieces(at: Linearised, mine: Judged, points: Index) -> Iterator[tuple[Point
         yield found, table
 
 
-def _worst(at: Linearised, rows: PointRows, table: Index, severity: Array) -> Iterator[_Candidate]:
-    """The worst of each point of a piece that has one beyond the limit; `severity` (m, slots) is test over limit."""
+def _worst(at: Linearised, rows: PointRows, table: Index, severity: Array, units: Array) -> Iterator[_Candidate]:
+    """The worst of each point of a piece that has one beyond the limit, by test over limit (m, slots), the tests in
+    units (m, slots).
+    """
     covariance, through = residual_covariance(at, rows)
     slots = np.flatnonzero(np.any(table >= 0, axis=0))
     each = [direction(covariance, rows.residuals, rows.observation == slot) for slot in slots.tolist()]
@@ -339,7 +341,7 @@ def _worst(at: Linearised, rows: PointRows, table: Index, severity: Array) -> It
         if severity[k, worst] <= 1.0 or test <= 0.0:
             continue
         combination = combinations[worst, k]
-        alike = (here[k] >= 0) & (tests[k] > max(test - _DECISIVE, 0.0))
+        alike = (here[k] >= 0) & (tests[k] > max(test - _DECISIVE * units[k, slots[worst]], 0.0))
         alike[worst] = True
         size = math.sqrt(test)
         pull = through[k].T @ combination
