@@ -1,8 +1,8 @@
-"""Terrain models by cells or by bilinear patches: are the sigmas of their shift, the ties and the laser honest?
+"""Terrain models by cells or under single tie points: are the sigmas of their shift, the ties and the laser honest?
 
 Each draw is a simulated site, whose errors have the sigmas that its case states (MEGDR's posts are means over their
 cells of the true ground), in the mission's formats, with dense matches of the true ground in place of pictures. It is
-adjusted with tie points on the bilinear patches of the model, then with its posts on the surface that the images show
+adjusted with tie points on the spline through the model's posts, then with its posts on the surface that the images show
 (`registration.relief`), and both are held against the truth.
 
     python scripts/cells.py [--sites eos,gusev,isidis] [--seeds 200] [--first 1] [--keep FILE] [--page docs/cells.md]
@@ -61,14 +61,14 @@ KINDS = {"terrain": 3, "ties": 3, "profiles": 2, "laser": 3}
 """Degrees of freedom of each normalised error."""
 ALONE = ("terrain",)
 """One in each draw, and so chi-square over draws."""
-WAYS = ("patches", "cells")
+WAYS = ("ties", "cells")
 WORDS = """# Terrain models by cells against truth
 
 Made by `scripts/cells.py` ({machine}), seeds {first} to {last}: simulated sites whose errors have the sigmas that their
 cases state (terrain model: 200 m east and north, {height:g} m up, 10 m for each post of 463 m, which is the mean of the
 true ground over its cell; profiles 100 m), written in the mission's formats and read again, dense matches of the true
-ground with noise of {noise:g} pixels, no rendering. *patches*: each tie point lies on a bilinear patch of the model, as
-`mgsgraph adjust` has it; *cells*: posts and laser shots lie on the surface that the images show, as `mgsgraph
+ground with noise of {noise:g} pixels, no rendering. *ties*: each tie point lies on the spline through the model's posts,
+as `mgsgraph adjust` has it; *cells*: posts and laser shots lie on the surface that the images show, as `mgsgraph
 coregister` has it. NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in brackets: *terrain* of
 the model's shift east, north and up (bands: chi-square), *ties* and *laser* of all tie points and footprints,
 *profiles* of the profiles' shifts (bands: scatter over the draws). *95 %*: share of
@@ -100,7 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def one_draw(name: str, seed: int) -> Draw:
-    """Draw, adjust by patches and by cells, judge."""
+    """Draw, adjust by tie points and by cells, judge."""
     begin = time.perf_counter()
     site = simulate_site(name, seed, SimulationOptions(pictures=False))
     rng = np.random.default_rng([seed, SITE_NAMES.index(name), 7])
@@ -113,10 +113,10 @@ def one_draw(name: str, seed: int) -> Draw:
             case = read_case(path)
         except InputError as error:
             return {"refused": str(error)}
-    patches = adjust_network(case.network, case.settings, case.name)
-    cells = by_cells(case, patches, site, rng)
+    ties = adjust_network(case.network, case.settings, case.name)
+    cells = by_cells(case, ties, site, rng)
     truth = Truth(site, lift)
-    judged = {"patches": truth.judge(patches), "cells": truth.judge(cells)}
+    judged = {"ties": truth.judge(ties), "cells": truth.judge(cells)}
     return judged | {"seconds": time.perf_counter() - begin}
 
 
@@ -201,7 +201,7 @@ def model_shift(solution: Solution) -> tuple[Array, Array]:
 
 
 def row(site: str, way: str, every: list[Draw]) -> list[str]:
-    """Of one site, by patches or by cells."""
+    """Of one site, by tie points or by cells."""
     mine = [draw[way] for draw in every]
     cells = []
     for kind, degrees in KINDS.items():

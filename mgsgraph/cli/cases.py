@@ -317,8 +317,8 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 )
 @click.option("--spacing", type=float, metavar="M", help="Between dense matches; a quarter of the footprint at most.")
 @click.option(
-    "--patches", is_flag=True,
-    help="Leave tie points on the bilinear patches of [terrain], in place of its posts on what the images show.",
+    "--no-cells", is_flag=True,
+    help="Leave tie points on the surface of [terrain], in place of its posts on what the images show.",
 )
 @PAIR
 @WORKERS
@@ -327,7 +327,7 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @click.pass_context
 def coregister(
     ctx: click.Context, case: Path, out: Path | None, solution: Path | None, footprint: float | None, reach: float,
-    spacing: float | None, patches: bool, pair: str | None, workers: int | None, ties: Path | None, no_figures: bool,
+    spacing: float | None, no_cells: bool, pair: str | None, workers: int | None, ties: Path | None, no_figures: bool,
 ) -> None:
     """Move laser profiles and terrain models of CASE and its images onto each other by relief, and adjust all together.
 
@@ -348,7 +348,7 @@ def coregister(
     from mgsgraph.reports.archive import read_solution
     from mgsgraph.reports.results import case_of
 
-    settings = ReliefSettings(footprint, reach, spacing, image_pair(pair), "patches" if patches else "cells")
+    settings = ReliefSettings(footprint, reach, spacing, image_pair(pair), "spline" if no_cells else "cells")
     if (case / FILE).is_file():
         if out is not None or solution is not None or ties is not None:
             raise click.UsageError("--out, --solution and --ties are for a case: a project has its own")
