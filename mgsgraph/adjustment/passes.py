@@ -310,7 +310,7 @@ def _least_squares(layout: Layout, solved: Solved, settings: SolverSettings, swe
     reduction = solved.reduction if plain is layout else None
     if reduction is None:
         reduction = graph.reduction(solved.orientation, points=solved.points)
-    joint = orientation_covariance(graph, reduction)
+    joint = orientation_covariance(graph, reduction, consider=False)
     return Linearised(plain, settings, graph.rows, solved.orientation, reduction.points, joint)
 
 

@@ -137,7 +137,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     levels : Levels, optional
         Sizes of the tests; Baarda's customary ones when absent.
     """
-    at, levels = (of if isinstance(of, Linearised) else at_solution(of)), levels or Levels()
+    at, levels = (of if isinstance(of, Linearised) else at_solution(of)).of_estimator(), levels or Levels()
     points = np.flatnonzero(at.layout.network_order(at.rows.kind) == PRIOR)
     places = _ground_indices(at, points)
     numbers, ground = swept(at, places)

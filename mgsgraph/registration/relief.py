@@ -57,8 +57,8 @@ class _Placed(NamedTuple):
 
 
 def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Placed]:
-    """The network with posts, without tie points on the same models; where the shots are by a solution without posts, and
-    the posts where it has the model.
+    """The network with posts, without tie points on the same models; where the shots are by a solution without posts,
+    and the posts where it has the model.
     """
     network = with_posts(before.network, cells)
     places = before.network.points.places + footprint_shifts(before.network, before.shared)

@@ -28,8 +28,8 @@ class ReliefSettings:
     images: tuple[str, ...] = ()
     """Names of those to match; all of the case when empty."""
     terrain: Literal["cells", "spline"] = "cells"
-    """Posts of terrain models lie on the surface that the images show, or tie points stay on the spline through those of
-    the first model, as in an adjustment without relief."""
+    """Posts of terrain models lie on the surface that the images show, or tie points stay on the spline through those
+    of the first model, as in an adjustment without relief."""
 
     def __post_init__(self) -> None:
         for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing)):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import RectBivariateSpline
 from strategies import differences
 
 from mgsgraph.errors import InputError
@@ -220,3 +221,13 @@ def test_a_part_across_the_seam_is_cut_from_both_sides() -> None:
     assert part.radii.shape[1] <= 36
     assert not part.wraps
     np.testing.assert_allclose(part.at(points), grid.at(points), atol=1e-6)
+
+
+def test_the_surface_is_scipys_spline() -> None:
+    """Far from the edges, where the two differ by how they end."""
+    grid, rng = rough(), np.random.default_rng(8)
+    rows, columns = (np.arange(float(size)) for size in grid.radii.shape)
+    radius = RectBivariateSpline(rows, columns, grid.radii)
+    row, column = rng.uniform(14.0, 26.0, 50), rng.uniform(14.0, 36.0, 50)
+    points = grid.points(row, column, radius(row, column, grid=False))
+    np.testing.assert_allclose(grid.height_above(points)[0], 0.0, atol=1e-3)
