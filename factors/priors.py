@@ -18,14 +18,16 @@ def zero_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:
     return gtsam.PriorFactorVector(key, np.zeros(sigmas.size), gtsam.noiseModel.Diagonal.Precisions(precisions))
 
 
-def linear_prior(keys: Sequence[int], blocks: Sequence[Array]) -> gtsam.CustomFactor:
-    """Whitened rows sum_k blocks[k] x_k about zero on several unknowns; each block (rows, width of its variable)."""
+def linear_prior(keys: Sequence[int], blocks: Sequence[Array], target: Array) -> gtsam.CustomFactor:
+    """Whitened rows sum_k blocks[k] x_k about a target (rows,) on several unknowns; each block (rows, width of its
+    variable).
+    """
     fixed = [np.asfortranarray(block) for block in blocks]
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         if jacobians is not None:
             for k, block in enumerate(fixed):
                 jacobians[k] = block
-        return np.asarray(sum(block @ values.atVector(key) for key, block in zip(keys, fixed, strict=True)))
+        return np.asarray(sum(block @ values.atVector(key) for key, block in zip(keys, fixed, strict=True)) - target)
 
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(fixed[0].shape[0]), list(keys), error)

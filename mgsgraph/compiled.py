@@ -1,15 +1,20 @@
-"""How functions are compiled: equations that compiled code may call, kernels, and where compiled kernels are cached."""
+"""How functions are compiled: equations that compiled code may call, kernels, and where compiled kernels are cached;
+and the threads that share work.
+"""
 
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def find_a_place_for_compiled_kernels(package: Path) -> None:
@@ -88,6 +93,36 @@ def cached_kernel(function: Function, **options: Any) -> Function:
     if hasattr(kernel, "enable_caching"):  # else it is plain Python (NUMBA_DISABLE_JIT)
         kernel._cache = Cache(function)
     return cast(Function, kernel)
+
+
+def threads() -> int:
+    """Threads that compiled code may take: NUMBA_NUM_THREADS, by default one per processor."""
+    from numba import get_num_threads
+
+    return int(get_num_threads())
+
+
+def in_threads(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    worthwhile: bool = True,
+    done: Callable[[int], None] = lambda _: None,
+) -> list[Result]:
+    """Results of work on each of some items, in `threads` where that is worthwhile: compiled code and NumPy let go of
+    the interpreter. `done` is called, by the caller's thread, with how many are.
+    """
+    many, found = list(items), list[Result]()
+    with ThreadPoolExecutor(max(1, min(len(many), threads()))) as pool:
+        for result in (pool.map if worthwhile and len(many) > 1 and threads() > 1 else map)(work, many):
+            found.append(result)
+            done(len(found))
+    return found
+
+
+def shares(size: int, least: int = 1) -> list[slice]:
+    """Even parts of 0 .. size - 1, one for each of `threads`; fewer where they would be smaller than `least`."""
+    parts = max(1, min(threads(), size // least))
+    return [slice(size * k // parts, size * (k + 1) // parts) for k in range(parts)]
 
 
 @cache

@@ -153,7 +153,7 @@ def levenberg_marquardt(
         keep = keep and _near(predicted, length, cost, settings)
         trial = problem.moved(state, step)
         new = problem.cost(trial, COSTS if rejected else GRADIENT if keep else SYSTEM)
-        accepted = _lower(problem, state, trial, cost, new)
+        accepted = _lower(problem, state, trial, cost, new, predicted)
         now = Iteration(number, new, cost - new, predicted, length, damping, accepted)
         history.append(now)
         progress(now)
@@ -205,11 +205,11 @@ def _near(predicted: float, length: float, cost: float, settings: SolverSettings
     return predicted <= _KEEP * cost and not last
 
 
-def _lower(problem: Problem[State], state: State, trial: State, cost: float, new: float) -> bool:
-    """Whether a trial's cost is no higher; a near miss is looked at again, exactly."""
+def _lower(problem: Problem[State], state: State, trial: State, cost: float, new: float, predicted: float) -> bool:
+    """Whether a trial's cost is no higher, or can't be told from it: a near miss is looked at again, exactly."""
     if not math.isfinite(new) or new > cost * (1.0 + _NEAR):
         return False
-    if new <= cost * (1.0 + _ROUNDING):
+    if new <= cost * (1.0 + _ROUNDING) or predicted <= _ROUNDING * cost:
         return True
     return problem.exact_cost(trial) <= problem.exact_cost(state) * (1.0 + _ROUNDING)
 

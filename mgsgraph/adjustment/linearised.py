@@ -155,6 +155,7 @@ class Linearised:
             shifts=None if shifts is None else ProfileShifts(shifts.names, np.full(m, -1), shifts.sigmas),
             surface=None if surface is None else replace(surface, sigmas=np.full(m, np.inf)),
             stereo=None,
+            crossovers=None,
         )
         # the papers' form has no derivatives of a place, only of a misfit at a measured line
         return lay_out(bare, replace(self.settings, line="predicted") if known else self.settings, places)

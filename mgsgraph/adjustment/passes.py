@@ -21,7 +21,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import BEHIND, NO_LOSS, OUT, WEAK, Rows, Small
+from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, WEAK, Rows, Small
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import Network
 from mgsgraph.ties import PointKind
@@ -137,7 +137,7 @@ def solve_in_passes(
     history, initial = tuple[Iteration, ...](), float("nan")
     seen: dict[bytes, Solved] = {}
     orientation = np.zeros(layout.columns) if begin is None else begin
-    known = before if begin is None else None
+    known: Reduction | None = before if begin is None else None
     if layout.network.stereo is not None:
         bare = selection.without_stereo()
         if begin is None:
@@ -150,7 +150,7 @@ def solve_in_passes(
     search, returned = Search(settings.reject, sweeper) if settings.reject > 0.0 else None, b""
     for number in range(1, _MOST_PASSES + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
-        layout, history = solved.layout, history + solved.history
+        layout, selection, history = solved.layout, solved.selection, history + solved.history
         initial = solved.cost_initial if np.isnan(initial) else initial
         solved = replace(solved, history=history, cost_initial=initial, passes=number)
         if search is None:
@@ -161,8 +161,7 @@ def solve_in_passes(
         if chosen.same(selection):
             return solved
         seen[selection.key + returned] = solved
-        returned, orientation = search.memory, onward
-        selection, known = _before_cameras(layout, chosen, orientation, sweeper)
+        selection, orientation, known, returned = chosen, onward, None, search.memory
         if selection.key + returned in seen:
             break
     last = tuple(seen.values())[-1].selection  # costs compare where the same rows take part
@@ -195,6 +194,8 @@ def _solve_exactly(
     """One pass: solve, and again with rays laid out about their predicted lines until every row is exact."""
     layout = layout.without_steps
     graph = BundleGraph(layout, selection.rows(layout), sweeper)
+    if known is None:
+        selection, graph, known = _start(graph, selection, orientation, None, settings)
     solved = _solve(graph, selection, orientation, known, settings, progress)
     initial, history = solved.cost_initial, solved.history
     for _ in range(_MOST_LAYOUTS):
@@ -203,7 +204,7 @@ def _solve_exactly(
             break
         graph = BundleGraph(anew, selection.rows(anew), sweeper)
         points = solved.layout.network_order(solved.points)[anew.point_order]
-        known = graph.reduction(solved.orientation, points=points)
+        selection, graph, known = _start(graph, selection, solved.orientation, points, settings)
         solved = _solve(graph, selection, solved.orientation, known, settings, progress)
         history += solved.history
     else:
@@ -211,6 +212,18 @@ def _solve_exactly(
             message = f"Heights above stereo surfaces have not come to rest in {_MOST_LAYOUTS} rounds."
             solved = replace(solved, outcome=replace(solved.outcome, converged=False, message=message))
     return replace(solved, cost_initial=initial, history=history)
+
+
+def _start(
+    graph: BundleGraph, selection: Selection, orientation: Array, points: Array | None, settings: SolverSettings
+) -> tuple[Selection, BundleGraph, Reduction]:
+    """Where an optimisation begins; when blunders are sought, without points that are lost there."""
+    known = graph.reduction(orientation, points=points)
+    strong = _without_lost(graph.layout, selection, known) if settings.reject > 0.0 else selection
+    if strong is selection:
+        return selection, graph, known
+    graph = BundleGraph(graph.layout, strong.rows(graph.layout), graph.sweeper)
+    return strong, graph, graph.reduction(orientation, points=points)
 
 
 def _solve(
@@ -265,11 +278,14 @@ def _next(
     """
     selection, network, first = solved.selection, layout.network, search.dimensions is None
     taken = np.concatenate([selection.rays, selection.ranges, selection.stereo])
-    at = _least_squares(layout, solved, settings, sweeper)
+    at, reduction = _least_squares(layout, solved, settings, sweeper)
+    strong = _without_lost(layout, selection, reduction)
+    if strong is not selection:
+        return strong, solved.orientation, ()
     wanted = first and settings.loss == "none" and search.beyond(at)
     robust = _robust(layout, solved, settings, sweeper) if wanted else None
     if robust is not None:
-        left = search.without_gross(_least_squares(robust.layout, robust, settings, sweeper), taken)
+        left = search.without_gross(_least_squares(robust.layout, robust, settings, sweeper)[0], taken)
     else:
         places = places_of_all(layout, solved, sweeper)
         left = search.next(at, replace(at, rows=at.layout.rows, points=places), taken)
@@ -278,16 +294,14 @@ def _next(
     return Selection(rays, ranges, selection.out, stereo), begin, history
 
 
-def _before_cameras(
-    layout: Layout, selection: Selection, orientation: Array, sweeper: Sweeper
-) -> tuple[Selection, Reduction]:
-    """The selection without points that the rays left to them put behind a camera, and its reduction."""
-    found = BundleGraph(layout, selection.rows(layout), sweeper).reduction(orientation)
-    behind = layout.point_order[found.states == BEHIND]
-    if not behind.size:
-        return selection, found
-    selection = replace(selection, rays=selection.rays & ~np.isin(layout.network.rays.point, behind))
-    return selection, BundleGraph(layout, selection.rows(layout), sweeper).reduction(orientation)
+def _without_lost(layout: Layout, selection: Selection, found: Reduction) -> Selection:
+    """The selection without rays of points that those left to them put behind a camera, or don't determine; itself when
+    there are none.
+    """
+    lost = layout.point_order[(found.states != GOOD) & determined_points(selection.rows(layout))]
+    if not lost.size:
+        return selection
+    return replace(selection, rays=selection.rays & ~np.isin(layout.network.rays.point, lost))
 
 
 def _robust(layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper) -> Solved | None:
@@ -303,15 +317,17 @@ def _robust(layout: Layout, solved: Solved, settings: SolverSettings, sweeper: S
         return None
 
 
-def _least_squares(layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper) -> Linearised:
-    """Rows that take part, linearised about the unknowns of an adjustment, at full weight."""
+def _least_squares(
+    layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper
+) -> tuple[Linearised, Reduction]:
+    """Rows that take part, linearised about the unknowns of an adjustment, at full weight; and their reduction."""
     plain = layout if layout.model.loss == NO_LOSS else layout.with_loss("none")
     graph = BundleGraph(plain, solved.selection.rows(plain), sweeper)
     reduction = solved.reduction if plain is layout else None
     if reduction is None:
         reduction = graph.reduction(solved.orientation, points=solved.points)
     joint = orientation_covariance(graph, reduction, consider=False)
-    return Linearised(plain, settings, graph.rows, solved.orientation, reduction.points, joint)
+    return Linearised(plain, settings, graph.rows, solved.orientation, reduction.points, joint), reduction
 
 
 def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS) -> Array:

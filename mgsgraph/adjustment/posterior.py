@@ -286,8 +286,8 @@ def _strip_by_strip(layout: Layout) -> SquareRoot:
 
 
 def _known_together(layout: Layout) -> list[list[int]]:
-    """Adjusted variables in groups that no prior joins: strip by strip, and any other by itself."""
-    adjusted = np.array(layout.variables.adjusted(), dtype=np.int64)
-    strip = np.searchsorted(layout.network.first_of_strips, adjusted, side="right") - 1
-    alone = [[v] for v in adjusted[strip < 0].tolist()]
-    return alone + [adjusted[strip == k].tolist() for k in np.unique(strip[strip >= 0]).tolist()]
+    """Adjusted variables in groups that no prior joins: strips, profiles that cross, and any other by itself."""
+    group, together = layout.prior.group, dict[int, list[int]]()
+    for v in layout.variables.adjusted():
+        together.setdefault(int(group[v]), []).append(v)
+    return list(together.values())

@@ -16,6 +16,8 @@ from mgsgraph.kernel.rows import Small
 
 UNCONTROLLED = 1e-6
 """Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
+_SINGULAR = 1e-12
+"""Share of its largest eigenvalue below which one of a point's normal matrix is rounding."""
 INSEPARABLE = 0.99
 """Correlation of two tests from which on they can't be separated."""
 
@@ -124,7 +126,9 @@ def closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[Array, Index]
     through = rows.by_shared * chosen[:, :, None]
     covariance = np.eye(rows.row.size) + through @ shared @ np.swapaxes(through, 1, 2)
     turned = np.swapaxes(np.linalg.solve(covariance, by_point), 1, 2)
-    left = error - by_point @ np.linalg.solve(turned @ by_point, turned @ error)
+    normal = turned @ by_point  # of rays that hardly converge, or do so behind a camera, singular
+    left = error - by_point @ (np.linalg.pinv(normal, _SINGULAR, hermitian=True) @ (turned @ error))
     test = np.swapaxes(left, 1, 2) @ np.linalg.solve(covariance, left)
-    return test[:, 0, 0], chosen.sum(axis=1) - 3
+    rank = np.linalg.matrix_rank(normal, rtol=_SINGULAR, hermitian=True)
+    return test[:, 0, 0], chosen.sum(axis=1) - rank
 

@@ -19,6 +19,7 @@ _SHIFT = {"m": SHIFTS, "rad": TILTS}
 NODE_POSITION, NODE_POINTING = "position priors of nodes", "pointing priors of nodes"
 POSITION_TREND, POINTING_TREND = "position trends", "pointing trends"
 RANGES, GROUND_PRIORS, HEIGHTS, STEREO_HEIGHTS = "ranges", "ground priors", "surface heights", "stereo heights"
+CROSSOVERS = "crossovers"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +40,8 @@ class Grouping:
     """(n,) of each point's height above a stereo surface; of no meaning where it has none."""
     unknowns: tuple[Index, ...]
     """Of the priors of each variable's columns: images, then shifts, then shared unknowns, then those of strips."""
+    crossovers: int = 0
+    """Of crossovers; of no meaning without any."""
 
     def __post_init__(self) -> None:
         parts = [self.rays, self.ranges, self.ground, self.heights, self.stereo, *self.unknowns]
@@ -59,6 +62,12 @@ class Grouping:
                 of_points = self.ground[layout.point_order[first : first + count]]
                 found[among + i * count : among + (i + 1) * count] = of_points
         return found
+
+    def of_priors(self, layout: Layout) -> Index:
+        """(rows,) group of each row of the layout's prior, crossovers among them."""
+        groups = self.of_columns(layout)[layout.prior.about]
+        groups[groups.size - layout.prior.crossovers :] = self.crossovers
+        return groups
 
     def of_columns(self, layout: Layout) -> Index:
         """(columns,) group of each adjusted column's prior."""
@@ -100,6 +109,7 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
     labels = [of_ray.astype(str), np.full(network.ranges.point.size, RANGES), ground, heights, stereo]
     own = network.with_polynomial
     labels += [part for j, part in enumerate(parts) if j >= own.size or own[j]]
+    labels.append(np.full(0 if network.crossovers is None else 1, CROSSOVERS))
     names = list(dict.fromkeys(name for part in labels for name in dict.fromkeys(part.tolist())))
     number = {name: g for g, name in enumerate(names)}
 
@@ -117,6 +127,7 @@ def group_rows(network: Network, image_kinds: Sequence[str] | None = None) -> Gr
         every(HEIGHTS, n),
         every(STEREO_HEIGHTS, n),
         tuple(numbered(part.tolist()) for part in parts),
+        number.get(CROSSOVERS, 0),
     )
 
 
@@ -144,6 +155,9 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
         surface = surface.scaled(factors[grouping.heights], own)
     if stereo is not None:
         stereo = replace(stereo, sigmas=stereo.sigmas * factors[grouping.stereo])
+    crossing = network.crossovers
+    if crossing is not None:
+        crossing = replace(crossing, sigmas=crossing.sigmas * factors[grouping.crossovers])
     own_covariances = network.points.covariances * factors[grouping.ground][:, None, None] ** 2
     return replace(
         network,
@@ -157,6 +171,7 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
         shifts=profiles,
         surface=surface,
         stereo=stereo,
+        crossovers=crossing,
         shared=tuple(
             replace(shared, sigmas=shared.sigmas * of_unknown[images + shifts + k])
             for k, shared in enumerate(network.shared)

@@ -64,7 +64,7 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
         sums.add(rows, groups)
     sums.close()
     known, size = prior_rows(at), len(grouping.names)
-    of_row = grouping.of_columns(at.layout)[known.about]
+    of_row = grouping.of_priors(at.layout)
     counts = sums.counts + np.bincount(of_row, minlength=size)
     squares = sums.squares + np.bincount(of_row, known.misfit**2, size)
     shares = sums.shares + np.bincount(of_row, known.share, size)

@@ -62,10 +62,11 @@ def _placed(layout: Layout, values: Sequence[Array], places: Array) -> tuple[Arr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorRows:
-    """What is known a priori of the shared unknowns, as m rows.
+    """What is known of the shared unknowns without any point, as m rows.
 
     Most rows are the a-priori value of one unknown. Those of a strip's orientation images join a node to the one
-    before it and to the trend (`network.strips`); they count as measures of the node.
+    before it and to the trend (`network.strips`); they count as measures of the node. The last are crossovers of laser
+    profiles, measured height differences.
     """
 
     about: Index
@@ -73,9 +74,11 @@ class PriorRows:
     sigma: Array
     """(m,) its a-priori sigma, all else held, m, rad or s."""
     misfit: Array
-    """(m,) whitened residual, measured (zero) minus predicted."""
+    """(m,) whitened residual, measured (zero but for crossovers) minus predicted."""
     share: Array
     """(m,) covariance of the adjusted row in its own units; 1 minus it is the redundancy number."""
+    crossovers: int
+    """Rows at the end that are crossovers."""
 
 
 def prior_rows(at: Linearised) -> PriorRows:
@@ -84,7 +87,7 @@ def prior_rows(at: Linearised) -> PriorRows:
     own = np.flatnonzero(prior.weights)
     sigma, share = [1.0 / prior.weights[own]], [(at.joint.sigmas[own] * prior.weights[own]) ** 2]
     flat, begin = at.joint.of_each([factor.variables for factor in prior.factors]), 0
-    for variables, blocks, about in prior.factors:
+    for variables, blocks, about, _ in prior.factors:
         rows = np.concatenate(blocks, axis=1)
         width = rows.shape[1]
         covariance = flat[begin : begin + width**2].reshape(width, width)
@@ -94,4 +97,8 @@ def prior_rows(at: Linearised) -> PriorRows:
         chief = rows[np.arange(about.size), np.argmax(columns == about[:, None], axis=1)]
         sigma.append(1.0 / np.abs(chief))
     misfit = -(prior.every @ at.orientation)
-    return PriorRows(prior.about, np.concatenate(sigma), misfit, np.concatenate(share))
+    misfit[misfit.size - prior.target.size :] += prior.target
+    sigmas = np.concatenate(sigma)
+    if at.network.crossovers is not None:
+        sigmas[sigmas.size - prior.crossovers :] = at.network.crossovers.sigmas
+    return PriorRows(prior.about, sigmas, misfit, np.concatenate(share), prior.crossovers)

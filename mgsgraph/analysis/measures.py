@@ -95,6 +95,8 @@ class MeasureKind(IntEnum):
     """Height above a stereo surface, along its normal, m."""
     PRIOR = 5
     """A-priori value of an unknown that points share: orientation, shift, bias."""
+    CROSSOVER = 6
+    """Height difference of two laser profiles where they cross, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,13 +108,14 @@ class ScalarMeasures:
     component: Small
     """(m,) line 0, sample 1; x, y, z; of a prior, which of its variable's columns; else 0."""
     row: Indices
-    """(m,) ray, range, point (a-priori place, heights) of the network; of a prior, its column among the unknowns."""
+    """(m,) ray, range, point (a-priori place, heights) of the network; of a prior, its column among the unknowns; of a
+    crossover its number."""
     point: Indices
-    """(m,) ground point; -1 for priors."""
+    """(m,) ground point; -1 for priors and crossovers."""
     image: Indices
-    """(m,) image; -1 for a-priori places, heights and priors that are no image's."""
+    """(m,) image; -1 for a-priori places, heights, crossovers and priors that are no image's."""
     observation: Indices
-    """(m,) place among the layout's observations; -1 for priors."""
+    """(m,) place among the layout's observations; -1 for priors and crossovers."""
     sigma: Array
     """(m,) a-priori, px, m, rad or s."""
     residual: Array
@@ -294,9 +297,13 @@ def names_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[st
         for component, part in enumerate(parts):
             heads[_WIDEST * one + component] = f"{part} of point "
     head, image = _WIDEST * kind.astype(np.int64) + measures.component[chosen], measures.image[chosen]
-    priors = np.flatnonzero(kind == MeasureKind.PRIOR)
-    head[priors], image[priors] = len(heads) + np.arange(priors.size), -1
+    priors, crossed = (np.flatnonzero(kind == one) for one in (MeasureKind.PRIOR, MeasureKind.CROSSOVER))
+    own = np.append(priors, crossed)
+    head[own], image[own] = len(heads) + np.arange(own.size), -1
     heads += [name for name, _ in _priors(layout, measures.row[chosen[priors]])]
+    if network.crossovers is not None and network.shifts is not None:
+        pairs = network.crossovers.profiles(network.shifts)[measures.row[chosen[crossed]]]
+        heads += [f"crossover of {network.shifts.names[k]} and {network.shifts.names[m]}" for k, m in pairs.tolist()]
     ids, images = network.points.ids, [*(f" in image {one.name}" for one in network.images), ""]
     rows = zip(head.tolist(), measures.point[chosen].tolist(), image.tolist(), strict=True)
     return [heads[h] + (ids[i] if i >= 0 else "") + images[j] for h, i, j in rows]

@@ -100,7 +100,8 @@ def without(network: Network, taken: Taken) -> Network:
         surface = replace(surface, sigmas=np.where(taken.heights, np.inf, surface.sigmas))
     if stereo is not None:  # on which a point stands by its a-priori position alone
         stereo = replace(stereo, surface=np.where(out, -1, stereo.surface))
-    return replace(network, points=points, shifts=shifts, surface=surface, stereo=stereo)
+    crossing = None if network.crossovers is None else network.crossovers.without(out)
+    return replace(network, points=points, shifts=shifts, surface=surface, stereo=stereo, crossovers=crossing)
 
 
 def selection(network: Network, taken: Taken) -> Selection:

@@ -285,13 +285,15 @@ def _stereo(
 
 
 def _priors(out: ScalarMeasures, at: Linearised, known: PriorRows, levels: Levels) -> float:
-    """Fill in a-priori values of the shared unknowns, all of them zero; their sum of squares."""
+    """Fill in a-priori values of the shared unknowns, all of them zero, and crossovers; their sum of squares."""
     about = known.about
     variables = at.layout.variables
     adjusted = np.array(variables.adjusted(), dtype=np.int64)
     variable = np.repeat(adjusted, variables.width[adjusted])[about]
     image = np.where(variable < variables.images, variable, -1)
     out.say(MeasureKind.PRIOR, about - variables.first[variable], about, -1, image, -1)
+    last = out.part(about.size - known.crossovers, about.size)
+    last.say(MeasureKind.CROSSOVER, _zeros(about)[: known.crossovers], np.arange(known.crossovers), -1, -1, -1)
     judge_scalars(out, known.sigma, known.misfit, known.share, np.full(about.size, np.nan), None, levels)
     return float(known.misfit @ known.misfit)
 

@@ -246,5 +246,5 @@ def _all_rows(at: Linearised, grouping: Grouping) -> tuple[Array, Array, Index]:
     return (
         np.concatenate([numbers[:, :, 0][taken], known.misfit]),
         np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
-        np.concatenate([of_observation[taken], grouping.of_columns(layout)[known.about]]),
+        np.concatenate([of_observation[taken], grouping.of_priors(layout)]),
     )

@@ -182,7 +182,7 @@ class _Search:
 
 def _candidates(found: Reliability, scale: float, number: int) -> list[_Candidate]:
     """One for each point that has an observation over its critical value, worst first."""
-    over = (found.severity > 1.0) & (found.measures.kind != MeasureKind.PRIOR)
+    over = (found.severity > 1.0) & (found.measures.kind < MeasureKind.PRIOR)
     worst = np.flatnonzero(over)[np.argsort(-found.severity[over], kind="stable")]
     points, first = np.unique(found.measures.point[worst], return_index=True)
     chosen = points[np.argsort(first)][:_MOST_CANDIDATES]

@@ -175,8 +175,7 @@ def _lanczos(joint: JointCovariance, scales: Array, count: int, prior: "csr_arra
 def _single_images(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_EqualDirections]:
     """Directions of single images that are as weak as the weakest, where there are `count`; those that move most."""
     layout, found = frames.layout, list[tuple[slice, Array]]()
-    joined = {v for factor in layout.prior.factors for v in factor.variables}
-    for variable in (v for v in layout.variables.adjusted() if v not in joined):
+    for variable in (v for v in layout.variables.adjusted() if v not in layout.prior.joined):
         columns = layout.columns_of(variable)
         scales = layout.scales[columns]
         values, vectors = np.linalg.eigh(joint.block(variable, variable) / scales / scales[:, None])

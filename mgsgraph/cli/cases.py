@@ -320,6 +320,7 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
     "--no-cells", is_flag=True,
     help="Leave tie points on the surface of [terrain], in place of its posts on what the images show.",
 )
+@click.option("--no-crossovers", is_flag=True, help="No rows where two laser profiles cross.")
 @PAIR
 @WORKERS
 @TIES
@@ -327,7 +328,8 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @click.pass_context
 def coregister(
     ctx: click.Context, case: Path, out: Path | None, solution: Path | None, footprint: float | None, reach: float,
-    spacing: float | None, no_cells: bool, pair: str | None, workers: int | None, ties: Path | None, no_figures: bool,
+    spacing: float | None, no_cells: bool, no_crossovers: bool, pair: str | None, workers: int | None, ties: Path | None,
+    no_figures: bool,
 ) -> None:
     """Move laser profiles and terrain models of CASE and its images onto each other by relief, and adjust all together.
 
@@ -348,7 +350,8 @@ def coregister(
     from mgsgraph.reports.archive import read_solution
     from mgsgraph.reports.results import case_of
 
-    settings = ReliefSettings(footprint, reach, spacing, image_pair(pair), "spline" if no_cells else "cells")
+    chosen = footprint, reach, spacing, image_pair(pair)
+    settings = ReliefSettings(*chosen, "spline" if no_cells else "cells", not no_crossovers)
     if (case / FILE).is_file():
         if out is not None or solution is not None or ties is not None:
             raise click.UsageError("--out, --solution and --ties are for a case: a project has its own")

@@ -5,6 +5,7 @@ import numpy as np
 from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
 from mgsgraph.factors.algebra import add, cross, product, scale, subtract, transform, transpose
 from mgsgraph.factors.interpolation import hermite
+from mgsgraph.factors.pose import about_axes
 from mgsgraph.factors.rotation import matrix_quaternion, opk_paper_axes, opk_rotation, quaternion_matrix, rotation
 
 make_equations_compilable()
@@ -122,5 +123,20 @@ def polynomial_poses(s, rate, places, angles, position, velocity, matrix, angula
         put(position, i, place)
         put(velocity, i, scale(rate, motion))
         put(angular_rate, i, scale(rate, transform(opk_paper_axes(opk), opk_rate)))
+        for j in range(3):
+            put(matrix[i], j, attitude[j])
+
+
+@cached_kernel
+def turned_attitudes(nominal, angular_rate, turn, turn_rate, matrix, found):
+    """Matrices (n, 3, 3) and angular rates (n, 3) of nominal quaternions (n, 4), corrected by turns (n, 3) about
+    the axes of the camera.
+    """
+    for i in range(turn.shape[0]):
+        q = nominal[i]
+        attitude, _, rate = about_axes(
+            (q[0], q[1], q[2], q[3]), vector(angular_rate, i), 0.0, vector(turn, i), vector(turn_rate, i)
+        )
+        put(found, i, rate)
         for j in range(3):
             put(matrix[i], j, attitude[j])

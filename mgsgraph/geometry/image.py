@@ -226,15 +226,13 @@ class PushbroomImage:
         place[:, 1] = 0.5 * self.samples
         size = np.array([self.lines, self.samples])
         for _ in range(_NEWTON_STEPS):
-            error, jacobian, _ = self._misplacement(points, place, correction)
+            error, jacobian, by_point = self._misplacement(points, place, self.pose(place[:, 0], correction))
             step = -_solve(jacobian, error[:, :, None])[:, :, 0]
             before, place = place, np.clip(place + step, -_EDGE * size, (1.0 + _EDGE) * size)
             if not np.any(np.abs(place - before) > _PIXEL_TOLERANCE):  # NaN has come to rest, too
                 break
-        error, jacobian, by_point = self._misplacement(points, place, correction)
         derivative = -_solve(jacobian, by_point)
-        off = np.abs(_solve(jacobian, error[:, :, None])[:, :, 0]).max(axis=1)
-        unseen = ~(off < 1e3 * _PIXEL_TOLERANCE)
+        unseen = ~(np.abs(step).max(axis=1) < 1e3 * _PIXEL_TOLERANCE)
         place[unseen], derivative[unseen] = np.nan, np.nan
         return place, derivative
 
@@ -243,22 +241,20 @@ class PushbroomImage:
         the position (m) and the rotation (rad) with which the orientation is corrected at their lines, and by the focal
         length (m).
         """
-        _, jacobian, in_plane = self._misplacement(points, places, correction)
-        lines = places[:, 0]
-        pose, axes = self.pose(lines, correction), correction.axes(self.pose(lines), self.moments(lines))
+        moments = self.moments(places[:, 0])
+        nominal = self.pose(places[:, 0])
+        pose, axes = correction.apply(nominal, moments), correction.axes(nominal, moments)
+        _, jacobian, in_plane = self._misplacement(points, places, pose)
         ray = transform(rotation.rows(pose.matrix), rotation.components(points - pose.position))
         of_rays = image_by_ray(ray, self.interior.focal_length)
         turned = np.stack([rotation.stacked(by_rotation(row, ray, rotation.rows(axes))) for row in of_rays], axis=1)
         longer = np.stack([ray[0] / ray[2], ray[1] / ray[2]], axis=1)[:, :, None]
         return -_solve(jacobian, np.concatenate([-in_plane, turned, longer], axis=2))
 
-    def _misplacement(
-        self, points: Array, place: Array, correction: OrientationCorrection | None
-    ) -> tuple[Array, Array, Array]:
+    def _misplacement(self, points: Array, place: Array, pose: Pose) -> tuple[Array, Array, Array]:
         """Focal-plane distance (n, 2) in m of the points' images from the detector pixel at `place`, the pose being
         that of its line; derivatives by (line, sample) (n, 2, 2) and by the point (n, 2, 3). Eq. 1 of Yoon & Shan.
         """
-        pose = self.pose(place[:, 0], correction)
         detector, slope = self.interior.focal_plane(place[:, 1])
         attitude, focal = rotation.rows(pose.matrix), self.interior.focal_length
         ray = transform(attitude, rotation.components(points - pose.position))

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer
+from mgsgraph.factors.pose import opk_paper, opk_peer
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.orientation_images import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, assign, frozen
@@ -130,18 +130,16 @@ class OrientationCorrection:
     def apply(self, nominal: Pose, moments: Moments) -> Pose:
         """Corrected pose of nominal poses (rates per line) at n lines."""
         correction, slope = self.at(moments)
-        turn, turn_rate = correction[:, 3:], slope[:, 3:]
-        attitude_of, at, rates = self._nominal_attitude(nominal)
-        turned = attitude_of(at, rates, 0.0, rotation.components(turn), rotation.components(turn_rate))
-        position = nominal.position + correction[:, :3]
-        matrix, _, rate = turned
-        return Pose(position, nominal.velocity + slope[:, :3], rotation.matrices(matrix), rotation.stacked(rate))
-
-    def _nominal_attitude(self, nominal: Pose) -> tuple[Callable[..., Any], tuple[Array, ...], tuple[Array, ...]]:
-        """The equation of `factors.pose` that adds corrections, and nominal attitude and rates as it takes them."""
+        position, velocity = nominal.position + correction[:, :3], nominal.velocity + slope[:, :3]
         if self.angles == "camera":
-            at = rotation.components(rotation.from_matrix(nominal.matrix))
-            return about_axes, at, rotation.components(nominal.angular_rate)
+            return Pose(position, velocity, *_turned(nominal, correction[:, 3:], slope[:, 3:]))
+        attitude_of, at, rates = self._nominal_angles(nominal)
+        turn, turn_rate = (rotation.components(part[:, 3:]) for part in (correction, slope))
+        matrix, _, rate = attitude_of(at, rates, 0.0, turn, turn_rate)
+        return Pose(position, velocity, rotation.matrices(matrix), rotation.stacked(rate))
+
+    def _nominal_angles(self, nominal: Pose) -> tuple[Callable[..., Any], tuple[Array, ...], tuple[Array, ...]]:
+        """The equation of `factors.pose` that adds to angles, and nominal angles and rates as it takes them."""
         paper = self.angles == "opk-paper"
         angles = rotation.omega_phi_kappa(nominal.matrix if paper else np.swapaxes(nominal.matrix, 1, 2))
         rates = np.linalg.solve(rotation.angle_axes(angles, paper), nominal.angular_rate[:, :, None])[:, :, 0]
@@ -149,6 +147,20 @@ class OrientationCorrection:
 
     def axes(self, nominal: Pose, moments: Moments) -> Array:
         """(n, 3, 3): how the camera turns, about its own axes, per rad of each rotation component at n lines."""
-        turn = rotation.components(self.at(moments)[0][:, 3:])
-        attitude_of, at, rates = self._nominal_attitude(nominal)
-        return rotation.matrices(attitude_of(at, rates, 0.0, turn, turn)[1])
+        turn = self.at(moments)[0][:, 3:]
+        if self.angles == "camera":
+            return rotation.right_jacobian(turn)
+        attitude_of, at, rates = self._nominal_angles(nominal)
+        return rotation.matrices(attitude_of(at, rates, 0.0, *[rotation.components(turn)] * 2)[1])
+
+
+def _turned(nominal: Pose, turn: Array, turn_rate: Array) -> tuple[Array, Array]:
+    """Attitudes (n, 3, 3) and how the camera turns (n, 3), turned by a correction about its axes (n, 3)."""
+    from mgsgraph.geometry.compiled_pose import turned_attitudes  # compiled: not before it is needed
+
+    matrix, rate = np.empty((len(turn), 3, 3)), np.empty((len(turn), 3))
+    turned_attitudes(
+        rotation.from_matrix(nominal.matrix), np.ascontiguousarray(nominal.angular_rate), np.ascontiguousarray(turn),
+        np.ascontiguousarray(turn_rate), matrix, rate,
+    )  # fmt: skip
+    return matrix, rate

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mgsgraph.compiled import in_threads, shares
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
@@ -41,6 +42,8 @@ RESOLUTION = 2.0**-16
 _OUTLIER = 4.0
 """Standard deviations from the average, by the mean distance of the matches about, beyond which one is left out of it.
 """
+_WORTHWHILE = 5000
+"""Points for which a thread of their own saves more than it costs."""
 _OF_NORMAL = 1.2533
 """Standard deviation of a normal distribution in its mean distance."""
 
@@ -95,12 +98,13 @@ class StereoSurface:
         """Line and sample (n, 2) in the second image of places (n, 2) in the first, beyond the nodes the last; and
         (n, 2, 2) derivatives by the places.
         """
-        row, column = ((places - self.first) / self.step).T
-        values = np.stack([spline.ev(row, column) for spline in self._splines], axis=1)
-        slopes = [
-            [spline.ev(row, column, dx=1 - k, dy=k) / self.step[k] for k in range(2)] for spline in self._splines
-        ]
-        return values, np.moveaxis(np.array(slopes), 2, 0)
+        from mgsgraph.geometry.compiled_spline import read_splines  # compiled: not before it is needed
+
+        values, slopes = np.empty((len(places), 2)), np.empty((len(places), 2, 2))
+        rows, columns = self._splines[0].get_knots()
+        coefficients = [spline.get_coeffs().reshape(self.covered.shape) for spline in self._splines]
+        read_splines(rows, columns, np.stack(coefficients), (places - self.first) / self.step, values, slopes)
+        return values, slopes / self.step
 
     def at_nodes(self, places: Array) -> tuple[Mask, Array, Array]:
         """Of places (n, 2) in the first image: whether all nodes around are covered; sigma and roughness (n,) in
@@ -313,12 +317,33 @@ def heights_above(
     points: Array,
     corrections: tuple[OrientationCorrection, OrientationCorrection],
     level: Mask | None = None,
+    start: Array | None = None,
 ) -> SurfaceHeights:
     """Heights of points (n, 3), m, above a surface, by the corrections of the two images; those of points that are
-    `level` (n,) along the vertical, with the derivatives that level ground would have.
+    `level` (n,) along the vertical, with the derivatives that level ground would have. `start` (n, 2) are first guesses
+    of the lines.
     """
+
+    def part(mine: slice) -> SurfaceHeights:
+        flat, begin = None if level is None else level[mine], None if start is None else start[mine]
+        return _heights_above(surface, (first, second), points[mine], corrections, flat, begin)
+
+    return SurfaceHeights(*map(np.concatenate, zip(*in_threads(part, shares(len(points), _WORTHWHILE)), strict=True)))
+
+
+def _heights_above(
+    surface: StereoSurface,
+    images: tuple[PushbroomImage, PushbroomImage],
+    points: Array,
+    corrections: tuple[OrientationCorrection, OrientationCorrection],
+    level: Mask | None,
+    start: Array | None,
+) -> SurfaceHeights:
+    """The same of some points."""
+    (first, second), guesses = images, (None, None) if start is None else start.T
     (places, by_point), (others, other_by_point) = (
-        image.ground_to_image(points, one) for image, one in zip((first, second), corrections, strict=True)
+        image.ground_to_image(points, *one)
+        for image, *one in zip(images, corrections, guesses, strict=True)
     )
     seen = np.isfinite(places[:, 0]) & np.isfinite(others[:, 0])
     known = np.where(seen[:, None], places, surface.first)

@@ -10,6 +10,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Index, Mask, assign, frozen, frozen_index, frozen_mask, require_unique
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network.crossovers import Crossovers
 from mgsgraph.network.records import (
     TERRAIN,
     GroundPoints,
@@ -57,6 +58,8 @@ class Network:
 
     stereo: StereoControl | None = None
     """Points on the surfaces that images show."""
+    crossovers: Crossovers | None = None
+    """Where laser profiles cross."""
     considered: tuple[str, ...] = ()
     """Shifts (`shift_names`) and shared unknowns that are not estimated, but held at zero: what their a-priori
     covariance does to all else is carried (Schmidt 1966)."""
@@ -105,6 +108,11 @@ class Network:
         self._require_strips()
         self._require_stereo()
         self._require_considered()
+        if self.crossovers is not None:
+            profiles = np.zeros(n) if self.shifts is None else np.asarray(self.shifts.profile) + 1.0
+            shots = frozen_index(self.crossovers.shots, "crossovers, shots", self.crossovers.shots.size, n)
+            if not np.all(profiles[shots] > 0):
+                raise InputError("crossovers", "shots of no profile", "profiles with an unknown shift")
 
     def _require_considered(self) -> None:
         require_unique(self.considered, "considered unknowns")

@@ -78,6 +78,11 @@ def require_nothing_shared(network: Network) -> None:
             "images with an orientation of their own",
             "adjust such a case as a whole (`mgsgraph adjust`), or take [[strips]] out",
         )
+    if network.crossovers is not None:
+        raise InputError(
+            "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
+            "profiles by themselves", "register them without (`mgsgraph coregister --no-crossovers`)",
+        )
     for name in network.considered:
         raise InputError(
             f"considered unknown {name!r}", "a covariance carried in what is adjusted image by image",

@@ -35,7 +35,7 @@ def coregister(
     """Register the laser profiles of a project with the surface that its images show, and take the result over.
 
     Everything in the project is adjusted; the pictures are those of the images that its case names. Tie points stay on
-    a terrain model, whose posts a project doesn't hold.
+    a terrain model, whose posts a project doesn't hold, nor crossovers of profiles.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def coregister(
         As `register_by_relief`; a project without a case, or without a measure.
     """
     case, shown = _case(project, settings)
-    settings = replace(settings, images=settings.images or shown)
+    settings = replace(settings, images=settings.images or shown, crossovers=False)
     found = register_by_relief(case, settings, workers=workers, progress=progress)
     IncrementalAdjustment(replace(case.settings, form="bundle"), project.store).adopt(found.solution)
     shots = int(found.solution.stereo_used.sum())

@@ -3,12 +3,14 @@
 Ties make images agree with one another, ranges fix heights; nothing of that holds a footprint horizontally. Relief
 does: the images are matched densely with their adjusted orientation, the disparities are averaged over the footprint
 (`geometry.stereo_surface`), each profile is searched over shifts (`search`), and the network is adjusted again with one
-row more per shot: its height above the surface, which moves with the orientation. What the profile's shift, the images'
-orientation and the shots' own places contribute, their covariances decide.
+row more per shot: its height above the surface, which moves with the orientation; and one where two profiles cross
+(`geometry.crossovers`). What the profile's shift, the images' orientation and the shots' own places contribute, their
+covariances decide.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -23,11 +25,13 @@ from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.reading import Case
 from mgsgraph.case.scene import picture_file
 from mgsgraph.case.schema import decode
+from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import Network, PointClass
+from mgsgraph.network.crossovers import Crossovers, crossovers
 from mgsgraph.network.posts import with_posts
 from mgsgraph.network.stereo_control import StereoControl
 from mgsgraph.registration.minima import shots_alike
@@ -154,7 +158,8 @@ def registered(
         found = left
         control = _control(network, surfaces, found)
         shown = _counted(progress, "adjustment with stereo rows", solver)
-        anew = replace(network, stereo=control)
+        crossing = _crossing(network, placed, found) if settings.crossovers else None
+        anew = replace(network, stereo=control, crossovers=crossing)
         begin = None if solution is before else solution
         solution = adjust_network(anew, solver, before.name, shown, begin=begin)
         lifted = network.points.places + footprint_shifts(network, solution.shared)
@@ -218,10 +223,10 @@ def _require_same(case: Case, before: Solution) -> None:
 
 def _counted(progress: Progress, what: str, solver: SolverSettings) -> Callable[[Iteration], None]:
     """A callback of the adjustment that counts its iterations."""
-    count = iter(range(1, 10**9))
+    done = count(1)
 
     def show(_: Iteration) -> None:
-        progress(what, min(next(count), solver.max_iterations), solver.max_iterations)
+        progress(what, min(next(done), solver.max_iterations), solver.max_iterations)
 
     return show
 
@@ -271,13 +276,13 @@ def _searched(
 ) -> list[_Found]:
     """All profiles, from where their shots and posts are."""
     oriented = [one.oriented(posterior) for one in surfaces]
-    found = []
-    for p, size in enumerate(footprints):
-        progress("search", p, len(footprints))
-        usable = [k for k, one in enumerate(surfaces) if one.footprint == size]
-        found.append(_search_profile(network, oriented, usable, placed, p, reach))
-    progress("search", len(footprints), len(footprints))
-    return found
+
+    def one_profile(p: int) -> _Found:
+        usable = [k for k, one in enumerate(surfaces) if one.footprint == footprints[p]]
+        return _search_profile(network, oriented, usable, placed, p, reach)
+
+    progress("search", 0, len(footprints))
+    return in_threads(one_profile, range(len(footprints)), done=lambda p: progress("search", p, len(footprints)))
 
 
 def _search_profile(
@@ -304,6 +309,17 @@ def _search_profile(
     starts = points + np.einsum("nk,nkj->nj", cost.best(mine.size), ways) if cost.clear else points
     here, moved = (heights_above(pair.surface, *pair.images, places, pair.corrections) for places in (points, starts))
     return _Found(mine, usable[best], points, here, cost, starts, moved)
+
+
+def _crossing(network: Network, placed: _Placed, found: Sequence[_Found]) -> Crossovers | None:
+    """Crossovers of the laser profiles, where the search has found that they lie."""
+    assert network.shifts is not None
+    moved, clear = placed.shifts[: len(found)].copy(), np.array([one.cost.clear for one in found])
+    for p in np.flatnonzero(clear).tolist():
+        moved[p] += found[p].cost.best(found[p].mine.size).mean(axis=0)
+    sigmas, shots = np.full(len(network.points), np.nan), network.shifts.profile >= 0
+    sigmas[shots] = local_sigmas(network.points.covariances[shots], network.points.places[shots])[:, 2]
+    return crossovers(network.points, network.shifts, moved, sigmas, ~clear)
 
 
 def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence[_Found]) -> StereoControl:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.shared import crossover_differences
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.csv_json import plain, write_json
@@ -105,9 +107,21 @@ def coregistration_json(registration: ReliefRegistration) -> dict[str, Any]:
             }
             for row, one in zip(rows, registration.profiles, strict=True)
         ],
+        "crossovers": _crossovers_json(registration.solution),
         "statements": relief_statements(registration),
     })  # fmt: skip
     return record
+
+
+def _crossovers_json(solution: Solution) -> dict[str, Any]:
+    """How far the heights of laser profiles differ where they cross, after."""
+    network = solution.network
+    crossing, off = network.crossovers, crossover_differences(network, solution.shifts, solution.shared)
+    if crossing is None:
+        return {"count": 0, "rms_m": None, "rms_sigmas": None}
+    return {
+        "count": off.size, "rms_m": root_mean_square(off), "rms_sigmas": root_mean_square(off / crossing.sigmas)
+    }  # fmt: skip
 
 
 def _minima_json(state: ProfileState) -> list[dict[str, Any]]:
@@ -267,6 +281,11 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
     else:
         found = _of_many(registration)
     found.append(f"Sigma0 is {registration.before.sigma0:.3g} without stereo rows, {solution.sigma0:.3g} with them.")
+    if (crossing := _crossovers_json(solution))["count"]:
+        found.append(
+            f"{many(crossing['count'], 'crossover')} of laser profiles: heights differ by {crossing['rms_m']:.2g} m "
+            f"rms, {crossing['rms_sigmas']:.2g} of their sigmas."
+        )
     if not solution.converged:
         found.append(f"The adjustment has NOT CONVERGED. {solution.message}")
     return found

@@ -30,6 +30,8 @@ class ReliefSettings:
     terrain: Literal["cells", "spline"] = "cells"
     """Posts of terrain models lie on the surface that the images show, or tie points stay on the spline through those
     of the first model, as in an adjustment without relief."""
+    crossovers: bool = True
+    """Where two laser profiles cross, their heights agree."""
 
     def __post_init__(self) -> None:
         for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing)):

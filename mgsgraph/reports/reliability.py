@@ -13,7 +13,7 @@ from mgsgraph.output.table import Column, Table
 from mgsgraph.units import MRAD
 from mgsgraph.wording import many, some
 
-_KINDS = ("image coordinate", "range", "a-priori place", "height", "stereo height", "prior")
+_KINDS = ("image coordinate", "range", "a-priori place", "height", "stereo height", "prior", "crossover")
 _MOST_ALIKE = 6
 """Measures of a group that are printed; analysis.json has all."""
 _MOST_REMOVED = 30

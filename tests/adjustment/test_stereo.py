@@ -9,6 +9,7 @@ import pytest
 from networks import pair
 from stereo_pair import SHIFT, stereo_network, surface
 
+from mgsgraph import compiled
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.stereo import require_seen
@@ -132,6 +133,32 @@ def test_steps_are_accelerated_once_two_of_them_lead_to_the_state() -> None:
     assert np.any(made.about_stereo(states[2], nominal).stereo.reference != states[2][on])
     again = made.without_steps.about_stereo(states[2], nominal)
     np.testing.assert_array_equal(again.stereo.reference, states[2][on])
+
+
+def test_rows_filled_in_anew_are_those_of_a_layout_made_anew() -> None:
+    net = stereo_network(pair(12, 24))
+    moved = net.points.places + np.random.default_rng(2).normal(0.0, 20.0, net.points.places.shape)
+    begun = lay_out(net, SolverSettings())
+    made = begun.about_stereo(moved, np.zeros(begun.columns))
+    again = made.about(made.lines)
+    assert np.abs(made.rows.data - begun.rows.data).max() > 1.0
+    for name in ("data", "weight", "start", "kind", "observation_numbers"):
+        np.testing.assert_array_equal(getattr(made.rows, name), getattr(again.rows, name))
+
+
+@pytest.mark.parametrize("begin", [False, True])
+def test_heights_of_many_points_are_those_of_each(begin: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shared out among threads, and where the lines are known."""
+    made = pair(12, 24)
+    points = made.true_footprints + np.random.default_rng(4).normal(0.0, 100.0, made.true_footprints.shape)
+    few = heights_above(surface(made), *made.images, points, made.true_corrections)
+    monkeypatch.setattr(compiled, "threads", lambda: 3)
+    copies = 1 + 15_000 // len(points)
+    many, lines = (np.tile(part, (copies, 1)) for part in (points, few.lines + 5.0))
+    found = heights_above(surface(made), *made.images, many, made.true_corrections, start=lines if begin else None)
+    for one, whole in zip(few, found, strict=True):
+        expected = np.broadcast_to(one, (copies, *one.shape))
+        np.testing.assert_allclose(whole.reshape(expected.shape), expected, atol=1e-6 * (np.abs(one).max() or 1.0))
 
 
 @pytest.mark.slow

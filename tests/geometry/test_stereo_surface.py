@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import RectBivariateSpline
 
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import StereoSurface, averaged_surface
@@ -49,6 +50,21 @@ def test_blunders_are_left_out() -> None:
     """One match in a hundred, by 20 pixels."""
     off = surface(blunders=70).disparity(spots())[0] - spots() - wall(spots())
     assert np.abs(off).max() < 0.1
+
+
+def test_disparities_are_those_of_the_splines() -> None:
+    """By FITPACK; outside those at the edge."""
+    found, (rows, columns) = surface(), surface().covered.shape
+    rng = np.random.default_rng(3)
+    at = rng.uniform([-2.0, -2.0], [rows + 1.0, columns + 1.0], (300, 2))
+    at[:9] = 0.5 * np.arange(9)[:, None]  # the first interval of a spline is twice as wide as the others
+    values, slopes = found.disparity(found.first + at * found.step)
+    for k in range(2):
+        spline = RectBivariateSpline(np.arange(rows), np.arange(columns), found.places[:, :, k])
+        np.testing.assert_allclose(values[:, k], spline.ev(*at.T), rtol=0.0, atol=1e-9)
+        for axis, step in enumerate(found.step):
+            expected = spline.ev(*at.T, dx=1 - axis, dy=axis) / step
+            np.testing.assert_allclose(slopes[:, k, axis], expected, rtol=0.0, atol=1e-9)
 
 
 def test_what_a_search_reads_is_the_surface_but_for_its_bends() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.terrain import areoid_grid, areoid_heights
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.pedr_text import read_pedr_text
@@ -60,16 +61,35 @@ def test_the_archives_own_offset_of_a_southern_tile(tmp_path: Path) -> None:
     path = tmp_path / "megt44s090hb.img"
     with path.open("wb") as file:
         file.truncate(5632 * 11520 * 2)
-    by_label = read_megdr(path)
+    corner = from_planetocentric(np.array([[90.0 * DEG, -44.0 * DEG, 3390e3]]))  # the whole has 65 million posts
+    by_label = read_megdr(path, near=corner)
     (tmp_path / "megt44s090hb.lbl").unlink()
-    by_name = read_megdr(path)
+    by_name = read_megdr(path, near=corner)
 
+    assert by_label.radii.shape == by_name.radii.shape
+    assert max(by_label.radii.shape) < 10
     np.testing.assert_allclose(by_label.first_latitude / DEG, -44.0 - 0.5 / 128.0, rtol=1e-14)
     np.testing.assert_allclose(by_label.first_longitude / DEG, 90.0 + 0.5 / 128.0, rtol=1e-14)
     np.testing.assert_allclose(by_name.first_latitude, by_label.first_latitude, rtol=1e-14)
     np.testing.assert_allclose(by_name.first_longitude, by_label.first_longitude, rtol=1e-14)
     assert not by_label.wraps
     assert by_label.kind == "topography"
+
+
+def test_only_what_lies_around_points_is_read(tmp_path: Path) -> None:
+    """Across the seam of the whole body, too; nothing, where there is nothing."""
+    path = image(tmp_path, "megr90n000cb.img", np.random.default_rng(1).integers(-8000, 21000, (720, 1440)))
+    whole = read_megdr(path)
+    for longitude in (0.0, 100.0):
+        places = np.array([[longitude - 0.7, 12.0, 3390e3], [longitude + 0.9, 12.6, 3390e3]]) * [DEG, DEG, 1.0]
+        near = from_planetocentric(places)
+        part = read_megdr(path, 10.0, near=near)
+        assert part.radii.size < 300
+        assert not part.wraps
+        assert part.vertical_sigma == 10.0
+        np.testing.assert_allclose(part.at(near), whole.at(near), rtol=0, atol=1e-3)
+    tile = image(tmp_path, "megr90n180gb.img", np.zeros((90 * 64, 180 * 64)))
+    assert read_megdr(tile, near=from_planetocentric(np.array([[0.5, 0.2, 3390e3]]))) is None
 
 
 def test_sixteen_pixels_areoid_and_offset_in_the_label(tmp_path: Path) -> None:

@@ -62,12 +62,11 @@ def shared_vector(layout: Layout, values: gtsam.Values) -> Array:
 
 def prior_factors(layout: Layout) -> Iterator[gtsam.NonlinearFactor]:
     """What is known of the shared unknowns beforehand, as GTSAM's factors."""
-    joined = {v for factor in layout.prior.factors for v in factor.variables}
     for v in layout.variables.adjusted():
-        if v not in joined:
+        if v not in layout.prior.joined or np.any(layout.prior.weights[layout.columns_of(v)]):
             yield zero_prior(variable_key(layout, v), layout.variables.prior_sigmas[layout.columns_of(v)])
     for factor in layout.prior.factors:
-        yield linear_prior([variable_key(layout, v) for v in factor.variables], factor.blocks)
+        yield linear_prior([variable_key(layout, v) for v in factor.variables], factor.blocks, factor.target)
 
 
 class Sweeper(Protocol):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.graph.angles import ANGLE_CODES, angles_of
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.prior import Prior, make_prior
-from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows
+from mgsgraph.adjustment.graph.rows import ObservationRows, lay_out_rows, with_stereo
 from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
 from mgsgraph.adjustment.graph.variables import Terms, Variables, make_variables
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, Loss, SolverSettings
@@ -125,7 +125,11 @@ class Layout:
         )
         anew = linear_rows(self.network, self.model, self.variables, about, places, self.stereo)
         assert anew is not None
-        return replace(self, stereo=anew._replace(steps=steps)).about(self.lines)
+        anew = anew._replace(steps=steps)
+        if not np.array_equal(anew.sides, self.stereo.sides):
+            return replace(self, stereo=anew).about(self.lines)
+        rows = with_stereo(self.network, self.patterns, self.rows, anew)
+        return replace(self, stereo=anew, rows=rows)
 
     def with_loss(self, loss: Loss) -> "Layout":
         """The same with another loss, at its customary width."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.sorting import by_point, counted, distinct, mix_rows, mix_values
-from mgsgraph.adjustment.graph.stereo import StereoRows, columns
+from mgsgraph.adjustment.graph.stereo import StereoRows, columns, combinations
 from mgsgraph.adjustment.graph.variables import Terms, Variables
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -179,8 +179,7 @@ def _on_stereo(n: int, stereo: StereoRows | None) -> tuple[Index, Index]:
     found = np.full(n, -1, dtype=np.int64)
     if stereo is None:
         return found, np.zeros((0, 4), dtype=np.int64)
-    sides, number = np.unique(stereo.sides, axis=0, return_inverse=True)
-    found[stereo.points] = number.reshape(-1)
+    sides, found[stereo.points] = combinations(stereo.sides)
     return found, sides
 
 

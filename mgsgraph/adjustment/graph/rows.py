@@ -6,13 +6,10 @@ them.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +20,7 @@ from mgsgraph.adjustment.graph.shared import SharedEffects, footprint_motion
 from mgsgraph.adjustment.graph.sorting import counted
 from mgsgraph.adjustment.graph.stereo import StereoRows
 from mgsgraph.adjustment.graph.variables import Terms, Variables
+from mgsgraph.compiled import in_threads, shares
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
@@ -124,7 +122,7 @@ def lay_out_rows(
     begin; `like` starting positions (n, 3) and kinds (n,) to keep as they are, network order.
     """
     tables = _observation_tables(network, model, variables, patterns)
-    store = _make_store(patterns, tables)
+    store = _make_store(patterns, tables["observation_numbers"])
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
     effects = SharedEffects(network, model)
     rays, parts, units = _fill_rays(network, model, store, terms, effects, weight)
@@ -150,13 +148,20 @@ def lay_out_rows(
     return observation_rows, rows
 
 
-def _make_store(patterns: Patterns, tables: Mapping[str, Index]) -> _Store:
-    """Room for everything."""
+def with_stereo(network: Network, patterns: Patterns, rows: Rows, stereo: StereoRows) -> Rows:
+    """Rows with other heights above stereo surfaces, of the same points, which depend on the same unknowns."""
+    store, weight = _make_store(patterns, rows.observation_numbers), rows.weight.copy()
+    store.data[:] = rows.data
+    _fill_stereo(network, store, stereo, weight)
+    return rows._replace(data=store.data, weight=weight)
+
+
+def _make_store(patterns: Patterns, stored: Index) -> _Store:
+    """Room for everything; each observation of the patterns stores so many numbers (s,)."""
     count = np.diff(patterns.first)
     before = np.zeros((count.size, int(count.max(initial=0))), dtype=np.int64)
     pattern = np.repeat(np.arange(count.size), count)
     slot = np.arange(pattern.size) - np.repeat(patterns.first[:-1], count)
-    stored = tables["observation_numbers"]
     ends = np.cumsum(stored)
     begin = np.concatenate([[0], ends])[patterns.first]
     before[pattern, slot] = ends - stored - begin[:-1][pattern]
@@ -200,17 +205,6 @@ def _by_image(images: Index, count: int) -> list[Index]:
     return np.split(order, np.cumsum(sizes)[:-1])
 
 
-def _in_threads(work: Callable[[int], None], count: int, observations: int) -> None:
-    """Do work 0 .. count - 1, for so many observations; compiled code and NumPy let go of the interpreter."""
-    if observations < _WORTHWHILE:
-        for k in range(count):
-            work(k)
-        return
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for _ in pool.map(work, range(count)):
-            pass
-
-
 def _fill_rays(
     network: Network, model: Model, store: _Store, terms: Terms, effects: SharedEffects, weight: Array
 ) -> tuple[NDArray[np.int32], list[Index], Array]:
@@ -237,7 +231,7 @@ def _fill_rays(
             shared.reshape(mine.size, math.prod(shared.shape[1:])), among, weight, units,
         )  # fmt: skip
 
-    _in_threads(fill, len(parts), rays.point.size)
+    in_threads(fill, range(len(parts)), rays.point.size >= _WORTHWHILE)
     return among, parts, units
 
 
@@ -251,7 +245,7 @@ def _fill_scales(network: Network, model: Model, store: _Store, parts: list[Inde
         scale = _frozen_scale(image, rays.places[mine, 0], starts[rays.point[mine]], slope)
         put_scale(mine, rays.point, store.patterns.ray_slot, store.tables, first, scale.reshape(-1, 4))
 
-    _in_threads(fill, len(parts), rays.point.size)
+    in_threads(fill, range(len(parts)), rays.point.size >= _WORTHWHILE)
 
 
 def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedEffects, weight: Array) -> Index:
@@ -350,13 +344,11 @@ def _starting_points(
     free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~there
     angles = np.empty(free.size)
     order, slot = store.patterns.point_order, store.patterns.ray_slot
-    edges = np.linspace(0, order.size, numba.get_num_threads() + 1).astype(np.int64).tolist()
 
-    def cross(k: int) -> None:
-        mine = order[edges[k] : edges[k + 1]]
-        crossings(mine, *rays_of, slot, store.tables, units, free, starts, angles)
+    def cross(mine: slice) -> None:
+        crossings(order[mine], *rays_of, slot, store.tables, units, free, starts, angles)
 
-    _in_threads(cross, len(edges) - 1, int(edges[-1]))
+    in_threads(cross, shares(order.size, _WORTHWHILE))
     missing = np.flatnonzero(free & ~np.all(np.isfinite(starts), axis=1))
     _start_on_the_ground(network, missing, starts)
     starts[~np.all(np.isfinite(starts), axis=1)] = 0.0

@@ -4,6 +4,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.angles import angles_of
 from mgsgraph.adjustment.graph.variables import Variables, acting_on
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import IMAGE, RANGE, Model
@@ -104,6 +105,18 @@ def strip_values(
         nodes.append(orientation[own].reshape(-1, 6))
         trends.append(orientation[own.stop : own.stop + strip.prior.trend_sigmas.size])
     return tuple(nodes), tuple(trends)
+
+
+def crossover_differences(network: Network, shifts: Array, values: tuple[Array, ...]) -> Array:
+    """(m,) m, heights of the first profile minus those of the second where two cross, by shifts (p, 2) in m of the
+    profiles and values of all shared unknowns.
+    """
+    if network.crossovers is None or network.shifts is None:
+        return np.zeros(0)
+    places, shots = network.points.places, network.crossovers.shots.ravel()
+    moved = footprint_shifts(network, values)[shots]
+    moved += np.einsum("pk,pkj->pj", shifts[network.shifts.profile[shots]], east_north(places[shots]))
+    return network.crossovers.differences(places) + network.crossovers.effect(places, moved.reshape(-1, 4, 3))
 
 
 def footprint_shifts(network: Network, values: tuple[Array, ...]) -> Array:

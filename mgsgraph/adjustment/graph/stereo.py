@@ -47,6 +47,8 @@ class StereoRows(NamedTuple):
     """Of each surface (k_s, c) m per unit of each column that a row depends on: `columns` of both images."""
     about: Array
     """(columns,) shared unknowns, about which they are linear."""
+    lines: Array
+    """(k, 2) of both images, in which the points are there; the middle ones where the points are not seen."""
     steps: tuple[tuple[Array, Array], ...] = ()
     """Each (columns + 3 k,): unknowns about which earlier rows were linear, and those found with them, the last step
     last; shared unknowns in a-priori sigmas, points in sigmas of their heights."""
@@ -56,6 +58,14 @@ class StereoRows(NamedTuple):
         """Rows of each surface, and their directions."""
         ends = np.cumsum([0, *(len(one) for one in self.directions)]).tolist()
         return [(slice(a, b), one) for a, b, one in zip(ends, ends[1:], self.directions, strict=False)]
+
+
+def combinations(sides: Index) -> tuple[Index, Index]:
+    """Sides (c, 4) that there are among (k, 4), and which of them each is (k,)."""
+    sizes = sides.max(axis=0, initial=-1) + 2
+    each = np.ravel_multi_index(tuple(sides.T + 1), sizes)
+    _, first, number = np.unique(each, return_index=True, return_inverse=True)
+    return sides[first], number
 
 
 def columns(network: Network, side: tuple[int, ...]) -> tuple[Index, Index]:
@@ -93,14 +103,14 @@ def linear_rows(
         return None
     values, effects = variables.split(orientation), SharedEffects(network, model)
     found = [
-        _of_surface(network, model, values, effects, s, np.flatnonzero(control.surface == s), points)
+        _of_surface(network, model, values, effects, s, np.flatnonzero(control.surface == s), points, before)
         for s in range(len(control.surfaces))
     ]
-    mine, sides, heights, normals, directions = zip(*found, strict=True)
+    mine, sides, heights, normals, directions, lines = zip(*found, strict=True)
     chosen = np.concatenate(mine)
     rows = StereoRows(
         chosen, np.concatenate(sides), points[chosen], np.concatenate(heights), np.concatenate(normals), directions,
-        orientation,
+        orientation, np.concatenate(lines),
     )  # fmt: skip
     unseen = ~np.isfinite(rows.heights)
     if not np.any(unseen):
@@ -132,13 +142,21 @@ def _kept(unseen: Mask, before: StereoRows, rows: StereoRows) -> StereoRows:
             for (part, old), new in zip(before.parts, rows.directions, strict=True)
         ),
         rows.about,
+        rows.lines,
     )
 
 
 def _of_surface(
-    network: Network, model: Model, values: list[Array], effects: SharedEffects, s: int, mine: Index, points: Array
-) -> tuple[Index, Index, Array, Array, Array]:
-    """Points, sides, heights, normals and directions of the rows of one surface."""
+    network: Network,
+    model: Model,
+    values: list[Array],
+    effects: SharedEffects,
+    s: int,
+    mine: Index,
+    points: Array,
+    before: StereoRows | None,
+) -> tuple[Index, Index, Array, Array, Array, Array]:
+    """Points, sides, heights, normals, directions and lines of the rows of one surface."""
     assert network.stereo is not None
     first, second = network.stereo.images[s].tolist()
     angles, level = angles_of(model), network.stereo.level
@@ -149,16 +167,18 @@ def _of_surface(
         points[mine],
         (whole_correction(network, first, values, angles), whole_correction(network, second, values, angles)),
         None if level is None else level[mine],
+        None if before is None else before.lines[before.parts[s][0]],
     )
     sides, parts = np.full((mine.size, 4), -1, dtype=np.int64), []
+    middle = [0.5 * network.images[image].lines for image in (first, second)]
+    lines = np.where(np.isfinite(at.heights)[:, None], at.lines, middle)
     for side, image in enumerate((first, second)):
         sides[:, 2 * side] = image
-        lines = np.where(np.isfinite(at.heights), at.lines[:, side], 0.5 * network.images[image].lines)
-        sides[:, 2 * side + 1], part = _directions(network, effects, image, lines, at.by_pose[:, side])
+        sides[:, 2 * side + 1], part = _directions(network, effects, image, lines[:, side], at.by_pose[:, side])
         parts.append(part)
     directions = np.hstack(parts)
     counted = _counted(network, values, sides, directions)
-    return mine, sides, at.heights - counted, at.normals, directions
+    return mine, sides, at.heights - counted, at.normals, directions, lines
 
 
 def _directions(
@@ -234,9 +254,9 @@ def accelerated(
 
 def _counted(network: Network, values: list[Array], sides: Index, directions: Array) -> Array:
     """(n,) m by which the values of all variables move the surface, of rows with sides (n, 4), directions (n, c)."""
-    found = np.zeros(len(sides))
-    for one in np.unique(sides, axis=0):
-        rows = np.all(sides == one, axis=1)
-        variable, inside = columns(network, tuple(one.tolist()))
+    found, (every, number) = np.zeros(len(sides)), combinations(sides)
+    for k, one in enumerate(every.tolist()):
+        rows = number == k
+        variable, inside = columns(network, tuple(one))
         found[rows] = directions[rows] @ [values[v][c] for v, c in zip(variable.tolist(), inside.tolist(), strict=True)]
     return found

@@ -1,0 +1,244 @@
+"""Crossovers of laser profiles in the adjustment: rows on their shifts and heights, in both forms and by hand."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from networks import network, pair
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.graph import lay_out
+from mgsgraph.adjustment.graph.bundle import prior_factors
+from mgsgraph.adjustment.graph.shared import footprint_motion
+from mgsgraph.adjustment.posterior import prior_covariance
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.grouping import group_rows, scaled
+from mgsgraph.analysis.measures import MeasureKind, names_of
+from mgsgraph.analysis.reliability import reliability
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import footprint_covariances
+from mgsgraph.geometry.body import east_north_up
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import GroundPoints, Network, PointClass, ProfileShifts, SharedUnknown
+from mgsgraph.network.crossovers import Crossovers, crossovers
+from mgsgraph.network.parts import part
+from mgsgraph.reports.archive import read_solution, write_archive
+from mgsgraph.ties import PointKind
+
+AZIMUTHS = (5.0, -25.0, 40.0, 80.0)
+"""Degrees, of the profiles' tracks against north."""
+SHIFTS = np.array([[60.0, -40.0], [-30.0, 50.0], [20.0, 70.0], [-50.0, -20.0]])
+"""m, east and north: where the profiles are off."""
+HEIGHTS = np.array([4.0, -3.0, 2.0, -1.0])
+"""m, which they are too low."""
+SIGMAS = 1.0, 80.0, 5.0
+"""m, of shots, of shifts, of heights."""
+
+
+def ground(places: Array) -> Array:
+    """m, up of places (n, 3) m about the profiles' middle: hills 8 km wide."""
+    east, north = places.T[:2]
+    return np.asarray(300.0 * np.sin(east / 1300.0) * np.cos(north / 1500.0))
+
+
+@cache
+def crossing_network() -> Network:
+    """A pair of images, and four laser profiles that cross in six places beside it."""
+    starts = np.array([[300.0 * k, -200.0 * k] for k in range(4)])
+    return with_profiles(ground, np.radians(AZIMUTHS), starts, SHIFTS, HEIGHTS, np.zeros((4, 40)), 2.0)
+
+
+def with_profiles(
+    hills: Callable[[Array], Array], azimuths: Array, starts: Array, shifts: Array, heights: Array, noise: Array,
+    drift: float | None,
+) -> Network:
+    """A pair of images, and laser profiles of 40 shots on hills, off by shifts (p, 2) and heights (p,), in m, and each
+    shot by noise (p, 40) of its height.
+    """
+    net = network(pair(12, 6))
+    middle = net.points.places[net.points.classes == PointClass.LASER][0]
+    ways = east_north_up(middle[None])[0]
+    along = 300.0 * (np.arange(40) - 19.5)
+    parts = []
+    for start, azimuth, shift, height, own in zip(starts, azimuths, shifts, heights, noise, strict=True):
+        level = along[:, None] * [np.sin(azimuth), np.cos(azimuth), 0.0] + [*start, 0.0]
+        level[:, 2] = hills(level) - np.sum(level[:, :2] ** 2, axis=1) / (2.0 * np.linalg.norm(middle))
+        level -= [*shift, height]
+        level[:, 2] += own
+        parts.append(middle + level @ ways)
+    shots, n = np.concatenate(parts), len(net.points)
+    count = len(shots)
+    points = GroundPoints(
+        (*net.points.ids, *(f"crossing:{i}" for i in range(count))),
+        np.append(net.points.classes, np.full(count, PointClass.LASER)),
+        np.append(net.points.kinds, np.full(count, PointKind.CONSTRAINED)),
+        np.concatenate([net.points.places, shots]),
+        np.concatenate([net.points.covariances, footprint_covariances(shots, SIGMAS[0], SIGMAS[0])]),
+    )
+    names = tuple(f"profile {k}" for k in range(len(azimuths)))
+    profile = np.append(np.full(n, -1), np.repeat(np.arange(len(names)), 40))
+    found = ProfileShifts(names, profile, np.full(len(names), SIGMAS[1]))
+    shared = tuple(SharedUnknown.of_height(name, SIGMAS[2], drift) for name in names)
+    return replace(net, points=points, shifts=found, shared=shared)
+
+
+def crossed(moved: Array | None = None, unsure: int | None = None) -> Network:
+    """The same with its crossovers, the profiles thought to be moved (p, 2), but for an unsure one."""
+    net = crossing_network()
+    assert net.shifts is not None
+    moved = np.zeros(SHIFTS.shape) if moved is None else moved
+    return replace(net, crossovers=crossovers(
+        net.points, net.shifts, moved, np.ones(len(net.points)), np.arange(4) == unsure
+    ))  # fmt: skip
+
+
+def test_where_the_profiles_lie_right_the_rows_are_zero() -> None:
+    """Their differences with the true shifts and heights; and their rows by hand."""
+    net = crossed(SHIFTS)
+    assert net.crossovers is not None
+    assert net.shifts is not None
+    assert net.crossovers.profiles(net.shifts).tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
+    layout = lay_out(net, SolverSettings())
+    state, first = np.zeros(layout.columns), layout.variables.first
+    for k in range(4):
+        state[first[2 + k] : first[2 + k] + 2] = SHIFTS[k]
+        state[first[net.first_shared + k]] = HEIGHTS[k]
+    rows = layout.prior.residuals(state)[layout.columns :] * net.crossovers.sigmas
+    assert np.abs(rows).max() < 10.0  # of hills of 300 m, by straight lines between shots
+    assert np.abs(rows / net.crossovers.sigmas).max() < 2.5
+    state[:] = 0.0
+    assert np.abs(layout.prior.residuals(state)[layout.columns :] * net.crossovers.sigmas).max() > 5.0
+
+
+def test_rows_are_linear_in_what_moves_the_shots() -> None:
+    """Derivatives of the differences of shots that really move, by all unknowns."""
+    net = crossed()
+    assert net.crossovers is not None
+    assert net.shifts is not None
+    layout, rng = lay_out(net, SolverSettings()), np.random.default_rng(1)
+    state = np.zeros(layout.columns)
+    moved = np.zeros((len(net.points), 3))
+    for k in range(4):
+        own = layout.columns_of(net.first_shared + k)
+        state[own] = rng.normal(0.0, 3.0, 2)
+        points, motion = footprint_motion(net, net.shared[k])
+        moved[points] += np.einsum("k,pkc->pc", state[own], motion)
+    change = net.crossovers.differences(net.points.places + moved) - net.crossovers.differences(net.points.places)
+    rows = [layout.prior.residuals(one)[layout.columns :] * net.crossovers.sigmas for one in (state, 0.0 * state)]
+    np.testing.assert_allclose(rows[0] - rows[1], change, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(rows[1], net.crossovers.differences(net.points.places), rtol=0, atol=1e-9)
+
+
+def test_crossovers_of_a_profile_that_may_lie_anywhere_give_heights_alone() -> None:
+    sure, unsure = crossed(SHIFTS).crossovers, crossed(SHIFTS, 1).crossovers
+    assert sure is not None
+    assert unsure is not None
+    of_it = np.array([True, False, False, True, True, False])
+    assert np.all(unsure.gradients[of_it] == 0.0)
+    np.testing.assert_array_equal(unsure.gradients[~of_it], sure.gradients[~of_it])
+    wider = np.hypot(sure.sigmas, np.linalg.norm(sure.gradients, axis=1) * SIGMAS[1])
+    np.testing.assert_allclose(unsure.sigmas, np.where(of_it, wider, sure.sigmas))
+
+
+def test_both_forms_agree_and_shifts_are_found() -> None:
+    bundle, explicit = (adjust_network(crossed(SHIFTS), SolverSettings(form=form)) for form in ("bundle", "explicit"))
+    without = adjust_network(crossing_network(), SolverSettings())
+    assert bundle.converged
+    assert explicit.converged
+    assert bundle.cost_final == pytest.approx(explicit.cost_final, rel=1e-9)
+    np.testing.assert_allclose(bundle.shifts, explicit.shifts, rtol=0, atol=1e-4)
+    for p in range(4):
+        np.testing.assert_allclose(bundle.shift_covariance(p), explicit.shift_covariance(p), rtol=1e-6)
+        np.testing.assert_allclose(bundle.shared_covariance(p), explicit.shared_covariance(p), rtol=1e-6)
+    assert bundle.fit.observations == without.fit.observations + 6
+    off = [one.shifts - SHIFTS for one in (bundle, without)]
+    errors = [np.linalg.norm(one - one.mean(axis=0)) for one in off]
+    assert errors[0] < 0.8 * errors[1]
+    sigmas = [sum(np.trace(one.shift_covariance(p)) for p in range(4)) for one in (bundle, without)]
+    assert sigmas[0] < 0.8 * sigmas[1]
+
+
+def test_rows_alone_are_the_least_squares_solution_by_hand() -> None:
+    net = crossed()
+    layout = lay_out(net, SolverSettings())
+    found = prior_covariance(layout)
+    assert found is not None
+    np.testing.assert_allclose(found.dense(), np.linalg.inv(layout.prior.normal()), rtol=1e-6, atol=1e-12)
+    assert sum(1 for _ in prior_factors(layout)) == len(layout.variables.adjusted()) + 6
+    state = np.random.default_rng(3).normal(size=layout.columns) * layout.scales
+    step = 1e-3 * layout.scales
+    numeric = [
+        (layout.prior.cost(state + one) - layout.prior.cost(state - one)) / (2.0 * s)
+        for one, s in zip(np.diag(step), step, strict=True)
+    ]
+    np.testing.assert_allclose(layout.prior.gradient(state), numeric, rtol=1e-5)
+
+
+def test_they_are_measures_with_redundancy_and_a_group(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    solution = adjust_network(crossed(SHIFTS), SolverSettings())
+    found = reliability(solution)
+    mine = np.flatnonzero(found.measures.kind == MeasureKind.CROSSOVER)
+    assert mine.size == 6
+    assert np.all((found.measures.redundancy[mine] > 0.0) & (found.measures.redundancy[mine] < 1.0))
+    names = names_of(found.at.layout, found.measures, mine)
+    assert names[0] == "crossover of profile 0 and profile 1"
+    assert found.degrees_of_freedom == pytest.approx(solution.fit.observations - solution.fit.unknowns, abs=1e-6)
+    k, crossing = int(np.argmax(np.abs(found.measures.test[mine]))), solution.network.crossovers
+    assert crossing is not None
+    free = replace(crossing, sigmas=np.where(np.arange(6) == k, 1e6, crossing.sigmas))
+    without = adjust_network(replace(solution.network, crossovers=free), SolverSettings())
+    drop = 2.0 * (solution.cost_final - without.cost_final)
+    assert drop == pytest.approx(found.measures.test[mine[k]] ** 2, rel=1e-3)
+    grouping = group_rows(solution.network)
+    factors = np.where(np.array(grouping.names) == "crossovers", 3.0, 1.0)
+    larger = scaled(solution.network, grouping, factors)
+    assert larger.crossovers is not None
+    np.testing.assert_allclose(larger.crossovers.sigmas, 3.0 * crossing.sigmas)
+    write_archive(solution, tmp_path / "solution.npz")
+    again = read_solution(tmp_path / "solution.npz").network.crossovers
+    assert isinstance(again, Crossovers)
+    np.testing.assert_array_equal(again.shares, crossing.shares)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unsure", [0, 4])
+@pytest.mark.parametrize(("hurst", "size"), [(0.5, 0.3), (0.8, 0.02)])
+def test_shifts_and_heights_are_off_by_their_sigmas(unsure: int, hurst: float, size: float) -> None:
+    """Of ten profiles on self-affine ground, some of unknown place, the others found to 5 m; 60 draws."""
+    errors = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        number, way = 2.0 * np.pi / 10.0 ** rng.uniform(1.2, 4.5, 400), rng.uniform(0.0, 2.0 * np.pi, 400)
+        waves, phase = number * np.stack([np.cos(way), np.sin(way)]), rng.uniform(0.0, 2.0 * np.pi, 400)
+        sizes = size * rng.normal(size=400) * number**-hurst
+        shifts, heights = rng.normal(0.0, SIGMAS[1], (10, 2)), rng.normal(0.0, SIGMAS[2], 10)
+        azimuths, starts = np.tile([0.2, -0.25], 5) + rng.normal(0.0, 0.03, 10), rng.uniform(-1e3, 1e3, (10, 2))
+
+        def hills(places: Array, waves=waves, phase=phase, sizes=sizes) -> Array:  # type: ignore[no-untyped-def]
+            return np.sin(places[:, :2] @ waves + phase) @ sizes
+
+        noise = rng.normal(0.0, SIGMAS[0], (10, 40))
+        net = with_profiles(hills, azimuths, starts, shifts, heights, noise, None)
+        assert net.shifts is not None
+        known = (np.arange(10) >= unsure)[:, None]
+        about = np.where(known, shifts + rng.normal(0.0, 5.0, shifts.shape), 0.0)
+        found = crossovers(net.points, net.shifts, about, np.full(len(net.points), SIGMAS[0]), ~known[:, 0])
+        layout = lay_out(replace(net, crossovers=found), SolverSettings())
+        first = layout.variables.first
+        mine = np.concatenate([first[2:12], first[2:12] + 1, first[net.first_shared :][:10]])
+        normal = layout.prior.normal()
+        off = np.linalg.solve(normal, -layout.prior.gradient(np.zeros(layout.columns)))[mine]
+        off -= np.concatenate([*shifts.T, heights])
+        errors.append(off @ np.linalg.solve(np.linalg.inv(normal)[np.ix_(mine, mine)], off) / off.size)
+    assert 0.7 < np.mean(errors) < 1.15
+
+
+def test_what_they_cannot_be() -> None:
+    net = crossed()
+    assert net.crossovers is not None
+    with pytest.raises(InputError, match="crossovers"):
+        replace(net, crossovers=replace(net.crossovers, shots=np.zeros((6, 4))))
+    with pytest.raises(InputError, match="crossovers of laser profiles"):
+        part(replace(net, shared=()), np.arange(5))
