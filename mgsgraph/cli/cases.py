@@ -328,8 +328,8 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @click.pass_context
 def coregister(
     ctx: click.Context, case: Path, out: Path | None, solution: Path | None, footprint: float | None, reach: float,
-    spacing: float | None, no_cells: bool, no_crossovers: bool, pair: str | None, workers: int | None, ties: Path | None,
-    no_figures: bool,
+    spacing: float | None, no_cells: bool, no_crossovers: bool, pair: str | None, workers: int | None,
+    ties: Path | None, no_figures: bool,
 ) -> None:
     """Move laser profiles and terrain models of CASE and its images onto each other by relief, and adjust all together.
 
