@@ -13,6 +13,7 @@ With --keep each draw is noted in FILE as soon as it is done, and not done again
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,9 +42,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass, SharedKind
-from mgsgraph.registration.relief import registered
+from mgsgraph.registration.relief import profile_names, registered
 from mgsgraph.registration.relief_records import ReliefSettings
-from mgsgraph.registration.relief_surfaces import averaged_pair, cells_of
+from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, averaged_pair, cells_of
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.matches import true_matches
 from mgsgraph.simulation.mgs_files import shot_names
@@ -123,15 +124,21 @@ def one_draw(name: str, seed: int) -> Draw:
 def by_cells(case: Case, before: Solution, site: SimulatedSite, rng: np.random.Generator) -> Solution:
     """Adjusted with posts and shots on the surface of dense matches."""
     settings, posterior = ReliefSettings(reach=REACH), Posterior.of(before)
-    matches = true_matches(site.terrain, *(image.true for image in site.images), STEP, NOISE, rng)
-    assert before.network.shifts is not None
-    footprints = [case.footprints[name] for name in before.network.shifts.names]
     models = cells_of(case.terrain, posterior, settings)
-    surfaces = [
-        averaged_pair(posterior, matches, (0, 1), size, matches.spacing, WINDOW, cells)
-        for size, cells in [*((size, False) for size in set(footprints)), *((one.footprint, True) for _, one in models)]
-    ]
+    footprints, surfaces = shown(case, site, posterior, models, rng)
     return registered(before, footprints, models, surfaces, settings, case.settings).solution
+
+
+def shown(
+    case: Case, site: SimulatedSite, posterior: Posterior, models: Sequence[Cells], rng: np.random.Generator
+) -> tuple[list[float], list[AveragedPair]]:
+    """m, footprint of each profile; and the surfaces of dense matches of the true ground."""
+    matches = true_matches(site.terrain, *(image.true for image in site.images), STEP, NOISE, rng)
+    footprints = [case.footprints[name] for name in profile_names(posterior.network)]
+    sizes = [*((size, False) for size in set(footprints)), *((one.footprint, True) for _, one in models)]
+    return footprints, [
+        averaged_pair(posterior, matches, (0, 1), size, matches.spacing, WINDOW, cells) for size, cells in sizes
+    ]
 
 
 class Truth:

@@ -133,20 +133,30 @@ Draw = dict[str, Any]
 """What one draw gave, as JSON has it: site, seed and figures; or why the draw is no case (`refused`)."""
 
 
+def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
+    """Draws of an earlier run, by site and seed."""
+    if path is None or not path.exists():
+        return {}
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return {(draw["site"], draw["seed"]): draw for draw in map(json.loads, lines)}
+
+
+def note(path: Path | None, draw: Draw) -> None:
+    """Add a draw to those kept."""
+    if path is not None:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(draw) + "\n")
+
+
 def draws(sites: Sequence[str], seeds: Sequence[int], one: Callable[[str, int], Draw], keep: Path | None) -> list[Draw]:
-    """Draws of all sites and seeds, those of an earlier run that are kept in a file not made again."""
-    found = dict[tuple[str, int], Draw]()
-    if keep is not None and keep.exists():
-        lines = keep.read_text(encoding="utf-8").splitlines()
-        found = {(draw["site"], draw["seed"]): draw for draw in map(json.loads, lines)}
+    """Draws of all sites and seeds; those of an earlier run that are kept in a file are not made again."""
+    found = kept(keep)
     for seed in seeds:
         for site in sites:
             if (site, seed) not in found:
                 show(f"{site}, seed {seed}")
                 found[site, seed] = {"site": site, "seed": seed} | one(site, seed)
-                if keep is not None:
-                    with keep.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(found[site, seed]) + "\n")
+                note(keep, found[site, seed])
     return [found[site, seed] for site in sites for seed in seeds]
 
 

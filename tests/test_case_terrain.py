@@ -223,6 +223,19 @@ def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:
         mgsgraph.read_case(case_file)
 
 
+def test_tiles_in_another_projection_are_one_file_or_none(case_file: Path) -> None:
+    crs, _ = PROJECTIONS["sinusoidal"]
+    place, _, _ = pixels(crs, shape=(200, 200), middle=middle_of(case_file).mean(axis=0) * DEG)
+    for name in ("one", "two"):
+        raster(case_file.with_name(f"{name}.tif"), np.full((200, 200), -100.0), crs, place)
+    path = add(case_file, f'radius = ["one.tif", "two.tif"]\nreference_radius_m = {RADIUS}')
+    with pytest.raises(InputError, match="one of several tiles, in the projection 'sinu'"):
+        mgsgraph.read_case(path)
+    path = add(case_file, 'radius = "one.tif"\nreference_radius_m = 3.6e6')
+    with pytest.raises(InputError, match="radii about 3600 km"):
+        mgsgraph.read_case(path)
+
+
 def hills(longitudes: Array, latitudes: Array) -> Array:
     """m above the sphere: the ellipsoid, where the ties are, and 15 m up and down on it."""
     directions = from_planetocentric(np.column_stack([longitudes, latitudes, np.ones(longitudes.size)]))

@@ -176,7 +176,7 @@ def test_heights_after_the_adjustment_are_those_over_the_moved_model() -> None:
 def test_the_answer_is_a_stationary_point() -> None:
     """Posts are 600 m apart, the model moves by 150 m, over cells: begun at the answer, nothing moves."""
     solution = solved()
-    again = adjust_network(solution.network, solution.settings, begin=solution)
+    again = adjust_network(solution.network, solution.settings, begin=solution.values)
     moved = (again.shift_values[-1] - solution.shift_values[-1]) / np.sqrt(np.diag(solution.shift_spread(0)))
     assert np.abs(moved).max() < 1e-6
     assert again.cost_final == pytest.approx(solution.cost_final, rel=1e-6)

@@ -150,6 +150,14 @@ def test_rasters_of_other_bodies_or_of_no_place(crs: str, place: Any, said: str,
         read_terrain(path, RADIUS, body=MARS)
 
 
+def test_topography_of_another_projection_is_refused(tmp_path: Path) -> None:
+    """Its place depends on its height: without a reference nobody knows that."""
+    crs, _ = PROJECTIONS["sinusoidal"]
+    path = raster(tmp_path / "a.tif", np.full((30, 40), -1900.0), crs, pixels(crs)[0])
+    with pytest.raises(InputError, match="topography in the projection 'sinu'"):
+        read_terrain(path, kind="topography")
+
+
 @pytest.mark.parametrize(("code", "said"), [(49901, "positive to the west"), (49902, "latitudes on an ellipsoid")])
 def test_coordinates_that_a_geotiff_cannot_have(code: int, said: str, tmp_path: Path) -> None:
     """A virtual raster keeps the axes of IAU's systems: planetographic with west longitudes, and planetocentric."""
