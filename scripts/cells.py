@@ -10,16 +10,16 @@ adjusted with tie points on the bilinear patches of the model, then with its pos
 With --keep each draw is noted in FILE as soon as it is done, and not done again. Exit status: 0 done, 2 bad input.
 """
 
-import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from study import at_least, chi_square_band, command, machine, number, show, student, table, write_page
+from study import at_least, chi_square_band, command, kept, machine, note, number, show, student, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -30,9 +30,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass, SharedKind
-from mgsgraph.registration.relief import registered
+from mgsgraph.registration.relief import profile_names, registered
 from mgsgraph.registration.relief_records import ReliefSettings
-from mgsgraph.registration.relief_surfaces import averaged_pair, cells_of
+from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, averaged_pair, cells_of
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.matches import true_matches
 from mgsgraph.simulation.mgs_files import shot_names
@@ -101,21 +101,6 @@ Draw = dict[str, Any]
 draw is no case: a profile is so far off that it misses its image."""
 
 
-def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
-    """Draws of an earlier run."""
-    if path is None or not path.exists():
-        return {}
-    draws = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {(draw["site"], draw["seed"]): draw for draw in draws}
-
-
-def note(path: Path | None, draw: Draw) -> None:
-    """Add a draw to those kept."""
-    if path is not None:
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(draw) + "\n")
-
-
 def one_draw(name: str, seed: int) -> Draw:
     """Draw, adjust by patches and by cells, judge."""
     begin = time.perf_counter()
@@ -140,15 +125,21 @@ def one_draw(name: str, seed: int) -> Draw:
 def by_cells(case: Case, before: Solution, site: SimulatedSite, rng: np.random.Generator) -> Solution:
     """Adjusted with posts and shots on the surface of dense matches."""
     settings, posterior = ReliefSettings(reach=REACH), Posterior.of(before)
-    matches = true_matches(site.terrain, *(image.true for image in site.images), STEP, NOISE, rng)
-    assert before.network.shifts is not None
-    footprints = [case.footprints[name] for name in before.network.shifts.names]
     models = cells_of(case.terrain, posterior, settings)
-    surfaces = [
-        averaged_pair(posterior, matches, (0, 1), size, matches.spacing, WINDOW, cells)
-        for size, cells in [*((size, False) for size in set(footprints)), *((one.footprint, True) for _, one in models)]
-    ]
+    footprints, surfaces = shown(case, site, posterior, models, rng)
     return registered(before, footprints, models, surfaces, settings, case.settings).solution
+
+
+def shown(
+    case: Case, site: SimulatedSite, posterior: Posterior, models: Sequence[Cells], rng: np.random.Generator
+) -> tuple[list[float], list[AveragedPair]]:
+    """m, footprint of each profile; and the surfaces of dense matches of the true ground."""
+    matches = true_matches(site.terrain, *(image.true for image in site.images), STEP, NOISE, rng)
+    footprints = [case.footprints[name] for name in profile_names(posterior.network)]
+    sizes = [*((size, False) for size in set(footprints)), *((one.footprint, True) for _, one in models)]
+    return footprints, [
+        averaged_pair(posterior, matches, (0, 1), size, matches.spacing, WINDOW, cells) for size, cells in sizes
+    ]
 
 
 class Truth:

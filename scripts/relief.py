@@ -118,7 +118,7 @@ def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: 
     ways = east_north(truth.mean(axis=0)[None])[0]
     shifts = {image.settings.profile: -image.profile.shift for image in site.images}
     true, adjusted = (np.array(part) for part in ([shifts[one.name] for one in profiles], [p.shift for p in profiles]))
-    old, new = (_surface_errors(site, [one.name for one in profiles], part) for part in (without, solution))
+    old, new = (surface_errors(site, [one.name for one in profiles], part) for part in (without, solution))
     before = np.array([one.before.misplacement for one in profiles]) - (true + old)
     after = adjusted - (true + new)
     nees = [
@@ -132,7 +132,7 @@ def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: 
     return Draw(site.settings.name, seed, before, after, np.array(nees), (sizes[0], sizes[1]), mean, seconds)
 
 
-def _surface_errors(site: SimulatedSite, names: list[str], solution: Solution) -> Array:
+def surface_errors(site: SimulatedSite, names: list[str], solution: Solution) -> Array:
     """(p, 2) m east and north by which the stereo surface is misplaced at each profile: where the rays of the shots'
     true pixels meet with the adjusted orientation, minus the true ground.
     """

@@ -127,6 +127,21 @@ def write_figure(figure: Any, path: Path) -> None:
         figure.savefig(aside, dpi=110, format="png")
 
 
+def kept(path: Path | None) -> dict[tuple[str, int], dict[str, Any]]:
+    """Draws of an earlier run, by site and seed."""
+    if path is None or not path.exists():
+        return {}
+    draws = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return {(draw["site"], draw["seed"]): draw for draw in draws}
+
+
+def note(path: Path | None, draw: dict[str, Any]) -> None:
+    """Add a draw to those kept."""
+    if path is not None:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(draw) + "\n")
+
+
 # --- Markdown
 
 

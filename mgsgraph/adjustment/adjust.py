@@ -2,7 +2,7 @@
 
 import importlib.metadata
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -65,7 +65,7 @@ def adjust_network(
     progress: Progress = lambda _: None,
     cluster: Connection | None = None,
     left_in: Selection | None = None,
-    begin: Solution | None = None,
+    begin: Sequence[Array] | None = None,
 ) -> Solution:
     """Adjust a network.
 
@@ -81,8 +81,9 @@ def adjust_network(
         Whose workers hold the points, in partitions (`cluster.open_cluster`); this process when absent.
     left_in : Selection, optional
         Rays and ranges that take part; all when absent. Not together with a blunder limit, which judges all anew.
-    begin : Solution, optional
-        Of the same unknowns, where the stereo rows are linear first; the images' own adjustment when absent.
+    begin : sequence of array, optional
+        Value of each variable, as `Solution.values`, where the stereo rows are linear first; the images' own adjustment
+        when absent.
 
     Returns
     -------
@@ -116,7 +117,7 @@ def adjust_network(
         places = _places_before(layout, before)
         nominal = _Nominal(layout.network_order(places), _exact_residuals(layout, places))
         clock.stop("residuals")
-        orientation = None if begin is None else layout.variables.joined(begin.values)
+        orientation = None if begin is None else layout.variables.joined(begin)
         solved = solve_in_passes(layout, settings, selection, before, progress, sweeper, orientation)
         del before, layout, places  # the posterior needs the memory
         clock.stop("solve")

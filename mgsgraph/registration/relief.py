@@ -75,6 +75,14 @@ def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Pla
     return network, _Placed(places, shifts, _horizontal_sigma(before))
 
 
+def _begin(network: Network, before: Solution, placed: _Placed) -> list[Array]:
+    """Value of each variable of the network with posts, as it is without them; zero where there was none."""
+    values, n, k = before.values, len(before.coefficients), len(before.shared)
+    shifts = [*placed.shifts, *before.shift_values[-1:]] if network.surface is not None else [*placed.shifts]
+    new = [np.zeros(one.kind.width) for one in network.shared[k:]]
+    return [*values[:n], *shifts, *before.shared, *new, *values[n + len(before.shift_values) + k :]]
+
+
 def _horizontal_sigma(solution: Solution) -> float:
     """m, east and north, of most tie points."""
     ties = solution.members(PointClass.TIE)
@@ -153,15 +161,15 @@ def registered(
     network, placed = _with_cells(before, cells)
     footprints = [*footprints, *(posts.footprint for _, posts in cells)]
     first = _searched(network, surfaces, Posterior.of(before), placed, footprints, settings.reach, progress)
-    left, solution = first, before
+    left, begin = first, _begin(network, before, placed)
     for _ in range(_MOST_ROUNDS):
         found = left
         control = _control(network, surfaces, found)
         shown = _counted(progress, "adjustment with stereo rows", solver)
         crossing = _crossing(network, placed, found) if settings.crossovers else None
         anew = replace(network, stereo=control, crossovers=crossing)
-        begin = None if solution is before else solution
         solution = adjust_network(anew, solver, before.name, shown, begin=begin)
+        begin = solution.values
         lifted = network.points.places + footprint_shifts(network, solution.shared)
         placed = placed._replace(lifted=lifted, shifts=solution.shifts)
         left = _searched(network, surfaces, Posterior.of(solution), placed, footprints, settings.reach, progress)

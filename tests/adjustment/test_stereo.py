@@ -119,6 +119,19 @@ def test_starting_at_the_answer_moves_nothing() -> None:
     assert again.cost_final == pytest.approx(found.cost_final, rel=1e-8)
 
 
+def test_an_adjustment_begins_where_another_ended() -> None:
+    """Its first step is tiny, and it ends there."""
+    net = stereo_network(pair(12, 24))
+    found = adjust_network(net, SolverSettings())
+    again, bare = (
+        adjust_network(net, SolverSettings(), begin=one.values)
+        for one in (found, adjust_network(replace(net, stereo=None), SolverSettings()))
+    )
+    assert again.history[0].step < 1e-2 < bare.history[0].step
+    for one in (again, bare):
+        assert one.cost_final == pytest.approx(found.cost_final, rel=1e-8)
+
+
 def test_steps_are_accelerated_once_two_of_them_lead_to_the_state() -> None:
     """An optimisation begins where it is told to; a secant needs two steps of its own."""
     net = stereo_network(pair(12, 24))
