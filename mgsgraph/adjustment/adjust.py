@@ -22,7 +22,6 @@ from mgsgraph.adjustment.passes import (
     everything,
     places_of_all,
     solve_in_passes,
-    what_changes,
     without_weak,
 )
 from mgsgraph.adjustment.posterior import (
@@ -82,8 +81,8 @@ def adjust_network(
     left_in : Selection, optional
         Rays and ranges that take part; all when absent. Not together with a blunder limit, which judges all anew.
     begin : sequence of array, optional
-        Value of each variable, as `Solution.values`, where the stereo rows are linear first; the images' own adjustment
-        when absent.
+        Value of each variable, as `Solution.values`, where the optimiser begins; the nominal orientation when absent,
+        or, with stereo rows, the images' own adjustment.
 
     Returns
     -------
@@ -257,10 +256,9 @@ def _posterior(
     nodes, trends = strip_values(network, layout.variables, orientation)
     message = solved.outcome.message
     if solved.circling:
-        message += f" This holds for the best of {solved.passes} passes; "
-        message += f"from one pass to the next {what_changes(settings, network)} still changed."
+        message += f" This holds for the best of {solved.passes} passes; what was rejected still changed in each."
     elif solved.passes > 1:
-        message += f" {solved.passes} passes, until {what_changes(settings, network)} stayed as they were."
+        message += f" {solved.passes} passes, until rejected rows stayed as they were."
     return Solution(
         name=name,
         network=network,
@@ -288,7 +286,6 @@ def _posterior(
         median_sigmas_without_laser=without_laser[1],
         seconds=clock.seconds,
         versions=versions(),
-        terrain_cells=None if network.surface is None else layout.rows.terrain_cell[layout.patterns.point_index],
         rays_rejected=~solved.selection.rays,
         ranges_rejected=~solved.selection.ranges,
         stereo_rejected=~solved.selection.stereo,

@@ -253,7 +253,7 @@ def components_of(solution: Solution | Linearised, grouping: Grouping | None = N
     grouping : Grouping, optional
         `group_rows` when absent.
     """
-    at = solution if isinstance(solution, Linearised) else at_solution(solution)
+    at = (solution if isinstance(solution, Linearised) else at_solution(solution)).of_estimator()
     found = group_redundancy(at, grouping or group_rows(at.network))
     judgements = judge_groups(found, {})
     squared = _squared_factors(found, judgements)
@@ -297,7 +297,7 @@ def iterated_components(
         present = scaled(network, grouping, total)
         solution = adjust_network(present, settings, left_in=left_in)
         history.append(total.copy())
-        found = group_redundancy(at_solution(solution), grouping)
+        found = group_redundancy(at_solution(solution).of_estimator(), grouping)
         judgements = judge_groups(found, held)
         free = np.array([one is Judgement.JUDGED for one in judgements], dtype=bool)
         step = np.where(free, np.sqrt(np.clip(_squared_factors(found, judgements), _STEP**-2, _STEP**2)), 1.0)
