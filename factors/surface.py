@@ -2,13 +2,15 @@
 
     F(P) = |P| - R(longitude, latitude),    r = F / |grad F|        m
 
-R is bilinear between the four posts around the point. r is the distance from the patch exact to first order in itself;
-its derivative takes the patch's twist, its only second derivative, into account.
+R is the cubic spline through the posts, with continuous slopes and curvatures, of which the sixteen coefficients around
+a place are needed (Unser 1999): the cost of an adjustment is one function, smooth from cell to cell. r is the distance
+from the ground exact to first order in itself; its derivative takes the curvature into account.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import subtract
@@ -17,29 +19,74 @@ from mgsgraph.factors.explicit import Linear, StateAt, Vector
 
 @equation
 def bilinear(east, south, posts):
-    """Value of the patch, and its slopes eastward and southward per cell, and twist; `posts` are (nw, ne, sw, se)."""
+    """Value between four posts (nw, ne, sw, se), and its slopes eastward and southward per cell."""
     north_west, north_east, south_west, south_east = posts
     to_east, to_south = north_east - north_west, south_west - north_west
     twist = south_east - south_west - to_east
     value = north_west + east * to_east + south * to_south + east * south * twist
-    return value, to_east + south * twist, to_south + east * twist, twist
+    return value, to_east + south * twist, to_south + east * twist
 
 
 @equation
-def cell_position(point, first, step, column, row):
-    """Where in its cell a point lies: fractions eastward and southward; `first` and `step` of (longitude, latitude)."""
-    x, y, z = point
-    angle = np.arctan2(y, x) - first[0] - column * step[0]
-    east = (angle - 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)) / step[0]
-    return east, (first[1] - np.arctan2(z, np.sqrt(x * x + y * y))) / step[1] - row
+def cubic_weights(t):
+    """Cubic B-splines: weights of four coefficients in a row, t of the way from the second to the third, and their
+    first and second derivatives by t.
+    """
+    s = 1.0 - t
+    inner, outer = 2.0 / 3.0 + (0.5 * t - 1.0) * t * t, 2.0 / 3.0 + (0.5 * s - 1.0) * s * s
+    values = s * s * s / 6.0, inner, outer, t * t * t / 6.0
+    slopes = -0.5 * s * s, (1.5 * t - 2.0) * t, (2.0 - 1.5 * s) * s, 0.5 * t * t
+    return values, slopes, (s, 3.0 * t - 2.0, 3.0 * s - 2.0, t)
 
 
 @equation
-def height_above(point, patch, step):
-    """Height r (m) above a patch, as `bilinear` gives it at the point, and its derivative (3) by the point."""
+def weighted(weights, values):
+    """Sum of four values with their weights."""
+    return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2] + weights[3] * values[3]
+
+
+@equation
+def cubic(east, south, coefficients):
+    """Value of the spline, its slopes eastward and southward per cell, and its second derivatives: eastward, mixed,
+    southward.
+
+    `coefficients` are four rows from north to south of four from west to east; the place lies between the second and
+    the third of both, `east` and `south` of the way.
+    """
+    (values, slopes, bends), (down, down_slopes, down_bends) = cubic_weights(east), cubic_weights(south)
+    first, second, third, fourth = coefficients
+    rows = weighted(values, first), weighted(values, second), weighted(values, third), weighted(values, fourth)
+    eastward = weighted(slopes, first), weighted(slopes, second), weighted(slopes, third), weighted(slopes, fourth)
+    bent = weighted(bends, first), weighted(bends, second), weighted(bends, third), weighted(bends, fourth)
+    return (
+        weighted(down, rows), weighted(down, eastward), weighted(down_slopes, rows),
+        weighted(down, bent), weighted(down_slopes, eastward), weighted(down_bends, rows),
+    )  # fmt: skip
+
+
+@equation
+def post_coordinates(point, first, step, shape):
+    """Row and column of a point among posts, fractional, in the turn of longitude about the posts' middle.
+
+    `first` and `step` are of (longitude, latitude); of `shape` (rows, columns) the outermost post on each side serves
+    cells within: coordinates are kept within those.
+    """
     x, y, z = point
-    value, by_longitude, by_latitude, twist = patch[0], patch[1] / step[0], -patch[2] / step[1], -patch[3]
-    twist = twist / (step[0] * step[1])
+    half = 0.5 * (shape[1] - 1.0)
+    angle = (np.arctan2(y, x) - first[0]) / step[0] - half
+    turn = 2.0 * np.pi / step[0]
+    column = angle - turn * np.floor(angle / turn + 0.5) + half
+    row = (first[1] - np.arctan2(z, np.sqrt(x * x + y * y))) / step[1]
+    return np.minimum(np.maximum(row, 1.0), shape[0] - 2.0), np.minimum(np.maximum(column, 1.0), shape[1] - 2.0)
+
+
+@equation
+def height_above(point, ground, step):
+    """Height r (m) above ground, as `cubic` gives it at the point, and its derivative (3) by the point."""
+    x, y, z = point
+    value, by_longitude, by_latitude = ground[0], ground[1] / step[0], -ground[2] / step[1]
+    bend_longitude, twist = ground[3] / (step[0] * step[0]), -ground[4] / (step[0] * step[1])
+    bend_latitude = ground[5] / (step[1] * step[1])
     planar = np.sqrt(x * x + y * y)
     radius = np.sqrt(planar * planar + z * z)
     above = radius - value
@@ -47,7 +94,8 @@ def height_above(point, patch, step):
     norm = np.sqrt(1.0 + a * a + b * b)
     share = above / (norm * norm * norm)
     # derivatives of (a^2 + b^2) / 2 by longitude and latitude, and by the radius -(a^2 + b^2) / radius
-    turn_longitude, turn_latitude = b * twist / radius, a * (twist / planar + a * z / planar)
+    turn_longitude = a * bend_longitude / planar + b * twist / radius
+    turn_latitude = a * (twist / planar + a * z / planar) + b * bend_latitude / radius
     along_east = (-by_longitude / norm - share * turn_longitude) / planar
     along_north = (-by_latitude / norm - share * turn_latitude) / radius
     up = (1.0 / norm + share * (a * a + b * b) / radius) / radius
@@ -62,22 +110,19 @@ def height_above(point, patch, step):
 class SurfaceHeight(NamedTuple):
     """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
 
-    posts: Vector | None
-    """(4,) m, radii of the posts around the point: north-west, north-east, south-west, south-east; None for no patch.
-    """
-    cell: tuple[int, int]
-    """Column and row of the first."""
+    coefficients: NDArray[np.float64]
+    """(rows, columns) m, of the spline through the posts' radii."""
     first: Vector
-    """(2,) rad, longitude and latitude of the model's first post."""
+    """(2,) rad, longitude and latitude of the first of them."""
     step: Vector
     """(2,) rad, between columns and rows."""
 
     def __call__(self, state_at: StateAt, position: Vector) -> Linear:
-        """Row (m) at a state: where the model itself is (m). Nothing where the point has no patch."""
-        if self.posts is None:
-            return Linear(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)))
+        """Row (m) at a state: where the model itself is (m)."""
         moved = subtract(position, state_at(0.0)[0])
-        east, south = cell_position(moved, self.first, self.step, *self.cell)
-        patch = bilinear(east, south, self.posts)
-        height, by_point = height_above(moved, patch, self.step)
+        every = self.coefficients
+        row, column = post_coordinates(moved, self.first, self.step, every.shape)
+        i, j = min(int(row), every.shape[0] - 3), min(int(column), every.shape[1] - 3)
+        around = tuple(map(tuple, every[i - 1 : i + 3, j - 1 : j + 3].tolist()))
+        height, by_point = height_above(moved, cubic(column - j, row - i, around), self.step)
         return Linear(np.array([height]), np.array([by_point]), -np.array([by_point]))

@@ -1,9 +1,9 @@
-"""Terrain models by cells or by bilinear patches: are the sigmas of their shift, the ties and the laser honest?
+"""Terrain models by cells or under single tie points: are the sigmas of their shift, the ties and the laser honest?
 
 Each draw is a simulated site, whose errors have the sigmas that its case states (MEGDR's posts are means over their
 cells of the true ground), in the mission's formats, with dense matches of the true ground in place of pictures. It is
-adjusted with tie points on the bilinear patches of the model, then with its posts on the surface that the images show
-(`registration.relief`), and both are held against the truth.
+adjusted with tie points on the spline through the model's posts, then with its posts on the surface that the images
+show (`registration.relief`), and both are held against the truth.
 
     python scripts/cells.py [--sites eos,gusev,isidis] [--seeds 200] [--first 1] [--keep FILE] [--page docs/cells.md]
 
@@ -16,10 +16,22 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from study import at_least, chi_square_band, command, kept, machine, note, number, show, student, table, write_page
+from study import (
+    Draw,
+    at_least,
+    cases,
+    chi_square_band,
+    command,
+    draws,
+    machine,
+    number,
+    refusals,
+    student,
+    table,
+    write_page,
+)
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -46,22 +58,22 @@ STEP, NOISE, WINDOW = 14.0, 0.1, 42.0
 """pixels between matches and of their noise; m, width of a matching window."""
 REACH = 1000.0
 """m, up to which shifts are searched."""
-KINDS = {"terrain": 3, "mean tie": 3, "ties": 3, "profiles": 2, "laser": 3}
+KINDS = {"terrain": 3, "ties": 3, "profiles": 2, "laser": 3}
 """Degrees of freedom of each normalised error."""
-ALONE = ("terrain", "mean tie")
+ALONE = ("terrain",)
 """One in each draw, and so chi-square over draws."""
-WAYS = ("patches", "cells")
+WAYS = ("ties", "cells")
 WORDS = """# Terrain models by cells against truth
 
 Made by `scripts/cells.py` ({machine}), seeds {first} to {last}: simulated sites whose errors have the sigmas that their
 cases state (terrain model: 200 m east and north, {height:g} m up, 10 m for each post of 463 m, which is the mean of the
 true ground over its cell; profiles 100 m), written in the mission's formats and read again, dense matches of the true
-ground with noise of {noise:g} pixels, no rendering. *patches*: each tie point lies on a bilinear patch of the model, as
-`mgsgraph adjust` has it; *cells*: posts and laser shots lie on the surface that the images show, as `mgsgraph
-coregister` has it. NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in brackets: *terrain* of
-the model's shift east, north and up, *mean tie* of the tie points' mean error (bands: chi-square), *ties* and *laser*
-of all tie points and footprints, *profiles* of the profiles' shifts (bands: scatter over the draws). *95 %*: share of
-tie points within their 95 % ellipsoids. Errors are rms over all draws, in m; of the model the horizontal ones.
+ground with noise of {noise:g} pixels, no rendering. *ties*: each tie point lies on the spline through the model's
+posts, as `mgsgraph adjust` has it; *cells*: posts and laser shots lie on the surface that the images show, as
+`mgsgraph coregister` has it. NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in brackets:
+*terrain* of the model's shift east, north and up (bands: chi-square), *ties* and *laser* of all tie points and
+footprints, *profiles* of the profiles' shifts (bands: scatter over the draws). *95 %*: share of tie points within their
+95 % ellipsoids. Errors are rms over all draws, in m; of the model the horizontal ones.
 """
 HEAD = (
     "site", "by", "draws", "not converged", *KINDS, "95 %", "model, m", "ties, m", "laser, m", "seconds",
@@ -80,29 +92,16 @@ def main(arguments: list[str] | None = None) -> int:
     sites, seeds = given.sites.split(","), range(given.first, given.first + given.seeds)
 
     def make() -> str:
-        found = kept(given.keep)
-        for seed in seeds:
-            for site in sites:
-                if (site, seed) not in found:
-                    show(f"{site}, seed {seed}")
-                    found[site, seed] = one_draw(site, seed)
-                    note(given.keep, found[site, seed])
+        every = draws(sites, seeds, one_draw, given.keep)
         words = WORDS.format(machine=machine(), first=seeds[0], last=seeds[-1], height=HEIGHT_SIGMA, noise=NOISE)
-        rows = [row(site, way, [found[site, seed] for seed in seeds]) for site in sites for way in WAYS]
-        refused = sum("refused" in found[site, seed] for site in sites for seed in seeds)
-        end = f"\nOf all draws {refused} are no cases: a profile is drawn so far off that it misses its image."
-        return "\n".join([words, *table(HEAD, rows), end, ""])
+        rows = [row(site, way, cases(every, site)) for site in sites for way in WAYS]
+        return "\n".join([words, *table(HEAD, rows), "", refusals(every), ""])
 
     return write_page(parser, given.page, make)
 
 
-Draw = dict[str, Any]
-"""Site and seed; by way of adjusting: normalised errors by kind, per degree of freedom, and errors in m. Or why the
-draw is no case: a profile is so far off that it misses its image."""
-
-
 def one_draw(name: str, seed: int) -> Draw:
-    """Draw, adjust by patches and by cells, judge."""
+    """Draw, adjust by tie points and by cells, judge."""
     begin = time.perf_counter()
     site = simulate_site(name, seed, SimulationOptions(pictures=False))
     rng = np.random.default_rng([seed, SITE_NAMES.index(name), 7])
@@ -114,12 +113,12 @@ def one_draw(name: str, seed: int) -> Draw:
         try:
             case = read_case(path)
         except InputError as error:
-            return {"site": name, "seed": seed, "refused": str(error)}
-    patches = adjust_network(case.network, case.settings, case.name)
-    cells = by_cells(case, patches, site, rng)
+            return {"refused": str(error)}
+    ties = adjust_network(case.network, case.settings, case.name)
+    cells = by_cells(case, ties, site, rng)
     truth = Truth(site, lift)
-    draw = {"site": name, "seed": seed, "patches": truth.judge(patches), "cells": truth.judge(cells)}
-    return draw | {"seconds": time.perf_counter() - begin}
+    judged = {"ties": truth.judge(ties), "cells": truth.judge(cells)}
+    return judged | {"seconds": time.perf_counter() - begin}
 
 
 def by_cells(case: Case, before: Solution, site: SimulatedSite, rng: np.random.Generator) -> Solution:
@@ -168,7 +167,6 @@ class Truth:
         each = nees(ties, of_ties)
         squares = {
             "terrain": nees((model - self._model)[None], of_model[None]),
-            "mean tie": nees(ties.mean(axis=0)[None], of_ties.mean(axis=0)[None]),
             "ties": each, "profiles": nees(shifts, of_shifts), "laser": nees(laser, of_laser),
         }  # fmt: skip
         return {
@@ -209,10 +207,9 @@ def model_shift(solution: Solution) -> tuple[Array, Array]:
     return np.append(solution.shifts[p], solution.shared[k][0]), spread
 
 
-def row(site: str, way: str, draws: list[Draw]) -> list[str]:
-    """Of one site, by patches or by cells."""
-    draws = [draw for draw in draws if "refused" not in draw]
-    mine = [draw[way] for draw in draws]
+def row(site: str, way: str, every: list[Draw]) -> list[str]:
+    """Of one site, by tie points or by cells."""
+    mine = [draw[way] for draw in every]
     cells = []
     for kind, degrees in KINDS.items():
         values = np.array([one["nees"][kind] for one in mine])
@@ -224,7 +221,7 @@ def row(site: str, way: str, draws: list[Draw]) -> list[str]:
     return [
         site, way, str(len(mine)), str(sum(not one["converged"] for one in mine)), *cells,
         f"{100.0 * np.mean([one['inside'] for one in mine]):.1f}", *(number(error) for error in errors),
-        number(float(np.mean([draw["seconds"] for draw in draws]))),
+        number(float(np.mean([draw["seconds"] for draw in every]))),
     ]  # fmt: skip
 
 

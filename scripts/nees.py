@@ -52,7 +52,7 @@ they are honest. Made by `scripts/nees.py`; seeds 0 .. N-1.
 """
 READING = """
 Where *rigorous* lies outside its band and *no-terrain* inside, the surface rows are the cause. A tie's height above the
-grid says something of the horizontal place only by the patch's slope, and patches (463 m) differ from one another: over
+grid says something of the horizontal place only by the ground's slope, which differs from post to post (463 m): over
 the hundred metres to which that place is known, the cost has several minima of nearly equal depth. The covariance is
 that of one of them and knows nothing of the others; a few draws in the wrong one dominate the mean of the *shifts*,
 whose median is below one. The terrain model's shift is therefore less certain than it says, and most so at Eos.

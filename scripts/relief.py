@@ -3,25 +3,25 @@
 Each draw is a simulated site, whose errors have the sigmas that its case states: rendered images in the mission's
 formats are read, matched densely, and the profiles registered (`registration.relief`).
 
-    python scripts/relief.py [--sites gusev,eos,isidis] [--seeds 20] [--first 1] [--no-terrain] [--page docs/relief.md]
+    python scripts/relief.py [--sites gusev,eos,isidis] [--seeds 20] [--first 1] [--no-terrain] [--keep FILE]
+        [--page docs/relief.md]
 
-One line per draw goes to stdout. Exit status: 0 done, 2 bad input.
+With --keep each draw is noted in FILE as soon as it is done, and not done again. Exit status: 0 done, 2 bad input.
 """
 
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from study import at_least, chi_square_band, command, machine, number, show, table, write_page
+from study import Draw, at_least, cases, chi_square_band, command, draws, machine, number, refusals, table, write_page
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array
@@ -29,7 +29,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.registration.relief import ReliefRegistration, register_by_relief
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
-from mgsgraph.simulation.sites import SITE_NAMES, SiteSettings, site_settings
+from mgsgraph.simulation.sites import SITE_NAMES, site_settings
 from mgsgraph.wording import root_mean_square as rms
 
 WORDS = """# Registration by relief against truth
@@ -50,24 +50,6 @@ _CAPTURED = 50.0
 """m, misplacement after which the right minimum was found."""
 
 
-class Draw(NamedTuple):
-    """What one draw gave; p profiles."""
-
-    site: str
-    seed: int
-    before: Array
-    """(p, 2) m, misplacement found before minus true."""
-    after: Array
-    """(p, 2) m, the same after."""
-    shifts: Array
-    """(p,) NEES of the shifts, of two degrees of freedom."""
-    ties: tuple[float, float]
-    """m, rms position error of the tie points before and after."""
-    mean: float
-    """NEES of the tie points' mean error in the plane, of two degrees of freedom."""
-    seconds: float
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Exit status."""
     parser = command(__doc__)
@@ -75,39 +57,39 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=at_least(1), default=20, help="draws of each site")
     parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
     parser.add_argument("--no-terrain", action="store_true", help="leave out the case's terrain model")
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="note draws here, and go on where it ended")
     parser.add_argument("--page", type=Path, help="file to write the table to")
     given = parser.parse_args(arguments)
-    sites = [site_settings(name) for name in given.sites.split(",")]
+    sites, seeds = given.sites.split(","), range(given.first, given.first + given.seeds)
 
     def make() -> str:
-        seeds = range(given.first, given.first + given.seeds)
-        draws = [draw for seed in seeds for settings in sites for draw in _drawn(settings, seed, not given.no_terrain)]
+        every = draws(sites, seeds, lambda site, seed: _drawn(site, seed, not given.no_terrain), given.keep)
         words = WORDS.format(
             machine=machine(), first=seeds[0], last=seeds[-1], captured=_CAPTURED,
             terrain="no terrain model" if given.no_terrain else "terrain models by cells",
         )
-        return "\n".join([words, *table(HEAD, [_row(site.name, draws) for site in sites]), ""])
+        rows = [_row(site, cases(every, site)) for site in sites]
+        return "\n".join([words, *table(HEAD, rows), "", refusals(every), ""])
 
     return write_page(parser, given.page, make)
 
 
-def _drawn(settings: SiteSettings, seed: int, terrain: bool) -> Iterator[Draw]:
-    show(f"{settings.name}, seed {seed}")
+def _drawn(name: str, seed: int, terrain: bool) -> Draw:
     begin = time.perf_counter()
-    site = simulate_site(settings, seed)
+    site = simulate_site(site_settings(name), seed)
     with tempfile.TemporaryDirectory() as folder:
-        case = read_case(write_site(site, Path(folder)))
+        try:
+            case = read_case(write_site(site, Path(folder)))
+        except InputError as error:
+            return {"refused": str(error)}
         found = register_by_relief(case if terrain else replace(case, network=replace(case.network, surface=None)))
-    draw = _judged(site, found, seed, time.perf_counter() - begin)
-    print(
-        f"{draw.site} {draw.seed}: before {rms(draw.before):.1f}, after {rms(draw.after):.1f} m, shifts "
-        f"{draw.shifts.mean() / 2.0:.2f}, ties {draw.ties[0]:.0f} -> {draw.ties[1]:.0f} m, {draw.seconds:.0f} s",
-        file=sys.stderr,
-    )
-    yield draw
+    return _judged(site, found) | {"seconds": time.perf_counter() - begin}
 
 
-def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: float) -> Draw:
+def _judged(site: SimulatedSite, found: ReliefRegistration) -> Draw:
+    """Misplacements (p, 2) in m, found minus true, before and after; of p profiles' shifts and of the ties' mean error
+    in the plane the normalised squares, of two degrees of freedom; rms errors of the ties in m, before and after.
+    """
     without, solution = found.before, found.solution
     profiles = [one for one in found.profiles if not one.of_posts]
     ties = solution.network.points.classes == PointClass.TIE
@@ -128,8 +110,11 @@ def _judged(site: SimulatedSite, found: ReliefRegistration, seed: int, seconds: 
     plane = np.einsum("ak,nkl,bl->nab", ways, solution.covariances[ties], ways).mean(axis=0)
     of_ties = errors[1].mean(axis=0) @ ways.T
     mean = float(of_ties @ np.linalg.solve(plane, of_ties))
-    sizes = tuple(rms(np.linalg.norm(error, axis=1)) for error in errors)
-    return Draw(site.settings.name, seed, before, after, np.array(nees), (sizes[0], sizes[1]), mean, seconds)
+    return {
+        "before": [one.tolist() if np.all(np.isfinite(one)) else None for one in before],
+        "after": after.tolist(), "shifts": nees, "mean": mean,
+        "ties": [rms(np.linalg.norm(error, axis=1)) for error in errors],
+    }  # fmt: skip
 
 
 def surface_errors(site: SimulatedSite, names: list[str], solution: Solution) -> Array:
@@ -152,17 +137,16 @@ def surface_errors(site: SimulatedSite, names: list[str], solution: Solution) ->
     return np.array(errors)
 
 
-def _row(site: str, draws: list[Draw]) -> list[str]:
-    mine = [draw for draw in draws if draw.site == site]
-    before, after = (np.concatenate([getattr(draw, name) for draw in mine]) for name in ("before", "after"))
-    nees = np.concatenate([draw.shifts for draw in mine])
-    ties = [rms(np.array([draw.ties[k] for draw in mine])) for k in range(2)]
+def _row(site: str, mine: list[Draw]) -> list[str]:
+    before, after = (np.array([one for draw in mine for one in draw[name] if one]) for name in ("before", "after"))
+    nees = np.concatenate([draw["shifts"] for draw in mine])
+    ties = rms(np.array([draw["ties"] for draw in mine])[:, 0]), rms(np.array([draw["ties"] for draw in mine])[:, 1])
     captured = np.linalg.norm(after, axis=1) < _CAPTURED
     return [
-        site, str(len(mine)), f"{int(captured.sum())} of {captured.size}", number(rms(before[np.isfinite(before)])),
-        number(rms(after)),
+        site, str(len(mine)), f"{int(captured.sum())} of {captured.size}", number(rms(before)), number(rms(after)),
         _within(nees.sum(), 2 * len(nees)), number(ties[0]), number(ties[1]), number(ties[0] / ties[1]),
-        _within(sum(draw.mean for draw in mine), 2 * len(mine)), number(np.mean([draw.seconds for draw in mine])),
+        _within(sum(draw["mean"] for draw in mine), 2 * len(mine)),
+        number(float(np.mean([draw["seconds"] for draw in mine]))),
     ]  # fmt: skip
 
 

@@ -127,19 +127,48 @@ def write_figure(figure: Any, path: Path) -> None:
         figure.savefig(aside, dpi=110, format="png")
 
 
-def kept(path: Path | None) -> dict[tuple[str, int], dict[str, Any]]:
+# --- draws of simulated sites
+
+Draw = dict[str, Any]
+"""What one draw gave, as JSON has it: site, seed and figures; or why the draw is no case (`refused`)."""
+
+
+def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
     """Draws of an earlier run, by site and seed."""
     if path is None or not path.exists():
         return {}
-    draws = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {(draw["site"], draw["seed"]): draw for draw in draws}
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return {(draw["site"], draw["seed"]): draw for draw in map(json.loads, lines)}
 
 
-def note(path: Path | None, draw: dict[str, Any]) -> None:
+def note(path: Path | None, draw: Draw) -> None:
     """Add a draw to those kept."""
     if path is not None:
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(draw) + "\n")
+
+
+def draws(sites: Sequence[str], seeds: Sequence[int], one: Callable[[str, int], Draw], keep: Path | None) -> list[Draw]:
+    """Draws of all sites and seeds; those of an earlier run that are kept in a file are not made again."""
+    found = kept(keep)
+    for seed in seeds:
+        for site in sites:
+            if (site, seed) not in found:
+                show(f"{site}, seed {seed}")
+                found[site, seed] = {"site": site, "seed": seed} | one(site, seed)
+                note(keep, found[site, seed])
+    return [found[site, seed] for site in sites for seed in seeds]
+
+
+def cases(every: Sequence[Draw], site: str) -> list[Draw]:
+    """Draws of a site that are cases."""
+    return [draw for draw in every if draw["site"] == site and "refused" not in draw]
+
+
+def refusals(every: Sequence[Draw]) -> str:
+    """A sentence on draws that are no cases."""
+    count = sum("refused" in draw for draw in every)
+    return f"Of {len(every)} draws {count} are no cases: a profile is drawn so far off that it misses its image."
 
 
 # --- Markdown

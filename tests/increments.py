@@ -132,7 +132,7 @@ def by_image(network: Network) -> list[Network]:
 
 
 def slope(network: Network) -> TerrainGrid:
-    """A terrain model of one bilinear patch that falls by a hundredth in either direction. (Where patches meet in edges
+    """A terrain model of four posts that falls by a hundredth in either direction. (Where ground is rough
     a few points hold a model's shift at several places, and batch and increments may end at different ones.)
     """
     longitude, latitude, _ = planetocentric(network.points.places[np.isfinite(network.points.places[:, 0])]).T

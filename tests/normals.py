@@ -66,7 +66,6 @@ class HandPoint:
 
     kind: int
     start: np.ndarray
-    cell: np.ndarray
     observations: list[HandObservation]
 
 
@@ -130,8 +129,7 @@ def take_apart(layout: Layout, rows: Rows | None = None) -> list[HandPoint]:
                 values = rows.data[at + count * np.arange(size)]
                 at += size * count
                 mine.append(_observation(layout, rows, pattern, s, values, among + k * count + i))
-            cell = rows.terrain_cell[first + i] if rows.terrain.size else np.full(3, -1)
-            points.append(HandPoint(int(rows.kind[first + i]), rows.start[first + i].copy(), cell, mine))
+            points.append(HandPoint(int(rows.kind[first + i]), rows.start[first + i].copy(), mine))
     return points
 
 
@@ -201,9 +199,6 @@ def pack(points: list[HandPoint], units: list[np.ndarray], like: Layout, most: i
         pattern_group=np.array([pattern[0] for pattern in patterns]),
         pattern_fixed=np.array([int(pattern[1]) for pattern in patterns]),
         pattern_shape=np.arange(len(patterns)),
-        terrain_cell=np.stack([points[i].cell for i in order])
-        if like.rows.terrain.size
-        else np.zeros((0, 3), dtype=np.int64),
         **_tables(
             [(signature, members[pattern[0]]) for pattern in patterns for signature in pattern[2:]],
             [one.numbers.size for pattern in patterns for one in points[keys.index(pattern)].observations],

@@ -44,7 +44,7 @@ def use_matches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @cache
 def case_path() -> Path:
-    """The case without its terrain model, on whose patches tie points move for many passes; for reading only."""
+    """The case without its terrain model, on which tie points lie; for reading only."""
     text = dem_site.case_path().read_text(encoding="utf-8")
     path = dem_site.case_path().with_name("relief.toml")
     path.write_text(text[: text.index("[terrain]")], encoding="utf-8")

@@ -242,26 +242,25 @@ def hills(longitudes: Array, latitudes: Array) -> Array:
     return MARS.radius(directions) - RADIUS + 0.05 * (ground(longitudes, latitudes) + 2000.0)
 
 
-@pytest.mark.parametrize("name", PROJECTIONS)
-def test_any_projection_has_the_same_posts_and_the_same_adjustment(case_file: Path, name: str) -> None:
-    """Two models of the same hills, by meridians and in a projection: posts on the hills, and ties to sigma / 100."""
+def test_any_projection_has_the_same_posts_and_the_same_adjustment(case_file: Path) -> None:
+    """Models of the same hills, by meridians and in projections: posts on the hills, and ties to sigma / 100."""
     middle = middle_of(case_file).mean(axis=0) * DEG
     definitions = {"plain": (f"+proj=longlat {SPHERE}", lambda x, y: np.stack([x, y]) * DEG)} | PROJECTIONS
     found = []
-    for one in ("plain", name):
-        crs, inverse = definitions[one]
-        place, x, y = pixels(crs, shape=(500, 500), step=150.0, middle=middle)
-        raster(case_file.with_name("hills.tif"), hills(*inverse(x, y)).reshape(500, 500), crs, place)
+    for crs, inverse in definitions.values():
+        place, x, y = pixels(crs, shape=(350, 350), step=200.0, middle=middle)
+        raster(case_file.with_name("hills.tif"), hills(*inverse(x, y)).reshape(350, 350), crs, place)
         without(case_file)
         case = mgsgraph.read_case(add(case_file, f'radius = "hills.tif"\nreference_radius_m = {RADIUS}'))
-        posts = posts_of(case.terrain[0], 600.0)
+        posts = posts_of(case.terrain[0], 800.0)
         longitude, latitude, radius = planetocentric(posts.points).T
         # a mean of four by four posts is that of the hills but for their curvature within the cell
         assert np.abs(radius - RADIUS - hills(longitude, latitude)).max() < 0.05
-        assert len(posts.ids) < 125**2  # what lies near the images
+        assert len(posts.ids) < 80**2  # what lies near the images
         found.append(mgsgraph.adjust(case))
-    off = np.abs(found[1].places - found[0].places) / np.sqrt(np.diagonal(found[0].covariances, axis1=1, axis2=2))
+    off = np.abs([one.places - found[0].places for one in found[1:]]) / found[0].sigmas
     assert off.max() < 0.01
+    assert off.max(axis=(1, 2)).min() > 0.0
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,6 @@ from mgsgraph.adjustment.passes import (
     everything,
     places_of_all,
     solve_in_passes,
-    what_changes,
     without_weak,
 )
 from mgsgraph.adjustment.posterior import (
@@ -82,8 +81,8 @@ def adjust_network(
     left_in : Selection, optional
         Rays and ranges that take part; all when absent. Not together with a blunder limit, which judges all anew.
     begin : sequence of array, optional
-        Value of each variable, as `Solution.values`, where the stereo rows are linear first; the images' own adjustment
-        when absent.
+        Value of each variable, as `Solution.values`, where the optimiser begins; the nominal orientation when absent,
+        or, with stereo rows, the images' own adjustment.
 
     Returns
     -------
@@ -257,10 +256,9 @@ def _posterior(
     nodes, trends = strip_values(network, layout.variables, orientation)
     message = solved.outcome.message
     if solved.circling:
-        message += f" This holds for the best of {solved.passes} passes; "
-        message += f"from one pass to the next {what_changes(settings, network)} still changed."
+        message += f" This holds for the best of {solved.passes} passes; what was rejected still changed in each."
     elif solved.passes > 1:
-        message += f" {solved.passes} passes, until {what_changes(settings, network)} stayed as they were."
+        message += f" {solved.passes} passes, until rejected rows stayed as they were."
     return Solution(
         name=name,
         network=network,
@@ -284,10 +282,10 @@ def _posterior(
         residuals_before=found_before.image,
         range_residuals=found.ranges,
         range_residuals_before=found_before.ranges,
-        sigmas_without_laser=without_laser,
+        sigmas_without_laser=without_laser[0],
+        median_sigmas_without_laser=without_laser[1],
         seconds=clock.seconds,
         versions=versions(),
-        terrain_cells=None if network.surface is None else layout.rows.terrain_cell[layout.patterns.point_index],
         rays_rejected=~solved.selection.rays,
         ranges_rejected=~solved.selection.ranges,
         stereo_rejected=~solved.selection.stereo,
@@ -319,25 +317,28 @@ def _exact_residuals(layout: Layout, places: Array) -> Residuals:
     return residuals(layout, nominal, places)
 
 
-def _sigmas_without_laser(layout: Layout, solved: Solved, sweeper: Sweeper) -> Array | None:
-    """(3,) m mean sigmas of the tie points, had there been no laser rows: covariance needs no observed values."""
+def _sigmas_without_laser(
+    layout: Layout, solved: Solved, sweeper: Sweeper
+) -> tuple[Array, Array] | tuple[None, None]:
+    """(3,) m mean and median sigmas of the tie points, had there been no laser rows; no observed values are needed."""
     classes = layout.network.points.classes
     ties = classes == PointClass.TIE
     laser = classes == PointClass.LASER
     if not (np.any(ties) and np.any(laser)):
-        return None
+        return None, None
     left = solved.selection
     rows = replace(left, ranges=np.zeros_like(left.ranges), out=left.out | laser).rows(layout)
     if np.any(np.isinf(layout.sigmas)):
-        return None  # without the laser nothing may hold the datum
+        return None, None  # without the laser nothing may hold the datum
     graph = BundleGraph(layout, rows, sweeper)
     reduction = graph.reduction(solved.orientation, points=solved.points)
     joint = orientation_covariance(graph, reduction)
     covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
     mine = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
     if not np.any(mine):
-        return None
-    return np.array([np.sqrt(covariances[mine, axis, axis]).mean() for axis in range(3)])
+        return None, None
+    sigmas = [np.sqrt(covariances[mine, axis, axis]) for axis in range(3)]
+    return np.array([one.mean() for one in sigmas]), np.array([np.median(one) for one in sigmas])
 
 
 def versions() -> dict[str, str]:

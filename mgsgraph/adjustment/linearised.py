@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.adjustment.graph import Layout, lay_out
+from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.posterior import Fit, fit, residuals
+from mgsgraph.adjustment.posterior import Fit, fit, orientation_covariance, residuals
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
@@ -99,6 +99,16 @@ class Linearised:
         """Weighted squares, observations and unknowns of the rows that take part."""
         found = residuals(self.layout, self.orientation, self.points)
         return fit(self.layout, self.rows, self.orientation, self.points, found)
+
+    def of_estimator(self) -> "Linearised":
+        """The same with the covariance that estimates had were considered unknowns without error: what redundancy and
+        tests of residuals are about. Itself where nothing is considered.
+        """
+        if not self.layout.prior.considered:
+            return self
+        graph = BundleGraph(self.layout, self.rows)
+        reduction = graph.reduction(self.orientation, points=self.points)
+        return replace(self, joint=orientation_covariance(graph, reduction, consider=False))
 
     def layout_index(self, point: int) -> int:
         """Place in the layout of a network point that takes part; InputError where nothing determines it."""

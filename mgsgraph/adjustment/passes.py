@@ -1,4 +1,4 @@
-"""Passes of one adjustment: solve, let terrain patches follow their points, reject and re-admit rows, solve again."""
+"""Passes of one adjustment: solve, reject and re-admit rows, solve again."""
 
 import math
 from collections.abc import Callable
@@ -28,9 +28,8 @@ from mgsgraph.ties import PointKind
 
 Progress = Callable[[Iteration], None]
 
-_MOST_PASSES = 10
-_MOST_SEARCHED = 100
-"""Passes when blunders are sought: each takes something out, or back once."""
+_MOST_PASSES = 100
+"""When blunders are sought: each takes something out, or back once."""
 _MOST_LAYOUTS = 60
 """Times that rays are laid out anew in one pass."""
 
@@ -53,6 +52,11 @@ class Selection:
         return all(
             np.array_equal(getattr(self, name), getattr(other, name)) for name in ("rays", "ranges", "stereo")
         )
+
+    @property
+    def key(self) -> bytes:
+        """The same for selections in which the same rows take part."""
+        return b"".join(part.tobytes() for part in (self.rays, self.ranges, self.stereo))
 
     def without_stereo(self) -> "Selection":
         """The same without heights above stereo surfaces."""
@@ -89,7 +93,7 @@ class Solved:
     """What the passes leave."""
 
     layout: Layout
-    """Rows, with the terrain patches of the last pass."""
+    """All rows, laid out as in the last pass."""
     outcome: Outcome[Any]
     """How the last pass ended."""
     history: tuple[Iteration, ...]
@@ -125,16 +129,15 @@ def solve_in_passes(
     sweeper: Sweeper = IN_PROCESS,
     begin: Array | None = None,
 ) -> Solved:
-    """Solve, and solve again until nothing changes: terrain patches follow their points, and, when blunders are sought,
-    rows are rejected and re-admitted. Where the passes run in a circle (points on the edge of two patches), the best of
-    it counts. `before` is the reduction of these rows at the nominal orientation. Stereo surfaces wait until the images
-    agree with one another: what they show before is no ground; or they begin where the shared unknowns `begin`
-    (columns,) put them.
+    """Solve; when blunders are sought, reject and re-admit rows and solve again until none changes. Where the passes
+    run in a circle, the best of it counts. `before` is the reduction of these rows at the nominal orientation, where
+    all begins, or at the shared unknowns `begin` (columns,). Without these stereo surfaces wait until the images agree
+    with one another: what they show before is no ground.
     """
     history, initial = tuple[Iteration, ...](), float("nan")
     seen: dict[bytes, Solved] = {}
-    orientation = np.zeros(layout.columns)
-    known: Reduction | None = before
+    orientation = np.zeros(layout.columns) if begin is None else begin
+    known: Reduction | None = before if begin is None else None
     if layout.network.stereo is not None:
         bare = selection.without_stereo()
         if begin is None:
@@ -142,28 +145,24 @@ def solve_in_passes(
             layout, orientation, points = first.layout, first.orientation, first.points
             history, initial = first.history, first.cost_initial
         else:
-            orientation = begin
             points = BundleGraph(layout, bare.rows(layout), sweeper).reduction(orientation, COSTS).points
         layout, known = _on_surfaces(layout, orientation, points), None
     search, returned = Search(settings.reject, sweeper) if settings.reject > 0.0 else None, b""
-    for number in range(1, (_MOST_PASSES if search is None else _MOST_SEARCHED) + 1):
+    for number in range(1, _MOST_PASSES + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
         layout, selection, history = solved.layout, solved.selection, history + solved.history
         initial = solved.cost_initial if np.isnan(initial) else initial
         solved = replace(solved, history=history, cost_initial=initial, passes=number)
-        chosen, onward = selection, solved.orientation
-        if search is not None:
-            chosen, onward, tried = _next(search, layout, solved, settings, sweeper)
-            history += tried
-            solved = replace(solved, dimensions=search.dimensions)
-        followed = layout.following(solved.points, solved.orientation)
-        if followed is layout and chosen.same(selection):
+        if search is None:
             return solved
-        seen[_state(layout, selection) + returned] = solved
-        layout, selection, orientation, known = followed, chosen, onward, None
-        if search is not None:
-            returned = search.memory
-        if _state(layout, selection) + returned in seen:
+        chosen, onward, tried = _next(search, layout, solved, settings, sweeper)
+        history += tried
+        solved = replace(solved, dimensions=search.dimensions)
+        if chosen.same(selection):
+            return solved
+        seen[selection.key + returned] = solved
+        selection, orientation, known, returned = chosen, onward, None, search.memory
+        if selection.key + returned in seen:
             break
     last = tuple(seen.values())[-1].selection  # costs compare where the same rows take part
     best = min((one for one in seen.values() if one.selection.same(last)), key=lambda one: one.outcome.cost_final)
@@ -227,13 +226,6 @@ def _start(
     return strong, graph, graph.reduction(orientation, points=points)
 
 
-def _state(layout: Layout, selection: Selection) -> bytes:
-    """What a pass depends on beside its start."""
-    cells = layout.rows.terrain_cell
-    cells = layout.network_order(cells) if cells.size else cells  # rays laid out anew may change the order
-    return b"".join(part.tobytes() for part in (cells, selection.rays, selection.ranges, selection.stereo))
-
-
 def _solve(
     graph: BundleGraph,
     selection: Selection,
@@ -290,7 +282,7 @@ def _next(
     strong = _without_lost(layout, selection, reduction)
     if strong is not selection:
         return strong, solved.orientation, ()
-    wanted = first and settings.loss == "none" and search.beyond(at)
+    wanted = first and settings.loss == "none" and search.many_beyond(at)
     robust = _robust(layout, solved, settings, sweeper) if wanted else None
     if robust is not None:
         left = search.without_gross(_least_squares(robust.layout, robust, settings, sweeper)[0], taken)
@@ -344,14 +336,6 @@ def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS)
     whole = replace(everything(layout.network), out=selection.out)
     by_all = BundleGraph(layout, whole.rows(layout), sweeper).reduction(solved.orientation, COSTS).points
     return np.where(determined_points(solved.rows)[:, None], solved.points, by_all)
-
-
-def what_changes(settings: SolverSettings, network: Network) -> str:
-    """What makes another pass necessary, in words."""
-    blunders, patches = "rejected rows", "terrain patches"
-    if settings.reject == 0.0:
-        return patches
-    return f"{blunders} and {patches}" if network.surface else blunders
 
 
 def determined_points(rows: Rows) -> Mask:

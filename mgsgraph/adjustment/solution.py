@@ -76,6 +76,9 @@ class Solution:
     """Wall time by stage."""
     versions: Mapping[str, str]
     """Versions of this program and of the libraries that computed."""
+    median_sigmas_without_laser: Array | None = None
+    """(3,) m, the same of their medians, which a few points of nearly parallel rays don't move; None as well where an
+    older version didn't say."""
     rays_rejected: Mask | None = None
     """(k,) True for blunders, as the last pass judged; None where an older version didn't say."""
     ranges_rejected: Mask | None = None
@@ -89,9 +92,6 @@ class Solution:
     stereo_heights: Array | None = None
     """(n,) m, of each point above its stereo surface, along the normal; NaN for points on none. None where an older
     version didn't say."""
-    terrain_cells: Index | None = None
-    """(n, 3) the patch of the terrain model that each point was held to lie on (`TerrainGrid.cells`); a point on the
-    edge of two may end on another one. None without a terrain model, or where an older version didn't say."""
     shared: tuple[Array, ...] = ()
     """Value of each of the network's shared unknowns, in the unit of its kind: (1,), or (3,) of a boresight."""
     nodes: tuple[Array, ...] = ()

@@ -1,7 +1,7 @@
 """A network linearised at its solution, and the rows of the priors there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,10 +33,6 @@ def at_solution(solution: Solution) -> Linearised:
     settings, network, out = solution.settings, solution.network, ~solution.determined
     layout = lay_out(network, settings, solution.places)
     orientation, points = _placed(layout, solution.values, np.where(out[:, None], 0.0, solution.places))
-    if solution.terrain_cells is None:
-        layout = layout.following(points, orientation)
-    else:
-        layout = replace(layout, rows=layout.rows._replace(terrain_cell=solution.terrain_cells[layout.point_order]))
     points[layout.rows.kind == OUT] = 0.0
     layout, points = exactly(layout, orientation, points)
     rays = solution.rays_used | out[network.rays.point]
@@ -51,7 +47,7 @@ def at_values(network: Network, settings: SolverSettings, values: Sequence[Array
     layout = lay_out(network, settings, places)
     out = ~np.all(np.isfinite(places), axis=1)
     orientation, points = _placed(layout, values, np.where(out[:, None], 0.0, places))
-    layout, points = exactly(layout.following(points, orientation), orientation, points)
+    layout, points = exactly(layout, orientation, points)
     present = unmarked(network)
     rows = layout.active(present.rays, present.ranges, out, present.stereo)
     graph = BundleGraph(layout, rows)

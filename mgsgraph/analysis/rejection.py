@@ -168,7 +168,7 @@ def readmissible(
     determined = solution.determined[layout.point_order]
     by_all = BundleGraph(layout, layout.rows).reduction(at.orientation, COSTS).points
     points = np.where(determined[:, None], solution.places[layout.point_order], by_all)
-    layout, points = exactly(layout.following(points, at.orientation), at.orientation, points)
+    layout, points = exactly(layout, at.orientation, points)
     whole = Linearised(layout, at.settings, layout.rows, at.orientation, points, at.joint)
     index = ObservationIndex(whole)
     return [

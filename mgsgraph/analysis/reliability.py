@@ -137,7 +137,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     levels : Levels, optional
         Sizes of the tests; Baarda's customary ones when absent.
     """
-    at, levels = (of if isinstance(of, Linearised) else at_solution(of)), levels or Levels()
+    at, levels = (of if isinstance(of, Linearised) else at_solution(of)).of_estimator(), levels or Levels()
     points = np.flatnonzero(at.layout.network_order(at.rows.kind) == PRIOR)
     places = _ground_indices(at, points)
     numbers, ground = swept(at, places)
@@ -179,8 +179,7 @@ def _taking_part(at: Linearised, roots: _Roots | None) -> tuple[Mask, Index, Ind
         stereo = np.flatnonzero(_used(at, places.stereo, at.layout.stereo.points, of_stereo))
     if network.surface is None:
         return used, shots, stereo[:0], stereo
-    there = at.rows.terrain_cell[at.layout.patterns.point_index[places.on_terrain], 0] >= 0
-    return used, shots, np.flatnonzero(there & _used(at, places.heights, places.on_terrain, None)), stereo
+    return used, shots, np.flatnonzero(_used(at, places.heights, places.on_terrain, None)), stereo
 
 
 def _ground_indices(at: Linearised, points: Index) -> Index:

@@ -219,7 +219,7 @@ def residual_statistics(
     solution: Solution | Linearised, grouping: Grouping | None = None
 ) -> tuple[ResidualStatistics, ...]:
     """Statistics of the normalised residuals of each group (`group_rows` when absent); priors' are corrections."""
-    at = solution if isinstance(solution, Linearised) else at_solution(solution)
+    at = (solution if isinstance(solution, Linearised) else at_solution(solution)).of_estimator()
     grouping = grouping or group_rows(at.network)
     residuals, redundancy, groups = _all_rows(at, grouping)
     controlled = redundancy >= _CONTROLLED

@@ -175,7 +175,7 @@ class _Search:
         """Adjust the observations that are left."""
         left = self.taken.marked(self._network)
         self.solution = adjust_network(left, self._settings, self._name, left_in=selection(left, self.taken))
-        self.at = at_solution(self.solution)
+        self.at = at_solution(self.solution).of_estimator()
         self.found = reliability(self.at, self._levels)
         self.adjustments += 1
 

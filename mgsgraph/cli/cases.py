@@ -317,8 +317,8 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 )
 @click.option("--spacing", type=float, metavar="M", help="Between dense matches; a quarter of the footprint at most.")
 @click.option(
-    "--patches", is_flag=True,
-    help="Leave tie points on the bilinear patches of [terrain], in place of its posts on what the images show.",
+    "--no-cells", is_flag=True,
+    help="Leave tie points on the surface of [terrain], in place of its posts on what the images show.",
 )
 @click.option("--no-crossovers", is_flag=True, help="No rows where two laser profiles cross.")
 @PAIR
@@ -328,8 +328,8 @@ def register(case: Path, out: Path, solution: Path | None, ties: Path | None, no
 @click.pass_context
 def coregister(
     ctx: click.Context, case: Path, out: Path | None, solution: Path | None, footprint: float | None, reach: float,
-    spacing: float | None, patches: bool, no_crossovers: bool, pair: str | None, workers: int | None, ties: Path | None,
-    no_figures: bool,
+    spacing: float | None, no_cells: bool, no_crossovers: bool, pair: str | None, workers: int | None,
+    ties: Path | None, no_figures: bool,
 ) -> None:
     """Move laser profiles and terrain models of CASE and its images onto each other by relief, and adjust all together.
 
@@ -351,7 +351,7 @@ def coregister(
     from mgsgraph.reports.results import case_of
 
     chosen = footprint, reach, spacing, image_pair(pair)
-    settings = ReliefSettings(*chosen, "patches" if patches else "cells", not no_crossovers)
+    settings = ReliefSettings(*chosen, "spline" if no_cells else "cells", not no_crossovers)
     if (case / FILE).is_file():
         if out is not None or solution is not None or ties is not None:
             raise click.UsageError("--out, --solution and --ties are for a case: a project has its own")

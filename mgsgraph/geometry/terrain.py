@@ -1,8 +1,9 @@
-"""Terrain models: a grid of radii over longitude and latitude, read between its posts by bilinear interpolation.
+"""Terrain models: a grid of radii over longitude and latitude.
 
-The surface row of an adjustment is the height of a point above the bilinear patch of the four posts around it, along
-the patch's normal: with F = r - R(lon, lat), the distance F / |grad F|, which is exact to first order in the height
-(its error is the square of the height times the patch's curvature, and it vanishes with the residual).
+Values are read between the posts by bilinear interpolation. The surface row of an adjustment is the height of a point
+above the cubic spline through the posts (`factors.surface.cubic`), along its normal: with F = r - R(lon, lat), the
+distance F / |grad F|, which is exact to first order in the height (its error is the square of the height times the
+curvature, and it vanishes with the residual).
 """
 
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.factors.surface import bilinear, height_above
+from mgsgraph.factors.surface import bilinear, cubic, height_above, post_coordinates
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask, assign
@@ -22,6 +23,8 @@ TerrainKind = Literal["radius", "topography", "areoid"]
 """What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid."""
 _SQUARES = 20.0
 """Sum of the squares of the 4 x 4 posts' distances from their middle in one direction, in steps."""
+_BEYOND = 12
+"""Posts by which a grid is continued: what lies beyond them acts on a spline by 1e-7 of itself."""
 _EDGE = 1e-9
 """cells by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
 
@@ -34,8 +37,29 @@ class _Patch(NamedTuple):
     """per cell."""
     southward: Array
     """per cell."""
-    twist: Array
-    """second derivative by both; the other two are zero in a bilinear patch."""
+
+
+class SplineSurface(NamedTuple):
+    """The cubic spline through a grid's posts, continued beyond its edges and over holes, there as the nearest post."""
+
+    coefficients: Array
+    """(rows, columns) m."""
+    first: tuple[float, float]
+    """rad, longitude and latitude of coefficient [0, 0]."""
+    step: tuple[float, float]
+    """rad, between columns and rows."""
+
+    def height_above(self, points: Array) -> tuple[Array, Array]:
+        """Heights (n,) in m of points (n, 3) in m along the normal, and their derivatives (n, 3)."""
+        components = rotation.components(points)
+        row, column = post_coordinates(components, self.first, self.step, self.coefficients.shape)
+        i, j = (
+            np.minimum(np.nan_to_num(one, nan=1.0).astype(np.int64), size - 3)
+            for one, size in zip((row, column), self.coefficients.shape, strict=True)
+        )
+        around = tuple(tuple(self.coefficients[i + k, j + m] for m in range(-1, 3)) for k in range(-1, 3))
+        height, slope = height_above(components, cubic(column - j, row - i, around), self.step)
+        return np.asarray(height), rotation.stacked(slope)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,13 +209,6 @@ class TerrainGrid:
         posts = (self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right))
         return _Patch(*bilinear(e, s, tuple(np.where(inside, post, np.nan) for post in posts)))
 
-    def cells(self, points: Array) -> Index:
-        """(n, 3) row, left and right column of the posts around points (n, 3) in m; row -1 where one is missing."""
-        longitudes, latitudes, _ = planetocentric(points).T
-        row, left, right, _, _, inside = self._cell(longitudes, latitudes)
-        posts = sum(self.radii[i, j].astype(np.float64) for i in (row, row + 1) for j in (left, right))
-        return np.stack([np.where(inside & np.isfinite(posts), row, -1), left, right], axis=1)
-
     def radius(self, longitudes: Array, latitudes: Array) -> tuple[Array, Array, Array]:
         """Posts' values between the posts.
 
@@ -246,7 +263,7 @@ class TerrainGrid:
         return self._cell(longitudes, latitudes)[5]
 
     def height_above(self, points: Array) -> tuple[Array, Array]:
-        """Distance of points from the patch under them, along its normal.
+        """Distance of points from the spline through the posts, along its normal.
 
         Parameters
         ----------
@@ -261,12 +278,24 @@ class TerrainGrid:
             d(height) / d(point); a unit vector along the normal where the height is zero.
         """
         self._require("radius", "heights above the terrain")
-        longitudes, latitudes, _ = planetocentric(points).T
-        step = self.longitude_step, self.latitude_step
-        height, slope = height_above(rotation.components(points), self._patch(longitudes, latitudes), step)
-        return np.asarray(height), rotation.stacked(slope)
+        height, slope = self.spline().height_above(points)
+        there = np.isfinite(self.at(points))
+        return np.where(there, height, np.nan), np.where(there[:, None], slope, np.nan)
 
-    def around(self, points: Array, margin: int = 8) -> "TerrainGrid":
+    def spline(self) -> SplineSurface:
+        """The cubic spline through its posts."""
+        from scipy.ndimage import distance_transform_edt, spline_filter  # slow to import
+
+        radii, missing = np.asarray(self.radii, dtype=np.float64), np.isnan(self.radii)
+        if np.any(missing) and not np.all(missing):
+            nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+            radii = radii[tuple(nearest)]
+        radii = np.pad(radii, ((_BEYOND, _BEYOND), (0, 0)), "edge")
+        radii = np.pad(radii, ((0, 0), (_BEYOND, _BEYOND)), "wrap" if self.wraps else "edge")
+        first = self.first_longitude - _BEYOND * self.longitude_step, self.first_latitude + _BEYOND * self.latitude_step
+        return SplineSurface(spline_filter(radii, 3), first, (self.longitude_step, self.latitude_step))
+
+    def around(self, points: Array, margin: int = 16) -> "TerrainGrid":
         """The part of the grid under points (n, 3) in m, body-fixed, and `margin` posts beyond.
 
         The whole of it where no point lies over it.

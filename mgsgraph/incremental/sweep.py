@@ -96,7 +96,7 @@ class Sweep:
     def reduce(self, values: Mapping[Unknown, Array], task: int = SYSTEM) -> Reduction:
         """All points solved and eliminated at values of the unknowns; points that nothing determines are left out.
 
-        Raises PointBehindCamera. Terrain patches follow their points.
+        Raises PointBehindCamera.
         """
         shared, last = self._vector(values), self._last
         if last is not None and last.serves(shared, task):
@@ -105,10 +105,6 @@ class Sweep:
         strong = without_weak(self._layout, found, self._selection)
         if not np.array_equal(strong.out, self._selection.out):
             self._select(self._layout, strong)
-            found = self._reduced(shared, task)
-        followed = self._layout.following(found.points, shared)
-        if followed is not self._layout:
-            self._select(followed, self._selection)
             found = self._reduced(shared, task)
         layout = self._layout.without_steps
         for _ in range(1 if layout.stereo is None else _MOST_ROUNDS):
@@ -179,7 +175,7 @@ class Sweep:
         return self._ordered(self.reduce(values, COSTS).points)
 
     def _select(self, layout: Layout, selection: Selection) -> None:
-        """Which points take part, in which patches of the terrain."""
+        """Which points take part."""
         self._layout, self._selection, self._rows = layout, selection, selection.rows(layout)
         self._blocks = group_blocks(layout.groups)
 

@@ -26,7 +26,7 @@ from mgsgraph.factors.laser_range import range_residual
 from mgsgraph.factors.loss import cauchy, huber, tukey
 from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer, perspective_centre
 from mgsgraph.factors.stereo_surface import stereo_height
-from mgsgraph.factors.surface import bilinear, cell_position, height_above
+from mgsgraph.factors.surface import cubic, height_above, post_coordinates
 from mgsgraph.kernel.lanes import (
     ACTIVE,
     ANGULAR_RATE,
@@ -80,7 +80,7 @@ from mgsgraph.kernel.rows import (
     RANGE,
     STEREO,
 )
-from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_of, point_of
+from mgsgraph.kernel.tile import BEGIN, END, copy_block, correct, observations_of
 
 make_equations_compilable()
 
@@ -231,23 +231,27 @@ def ground_rows(w):
 
 @inlined
 def surface_rows(rows, segments, count, w):
-    """Row of a height above the terrain model; its state is where the model is. Nothing where there is no patch."""
-    frame, posts = rows.terrain_frame, rows.terrain
-    first, step = (frame[0], frame[1]), (frame[2], frame[3])
+    """Row of a height above the terrain model; its state is where the model is."""
+    frame, spline = rows.terrain_frame, rows.terrain
+    first, step, last = (frame[0], frame[1]), (frame[2], frame[3]), (spline.shape[0] - 3, spline.shape[1] - 3)
     for r in range(LANES):
         w[ROWS + RESIDUAL + r] = 0.0
     for r in range(3 * LANES):
         w[_FIRST_ROW + r] = 0.0
     for k in range(count):
-        point = point_of(rows, segments, k)
         for l in range(segments[k, BEGIN], segments[k, END]):
-            row, left, right = rows.terrain_cell[point + l]
             weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
-            if row >= 0 and weight > 0.0:
+            if weight > 0.0:
                 moved = subtract(vector(w, POINT, l), vector(w, DELTA, l))
-                corners = posts[row, left], posts[row, right], posts[row + 1, left], posts[row + 1, right]
-                east, south = cell_position(moved, first, step, left, row)
-                height, slope = height_above(moved, bilinear(east, south, corners), step)
+                row, column = post_coordinates(moved, first, step, spline.shape)
+                i, j = min(int(row), last[0]), min(int(column), last[1])
+                around = (
+                    (spline[i - 1, j - 1], spline[i - 1, j], spline[i - 1, j + 1], spline[i - 1, j + 2]),
+                    (spline[i, j - 1], spline[i, j], spline[i, j + 1], spline[i, j + 2]),
+                    (spline[i + 1, j - 1], spline[i + 1, j], spline[i + 1, j + 1], spline[i + 1, j + 2]),
+                    (spline[i + 2, j - 1], spline[i + 2, j], spline[i + 2, j + 1], spline[i + 2, j + 2]),
+                )
+                height, slope = height_above(moved, cubic(column - j, row - i, around), step)
                 w[ROWS + RESIDUAL + l] = weight * height
                 put(w, _FIRST_ROW, l, (weight * slope[0], weight * slope[1], weight * slope[2]), True)
     for r in range(3 * LANES):

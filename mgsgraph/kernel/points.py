@@ -18,16 +18,16 @@ from mgsgraph.kernel.lanes import (
     summing,
 )
 from mgsgraph.kernel.measurements import all_rows
-from mgsgraph.kernel.rows import GOOD, NO_LOSS, WEAK
-from mgsgraph.kernel.tile import BEGIN, END, PATTERN, load
+from mgsgraph.kernel.rows import GOOD, NO_LOSS, SURFACE, WEAK
+from mgsgraph.kernel.tile import BEGIN, END, PATTERN, load, observations_of
 
 _INNER_STEPS = 250
 """Quadratic rows need one to three; far from its optimum a Cauchy or Tukey loss converges slowly."""
 _PLAIN_TOLERANCE = 1e-3
 """Sigmas: after a shorter step the next would be some 1e-7 long (rows are linear to 1e-4 over a sigma), and what it
 would gain is known from the linear model to 1e-14: no second look is needed."""
-_ROBUST_TOLERANCE = 1e-7
-"""Sigmas, where a robust loss makes the convergence linear."""
+_SLOW_TOLERANCE = 1e-7
+"""Sigmas, where a robust loss or the curvature of a terrain model makes the convergence linear."""
 _SINGULAR = 1e-13
 """Pivot relative to its diagonal below which a point counts as not determined."""
 
@@ -102,6 +102,7 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
         for l in range(segments[k, BEGIN], segments[k, END]):
             w[ACTIVE + l] = 1.0
     plainly = move and robust and not fixed
+    slow = robust or on_terrain(rows, segments)
     for _ in range(2 * _INNER_STEPS):
         all_rows(rows, model, robust and not plainly, segments, count, x, w, depth, kept)
         if fixed:
@@ -110,13 +111,23 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
         if not move:
             break
         step_points(w)
-        tolerance = _ROBUST_TOLERANCE if robust and not plainly else _PLAIN_TOLERANCE
+        tolerance = _SLOW_TOLERANCE if slow and not plainly else _PLAIN_TOLERANCE
         if largest_step(w) < tolerance * tolerance:
             if not plainly:
                 break
             plainly = False
     if move and not fixed:
         take_back(w)
+
+
+@inlined
+def on_terrain(rows, segments):
+    """Whether a tile's points have heights above the terrain model."""
+    begin, end = observations_of(rows, segments)
+    found = False
+    for i in range(begin, end):
+        found = found or rows.observation_kind[i] == SURFACE
+    return found
 
 
 @lane

@@ -86,12 +86,9 @@ class Rows(NamedTuple):
     entry_inside: Index
     """(e,) the same column within that variable."""
     terrain: Array
-    """(rows, columns) m, radii of the terrain model's posts; (0, 0) without one."""
+    """(rows, columns) m, coefficients of the terrain model's spline; (0, 0) without a model."""
     terrain_frame: Array
     """(4,) first longitude and latitude, and their steps (rad)."""
-    terrain_cell: Index
-    """(n, 3) row, left and right column of the four posts that span each point's patch, row -1 for none; (0, 3) without
-    a terrain model. Held during one optimisation, so that the cost is smooth, and renewed between optimisations."""
 
 
 def shapes(first: Index, fixed: Index, *tables: Index) -> Index:
@@ -196,7 +193,6 @@ def one_observation(rows: Rows, groups: Groups, point: int, observation: int) ->
         entry_column=(np.cumsum(width) - width)[member.reshape(-1)] + rows.entry_inside[entries],
         entry_member=member.reshape(-1).astype(np.int64),
         entry_inside=rows.entry_inside[entries],
-        terrain_cell=rows.terrain_cell[point : point + 1],
     )
 
 
@@ -213,7 +209,6 @@ def of_points(rows: Rows, piece: int, inside: Index) -> Rows:
         data=rows.data[number : last[0]].reshape(-1, count)[:, inside].ravel(),
         weight=rows.weight[:, observation : last[1]].reshape(2, -1, count)[:, :, inside].reshape(2, -1),
         piece=np.array([[pattern, 0, inside.size, 0, 0]]),
-        terrain_cell=rows.terrain_cell[first + inside] if rows.terrain_cell.size else rows.terrain_cell,
     )
 
 
@@ -233,5 +228,4 @@ def partition(rows: Rows, first_piece: int, last_piece: int) -> Rows:
         data=rows.data[numbers],
         weight=np.ascontiguousarray(rows.weight[:, observations]),
         piece=rows.piece[first_piece:last_piece] - np.array([0, first[0], 0, *first[2:]]),
-        terrain_cell=rows.terrain_cell[points],
     )

@@ -40,7 +40,7 @@ from mgsgraph.kernel.lanes import (
 from mgsgraph.kernel.measurements import row_count
 from mgsgraph.kernel.points import solve_tile
 from mgsgraph.kernel.reliability import reliability_tile
-from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, PREDICTED, SURFACE, Groups, Model, NormalBlocks, Rows
+from mgsgraph.kernel.rows import BEHIND, GROUND, IMAGE, PREDICTED, Groups, Model, NormalBlocks, Rows
 from mgsgraph.kernel.tile import (
     BEGIN,
     END,
@@ -87,19 +87,17 @@ def store_points(rows, segments, count, w, points, states, costs):
 @lane
 def store_residuals(rows, segments, count, w, depth, values):
     """Residuals (t, 2) of a tile's observations, measured minus predicted: of an image ray in pixels, of a range in m,
-    of a surface row its height in m; NaN for a ray whose point is behind the camera, and where there is no terrain.
+    of a surface row its height in m; NaN for a ray whose point is behind the camera.
     """
     begin, end = observations_of(rows, segments)
     for i in range(begin, end):
         s, kind = TILE + (i - begin) * depth, rows.observation_kind[i]
         for k in range(count):
-            point, at = point_of(rows, segments, k), observation_index(rows, segments, k, i - begin)
+            at = observation_index(rows, segments, k, i - begin)
             for row in range(2 if kind == IMAGE else 0 if kind == GROUND else 1):
                 for l in range(segments[k, BEGIN], segments[k, END]):
                     value = w[s + RESULT + RESIDUAL + row * ROW + l] / rows.weight[row, at + l]
                     if kind == IMAGE and w[s + RESULT + FRONT + l] == 0.0:
-                        value = np.nan
-                    if kind == SURFACE and rows.terrain_cell[point + l, 0] < 0:
                         value = np.nan
                     values[at + l, row] = value
 

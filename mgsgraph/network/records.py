@@ -132,7 +132,7 @@ def _chosen(marks: Mask | None, rows: Index | Mask) -> Mask | None:
 
 
 TERRAIN = "terrain model"
-"""Name of the shift of the terrain model on whose bilinear patches tie points lie."""
+"""Name of the shift of the terrain model on which tie points lie."""
 
 
 class ShiftTerm(NamedTuple):

@@ -117,7 +117,7 @@ class ReducedNetwork:
                 self.values[layout.columns_of(v)] = values[self.names[v]]
         begin = places[layout.point_order]
         self.layout: Layout
-        self.layout, begin = exactly(layout.following(begin, self.values), self.values, begin)
+        self.layout, begin = exactly(layout, self.values, begin)
         selection = everything(network)
         found = self._reduced(selection, begin)
         strong = without_weak(self.layout, found, selection)

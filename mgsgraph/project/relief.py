@@ -35,7 +35,7 @@ def coregister(
     """Register the laser profiles of a project with the surface that its images show, and take the result over.
 
     Everything in the project is adjusted; the pictures are those of the images that its case names. Tie points stay on
-    the bilinear patches of a terrain model, whose posts a project doesn't hold, nor crossovers of profiles.
+    a terrain model, whose posts a project doesn't hold, nor crossovers of profiles.
 
     Raises
     ------

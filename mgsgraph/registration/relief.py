@@ -61,8 +61,8 @@ class _Placed(NamedTuple):
 
 
 def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Placed]:
-    """The network with posts, without bilinear patches of the same models; where the shots are by a solution without
-    posts, and the posts where it has the patches.
+    """The network with posts, without tie points on the same models; where the shots are by a solution without posts,
+    and the posts where it has the model.
     """
     network = with_posts(before.network, cells)
     places = before.network.points.places + footprint_shifts(before.network, before.shared)
@@ -151,7 +151,7 @@ def registered(
     footprints : sequence of float
         m, diameter of the spots of each laser profile of its network.
     cells : sequence of (TerrainModel, Posts)
-        Terrain models whose posts are to lie on the surfaces; tie points that lay on the bilinear patches of one of
+        Terrain models whose posts are to lie on the surfaces; tie points that lay on the spline through those of one of
         them no longer do.
     surfaces : sequence of AveragedPair
         Averaged over each of these footprints and over those of the posts.

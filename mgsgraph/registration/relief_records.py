@@ -27,9 +27,9 @@ class ReliefSettings:
     """m between dense matches; a quarter of the smallest footprint when None, but not less than the matching's own."""
     images: tuple[str, ...] = ()
     """Names of those to match; all of the case when empty."""
-    terrain: Literal["cells", "patches"] = "cells"
-    """Posts of terrain models lie on the surface that the images show, or tie points stay on the bilinear patches of
-    the first model, as in an adjustment without relief."""
+    terrain: Literal["cells", "spline"] = "cells"
+    """Posts of terrain models lie on the surface that the images show, or tie points stay on the spline through those
+    of the first model, as in an adjustment without relief."""
     crossovers: bool = True
     """Where two laser profiles cross, their heights agree."""
 

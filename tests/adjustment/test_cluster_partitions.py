@@ -106,7 +106,7 @@ def nobody(*given: Any, **named: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    "how", [{}, {"reject": 4.0}, {"loss": "huber"}], ids=["terrain patches follow", "blunder passes", "robust"]
+    "how", [{}, {"reject": 4.0}, {"loss": "huber"}], ids=["terrain", "blunder passes", "robust"]
 )
 def test_the_same_answer(two: Connection, how: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     alone = adjust_network(many(), SolverSettings(**how))

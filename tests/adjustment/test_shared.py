@@ -10,7 +10,6 @@ from sharing import block, camera_clock, drawn, shared, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster import open_cluster
-from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
@@ -69,22 +68,6 @@ def test_on_a_cluster() -> None:
         other = adjust_network(one.network, one.settings, cluster=opened)
     assert other.cost_final == pytest.approx(one.cost_final, rel=1e-9)
     np.testing.assert_allclose(other.joint_covariance.dense(), one.joint_covariance.dense(), rtol=1e-6, atol=1e-12)
-
-
-def test_patches_follow_the_terrains_own_shift() -> None:
-    """With unknowns after it as without: half a cell and more to the east changes patches, a boresight does not."""
-    net = with_shift_and_surface(network(pair()))
-    plain, felt = lay_out(net, SolverSettings()), lay_out(with_all_kinds(net), SolverSettings())
-    points = plain.rows.start[np.argsort(plain.point_order)][felt.point_order]
-    moved = np.zeros(felt.columns)
-    moved[plain.columns - 2] = 900.0
-    expected = plain.following(plain.rows.start, moved[: plain.columns]).rows.terrain_cell[plain.patterns.point_index]
-    found = felt.following(points, moved).rows.terrain_cell[felt.patterns.point_index]
-    np.testing.assert_array_equal(found, expected)
-    assert np.any(found != felt.rows.terrain_cell[felt.patterns.point_index])
-    moved[:] = 0.0
-    moved[-2:] = 900.0
-    assert felt.following(felt.rows.start, moved) is felt
 
 
 # --- what they do

@@ -152,7 +152,6 @@ def test_rows_have_the_derivatives_of_all_five() -> None:
         (i, j) for pattern, first, count in made.rows.piece[:, :3].tolist() for i in range(first, first + count)
         for j, observation in enumerate(made.patterns.observations[pattern]) if observation.kind == SURFACE
     ]  # fmt: skip
-    agreed = 0
     for i, j in observations:
         point, moves = made.rows.start[i], rng.standard_normal(5) * [50.0, 50.0, 30.0, 1e-4, 1e-4]
         own, noise = one_observation(made.rows, made.groups, i, j), gtsam.noiseModel.Unit.Create(1)
@@ -163,11 +162,8 @@ def test_rows_have_the_derivatives_of_all_five() -> None:
         units = {shift_key(0): np.array([1.0, 1.0, 1.0, 1e-4, 1e-4]), point_key(0): np.ones(3)}
         assert_jacobians(factor, values, units, tolerance=1e-5)
         under = point[None] - surface.moved(point[None], moves)
-        if np.array_equal(surface.grid.cells(under)[0], made.rows.terrain_cell[i]):
-            want = surface.grid.height_above(under)[0][0]
-            assert abs(abs(factor.unwhitenedError(values)[0]) - abs(want)) < 1e-6
-            agreed += 1
-    assert agreed >= 6
+        want = surface.grid.height_above(under)[0][0]
+        assert abs(abs(factor.unwhitenedError(values)[0]) - abs(want)) < 1e-6
 
 
 def test_heights_after_the_adjustment_are_those_over_the_moved_model() -> None:
@@ -177,16 +173,13 @@ def test_heights_after_the_adjustment_are_those_over_the_moved_model() -> None:
     assert np.sqrt(np.mean(before**2)) > 25.0
 
 
-def test_points_rest_on_the_patch_under_them_in_the_moved_model() -> None:
-    """Posts are 600 m apart, the model moves by 150 m: a patch under the point itself would be another for many."""
+def test_the_answer_is_a_stationary_point() -> None:
+    """Posts are 600 m apart, the model moves by 150 m, over cells: begun at the answer, nothing moves."""
     solution = solved()
-    surface, held = solution.network.surface, slice(-400, None)
-    assert surface is not None
-    assert solution.terrain_cells is not None
-    places = solution.places[held]
-    under = surface.grid.cells(places - surface.moved(places, solution.shift_values[-1]))
-    assert np.mean(np.all(under == solution.terrain_cells[held], axis=1)) > 0.98
-    assert np.mean(np.all(surface.grid.cells(places) == solution.terrain_cells[held], axis=1)) < 0.9
+    again = adjust_network(solution.network, solution.settings, begin=solution.values)
+    moved = (again.shift_values[-1] - solution.shift_values[-1]) / np.sqrt(np.diag(solution.shift_spread(0)))
+    assert np.abs(moved).max() < 1e-6
+    assert again.cost_final == pytest.approx(solution.cost_final, rel=1e-6)
 
 
 def test_it_is_told_in_words_and_numbers() -> None:

@@ -127,19 +127,10 @@ def test_points_are_those_of_the_solution(name: str) -> None:
         assert np.abs(found.covariance - solution.covariances[i]).max() <= 1e-5 * max(found.covariance.max(), 1e-9)
 
 
-def test_points_rest_on_the_terrain_patches_of_the_solution() -> None:
-    # also one that ended on the edge of two patches, and would be taken for a blunder on the other
-    solution = solved("shift and surface")
-    assert solution.terrain_cells is not None
-    at = Posterior.of(solution).linearised
-    assert np.array_equal(at.rows.terrain_cell, solution.terrain_cells[at.layout.point_order])
-    beside = replace(solution, terrain_cells=solution.terrain_cells + np.array([0, 1, 1]))
-    pulls = [
-        max(float(np.abs(rows.by_point[0].T @ rows.residuals[0]).max()) for rows in map(one.rows_of, range(12)))
-        for one in (at, Posterior.of(beside).linearised)
-    ]
-    assert pulls[0] < 5e-4
-    assert pulls[1] > 100.0 * pulls[0]
+def test_points_on_a_terrain_model_are_at_rest() -> None:
+    at = Posterior.of(solved("shift and surface")).linearised
+    pulls = [float(np.abs(rows.by_point[0].T @ rows.residuals[0]).max()) for rows in map(at.rows_of, range(12))]
+    assert max(pulls) < 5e-4
 
 
 def moved(posterior: Posterior, image: int, line: float, step: np.ndarray) -> np.ndarray:

@@ -317,7 +317,7 @@ def test_posts_that_two_images_may_show_are_taken() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("terrain", ["cells", "patches"])
+@pytest.mark.parametrize("terrain", ["cells", "spline"])
 def test_posts_of_the_terrain_model_lie_on_the_surface(terrain: Any, tmp_path: Path) -> None:
     """Half a thousand, by the 10 m of their noise; tie points lie no longer on its patches, unless asked for."""
     with pytest.MonkeyPatch.context() as patch:

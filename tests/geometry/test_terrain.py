@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import RectBivariateSpline
 from strategies import differences
 
 from mgsgraph.errors import InputError
@@ -50,33 +51,50 @@ def test_derivatives_against_differences(cell: tuple[int, int], s: float, e: flo
     np.testing.assert_allclose([by_longitude[0], by_latitude[0]], numeric, rtol=0, atol=0.1)
 
 
-@given(cells, st.floats(0.05, 0.95), st.floats(0.05, 0.95), st.floats(-400.0, 400.0))
+@given(cells, inner, inner, st.floats(-400.0, 400.0))
 def test_surface_row_derivative(cell: tuple[int, int], s: float, e: float, above: float) -> None:
+    """Also where the differences reach over the edge of a cell: the derivative is continuous."""
     grid, (i, j) = rough(), cell
     place = np.array([[grid.first_longitude + (j + e) * STEP, grid.first_latitude - (i + s) * STEP]])
     radius, _, _ = grid.radius(place[:, 0], place[:, 1])
     point = from_planetocentric(np.column_stack([place, radius + above]))[0]
-    height, jacobian = grid.height_above(point[None])
-    numeric = differences(lambda at: grid.height_above(at[None])[0], point, 5.0)[0]
+    _, jacobian = grid.height_above(point[None])
+    numeric = differences(lambda at: grid.spline().height_above(at[None])[0], point, 5.0)[0]
+    np.testing.assert_allclose(jacobian[0], numeric, rtol=0, atol=1e-5)
 
-    np.testing.assert_allclose(jacobian[0], numeric, rtol=0, atol=1e-8)
-    if above == 0.0:
-        assert abs(height[0]) < 1e-6
+
+def test_the_surface_goes_through_the_posts() -> None:
+    grid = rough()
+    row, column = (part.ravel().astype(float) for part in np.indices(grid.radii.shape))
+    height, _ = grid.height_above(grid.points(row, column, grid.radii.ravel()))
+    np.testing.assert_allclose(height, 0.0, atol=1e-6)
+
+
+def test_a_slope_is_kept() -> None:
+    """Of a spline through posts on a plane, which bilinear interpolation has, too; a few posts from the edges."""
+    rise = 3.0 * np.arange(40.0)[:, None] - 2.0 * np.arange(50.0)
+    grid = rough(radii=RADIUS + rise)
+    rng = np.random.default_rng(3)
+    row, column = rng.uniform(12.0, 28.0, 30), rng.uniform(12.0, 38.0, 30)
+    points = grid.points(row, column, RADIUS + 3.0 * row - 2.0 * column)
+    np.testing.assert_allclose(grid.height_above(points)[0], 0.0, atol=1e-4)
 
 
 @given(cells, inner, inner, st.floats(-2.0, 2.0))
 def test_height_is_the_distance_along_the_normal(cell: tuple[int, int], s: float, e: float, off: float) -> None:
-    """A point moved off the patch along the derivative's direction is that far from it."""
+    """A point moved off the surface along the derivative's direction is that far from it."""
     grid, (i, j) = rough(), cell
     place = np.array([[grid.first_longitude + (j + e) * STEP, grid.first_latitude - (i + s) * STEP]])
-    radius, _, _ = grid.radius(place[:, 0], place[:, 1])
-    foot = from_planetocentric(np.column_stack([place, radius]))
+    foot = from_planetocentric(np.column_stack([place, grid.radius(place[:, 0], place[:, 1])[0]]))
+    for _ in range(8):
+        zero, normal = grid.height_above(foot)
+        foot -= zero[:, None] * normal
     zero, normal = grid.height_above(foot)
     height, _ = grid.height_above(foot + off * normal)
 
     np.testing.assert_allclose(zero, 0.0, atol=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(height, off, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(height, off, rtol=0, atol=2e-3)
 
 
 def test_slope_of_a_plane_that_rises_northward() -> None:
@@ -189,8 +207,8 @@ def test_the_part_around_points_says_the_same(wraps: bool) -> None:
     )
     points = from_planetocentric(places)
     part = grid.around(points)
-    assert part.radii.size < grid.radii.size / 4
-    np.testing.assert_allclose(part.height_above(points)[0], grid.height_above(points)[0], atol=1e-6)
+    assert part.radii.size < grid.radii.size / 2
+    np.testing.assert_allclose(part.height_above(points)[0], grid.height_above(points)[0], atol=1e-5)
 
 
 def test_a_part_across_the_seam_is_cut_from_both_sides() -> None:
@@ -200,6 +218,16 @@ def test_a_part_across_the_seam_is_cut_from_both_sides() -> None:
     places = np.array([[grid.first_longitude + turn, middle, RADIUS] for turn in (-step, step)])
     points = from_planetocentric(places)
     part = grid.around(points)
-    assert part.radii.shape[1] <= 20
+    assert part.radii.shape[1] <= 36
     assert not part.wraps
     np.testing.assert_allclose(part.at(points), grid.at(points), atol=1e-6)
+
+
+def test_the_surface_is_scipys_spline() -> None:
+    """Far from the edges, where the two differ by how they end."""
+    grid, rng = rough(), np.random.default_rng(8)
+    rows, columns = (np.arange(float(size)) for size in grid.radii.shape)
+    radius = RectBivariateSpline(rows, columns, grid.radii)
+    row, column = rng.uniform(14.0, 26.0, 50), rng.uniform(14.0, 36.0, 50)
+    points = grid.points(row, column, radius(row, column, grid=False))
+    np.testing.assert_allclose(grid.height_above(points)[0], 0.0, atol=1e-3)

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.height_cells import height_cells
 from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, owners, two_step_statistics
 from mgsgraph.figures.height_maps import height_map_sheet
-from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
@@ -194,10 +194,9 @@ def test_heights_after_step_1_are_of_its_places() -> None:
 
 
 def above(net: Network, places: Array) -> Array:
-    """m above the terrain model along the radius: across it where that is level, a little more on slopes."""
+    """m above the terrain model, along its normal."""
     assert net.surface is not None
-    longitude, latitude, radius = planetocentric(places).T
-    return np.asarray(radius - net.surface.grid.radius(longitude, latitude)[0])
+    return net.surface.grid.height_above(places)[0]
 
 
 def test_points_over_missing_posts_are_counted() -> None:

@@ -1,6 +1,6 @@
 """The worker's side: partitions of an adjustment's points that this process holds, and the sweeps over them.
 
-A partition comes once; after that only what changes: rows that take part, terrain patches, the orientation. Where the
+A partition comes once; after that only what changes: rows that take part, the orientation. Where the
 inner solves of a sweep ended stays here for the next one to begin. What a worker doesn't hold (it was begun anew) it
 answers with nothing, and gets it again.
 """
@@ -21,7 +21,7 @@ from mgsgraph.kernel.sweep import COSTS, COVARIANCES, GRADIENT, RELIABILITY, RES
 
 HOLD, PLACES = -1, -2
 """Orders beside the kernel's sweeps: take a partition in; return where the points of an earlier sweep ended."""
-CHANGING = ("kind", "weight", "terrain_cell")
+CHANGING = ("kind", "weight")
 """Fields of `Rows` that change between the passes of an adjustment."""
 NOT_HELD: tuple[()] = ()
 """The answer of a worker that doesn't hold what the order is about."""

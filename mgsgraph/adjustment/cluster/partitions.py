@@ -149,9 +149,7 @@ class Partitions:
         """Make partitions of a layout's points."""
         cluster, self._layout = self._cluster, layout
         rows, workers = layout.rows, cluster.workers
-        common = size_of(rows) - sum(
-            size_of((values,)) for values in (rows.kind, rows.start, rows.data, rows.weight, rows.terrain_cell)
-        )
+        common = size_of(rows) - sum(size_of((values,)) for values in (rows.kind, rows.start, rows.data, rows.weight))
         each = max(1, math.ceil((size_of(rows) - common) / (_LARGEST * max(len(workers), 1))))
         edges = even_parts(rows, each * max(len(workers), 1)).tolist()
         self._parts = [_part(layout, first, last, common) for first, last in pairwise(edges) if last > first]
@@ -275,7 +273,7 @@ class Partitions:
         if all(new is old for new, old in zip(now, part.sent, strict=True)):
             return order
         weights = slice(None), part.observations
-        own: dict[str, Any] = {"kind": part.points, "weight": weights, "terrain_cell": part.points}
+        own: dict[str, Any] = {"kind": part.points, "weight": weights}
         news = zip(CHANGING, now, part.sent, strict=True)
         return replace(order, changes={name: new[own[name]] for name, new, old in news if new is not old})
 
@@ -325,7 +323,7 @@ def _part(layout: Layout, first: int, last: int, common: int) -> _Part:
     mine = partition(rows, first, last)
     point = int(rows.piece[first, 1])
     observation = int(rows.piece[first, 4])
-    own = (mine.kind, mine.start, mine.data, mine.weight, mine.terrain_cell)
+    own = (mine.kind, mine.start, mine.data, mine.weight)
     used = np.unique(rows.pattern_group[mine.piece[:, 0]])
     blocks, target = blocks_of_partition(layout.groups, layout.blocks.target, used)
     return _Part(

@@ -110,22 +110,6 @@ class Layout:
         """Columns of one variable."""
         return self.variables.columns_of(variable)
 
-    def following(self, points: Array, shared: Array) -> "Layout":
-        """The same layout with each point's terrain patch under its present position (n, 3), layout order, by the
-        present shared unknowns (columns,); itself when all patches are the same.
-        """
-        surface = self.network.surface
-        if surface is None:
-            return self
-        if self.network.terrain_moves:
-            terrain = self.columns_of(self.network.first_shared - 1)
-            points = points - surface.moved(self.rows.start, shared[terrain])
-        cells = surface.grid.cells(points)
-        held = np.isfinite(surface.sigmas[self.point_order]) & (self.rows.kind != OUT)
-        if np.array_equal(cells[held], self.rows.terrain_cell[held]):
-            return self
-        return replace(self, rows=self.rows._replace(terrain_cell=cells))
-
     def about_stereo(self, points: Array, shared: Array) -> "Layout":
         """The same with heights above stereo surfaces that are linear about points (n, 3), network order, and shared
         unknowns (columns,); itself when they say the same.
@@ -159,15 +143,11 @@ class Layout:
         return replace(self, stereo=self.stereo._replace(steps=()))
 
     def about(self, lines: Array) -> "Layout":
-        """The same network, points in and out, starting positions, terrain patches and stereo rows, its rays laid
-        out about other lines (k,).
+        """The same network, points in and out, starting positions and stereo rows, its rays laid out about other lines
+        (k,).
         """
         starts, kinds = self.network_order(self.rows.start), self.network_order(self.rows.kind)
-        anew = _lay_out(self.network, self.model, self.variables, None, lines, (starts, kinds), self.stereo)
-        if not self.rows.terrain_cell.size:
-            return anew
-        cells = self.network_order(self.rows.terrain_cell)[anew.point_order]
-        return replace(anew, rows=anew.rows._replace(terrain_cell=cells))
+        return _lay_out(self.network, self.model, self.variables, None, lines, (starts, kinds), self.stereo)
 
     def active(self, rays: Mask, ranges: Mask, out: Mask, stereo: Mask | None = None) -> Rows:
         """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't, points (n,) whose

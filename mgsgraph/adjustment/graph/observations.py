@@ -54,11 +54,8 @@ def _measurement(rows: Rows, model: Model, kind: int, constants: list[float]) ->
         return GroundPrior(tuple(constants[:3]), tuple(constants[3:]))
     if kind == STEREO:
         return StereoHeight(tuple(constants[:3]), tuple(constants[3:6]), constants[6])
-    (row, left, right), frame = rows.terrain_cell[0].tolist(), rows.terrain_frame.tolist()
-    posts: Any = None
-    if row >= 0:
-        posts = tuple(float(rows.terrain[i, j]) for i in (row, row + 1) for j in (left, right))
-    return SurfaceHeight(posts, (left, row), tuple(frame[:2]), tuple(frame[2:]))
+    frame = rows.terrain_frame.tolist()
+    return SurfaceHeight(rows.terrain, tuple(frame[:2]), tuple(frame[2:]))
 
 
 def _image_ray(model: Model, constants: list[float], focal: float) -> ImageRay:

@@ -133,8 +133,8 @@ def lay_out_rows(
         _fill_scales(network, model, store, parts, starts)
     on_terrain = _fill_surface(network, store, starts, weight)
     observation_rows = ObservationRows(rays, ranges, *on_terrain, _fill_stereo(network, store, stereo, weight))
-    order, surface = patterns.point_order, network.surface
-    grid = None if surface is None else surface.grid
+    order = patterns.point_order
+    spline = None if network.surface is None else network.surface.grid.spline()
     rows = Rows(
         kind=kinds[order],
         start=starts[order],
@@ -142,11 +142,8 @@ def lay_out_rows(
         weight=weight,
         piece=store.piece,
         **tables,
-        terrain=np.zeros((0, 0)) if grid is None else np.ascontiguousarray(grid.radii, dtype=np.float64),
-        terrain_frame=np.zeros(4)
-        if grid is None
-        else np.array([grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]),
-        terrain_cell=np.zeros((0, 3), dtype=np.int64) if grid is None else grid.cells(starts[order]),
+        terrain=np.zeros((0, 0)) if spline is None else spline.coefficients,
+        terrain_frame=np.zeros(4) if spline is None else np.array([*spline.first, *spline.step]),
     )
     return observation_rows, rows
 
