@@ -73,9 +73,9 @@ known beforehand.
 READING = """
 In two dimensions a limit of four sigmas is {least:.2f} in the root of the test, and a blunder of 6 sigmas in a ray that
 all others determine without error would be beyond it in {most:.1%} of draws: hardly any of 6 sigmas has a power of
-95 % at `--reject 4`. A tie with two rays shows at most half of the square of a blunder, in one dimension. What is
-missing from the expected number was mistaken for another ray of its point, mostly one from nearly the same direction.
-`--reject 3` finds more, and throws away 43 times as many good ones.
+95 % at `--reject 4`. A tie with two rays shows at most half of the square of a blunder, in one dimension. Where rays of
+a point come from nearly the same direction (pairs of the block's six images) one may be mistaken for the other: both
+go, which costs a good ray for most blunders there. `--reject 3` finds more, and throws away 43 times as many good ones.
 """
 
 

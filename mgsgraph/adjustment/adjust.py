@@ -282,7 +282,8 @@ def _posterior(
         residuals_before=found_before.image,
         range_residuals=found.ranges,
         range_residuals_before=found_before.ranges,
-        sigmas_without_laser=without_laser,
+        sigmas_without_laser=without_laser[0],
+        median_sigmas_without_laser=without_laser[1],
         seconds=clock.seconds,
         versions=versions(),
         rays_rejected=~solved.selection.rays,
@@ -316,25 +317,28 @@ def _exact_residuals(layout: Layout, places: Array) -> Residuals:
     return residuals(layout, nominal, places)
 
 
-def _sigmas_without_laser(layout: Layout, solved: Solved, sweeper: Sweeper) -> Array | None:
-    """(3,) m mean sigmas of the tie points, had there been no laser rows: covariance needs no observed values."""
+def _sigmas_without_laser(
+    layout: Layout, solved: Solved, sweeper: Sweeper
+) -> tuple[Array, Array] | tuple[None, None]:
+    """(3,) m mean and median sigmas of the tie points, had there been no laser rows; no observed values are needed."""
     classes = layout.network.points.classes
     ties = classes == PointClass.TIE
     laser = classes == PointClass.LASER
     if not (np.any(ties) and np.any(laser)):
-        return None
+        return None, None
     left = solved.selection
     rows = replace(left, ranges=np.zeros_like(left.ranges), out=left.out | laser).rows(layout)
     if np.any(np.isinf(layout.sigmas)):
-        return None  # without the laser nothing may hold the datum
+        return None, None  # without the laser nothing may hold the datum
     graph = BundleGraph(layout, rows, sweeper)
     reduction = graph.reduction(solved.orientation, points=solved.points)
     joint = orientation_covariance(graph, reduction)
     covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
     mine = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
     if not np.any(mine):
-        return None
-    return np.array([np.sqrt(covariances[mine, axis, axis]).mean() for axis in range(3)])
+        return None, None
+    sigmas = [np.sqrt(covariances[mine, axis, axis]) for axis in range(3)]
+    return np.array([one.mean() for one in sigmas]), np.array([np.median(one) for one in sigmas])
 
 
 def versions() -> dict[str, str]:

@@ -23,6 +23,7 @@ from mgsgraph.adjustment.linearised import Linearised, PointRows
 from mgsgraph.adjustment.redundancy import (
     closure,
     direction,
+    hardly_converging,
     pair_tests,
     prediction,
     residual_covariance,
@@ -43,6 +44,8 @@ _MEDIANS = MEDIAN, 1.3862944
 """Medians of chi-square of one and of two degrees of freedom."""
 _DECISIVE = 2.0 * math.log(100.0)
 """Difference of two tests that makes one of two observations of a point the blunder with odds of 100 to 1."""
+_FEW = 0.005
+"""Share of the tests up to which those beyond the limit are taken one by one from the beginning."""
 _FLOOR = 0.1
 """A-priori sigmas below which a class's spread is not taken at its word."""
 _CONTRADICTED = 3.0
@@ -109,16 +112,19 @@ class Search:
         """What the next step depends on beside the adjustment it judges."""
         return b"" if self._returned is None else self._returned.tobytes()
 
-    def beyond(self, at: Linearised) -> bool:
-        """Whether any test is beyond the limit by the a-priori sigmas, or those that residuals show where smaller."""
+    def many_beyond(self, at: Linearised) -> bool:
+        """Whether more than a few tests are beyond the limit, which they may have brought one another to: by the
+        a-priori sigmas, or those that residuals show where smaller.
+        """
         tests, dimensions, units = self._tests(at, judged(at.layout))
-        return bool(np.any(tests > np.minimum(units, 1.0) * self._critical(dimensions)))
+        over = np.count_nonzero(tests > np.minimum(units, 1.0) * self._critical(dimensions))
+        return bool(over > _FEW * np.count_nonzero(dimensions))
 
     def without_gross(self, at: Linearised, taken: Mask) -> Mask:
         """What is left without the worst of each point that is beyond the limit, where `at` is hardly disturbed."""
         mine = judged(at.layout)
         found = self._candidates(at, mine, *self._tests(at, mine), most=taken.size)
-        return _without(taken, found)
+        return _without(at, mine, taken, found)
 
     def next(self, at: Linearised, whole: Linearised, taken: Mask) -> Mask:
         """What is to take part in the next adjustment; what took part in this one, when the search has ended.
@@ -136,7 +142,7 @@ class Search:
         if found := self._candidates(at, mine, tests, dimensions, units):
             sizes, limits = np.array([(one.size, one.limit) for one in found]).T
             pulls = [(one.variables, one.pull) for one in found]
-            return _without(taken, [found[k] for k in independent(pulls, sizes, limits, at)])
+            return _without(at, mine, taken, [found[k] for k in independent(pulls, sizes, limits, at)])
         back = self._agreeing(at, whole, mine, taken, units)
         self._returned |= back
         return taken | back
@@ -189,13 +195,26 @@ class Search:
                 back[table[k, some]] = True
         for rows, table in _pieces(whole, mine, points[lost[points]]):
             there = table >= 0
-            used = np.where(there, taken[table] | out[table], True)[:, rows.observation]
-            test, dimensions = closure(rows, used, at.joint.of(rows.variables))
-            limits = np.array([critical_value(self.limit, d) if d > 0 else 0.0 for d in dimensions.tolist()])
-            fits = test <= limits * np.where(there, units[table], 0.0).max(axis=1)
-            own = table[there & fits[:, None]]
-            back[own[out[own]]] = True
+            returns = self._closing(rows, np.where(there, taken[table] | out[table], True), there, units[table], at)
+            back[table[returns & out[table]]] = True
         return back
+
+    def _closing(self, rows: PointRows, chosen: Mask, there: Mask, units: Array, at: Linearised) -> Mask:
+        """Which observations (m, slots) of lost points place them again: all, or all but one that is the blunder."""
+        shared, unit = at.joint.of(rows.variables), np.where(there, units, 0.0).max(axis=1)
+        omitted, tests = [-1, *np.flatnonzero(np.any(there, axis=0)).tolist()], list[Array]()
+        for slot in omitted:
+            used = chosen[:, rows.observation] & (rows.observation != slot)
+            test, dimensions = closure(rows, used, shared)
+            limits = np.array([critical_value(self.limit, d) if d > 0 else -1.0 for d in dimensions.tolist()])
+            fits = (test <= unit * limits) & ~hardly_converging(rows, used)
+            tests.append(np.where(fits, test / unit, np.inf))
+        every, *without = tests
+        best, second = np.partition(without, 1, axis=0)[:2] if len(without) > 1 else (without[0], np.inf)
+        one = ~np.isfinite(every) & np.isfinite(best) & (second > best + _DECISIVE)
+        returns = there & chosen & (np.isfinite(every) | one)[:, None]
+        returns[one, np.array(omitted[1:])[np.argmin(without, axis=0)][one]] = False
+        return returns
 
 
 class _Candidate(NamedTuple):
@@ -296,11 +315,17 @@ def independent(
     return taken
 
 
-def _without(taken: Mask, found: Sequence[_Candidate]) -> Mask:
-    """What takes part when some have gone."""
+def _without(at: Linearised, mine: Judged, taken: Mask, found: Sequence[_Candidate]) -> Mask:
+    """What takes part when some have gone, and with them what is left of points whose other rays hardly converge."""
     left = taken.copy()
     for one in found:
         left[one.observations] = False
+    for rows, table in _pieces(at, mine, np.unique(mine.point[taken & ~left])):
+        if rows.known:
+            continue
+        there = table >= 0
+        hardly = hardly_converging(rows, np.where(there, left[table], True)[:, rows.observation])
+        left[table[hardly][there[hardly]]] = False
     return left
 
 

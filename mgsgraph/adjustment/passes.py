@@ -282,7 +282,7 @@ def _next(
     strong = _without_lost(layout, selection, reduction)
     if strong is not selection:
         return strong, solved.orientation, ()
-    wanted = first and settings.loss == "none" and search.beyond(at)
+    wanted = first and settings.loss == "none" and search.many_beyond(at)
     robust = _robust(layout, solved, settings, sweeper) if wanted else None
     if robust is not None:
         left = search.without_gross(_least_squares(robust.layout, robust, settings, sweeper)[0], taken)

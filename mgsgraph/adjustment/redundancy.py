@@ -18,6 +18,8 @@ UNCONTROLLED = 1e-6
 """Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
 _SINGULAR = 1e-12
 """Share of its largest eigenvalue below which one of a point's normal matrix is rounding."""
+_PARALLEL = 0.005
+"""Half the convergence of two rays in rad below which they hardly place a point: 0.6 deg."""
 INSEPARABLE = 0.99
 """Correlation of two tests from which on they can't be separated."""
 
@@ -132,3 +134,9 @@ def closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[Array, Index]
     rank = np.linalg.matrix_rank(normal, rtol=_SINGULAR, hermitian=True)
     return test[:, 0, 0], chosen.sum(axis=1) - rank
 
+
+def hardly_converging(rows: PointRows, chosen: Mask) -> Mask:
+    """(m,) points that chosen rows (m, r) place no better than a single ray does."""
+    by_point = rows.by_point * chosen[:, :, None]
+    eigenvalues = np.linalg.eigvalsh(np.swapaxes(by_point, 1, 2) @ by_point)
+    return np.asarray(eigenvalues[:, 0] < _PARALLEL**2 * eigenvalues[:, 2])

@@ -76,6 +76,9 @@ class Solution:
     """Wall time by stage."""
     versions: Mapping[str, str]
     """Versions of this program and of the libraries that computed."""
+    median_sigmas_without_laser: Array | None = None
+    """(3,) m, the same of their medians, which a few points of nearly parallel rays don't move; None as well where an
+    older version didn't say."""
     rays_rejected: Mask | None = None
     """(k,) True for blunders, as the last pass judged; None where an older version didn't say."""
     ranges_rejected: Mask | None = None

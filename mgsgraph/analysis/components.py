@@ -86,6 +86,8 @@ class Component:
     """Of the two groups' squared factors."""
     given: str = ""
     """Group that can't be judged for this one's sake, or whose sigmas, wrong by half, matter by half of `sigma`."""
+    negative: bool = False
+    """Whether Helmert's equations gave its square as negative: the factor is Foerstner's in its place."""
 
     @property
     def sigma(self) -> float:
@@ -131,6 +133,8 @@ class Component:
 
 def _judged(one: Component) -> str:
     notes = [f"if the stated sigmas of {one.given} are right"] if one.given else []
+    if one.negative:
+        notes.insert(0, "Helmert's equations gave a negative square: this is Foerstner's, as if all others were right")
     if abs(one.correlation) > CORRELATED:
         notes.insert(0, f"correlated with {one.beside}, correlation {one.correlation:.2f}")
     return "; ".join([_plainly(one), *notes])
@@ -255,8 +259,9 @@ def components_of(solution: Solution | Linearised, grouping: Grouping | None = N
     squared = _squared_factors(found, judgements)
     plain = found.squares / np.maximum(found.redundancy, 1e-300)
     components = components_from_redundancy(found, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
+    groups = tuple(replace(one, negative=bool(s <= 0.0)) for one, s in zip(components.groups, squared, strict=True))
     far = [abs(math.log(one.factor)) > _FAR for one in components.groups if one.judgement is Judgement.JUDGED]
-    return replace(components, rough=any(far))
+    return replace(components, groups=groups, rough=any(far))
 
 
 def iterated_components(

@@ -21,6 +21,9 @@ PLACES = 31
 ORIENTATION = ("X", "Y", "Z", "omega", "phi", "kappa", "rotation x", "rotation y", "rotation z")
 """Components of `OrientationStatistics`: m, then rad."""
 
+_WEAK = 10.0
+"""Times the median sigma of its class from which on a point is called weak."""
+
 
 def mean_and_rms(values: Array) -> tuple[Array, Array]:
     """Mean and root mean square along the first axis; NaN where there is nothing."""
@@ -123,6 +126,12 @@ class PointStatistics:
     """Number of points with an adjusted position."""
     mean_sigma: Array
     """(3,) m, in x, y, z, for sigma0 = 1."""
+    median_sigma: Array
+    """(3,) m, the same, which weak points don't move."""
+    high_sigma: Array
+    """(3,) m, what 95 % of them have at most."""
+    weak: int
+    """Points whose sigma, of all directions together, is over ten times the class's median."""
     mean_correction: Array
     """(3,) m, adjusted minus before."""
     rms_correction: Array
@@ -134,11 +143,16 @@ def point_statistics(solution: Solution, point_class: PointClass) -> PointStatis
     mine = solution.network.points.classes == point_class
     adjusted = mine & adjusted_points(solution)
     mean, rms = mean_and_rms((solution.places - solution.places_before)[adjusted])
+    sigmas, none = solution.sigmas[adjusted], np.full(3, np.nan)
+    whole = np.linalg.norm(sigmas, axis=1)
     return PointStatistics(
         count=int(mine.sum()),
         rejected=int(np.sum(rejected_points(solution) & mine)),
         adjusted=int(adjusted.sum()),
-        mean_sigma=mean_and_rms(solution.sigmas[adjusted])[0],
+        mean_sigma=mean_and_rms(sigmas)[0],
+        median_sigma=np.median(sigmas, axis=0) if whole.size else none,
+        high_sigma=np.quantile(sigmas, 0.95, axis=0) if whole.size else none,
+        weak=int(np.sum(whole > _WEAK * np.median(whole))) if whole.size else 0,
         mean_correction=mean,
         rms_correction=rms,
     )
@@ -187,11 +201,15 @@ def range_statistics(solution: Solution) -> RangeStatistics:
 
 
 def laser_gain(solution: Solution) -> float:
-    """How many times larger the tie points' mean sigmas would be without the laser rows; NaN where that isn't known."""
-    without = solution.sigmas_without_laser
-    if without is None:
+    """How many times larger the tie points' median sigmas would be without the laser rows (mean ones, where an older
+    version didn't say); NaN where that isn't known.
+    """
+    mean, median = solution.sigmas_without_laser, solution.median_sigmas_without_laser
+    if mean is None:
         return float("nan")
-    return float(np.linalg.norm(without) / np.linalg.norm(point_statistics(solution, PointClass.TIE).mean_sigma))
+    found = point_statistics(solution, PointClass.TIE)
+    without, known = (mean, found.mean_sigma) if median is None else (median, found.median_sigma)
+    return float(np.linalg.norm(without) / np.linalg.norm(known))
 
 
 def local_sigmas(covariances: Array, points: Array) -> Array:

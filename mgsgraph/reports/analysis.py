@@ -182,6 +182,7 @@ def _components_record(found: Components) -> dict[str, Any]:
             {
                 "group": one.name, "judgement": str(one.judgement), "rows": one.rows, "redundancy": one.redundancy,
                 "squares": one.squares, "factor": one.factor, "sigma_of_factor": one.sigma,
+                "estimator": "foerstner" if one.negative else "helmert",
                 "interval_99": one.interval(),
             }
             for one in found.groups
@@ -202,6 +203,8 @@ def components_table(found: Components) -> Table:
         Column("squares", numbers(groups, "squares"), meaning="sum of squares of the normalised residuals"),
         Column("factor", numbers(groups, "factor"), meaning="of the stated sigmas"),
         Column("sigma", numbers(groups, "sigma"), meaning="of the factor"),
+        Column("estimator", ["foerstner" if one.negative else "helmert" for one in groups],
+               meaning="of the factor: foerstner where Helmert's equations give a negative square"),
         Column("foerstner", numbers(groups, "foerstner"), meaning="the factor, if all other groups' sigmas are right"),
         Column("factor_low_99", interval[:, 0], meaning="lower end of the 99 % interval"),
         Column("factor_high_99", interval[:, 1], meaning="upper end"),

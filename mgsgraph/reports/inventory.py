@@ -11,7 +11,7 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, NodePrior, PointClass, Surface
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.network.connectivity_words import (
@@ -32,8 +32,10 @@ _SHORT = 0.5
 """Points over less than this share of the lines leave the polynomials to extrapolate."""
 _NARROW = 5.0 * DEG
 """Convergence below which heights are poor."""
-_WILD = 30.0
-"""Sigmas from the median of their kind beyond which ranges are named."""
+_WILD = 10.0
+"""Standard deviations from the median of their image beyond which ranges are named."""
+_MEDIAN_DEVIATION = 0.6745
+"""Median of the modulus of a normal error, in its standard deviations."""
 _LISTED = 24
 """Images up to which each is listed with its partners."""
 _ISLANDS = 9
@@ -262,18 +264,31 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
 def _doubtful_observations(network: Network, prediction: Prediction) -> list[str]:
     """Ranges far from what the nominal orientation says, and laser points without any."""
     found = []
-    values = prediction.range_residuals
-    middle = np.median(values) if values.size else 0.0
-    wild = np.flatnonzero(np.abs(values - middle) > _WILD * network.ranges.sigmas)
+    wild = wild_ranges(network, prediction.range_residuals)
     if wild.size:
         names = some_of(network.points.ids, network.ranges.point[wild], _NAMED)
-        found.append(f"{wild.size} ranges lie more than {_WILD:.0f} sigmas from the others: {names}")
+        found.append(
+            f"{wild.size} ranges lie more than {_WILD:.0f} robust standard deviations from the others of their image: "
+            f"{names}"
+        )
     laser = np.flatnonzero(network.points.classes == PointClass.LASER)
     bare = np.setdiff1d(laser, network.ranges.point)
     if network.ranges.point.size and bare.size:
         names = some_of(network.points.ids, bare, _NAMED)
         found.append(f"{bare.size} laser points have no range (no simultaneous image): {names}")
     return found
+
+
+def wild_ranges(network: Network, values: Array) -> Index:
+    """Ranges far from the others of their image, with the nominal orientation: its errors are common to them, or drift
+    along them, and so are in the spread that is estimated from the median deviation.
+    """
+    ranges, wild = network.ranges, np.zeros(values.size, dtype=bool)
+    for j in np.unique(ranges.image):
+        mine = ranges.image == j
+        off = np.abs(values[mine] - np.median(values[mine]))
+        wild[mine] = off > _WILD * np.hypot(ranges.sigmas[mine], np.median(off) / _MEDIAN_DEVIATION)
+    return np.flatnonzero(wild)
 
 
 def _poor_images(network: Network) -> list[str]:

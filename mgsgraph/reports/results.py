@@ -227,11 +227,13 @@ def _laser_effect(solution: Solution) -> dict[str, Any] | None:
     without = solution.sigmas_without_laser
     if without is None:
         return None
-    sigmas = point_statistics(solution, PointClass.TIE).mean_sigma
+    found = point_statistics(solution, PointClass.TIE)
     return {
-        "tie_mean_sigma_m": sigmas,
+        "tie_mean_sigma_m": found.mean_sigma,
         "tie_mean_sigma_without_laser_m": without,
-        "ratio": without / sigmas,
+        "ratio": without / found.mean_sigma,
+        "tie_median_sigma_m": found.median_sigma,
+        "tie_median_sigma_without_laser_m": solution.median_sigmas_without_laser,
         "ratio_overall": laser_gain(solution),
     }
 

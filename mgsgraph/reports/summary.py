@@ -38,7 +38,7 @@ _FEW_RAYS = 8
 _ROWS = 24
 """Images, and strips, listed in the table."""
 _ALIKE = 1.05
-"""Ratio up to which two mean sigmas count as the same."""
+"""Ratio up to which two sigmas count as the same."""
 
 
 def statements(solution: Solution, connected: Connectivity | None = None) -> list[str]:
@@ -153,12 +153,20 @@ def _laser_effect(solution: Solution, without: Array) -> str:
     rays = int(np.sum(solution.rays_used & laser[network.rays.point]))
     ranges = many(int(solution.ranges_used.sum()), "range")
     rows = f"{many(int(laser.sum()), 'point')}, {many(rays, 'ray')}, {ranges}"
-    sigmas = point_statistics(solution, PointClass.TIE).mean_sigma
-    with_units = f"{three(without)} m in x, y, z instead of {three(sigmas)} m"
+    found, median = point_statistics(solution, PointClass.TIE), solution.median_sigmas_without_laser
+    which, sigmas = ("mean", found.mean_sigma) if median is None else ("median", found.median_sigma)
+    with_units = f"{three(without if median is None else median)} m in x, y, z instead of {three(sigmas)} m"
+    weak = ""
+    if found.weak and median is not None:
+        weak = (
+            f" {many(found.weak, 'tie point')} with more than ten times the median sigma (nearly parallel rays) are "
+            f"beside that: mean sigmas are {three(found.mean_sigma)} m, and would be {three(without)} m."
+        )
     if gain < _ALIKE:
-        return f"The laser rows ({rows}) add little: without them the tie points' mean sigmas would be {with_units}."
-    head = f"Without the laser rows ({rows}) the tie points' mean sigmas would be {with_units}"
-    return f"{head}: about {gain:.2g} times larger."
+        head = f"The laser rows ({rows}) add little: without them the tie points' {which} sigmas would be {with_units}."
+        return head + weak
+    head = f"Without the laser rows ({rows}) the tie points' {which} sigmas would be {with_units}"
+    return f"{head}: about {gain:.2g} times larger.{weak}"
 
 
 # --- what to look at
@@ -236,10 +244,10 @@ def _unchecked(dimensions: NDArray[np.int8]) -> list[str]:
     partly, nothing = int(np.sum(dimensions == 1)), int(np.sum(dimensions == 0))
     if not partly + nothing:
         return []
-    of_none = f"; nothing at all checks {many(nothing, 'ray')}" if nothing else ""
+    of_none = f", and {many(nothing, 'ray')} not at all" if nothing else ""
     return [
-        f"Of the {dimensions.size} rays that took part, {partly} can be checked in one direction only (in most cases "
-        f"across the epipolar line){of_none}. They were not found bad there, nor good."
+        f"Of the {dimensions.size} rays that took part, others check {partly} in one direction only (in most cases "
+        f"across the epipolar line){of_none}. There a blunder goes unnoticed."
     ]
 
 

@@ -59,22 +59,30 @@ def images_table(solution: Solution) -> Table:
 def classes_table(solution: Solution) -> Table:
     """One row per class of points (`Network.classes`): how many, how well they are known, how far they moved."""
     found = [point_statistics(solution, c) for c in solution.network.classes]
-    sigma, mean, rms = (
-        np.array([getattr(one, name) for one in found]) for name in ("mean_sigma", "mean_correction", "rms_correction")
+    sigma, median, high, mean, rms = (
+        np.array([getattr(one, name) for one in found])
+        for name in ("mean_sigma", "median_sigma", "high_sigma", "mean_correction", "rms_correction")
     )
     axes, capital = ("x", "y", "z"), "XYZ"
     return Table("classes", "Ground points by kind", (
         Column("kind", [c.name.lower() for c in solution.network.classes], page="s", label="Points", text="<10"),
         Column("count", np.array([one.count for one in found]), head="points", page="s", label="count", text=">8"),
         Column("rejected", np.array([one.rejected for one in found]), page="s", text=">9"),
-        Column("mean_sigma_{}", sigma, "m", "for sigma0 = 1, body-fixed", axes, tuple(f"mean σ {a}" for a in capital),
-               ".2f", "mean sigma [m]", ">9", gap=2),
-        Column("scaled_sigma_{}", sigma * solution.sigma0, "m", "times sigma0", axes,
+        Column("weak", np.array([one.weak for one in found]), meaning="sigma over ten times the median: parallel rays",
+               page="s", text=">5"),
+        Column("median_sigma_{}", median, "m", "for sigma0 = 1, body-fixed", axes,
+               tuple(f"median σ {a}" for a in capital), ".2f", "median sigma [m]", ">9", gap=2),
+        Column("high_sigma_{}", high, "m", "95 % of the points have this at most", axes,
+               tuple(f"95 % σ {a}" for a in capital), ".2f"),
+        Column("mean_sigma_{}", sigma, "m", "the mean, which weak points dominate", axes,
+               tuple(f"mean σ {a}" for a in capital), ".2f"),
+        Column("scaled_sigma_{}", median * solution.sigma0, "m", "median, times sigma0", axes,
                tuple(f"σ {a} × σ₀" for a in capital), ".2f", files=False),
         Column("mean_correction_{}", mean, "m", "adjusted minus before", axes),
         Column("rms_correction_{}", rms, "m", "the same", axes, tuple(f"rms Δ{a}" for a in capital), ".2f",
                "rms correction [m]", ">9", gap=2),
-    ), "Body-fixed axes. Sigmas for sigma0 = 1, and scaled by sigma0; corrections are adjusted minus before.",
+    ), "Body-fixed axes. Sigmas for sigma0 = 1; the median, also times sigma0, is not moved by weak points. "
+       "Corrections are adjusted minus before.",
     )  # fmt: skip
 
 

@@ -208,7 +208,7 @@ def _of_blunders(statistics: TwoStepStatistics) -> str:
     rays = 0 if steps.free.rays_rejected is None else int(steps.free.rays_rejected.sum())
     off = np.flatnonzero(steps.off)
     text = (
-        f"Step 1 rejected {many(rays, 'ray')} of {steps.network.rays.point.size} beyond {limit:g} robust standard "
+        f"Step 1 rejected {many(rays, 'ray')} of {steps.network.rays.point.size} beyond {limit:g} standard "
         "deviations, which stay out of step 2; "
     )
     if not off.size:

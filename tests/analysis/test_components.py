@@ -26,7 +26,7 @@ from mgsgraph.analysis.components import (
 )
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
 from mgsgraph.analysis.helmert import Redundancy, group_redundancy
-from mgsgraph.analysis.linearised import at_values
+from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.residual_tests import (
     PROMISED,
     ResidualStatistics,
@@ -423,3 +423,20 @@ def test_a_factor_that_hangs_on_the_sigmas_of_a_group_that_is_not_judged_says_so
     assert groups[1].beside == "ties"
     assert groups[2].beside == "pointing"
     assert groups[2].correlation == pytest.approx(-0.99, abs=1e-6)
+
+
+def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Groups that share redundancy, the first with residuals that are too small for what the others leave it."""
+    solution = solved_default()
+    found = group_redundancy(at_solution(solution), group_rows(solution.network))
+    judged = [g for g, one in enumerate(judge_groups(found, {})) if one is Judgement.JUDGED]
+    part, g = found.helmert[np.ix_(judged, judged)], judged[0]
+    squares = 9.0 * found.redundancy
+    squares[g] = 0.01 * found.redundancy[g]
+    expected = 1.0 + np.linalg.solve(part, (squares - found.redundancy)[judged])
+    assert expected[0] < 0.0
+    monkeypatch.setattr("mgsgraph.analysis.components.group_redundancy", lambda *_: replace(found, squares=squares))
+    components = components_of(solution).groups
+    assert [components[k].negative for k in judged] == (expected <= 0.0).tolist()
+    assert components[g].factor == pytest.approx(components[g].foerstner) == pytest.approx(0.1)
+    assert "negative" in components[g].verdict()

@@ -13,10 +13,11 @@ from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.statistics import local_sigmas, ray_statistics
+from mgsgraph.analysis.statistics import local_sigmas, point_statistics, ray_statistics
 from mgsgraph.case.reading import Case
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.network import PointClass
+from mgsgraph.reports.inventory import wild_ranges
 from mgsgraph.reports.results import solution_json
 from mgsgraph.reports.summary import statements
 from mgsgraph.reports.tables import orientation_table, points_table, residuals_table
@@ -160,6 +161,32 @@ def test_ranges_and_the_effect_of_the_laser(solution: Solution, case: Case) -> N
     assert solution_json(alone)["laser_effect"] is None
     assert solution_json(alone)["ranges"]["count"] == 0
     assert solution_json(alone)["ranges"]["rms_residual_m"] is None
+
+
+def test_one_weak_point_does_not_speak_for_all(solution: Solution) -> None:
+    """Nearly parallel rays: a sigma of kilometres moves the mean, not the median nor what 95 % have at most."""
+    covariances = solution.covariances.copy()
+    covariances[3] *= 1e6
+    spoilt = replace(solution, covariances=covariances)
+    plain, odd = (point_statistics(one, PointClass.TIE) for one in (solution, spoilt))
+    assert (plain.weak, odd.weak) == (0, 1)
+    assert np.all(odd.mean_sigma > 10.0 * plain.mean_sigma)
+    np.testing.assert_allclose(odd.median_sigma, plain.median_sigma, rtol=0.05)
+    np.testing.assert_allclose(odd.high_sigma, plain.high_sigma, rtol=0.2)
+    one, other = (solution_json(each)["laser_effect"] for each in (solution, spoilt))
+    assert other["ratio_overall"] == pytest.approx(one["ratio_overall"], rel=0.05)
+    assert other["ratio"][0] < 0.2 * one["ratio"][0]
+
+
+def test_ranges_that_drift_together_are_not_wild(case: Case) -> None:
+    """The nominal orientation's errors are common to a profile: only a range that leaves it is named."""
+    ranges = case.network.ranges
+    drift = np.linspace(-800.0, 800.0, ranges.point.size)
+    rng = np.random.default_rng(1)
+    values = drift + rng.normal(0.0, ranges.sigmas)
+    assert not wild_ranges(case.network, values).size
+    values[4] += 20e3
+    assert wild_ranges(case.network, values).tolist() == [4]
 
 
 # --- CSV
