@@ -11,6 +11,7 @@ from sharing import shared
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
@@ -68,6 +69,17 @@ def test_the_covariance_is_that_of_estimates_that_a_shift_displaces() -> None:
     units = np.sqrt(np.diagonal(plain.joint_covariance.of(images)))
     np.testing.assert_allclose(more / units / units[:, None], expected / units / units[:, None], atol=2e-3)
     assert found.shift_covariance(0) == pytest.approx(SHIFT**2 * np.eye(2), rel=1e-6, abs=1e-3)
+
+
+def test_redundancy_is_the_estimators() -> None:
+    """What is carried of an unknown doesn't change which blunders show: as where the shift is known."""
+    net = with_profile()
+    found = reliability(adjust_network(replace(net, considered=("profile",)), EXACT)).measures
+    plain = reliability(adjust_network(displaced(net, np.zeros(2)), EXACT)).measures
+    assert found.redundancy.min() > -1e-6
+    assert found.redundancy.size == plain.redundancy.size + 2  # the shift's priors, which nothing controls
+    assert sorted(found.redundancy)[2:] == pytest.approx(sorted(plain.redundancy), abs=1e-5)
+    assert found.redundancy.sum() == pytest.approx(plain.redundancy.sum(), abs=1e-4)
 
 
 @pytest.mark.parametrize("considered", [("profile",), (TERRAIN,), ("profile", TERRAIN, "camera boresight")])
