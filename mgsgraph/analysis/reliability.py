@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.leverage import BETWEEN, EFFECT, MISFIT, SHARE, in_threads
+from mgsgraph.adjustment.graph.leverage import BETWEEN, EFFECT, MISFIT, SHARE
 from mgsgraph.adjustment.linearised import Linearised
 from mgsgraph.adjustment.posterior import residuals
 from mgsgraph.adjustment.redundancy import pair_tests, swept
@@ -31,6 +31,7 @@ from mgsgraph.analysis.measures import (
     names_of,
     units_of,
 )
+from mgsgraph.compiled import in_threads
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import GROUND, NO_LOSS, OUT, PRIOR
 
@@ -226,7 +227,8 @@ def _rays(
     counts = [int(np.count_nonzero(used[a:b])) for a, b in pairwise(edges)]
     begins = dict(zip(edges, 2 * np.cumsum([0, *counts]), strict=True))
 
-    def part(first: int, last: int) -> float:
+    def part(ends: tuple[int, int]) -> float:
+        first, last = ends
         number = np.arange(first, last, dtype=np.int32)
         chosen: slice | Index = slice(first, last)
         if begins[last] - begins[first] < 2 * number.size:
@@ -242,7 +244,7 @@ def _rays(
         mine.joint[:], mine.dimensions[:] = np.repeat(joint, 2), np.repeat(dimensions, 2)
         return float(misfit @ misfit)
 
-    return in_threads(part, edges)
+    return in_threads(part, pairwise(edges))
 
 
 def _ranges(

@@ -1,13 +1,10 @@
 """How far each observation determines its own adjusted value: the kernel's reliability, part by part."""
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import TypeVar
 
 import numpy as np
 
+from mgsgraph.compiled import in_threads
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel import reduction
 from mgsgraph.kernel.reliability import NUMBERS
@@ -18,7 +15,6 @@ MISFIT, SHARE, EFFECT, BETWEEN = slice(0, 2), slice(2, 4), slice(4, 6), 6
 several: whitened residuals; diagonal of H; m that an error of one sigma moves the point; H between the two rows."""
 _AT_A_TIME = 1 << 17
 """Observations that a thread takes at a time: their 3 x 7 numbers are 22 MB."""
-_Part = TypeVar("_Part")
 
 
 def numbers(
@@ -39,7 +35,8 @@ def numbers(
     found, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
     order = np.argsort(ground)
 
-    def part(first: int, last: int) -> None:
+    def part(ends: tuple[int, int]) -> None:
+        first, last = ends
         mine, point = partition(rows, first, last), int(rows.piece[first, 1])
         places = points[point : point + mine.kind.size]
         values = reduction.reliability(mine, groups, target, model, orientation, joint, places)
@@ -51,13 +48,6 @@ def numbers(
         chosen[own] = values[ground[own] - begins[first]]
 
     edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
-    in_threads(part, edges)
+    in_threads(part, pairwise(edges))
     return found, chosen
 
-
-def in_threads(part: Callable[[int, int], _Part], edges: list[int]) -> list[_Part]:
-    """What becomes of each stretch between edges, in their order; NumPy and the kernel let go of the interpreter."""
-    if len(edges) <= 2:
-        return [part(a, b) for a, b in pairwise(edges)]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(part, edges[:-1], edges[1:]))
