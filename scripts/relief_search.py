@@ -192,6 +192,7 @@ def judged(site: SimulatedSite, found: ReliefRegistration) -> list[dict[str, Any
         error = whole - surface
         off, square = float(np.linalg.norm(error)), 0.0
         if cost.clear:
+            error += one.after.misplacement  # what is said to be left of it
             square = float(error @ np.linalg.solve(one.after.misplacement_covariance, error))
         result.append({
             "off": off, "tied": cost.tied, "clear": cost.clear, "wrong": off > RIGHT and square > NEAR,

@@ -162,7 +162,8 @@ def registered(
     footprints = [*footprints, *(posts.footprint for _, posts in cells)]
     first = _searched(network, surfaces, Posterior.of(before), placed, footprints, settings.reach, progress)
     left, begin = first, _begin(network, before, placed)
-    for _ in range(_MOST_ROUNDS):
+    unreached = [False] * len(footprints)
+    for number in range(1, _MOST_ROUNDS + 2):
         found = left
         control = _control(network, surfaces, found)
         shown = _counted(progress, "adjustment with stereo rows", solver)
@@ -173,7 +174,11 @@ def registered(
         lifted = network.points.places + footprint_shifts(network, solution.shared)
         placed = placed._replace(lifted=lifted, shifts=solution.shifts)
         left = _searched(network, surfaces, Posterior.of(solution), placed, footprints, settings.reach, progress)
-        if all(new.at_rest(old) for old, new in zip(found, left, strict=True)):
+        rest = [new.at_rest(old) for old, new in zip(found, left, strict=True)]
+        if number == _MOST_ROUNDS:  # what has not come to rest is adjusted once more, as level ground
+            unreached = [not one for one in rest]
+        left = [one.unreached if never else one for one, never in zip(left, unreached, strict=True)]
+        if all(rest):
             break
     profiles = tuple(
         ReliefProfile(
@@ -257,6 +262,11 @@ class _Found:
     """(n, 3) m, after the best shift; the same points where relief doesn't tie the profile."""
     moved: SurfaceHeights
     """There."""
+
+    @property
+    def unreached(self) -> "_Found":
+        """The same, its best shift being one that adjustments have not come to."""
+        return replace(self, cost=replace(self.cost, reached=False), starts=self.points, moved=self.here)
 
     def at_rest(self, before: "_Found") -> bool:
         """Whether the profile fits where it is, or relief ties it as little as it did `before` the last adjustment."""

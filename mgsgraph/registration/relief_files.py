@@ -304,6 +304,10 @@ def _of_profile(one: ReliefProfile, prior: float, reach: float) -> list[str]:
     found = f"the sigma of its shift is {adjusted:.3g} m, a-priori {prior:.3g} m"
     if not one.after.cost.tied:
         return [f"{one.name}: relief does not tie it; {found}.", carried]
+    if not one.after.cost.reached:
+        off = _east_north(one.after.misplacement)
+        where = f"{one.name}: adjustments do not come to the best shift, which is {off} away"
+        return [f"{where}; {found}; its heights count as those of level ground.", carried]
     if not one.after.cost.clear:
         return [_several(one), f"{one.name}: {found}; its heights count as those of level ground.", carried]
     return [_disagreement(one), _uniqueness(one, reach), carried]

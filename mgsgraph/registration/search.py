@@ -92,6 +92,8 @@ class CostSurface:
     """Likeliest first."""
     span: tuple[float, float] = (0.0, 0.0)
     """Numbers of the first and the last shot that both images see, before any shift."""
+    reached: bool = True
+    """False where adjustments have not come to the likeliest minimum: then it isn't clear."""
 
     def best(self, count: int) -> Array:
         """(count, 2) m east and north, by which each shot of the profile is to be moved to the likeliest minimum."""
@@ -121,8 +123,8 @@ class CostSurface:
 
     @property
     def clear(self) -> bool:
-        """Whether it does so at one place only."""
-        return self.tied and len(self.possible) == 1
+        """Whether it does so at one place only, which adjustments reach."""
+        return self.tied and len(self.possible) == 1 and self.reached
 
 
 class Expected(NamedTuple):

@@ -1,6 +1,7 @@
 """Search of a laser profile on the surface that two images show: synthetic relief, no pixels."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -101,6 +102,14 @@ def test_a_shift_is_found_from_1500_m_off_in_any_direction(degrees: int) -> None
     off = best.shift - shift
     assert np.linalg.norm(off) < 30.0
     assert off @ np.linalg.solve(best.covariance, off) < 13.8  # 99.9 % of chi-square with two degrees of freedom
+
+
+def test_a_minimum_that_adjustments_do_not_reach_is_not_clear() -> None:
+    cost = found(hills, track(hills, np.zeros(2)), 400.0)
+    assert cost.clear
+    never = replace(cost, reached=False)
+    assert never.tied
+    assert not never.clear
 
 
 def test_a_plain_does_not_tie_a_profile() -> None:
