@@ -319,3 +319,26 @@ def test_further_models_are_control_by_their_posts(case_file: Path, keys: str, s
 @pytest.mark.parametrize("keys", ["shift = false", "tilt_sigma_mrad = 0.1", "control = false"])
 def test_a_model_that_stays_or_tilts_has_no_posts(case_file: Path, keys: str) -> None:
     assert mgsgraph.read_case(with_terrain(case_file, keys)).terrain == ()
+
+
+@pytest.mark.parametrize(("height", "keys"), [(600.0, ""), (-600.0, ""), (600.0, "height_sigma_m = 300.0")])
+def test_a_model_off_the_laser_in_height_is_refused(case_file: Path, height: float, keys: str) -> None:
+    """Heights above another sphere than stated; not where its height as a whole is unknown to as much."""
+    path = profiles.with_profile(case_file)
+    level = mgsgraph.read_case(with_terrain(path, height=-0.0)).network
+    shots = level.points.places[level.points.classes == PointClass.LASER]
+    assert level.surface is not None
+    off = float(np.median(np.linalg.norm(shots, axis=1) - level.surface.grid.at(shots)))
+    path = with_terrain(without(path), keys, height=off + height)
+    if keys:
+        assert mgsgraph.read_case(path).network.surface is not None
+        return
+    with pytest.raises(InputError, match=re.escape(f"{height:+.0f} m off")):
+        mgsgraph.read_case(path)
+
+
+@pytest.mark.parametrize("name", ["dtm", "terrain model"])
+def test_the_shift_is_considered_by_the_models_name(case_file: Path, name: str) -> None:
+    path = with_terrain(case_file)
+    path.write_text(f'considered = ["{name}"]\n{path.read_text(encoding="utf-8")}', encoding="utf-8")
+    assert mgsgraph.read_case(path).network.considered == ("terrain model",)

@@ -36,6 +36,11 @@ from mgsgraph.network import TERRAIN, Network, PointClass, SharedUnknown
 from mgsgraph.network.posts import TerrainModel
 from mgsgraph.ties import TiePoints
 
+_LEAST_SHOTS = 12
+"""Over the terrain model, by whose heights it is compared with the laser."""
+_FAR_APART = 5.0
+"""Sigmas of a terrain model's heights, and of the shots' scatter about it, by which both may differ as a whole."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
@@ -109,6 +114,7 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     network = _with_strips(network, wanted, of_strips, path)
     network = _with_shared(network, wanted, path, laser, parts.heights)
     network = _with_considered(network, wanted, path, laser)
+    _require_same_heights(network, wanted, path)
     _require_seeing_images(network)
     pictures = tuple(picture_of(image, folder) for image in wanted.images)
     return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits, models, parts.footprints)
@@ -131,9 +137,31 @@ def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]]
         return replace(network, strips=strips)
 
 
+def _require_same_heights(network: Network, wanted: CaseInput, path: Path) -> None:
+    """Raise InputError where laser and terrain model are far apart in height: something is stated wrongly."""
+    surface = network.surface
+    shots = network.points.places[network.points.classes == PointClass.LASER]
+    if surface is None or len(shots) < _LEAST_SHOTS:
+        return
+    off = np.linalg.norm(shots, axis=1) - surface.grid.at(shots)
+    off = off[np.isfinite(off)]
+    if off.size < _LEAST_SHOTS:
+        return
+    middle = float(np.median(off))
+    scatter = 1.4826 * float(np.median(np.abs(off - middle)))
+    entry = wanted.terrain_models[0]
+    if abs(middle) > _FAR_APART * np.hypot(scatter, np.hypot(entry.vertical_sigma_m, entry.height_sigma_m or 0.0)):
+        raise InputError(
+            f"{path}, terrain", f"heights {-middle:+.0f} m off those of the laser (median of {off.size} shots)",
+            "the same ground",
+            "state what its heights are above (reference_radius_m, reference_ellipsoid_m, areoid), or height_sigma_m",
+        )  # fmt: skip
+
+
 def _with_considered(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
     """The network with unknowns that are considered, not estimated; those of the laser go with its rows."""
-    names = wanted.considered
+    models = [model_name(entry) for entry in wanted.terrain_models[:1] if entry.grids]
+    names = tuple(TERRAIN if name in models else name for name in wanted.considered)
     if not laser:
         there = (*network.shift_names, *(one.name for one in network.shared))
         names = tuple(name for name in names if name in there)
@@ -265,10 +293,14 @@ def _read_terrain(
         if k == 0:
             radii, areoid = as_grid(model) if entry.control else None, beneath
         if entry.cells:
-            name = entry.name or Path(entry.grids[0]).stem
-            models.append(TerrainModel(name, model.lattice(), entry.height_sigma_m))
+            models.append(TerrainModel(model_name(entry), model.lattice(), entry.height_sigma_m))
     require_unique(tuple(model.name for model in models), f"{path}, terrain models")
     return radii, areoid, tuple(models)
+
+
+def model_name(entry: TerrainInput) -> str:
+    """What reports call a terrain model."""
+    return entry.name or Path(entry.grids[0]).stem
 
 
 def terrain_shots(entry: TerrainInput, path: Path) -> Callable[[Path], AltimeterShots]:

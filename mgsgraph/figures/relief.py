@@ -98,9 +98,10 @@ def _costs(registration: ReliefRegistration, chosen: Sequence[int], name: str) -
         for row, state in enumerate((one.before, one.after)):
             panel = grid[row, c]
             shown = _draw_cost(panel, state.cost, top, 1.0 if row == 0 else _NEAR) or shown
-            covariance = np.eye(2) * prior**2 if row == 0 else one.covariance
-            if state.cost.minima:
-                _draw_ellipse(panel, np.zeros(2), covariance, "--" if row == 0 else "-")
+            if state.cost.minima and row == 0:
+                _draw_ellipse(panel, np.zeros(2), np.eye(2) * prior**2, "--")
+            elif state.cost.minima:
+                _draw_ellipse(panel, state.cost.minima[0].shift, state.cost.minima[0].covariance, "-")
             panel.set_title(f"{short(one.name, 24)}, {_STATES[row]}")
             panel.set(xlabel="shift east (m)", ylabel="shift north (m)" if c == 0 else "")
     if shown is not None:
@@ -115,7 +116,7 @@ def _cost_handles() -> list[Line2D]:
         Line2D([], [], ls="", marker="X", ms=7, mfc="white", mec=INK, label="best shift"),
         Line2D([], [], ls="", marker="o", ms=6, mfc="none", mec="#CC79A7", mew=1.4, label="other minima"),
         Line2D([], [], ls="--", lw=1.1, color=BEFORE, label="a-priori sigma"),
-        Line2D([], [], ls="-", lw=1.1, color=BEFORE, label="adjusted sigma"),
+        Line2D([], [], ls="-", lw=1.1, color=BEFORE, label="sigma of the best shift"),
     ]
 
 

@@ -30,7 +30,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
-from mgsgraph.network import Network, PointClass
+from mgsgraph.network import TERRAIN, Network, PointClass
 from mgsgraph.network.crossovers import Crossovers, crossovers
 from mgsgraph.network.posts import with_posts
 from mgsgraph.network.stereo_control import StereoControl
@@ -64,13 +64,14 @@ def _with_cells(before: Solution, cells: Sequence[Cells]) -> tuple[Network, _Pla
     """The network with posts, without tie points on the same models; where the shots are by a solution without posts,
     and the posts where it has the model.
     """
-    network = with_posts(before.network, cells)
+    network, considered = with_posts(before.network, cells), before.network.considered
     places = before.network.points.places + footprint_shifts(before.network, before.shared)
     shifts, surface = before.shifts[: len(profile_names(before.network))], before.network.surface
     for model, posts in cells:
         places, shift = np.concatenate([places, posts.points]), np.zeros(2)
         if surface is not None and model.lattice.source == surface.grid.source:
-            network, shift = replace(network, surface=None), before.shifts[-1]
+            considered = tuple(model.name if name == TERRAIN else name for name in considered)
+            network, shift = replace(network, surface=None, considered=considered), before.shifts[-1]
         shifts = np.concatenate([shifts, shift[None]])
     return network, _Placed(places, shifts, _horizontal_sigma(before))
 

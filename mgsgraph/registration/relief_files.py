@@ -280,6 +280,9 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
         ]
     else:
         found = _of_many(registration)
+    if solution.network.considered:
+        named = some(solution.network.considered, len(solution.network.considered))
+        found.append(f"Considered, not estimated: {named}; their a-priori sigmas are part of all sigmas.")
     found.append(f"Sigma0 is {registration.before.sigma0:.3g} without stereo rows, {solution.sigma0:.3g} with them.")
     if (crossing := _crossovers_json(solution))["count"]:
         found.append(

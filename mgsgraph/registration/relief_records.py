@@ -14,6 +14,9 @@ from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.network import PointClass
 from mgsgraph.registration.search import REACH, CostSurface
 
+MOST_REACH = 20_000.0
+"""m, up to which shifts may be searched: images are a few kilometres wide."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReliefSettings:
@@ -37,6 +40,9 @@ class ReliefSettings:
         for name, value in (("footprint", self.footprint), ("reach", self.reach), ("spacing", self.spacing)):
             if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
+        if self.reach > MOST_REACH:
+            found, most = f"shifts up to {self.reach:g} m", f"{MOST_REACH:g} m at most"
+            raise InputError("registration by relief, reach", found, most, "mend the orientation or the profiles first")
 
 
 class ProfileState(NamedTuple):

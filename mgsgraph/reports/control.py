@@ -116,12 +116,22 @@ def _lift_statement(solution: Solution, shift: int) -> list[str]:
     return [f"It {' and '.join(words)}."] if words else []
 
 
+def _mover(solution: Solution, profile: int) -> str:
+    """What a profile's shift moves: footprints, or a terrain model whose posts lie on the stereo surface."""
+    network = solution.network
+    assert network.shifts is not None
+    name, mine = network.shifts.names[profile], network.shifts.profile == profile
+    if np.any(network.points.classes[mine] == PointClass.POST):
+        return f"Terrain model {name}"
+    return f"Profile {name}: its footprints"
+
+
 def control_statements(solution: Solution) -> list[str]:
     """Sentences about profile shifts, terrain heights and back-projected rays."""
     sentences = []
     for p, name in enumerate(solution.network.shift_names):
         (east, north), sigma = solution.shifts[p], np.sqrt(np.diag(solution.shift_covariance(p)))
-        who = "The terrain model" if name == TERRAIN else f"Profile {name}: its footprints"
+        who = "The terrain model" if name == TERRAIN else _mover(solution, p)
         if name in solution.network.considered:
             sentences.append(
                 f"{who} stayed: the horizontal shift is considered, not estimated; its sigma of {sigma[0]:.1f} m is "

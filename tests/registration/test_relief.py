@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from networks import pair
 
+from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import averaged_surface
 from mgsgraph.registration.minima import Minimum, local_minima, weighted
+from mgsgraph.registration.relief_records import ReliefSettings
 from mgsgraph.registration.search import CostSurface, Expected, StereoPair, search
 
 NOISE = 0.05
@@ -102,6 +104,11 @@ def test_a_shift_is_found_from_1500_m_off_in_any_direction(degrees: int) -> None
     off = best.shift - shift
     assert np.linalg.norm(off) < 30.0
     assert off @ np.linalg.solve(best.covariance, off) < 13.8  # 99.9 % of chi-square with two degrees of freedom
+
+
+def test_shifts_are_searched_20_km_at_most() -> None:
+    with pytest.raises(InputError, match="reach"):
+        ReliefSettings(reach=1e6)
 
 
 def test_a_minimum_that_adjustments_do_not_reach_is_not_clear() -> None:
