@@ -45,6 +45,8 @@ _LEAST_SHOTS = 12
 """On the surface, that make a profile one that can be registered."""
 _MOST_ROUNDS = 6
 """Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
+_NEAR = 5.0
+"""m, by which a best shift may differ from zero and be none, however well it is known."""
 _LIKELY = 0.01
 """Weight from which on a minimum counts as one where the profile may be."""
 
@@ -275,9 +277,8 @@ class _Found:
             return not before.cost.clear and len(self.cost.possible) == len(before.cost.possible)
         if not before.cost.clear:
             return False
-        step = float(np.diff(self.cost.shifts[:2])[0])
         near = [
-            np.all(np.abs(one.shift) <= np.maximum(3.0 * np.sqrt(np.diag(one.covariance)), step))
+            np.all(np.abs(one.shift) <= np.maximum(3.0 * np.sqrt(np.diag(one.covariance)), _NEAR))
             for one in self.cost.minima
             if one.weight > _LIKELY
         ]

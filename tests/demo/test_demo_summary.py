@@ -158,7 +158,7 @@ def test_sources_are_named_from_the_results(demo: Demonstration) -> None:
     assert network.surface is not None
     assert network.areoid is not None
     sources = [network.surface.grid.source, network.areoid.source, *(shots.source for shots in demo.case.profiles)]
-    assert [one.grid.source for one in demo.case.terrain] == sources[:1]  # by which both are known to be one model
+    assert [one.lattice.source for one in demo.case.terrain] == sources[:1]  # by which both are known to be one model
     assert all(source.startswith(f"{folder.name}/") for source in sources)
     assert not any(str(folder) in source for source in sources)
 
