@@ -2,9 +2,10 @@
 
     F(P) = |P| - R(longitude, latitude),    r = F / |grad F|        m
 
-R is the cubic spline through the posts, with continuous slopes and curvatures, of which the sixteen coefficients around
-a place are needed (Unser 1999): the cost of an adjustment is one function, smooth from cell to cell. r is the distance
-from the ground exact to first order in itself; its derivative takes the curvature into account.
+R is the cubic B-spline with the posts' radii as coefficients (Unser 1999), with continuous slopes and curvatures: the
+cost of an adjustment is one function, smooth from cell to cell, and the noise of single posts makes no slopes that say
+where the model is. r is the distance from the ground exact to first order in itself; its derivative takes the curvature
+into account.
 """
 
 from typing import NamedTuple
@@ -111,7 +112,7 @@ class SurfaceHeight(NamedTuple):
     """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
 
     coefficients: NDArray[np.float64]
-    """(rows, columns) m, of the spline through the posts' radii."""
+    """(rows, columns) m, the posts' radii."""
     first: Vector
     """(2,) rad, longitude and latitude of the first of them."""
     step: Vector

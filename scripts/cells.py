@@ -2,7 +2,7 @@
 
 Each draw is a simulated site, whose errors have the sigmas that its case states (MEGDR's posts are means over their
 cells of the true ground), in the mission's formats, with dense matches of the true ground in place of pictures. It is
-adjusted with tie points on the spline through the model's posts, then with its posts on the surface that the images
+adjusted with tie points on the B-spline of the model's posts, then with its posts on the surface that the images
 show (`registration.relief`), and both are held against the truth.
 
     python scripts/cells.py [--sites eos,gusev,isidis] [--seeds 200] [--first 1] [--keep FILE] [--page docs/cells.md]
@@ -68,7 +68,7 @@ WORDS = """# Terrain models by cells against truth
 Made by `scripts/cells.py` ({machine}), seeds {first} to {last}: simulated sites whose errors have the sigmas that their
 cases state (terrain model: 200 m east and north, {height:g} m up, 10 m for each post of 463 m, which is the mean of the
 true ground over its cell; profiles 100 m), written in the mission's formats and read again, dense matches of the true
-ground with noise of {noise:g} pixels, no rendering. *ties*: each tie point lies on the spline through the model's
+ground with noise of {noise:g} pixels, no rendering. *ties*: each tie point lies on the B-spline of the model's
 posts, as `mgsgraph adjust` has it; *cells*: posts and laser shots lie on the surface that the images show, as
 `mgsgraph coregister` has it. NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in brackets:
 *terrain* of the model's shift east, north and up (bands: chi-square), *ties* and *laser* of all tie points and

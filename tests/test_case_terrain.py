@@ -88,8 +88,9 @@ def test_its_shift_is_estimated_or_considered(case_file: Path) -> None:
     moving = surface_of(with_terrain(case_file, scale=0.25, height=-4000.0))
     assert np.abs(moving.grid.radii - MARS.equatorial + 4000.0).max() < 200.0
     assert [term.name for term in moving.terms] == ["east shift", "north shift"]
-    assert np.all(moving.sigmas[np.isfinite(moving.sigmas)] == 10.0)
-    assert np.isfinite(moving.sigmas).sum() == 20
+    held = moving.sigmas[np.isfinite(moving.sigmas)]
+    assert held.size == 20
+    assert set(np.round((held / 10.0) ** 2, 6)) == {1.0, 2.0}  # two pairs of ties lie in half a cell
     assert mgsgraph.read_case(case_file).network.considered == ()
     path = add(case_file, 'radius = "dtm.tif"\nreference_radius_m = 3396190.0\nshift = false')
     assert mgsgraph.read_case(path).network.considered == ("terrain model",)
@@ -107,7 +108,7 @@ def test_height_and_tilt_may_be_unknown_and_are_said(case_file: Path) -> None:
     place = planetocentric(found.middle[None])[0, :2] / DEG
     np.testing.assert_allclose(place, middle_of(path).mean(axis=0), atol=1e-3)
     text = inventory(mgsgraph.read_case(path))
-    assert "20 points lie on it, sigma of their heights 10.0 m" in text
+    assert "20 points lie on it" in text
     assert "upward shift 30 m, tilt about east 0.1 mrad, tilt about north 0.1 mrad" in text
     solution = mgsgraph.adjust(mgsgraph.read_case(path))
     assert "It rose by" in " ".join(control_statements(solution))

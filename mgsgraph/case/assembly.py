@@ -207,7 +207,7 @@ class Parts:
             )  # fmt: skip
         terrain = terrain.around(ground)
         sigmas = np.full(len(points), np.inf)
-        sigmas[members] = np.nan_to_num(terrain.height_sigmas(places), nan=np.inf)
+        sigmas[members] = np.nan_to_num(terrain.control_sigmas(places), nan=np.inf)
         return Surface(
             terrain, sigmas, terrain.planimetric_sigma or 0.0, wanted.height_sigma_m or 0.0,
             (wanted.tilt_sigma_mrad or 0.0) * MRAD,

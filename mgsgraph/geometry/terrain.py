@@ -1,7 +1,7 @@
 """Terrain models: a grid of radii over longitude and latitude.
 
 Values are read between the posts by bilinear interpolation. The surface row of an adjustment is the height of a point
-above the cubic spline through the posts (`factors.surface.cubic`), along its normal: with F = r - R(lon, lat), the
+above the cubic B-spline of the posts (`factors.surface.cubic`), along its normal: with F = r - R(lon, lat), the
 distance F / |grad F|, which is exact to first order in the height (its error is the square of the height times the
 curvature, and it vanishes with the residual).
 """
@@ -23,8 +23,8 @@ TerrainKind = Literal["radius", "topography", "areoid"]
 """What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid."""
 _SQUARES = 20.0
 """Sum of the squares of the 4 x 4 posts' distances from their middle in one direction, in steps."""
-_BEYOND = 12
-"""Posts by which a grid is continued: what lies beyond them acts on a spline by 1e-7 of itself."""
+_BEYOND = 3
+"""Posts by which a grid is continued: so many make the surface level where it ends."""
 _EDGE = 1e-9
 """cells by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
 
@@ -40,7 +40,9 @@ class _Patch(NamedTuple):
 
 
 class SplineSurface(NamedTuple):
-    """The cubic spline through a grid's posts, continued beyond its edges and over holes, there as the nearest post."""
+    """The cubic B-spline with a grid's posts as coefficients, continued beyond its edges and over holes, there as the
+    nearest post: smooth, and level over half a cell, so that the posts' noise makes no slopes of its own.
+    """
 
     coefficients: Array
     """(rows, columns) m."""
@@ -249,6 +251,22 @@ class TerrainGrid:
             sigmas = replace(self, radii=self.post_sigmas, kind="topography", post_sigmas=None).at(points)
         return np.where(np.isfinite(self._patch(longitudes, latitudes).value), sigmas, np.nan)
 
+    def control_sigmas(self, points: Array) -> Array:
+        """Sigma (n,) in m with which points (n, 3) in m are to lie on the model: those within a circle as large as a
+        cell share its posts' errors, and are worth no more than one. NaN and infinite as of `height_sigmas`.
+        """
+        from scipy.spatial import cKDTree  # slow to import
+
+        sigmas = self.height_sigmas(points)
+        there = np.flatnonzero(np.isfinite(sigmas))
+        if not there.size:
+            return sigmas
+        _, latitudes, radii = planetocentric(points[there]).T
+        cell = self.latitude_step * self.longitude_step * np.cos(latitudes) * radii**2
+        near = cKDTree(points[there]).query_ball_point(points[there], np.sqrt(cell / np.pi), return_length=True)
+        sigmas[there] *= np.sqrt(near)
+        return sigmas
+
     @property
     def box(self) -> Array:
         """(2, 2) rad, longitude and latitude of its south-western and its north-eastern post."""
@@ -263,7 +281,7 @@ class TerrainGrid:
         return self._cell(longitudes, latitudes)[5]
 
     def height_above(self, points: Array) -> tuple[Array, Array]:
-        """Distance of points from the spline through the posts, along its normal.
+        """Distance of points from the B-spline of the posts, along its normal.
 
         Parameters
         ----------
@@ -283,8 +301,8 @@ class TerrainGrid:
         return np.where(there, height, np.nan), np.where(there[:, None], slope, np.nan)
 
     def spline(self) -> SplineSurface:
-        """The cubic spline through its posts."""
-        from scipy.ndimage import distance_transform_edt, spline_filter  # slow to import
+        """The cubic B-spline of its posts."""
+        from scipy.ndimage import distance_transform_edt  # slow to import
 
         radii, missing = np.asarray(self.radii, dtype=np.float64), np.isnan(self.radii)
         if np.any(missing) and not np.all(missing):
@@ -293,9 +311,9 @@ class TerrainGrid:
         radii = np.pad(radii, ((_BEYOND, _BEYOND), (0, 0)), "edge")
         radii = np.pad(radii, ((0, 0), (_BEYOND, _BEYOND)), "wrap" if self.wraps else "edge")
         first = self.first_longitude - _BEYOND * self.longitude_step, self.first_latitude + _BEYOND * self.latitude_step
-        return SplineSurface(spline_filter(radii, 3), first, (self.longitude_step, self.latitude_step))
+        return SplineSurface(np.ascontiguousarray(radii), first, (self.longitude_step, self.latitude_step))
 
-    def around(self, points: Array, margin: int = 16) -> "TerrainGrid":
+    def around(self, points: Array, margin: int = 8) -> "TerrainGrid":
         """The part of the grid under points (n, 3) in m, body-fixed, and `margin` posts beyond.
 
         The whole of it where no point lies over it.

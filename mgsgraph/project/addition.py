@@ -358,6 +358,6 @@ def on_terrain(network: Network, store: ProjectStore) -> Network:
     members, places = over_terrain(network.images, network.rays, grid)
     mine = network.points.classes[members] == PointClass.TIE
     sigmas = np.full(len(network.points), np.inf)
-    sigmas[members[mine]] = np.nan_to_num(grid.height_sigmas(places[mine]), nan=np.inf)
+    sigmas[members[mine]] = np.nan_to_num(grid.control_sigmas(places[mine]), nan=np.inf)
     usable = np.any(np.isfinite(sigmas))
     return replace(network, surface=Surface(grid, sigmas, shift_sigma)) if usable else network

@@ -154,7 +154,7 @@ def registered(
     footprints : sequence of float
         m, diameter of the spots of each laser profile of its network.
     cells : sequence of (TerrainModel, Posts)
-        Terrain models whose posts are to lie on the surfaces; tie points that lay on the spline through those of one of
+        Terrain models whose posts are to lie on the surfaces; tie points that lay on the surface of those of one of
         them no longer do.
     surfaces : sequence of AveragedPair
         Averaged over each of these footprints and over those of the posts.

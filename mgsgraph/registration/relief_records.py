@@ -31,7 +31,7 @@ class ReliefSettings:
     images: tuple[str, ...] = ()
     """Names of those to match; all of the case when empty."""
     terrain: Literal["cells", "spline"] = "cells"
-    """Posts of terrain models lie on the surface that the images show, or tie points stay on the spline through those
+    """Posts of terrain models lie on the surface that the images show, or tie points stay on the surface of those
     of the first model, as in an adjustment without relief."""
     crossovers: bool = True
     """Where two laser profiles cross, their heights agree."""
