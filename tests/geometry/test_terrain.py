@@ -231,4 +231,5 @@ def test_points_that_share_posts_share_their_errors() -> None:
     assert grid.control_sigmas(grid.points(row, column, np.full(7, RADIUS))) == pytest.approx([20.0] * 4 + [10.0] * 3)
     even = np.meshgrid(np.arange(5.0, 25.0, 0.5), np.arange(5.0, 25.0, 0.5))
     points = grid.points(*(part.ravel() for part in even), np.full(1600, RADIUS))
-    assert np.mean(grid.control_sigmas(points) ** 2) == pytest.approx(400.0, rel=0.3)  # of a lattice the circle holds four or five
+    # of a lattice the circle holds four or five
+    assert np.mean(grid.control_sigmas(points) ** 2) == pytest.approx(400.0, rel=0.3)
