@@ -101,7 +101,7 @@ class Remote:
         """
         self._stop.set()
         for answer in tuple(self._open):
-            with suppress(OSError, ValueError):  # has ended meanwhile
+            with suppress(OSError, ValueError, RuntimeError):  # has ended meanwhile, or its connection is free again
                 answer.raw.shutdown()
 
     def size(self, url: str) -> int | None:
