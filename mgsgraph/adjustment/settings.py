@@ -37,7 +37,7 @@ class SolverSettings:
     reject: float = 0.0
     """Blunder limit: a good observation is beyond it as rarely as a normal error is beyond so many standard deviations,
     either side (4: 1 in 15,800), whatever its redundancy (`adjustment.blunders`); 0 seeks none."""
-    max_iterations: int = 100
+    max_iterations: int = 500
     """Maximum number of iterations."""
     cost_tolerance: float = 1e-11
     """Stop when a step lowers the cost, or promises to, by less than this share of it."""
