@@ -11,12 +11,12 @@ import numpy as np
 
 from mgsgraph.adjustment.datum.datum import POORLY, defects, scaled_normal
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, point_key, prior_factors, variable_key
+from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper, pair_factor, point_key, prior_factors, variable_key
 from mgsgraph.adjustment.graph.bundle import shared_values as gtsam_values
 from mgsgraph.adjustment.graph.shared import footprint_shifts, shared_values
 from mgsgraph.adjustment.marginals import JointCovariance, joint_covariance, marginals
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
-from mgsgraph.adjustment.square_root import SquareRoot, in_cliques, is_indeterminate
+from mgsgraph.adjustment.square_root import SquareRoot, begins, in_cliques, is_indeterminate
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.reduction import Reduction
@@ -193,7 +193,7 @@ def _considered_information(layout: Layout, joint: JointCovariance) -> Iterator[
     wanted += information[np.ix_(c, x)] @ np.linalg.solve(information[np.ix_(x, x)], information[np.ix_(x, c)])
     more = np.zeros_like(information)
     more[np.ix_(c, c)] = wanted - information[np.ix_(c, c)]
-    edges = np.concatenate([[0], np.cumsum(variables.width[members])]).tolist()
+    edges = begins(variables.width[members]).tolist()
     for a, v in enumerate(members):
         for b, w in enumerate(members[a:], a):
             yield (v, w), more[edges[a] : edges[a + 1], edges[b] : edges[b + 1]]
@@ -244,13 +244,10 @@ def explicit_covariances(
 def _considered_factors(layout: Layout, joint: JointCovariance) -> Iterator[gtsam.HessianFactor]:
     """The information on considered unknowns that is to be added, as GTSAM's factors."""
     for (v, w), block in _considered_information(layout, joint):
-        one, other = np.zeros(block.shape[0]), np.zeros(block.shape[1])
         if v == w:
-            yield gtsam.HessianFactor(variable_key(layout, v), block, one, 0.0)
+            yield gtsam.HessianFactor(variable_key(layout, v), block, np.zeros(block.shape[0]), 0.0)
         else:
-            none = np.zeros((one.size, one.size)), np.zeros((other.size, other.size))
-            keys = variable_key(layout, v), variable_key(layout, w)
-            yield gtsam.HessianFactor(*keys, none[0], block, one, none[1], other, 0.0)
+            yield pair_factor(variable_key(layout, v), variable_key(layout, w), block)
 
 
 def prior_covariance(layout: Layout) -> JointCovariance | None:

@@ -21,8 +21,6 @@ from mgsgraph.geometry.records import Array, Index, Mask, assign
 
 TerrainKind = Literal["radius", "topography", "areoid"]
 """What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid."""
-_SQUARES = 20.0
-"""Sum of the squares of the 4 x 4 posts' distances from their middle in one direction, in steps."""
 _BEYOND = 3
 """Posts by which a grid is continued: so many make the surface level where it ends."""
 _EDGE = 1e-9

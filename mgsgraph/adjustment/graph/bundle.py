@@ -69,6 +69,13 @@ def prior_factors(layout: Layout) -> Iterator[gtsam.NonlinearFactor]:
         yield linear_prior([variable_key(layout, v) for v in factor.variables], factor.blocks, factor.target)
 
 
+def pair_factor(first: int, second: int, block: Array) -> gtsam.HessianFactor:
+    """Factor of a block off the diagonal of a normal matrix, of the variables of two keys."""
+    none, other = np.zeros((block.shape[0],) * 2), np.zeros((block.shape[1],) * 2)
+    zero, zeros = np.zeros(block.shape[0]), np.zeros(block.shape[1])
+    return gtsam.HessianFactor(first, second, none, block, zero, other, zeros, 0.0)
+
+
 class Sweeper(Protocol):
     """Who goes over all points: this process, or the workers of a cluster. Rows are a layout's, or made of them."""
 
@@ -164,7 +171,7 @@ class BundleGraph:
                     gtsam.HessianFactor(self._keys[v], block + np.diag(precision[columns]), -gradient[columns], 0.0)
                 )
             else:
-                graph.push_back(self._pair(v, w, block))
+                graph.push_back(pair_factor(self._keys[v], self._keys[w], block))
         return graph
 
     def factor(self, reduction: Reduction, damping: float = 0.0) -> Factor:
@@ -176,12 +183,6 @@ class BundleGraph:
         layout = self.layout
         flat = reduction.blocks + layout.prior_information if layout.prior_information.size else reduction.blocks
         return layout.cholesky.factor(flat, layout.prior.weights**2 + damping / layout.scales**2, layout.scales)
-
-    def _pair(self, v: int, w: int, block: Array) -> gtsam.HessianFactor:
-        """Factor of a block off the diagonal."""
-        none, other = np.zeros((block.shape[0],) * 2), np.zeros((block.shape[1],) * 2)
-        zero, zeros = np.zeros(block.shape[0]), np.zeros(block.shape[1])
-        return gtsam.HessianFactor(self._keys[v], self._keys[w], none, block, zero, other, zeros, 0.0)
 
     @cached_property
     def _bundles(self) -> Bundles:
