@@ -19,8 +19,6 @@ from mgsgraph.simulation.strip_truth import drawn_nodes, strip_correction
 from mgsgraph.ties import PointKind
 
 _HEIGHT_STEPS = 20
-_MOST_PASSED = 20
-"""Draws of one seed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,19 +66,6 @@ def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera"
     rays = _drawn_rays(network, truth, points, corrections, rng)
     ranges = _drawn_ranges(network, truth, corrections, rng)
     return Draw(replace(network, points=points, rays=rays, ranges=ranges), corrections, shifts, truth, terrain[level:])
-
-
-def redraw_by_seed(network: Network, seed: int, angles: Angles = "camera") -> tuple[Draw, int]:
-    """The first draw of a seed in which each image still shows its points, and how many were passed over: with an
-    orientation by which a point lies beside its image, it would not have been measured there.
-    """
-    for passed in range(_MOST_PASSED):
-        try:
-            return redraw(network, np.random.default_rng([seed, passed] if passed else seed), angles), passed
-        except InputError:
-            if passed == _MOST_PASSED - 1:
-                raise
-    raise AssertionError  # the loop returns or raises
 
 
 def _drawn_terrain(surface: Surface | None, rng: np.random.Generator) -> Array:
