@@ -101,11 +101,11 @@ def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[lis
     """Normalised errors of one draw, their degrees of freedom, and whether the adjustment came to rest."""
     draw = redraw(network, np.random.default_rng(seed), settings.angles)
     solution = adjust_network(draw.network, settings)
-    truth = [one.coefficients.ravel() for one in draw.corrections] + [draw.shifts.ravel()]
-    found = [one.ravel() for one in solution.coefficients] + [solution.shifts.ravel()]
-    adjusted = np.repeat([*~network.held, True], [part.size for part in truth])
-    error = (np.concatenate(found) - np.concatenate(truth))[adjusted]
-    orientation = error.size - draw.shifts.size
+    found = [one.ravel() for one in (*solution.coefficients, solution.shifts, *solution.shared)]
+    adjusted = np.repeat(~network.held, [one.size for one in solution.coefficients])
+    orientation = int(np.count_nonzero(adjusted))
+    error = np.concatenate(found) - draw.vector
+    error = np.concatenate([error[: adjusted.size][adjusted], error[adjusted.size :]])
     joint, variables = solution.joint_covariance, solution.joint_covariance.adjusted
     of_images = variables < len(network.images)
     shared = [
@@ -116,7 +116,7 @@ def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[lis
     points = [nees((solution.places - draw.places)[one], solution.covariances[one]) for one in members]
     freedom = solution.fit.degrees_of_freedom
     values = [*shared, *(float(one.mean()) / 3.0 for one in points), solution.fit.squares / freedom]
-    degrees = (orientation, draw.shifts.size, *(3 * one.size for one in points), freedom)
+    degrees = (orientation, error.size - orientation, *(3 * one.size for one in points), freedom)
     return values, degrees, solution.converged
 
 
