@@ -115,7 +115,7 @@ def prepared(name: str) -> tuple[Network, SolverSettings]:
 
 
 def one_seed(order: Order) -> Drawn:
-    """Draw, adjust, ask. Where a point that is asked for lies beside its image, by the orientation drawn, draw again."""
+    """Draw, adjust, ask; draw again where a point that is asked for lies beside its image by the orientation drawn."""
     for passed in range(MOST_PASSED):
         try:
             return one_draw(order, passed)
