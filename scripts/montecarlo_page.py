@@ -152,14 +152,10 @@ alone, which is why they are well covered; a joint statement on all coefficients
     ),
     (
         frozenset(name for name, case in CASES.items() if case.surface),
-        """*Terrain models.* Surface rows give the cost several minima (ground looks alike in several places), and
-a draw may end in a wrong one, far from the truth in sigmas: it is *astray*. The covariance is that of one minimum and
-knows nothing of the others. At Eos one seed of 200 is astray: it carries the mean NEES and widens the limits that
-follow from the scatter, while coverage hardly feels it; without it the tie points' sigmas are rather too large (NEES
-0.89). At
-Isidis, with 41 ties, three are astray and three others do not converge: all are counted in, and without these six the
-tie points' NEES is 1.15 ± 0.18, with 90.8% inside the 95% ellipsoid, just within the limit. Gusev shows nothing.
-Without terrain models there is none of it: the surface rows are the cause.
+        """*Terrain models.* Tie points lie on the cubic B-spline of a model's posts: one continuous function,
+whatever the tie's place. Its relief can still fit nearly as well in several places; a draw that ends in a wrong one is
+*astray*. Truth is drawn here on that very spline, with independent heights of the ties; what a model's posts are off
+together, and what they leave out of the ground, [cells.md](cells.md) and [world.md](world.md) have.
 """,
     ),
     (
