@@ -5,8 +5,8 @@ the mission's formats, read again, adjusted by its default case, and held agains
 what it cannot explain. An effect is dealt with where the normalised errors (NEES) lie in their bands, or where it is
 named in at least 90 % of the draws.
 
-    python scripts/world.py [--sites eos,gusev,isidis,strip] [--effects none,beam,...,all] [--seeds 200] [--first 1]
-                            [--keep FILE] [--page docs/world.md]
+    python scripts/world.py [--sites eos,gusev,isidis,strip,block] [--effects none,beam,...,all] [--seeds 200]
+                            [--first 1] [--keep FILE] [--page docs/world.md]
 
 With --keep each draw is noted in FILE as soon as it is done, and not done again. Exit status: 0 done, 2 bad input.
 """
@@ -16,14 +16,16 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from cells import Truth
+from cells import Truth, model_shift
 from study import Draw, at_least, cases, chi_square_band, command, draws, machine, number, student, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.unexplained import named_effects
@@ -37,12 +39,13 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.simulation.files import write_site, write_strip
+from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
-from mgsgraph.simulation.world import EFFECTS, STRIP_EFFECTS, World
+from mgsgraph.simulation.world import BLOCK_EFFECTS, EFFECTS, STRIP_EFFECTS, World
 
-STRIP = "strip"
+STRIP, BLOCK = "strip", "block"
 NONE, ALL = "none", "all"
 LINES = 3
 """Of each image, at which its pose is asked for."""
@@ -75,7 +78,7 @@ SIZES = {
 def main(arguments: list[str] | None = None) -> int:
     """Exit status."""
     parser = command(__doc__)
-    parser.add_argument("--sites", default=",".join((*SITE_NAMES, STRIP)), help="with commas between")
+    parser.add_argument("--sites", default=",".join((*SITE_NAMES, STRIP, BLOCK)), help="with commas between")
     parser.add_argument("--effects", default=",".join((NONE, *EFFECTS, ALL)), help="with commas between")
     parser.add_argument("--seeds", type=at_least(2), default=200, help="draws of each")
     parser.add_argument("--first", type=at_least(1), default=1, help="first seed")
@@ -101,7 +104,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def of_site(site: str) -> tuple[str, ...]:
     """Effects that a site can have."""
-    return STRIP_EFFECTS if site == STRIP else EFFECTS
+    return {STRIP: STRIP_EFFECTS, BLOCK: BLOCK_EFFECTS}.get(site, EFFECTS)
 
 
 def words(seeds: range) -> str:
@@ -117,6 +120,7 @@ def words(seeds: range) -> str:
     )  # fmt: skip
 
 
+BLOCK_SETTINGS = BlockSettings(strips=2, points=1200, length=400e3, spacing=15.0)
 STRIP_SETTINGS = {"images": 6, "ties": 150, "shots": 30}
 
 
@@ -126,7 +130,7 @@ def one_draw(name: str, seed: int) -> Draw:
     site, effect = name.split(", ")
     world = World.of(() if effect == NONE else of_site(site) if effect == ALL else (effect,))
     try:
-        solution, judged = strip_draw(world, seed) if site == STRIP else site_draw(site, world, seed)
+        solution, judged = site_draw(site, world, seed) if site in SITE_NAMES else OTHERS[site](world, seed)
     except InputError as error:
         return {"refused": str(error)}
     named = [str(one.kind) for one in named_effects(solution)]
@@ -171,6 +175,24 @@ def strip_draw(world: World, seed: int) -> tuple[Solution, Draw]:
             found["heights"] = float(np.mean(np.einsum("ni,ni->n", up, error) ** 2 / spread))
     found |= of_poses(solution, list(strip.images), list(strip.true_corrections))
     return solution, {"converged": solution.converged, "nees": found} | errors
+
+
+def block_draw(world: World, seed: int) -> tuple[Solution, Draw]:
+    """A block of HRSC strips."""
+    block = simulate_hrsc_block(replace(BLOCK_SETTINGS, world=world), seed)
+    solution = adjust_network(block.network, SolverSettings())
+    known = solution.determined
+    error, covariance = (solution.places - block.true_points)[known], solution.covariances[known]
+    model, of_model = model_shift(solution)
+    terrain = float(nees(model[None] - block.shifts, of_model[None])[0]) / 2.0
+    found = {"ties": float(nees(error, covariance).mean()) / 3.0, "terrain": terrain}
+    return solution, {
+        "converged": solution.converged, "nees": found, "ties": float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
+        "laser": float("nan"),
+    }  # fmt: skip
+
+
+OTHERS = {STRIP: strip_draw, BLOCK: block_draw}
 
 
 def strip_truth(strip: SimulatedStrip) -> dict[str, Array]:
