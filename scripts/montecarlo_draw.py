@@ -30,7 +30,7 @@ from mgsgraph.simulation.sites import SITE_NAMES, SiteName
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from redraw import Draw, redraw
+from redraw import Draw, redraw_by_seed
 
 _PLACE, _FLIGHT, _TURN = ("east", "north", "up"), ("along", "across", "radial"), ("roll", "pitch", "yaw")
 KINDS: dict[str, tuple[str, ...]] = {
@@ -91,6 +91,8 @@ class Drawn:
     """By kind: (items,) normalised estimation error squared, e' C^-1 e; chi-square of the kind's dimension."""
     errors: dict[str, Array]
     """By kind: (items, d) estimate minus truth in sigmas, along the kind's components."""
+    passed: int = 0
+    """Draws before it that are no cases: by their orientation a point lies beside its image."""
 
 
 @lru_cache(maxsize=2)
@@ -113,7 +115,7 @@ def one_seed(order: Order) -> Drawn:
     """Draw, adjust, ask."""
     network, settings = prepared(order.case)
     stated = CASES[order.case].stated
-    draw = redraw(network, np.random.default_rng(order.seed), settings.angles)
+    draw, passed = redraw_by_seed(network, order.seed, settings.angles)
     solution = adjust_network(with_stated_sigmas(draw.network, stated), settings)
     rng = np.random.default_rng([order.seed, 2])
     asked = questions(Posterior.of(solution), draw, stated, rng)
@@ -123,7 +125,7 @@ def one_seed(order: Order) -> Drawn:
         covariance = np.array([one for _, one in answers])
         squares[kind] = nees(error, covariance)
         errors[kind] = error / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    return Drawn(order, solution.converged, squares, errors)
+    return Drawn(order, solution.converged, squares, errors, passed)
 
 
 def with_stated_sigmas(network: Network, stated: float) -> Network:

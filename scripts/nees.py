@@ -117,11 +117,11 @@ def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[lis
     """Normalised errors of one draw, their degrees of freedom, and the adjustment."""
     draw = redraw(network, np.random.default_rng(seed), settings.angles)
     solution = adjust_network(draw.network, settings)
-    truth = [one.coefficients.ravel() for one in draw.corrections] + [draw.shifts.ravel()]
-    found = [one.ravel() for one in solution.coefficients] + [solution.shifts.ravel()]
-    adjusted = np.repeat([*~network.held, True], [part.size for part in truth])
-    error = (np.concatenate(found) - np.concatenate(truth))[adjusted]
-    orientation = error.size - draw.shifts.size
+    found = [one.ravel() for one in (*solution.coefficients, solution.shifts, *solution.shared)]
+    adjusted = np.repeat(~network.held, [one.size for one in solution.coefficients])
+    orientation = int(np.count_nonzero(adjusted))
+    error = np.concatenate(found) - draw.vector
+    error = np.concatenate([error[: adjusted.size][adjusted], error[adjusted.size :]])
     joint, variables = solution.joint_covariance, solution.joint_covariance.adjusted
     of_images = variables < len(network.images)
     shared = [
@@ -130,13 +130,17 @@ def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[lis
     ]
     members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
     points = [nees((solution.places - draw.places)[one], solution.covariances[one]) for one in members]
-    freedom, images = solution.fit.degrees_of_freedom, [image.name for image in network.images]
-    held = dict(zip(images, (one.coefficients for one in draw.corrections), strict=True))
-    held = {name: held[name] for name, out in zip(images, network.held, strict=True) if not out}
-    ratio = Posterior.of(solution).likelihood.ratio(held | dict(zip(network.shift_names, draw.shifts, strict=True)))
+    freedom = solution.fit.degrees_of_freedom
+    names = [*(image.name for image in network.images), *network.shift_names, *(one.name for one in network.shared)]
+    truth = dict(zip(names, (*(one.coefficients for one in draw.own), *draw.shifts, *draw.shared), strict=True))
+    for j in np.flatnonzero(network.held).tolist():
+        del truth[names[j]]
+    ratio = Posterior.of(solution).likelihood.ratio(truth)
     shared.append(ratio.squares / ratio.degrees)
     values = [*shared, *(float(one.mean()) / 3.0 for one in points), solution.fit.squares / freedom]
-    degrees = (orientation, draw.shifts.size, ratio.degrees, *(3 * one.size for one in points), freedom)
+    degrees = (
+        orientation, error.size - orientation, ratio.degrees, *(3 * one.size for one in points), freedom
+    )  # fmt: skip
     return values, degrees, solution
 
 

@@ -87,10 +87,13 @@ def _ties(simulated: SimulatedSite) -> Tables:
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
-    """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
+    """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case. Their beams
+    point where they say.
+    """
     lines = Tables()
     for image in simulated.images:
-        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=image.settings.name, **sigmas)
+        name = image.settings.name
+        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, beam_sigma_mrad=0.0, **sigmas)
     return lines
 
 
