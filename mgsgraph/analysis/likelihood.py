@@ -203,8 +203,8 @@ def _same_rows(layout: Layout, rows: Rows, anew: Layout) -> Rows:
     if layout.stereo is not None:
         stereo = np.zeros(len(layout.network.points), dtype=bool)
         stereo[layout.stereo.points] = rows.weight[0, places.stereo] > 0.0
-    used = (rows.weight[0, part] > 0.0 for part in (places.rays, places.ranges))
-    return anew.active(*used, layout.network_order(rows.kind) == OUT, stereo)
+    rays, ranges = (rows.weight[0, part] > 0.0 for part in (places.rays, places.ranges))
+    return anew.active(rays, ranges, layout.network_order(rows.kind) == OUT, stereo)
 
 
 def _between(low: tuple[float, float], high: tuple[float, float], wanted: float) -> float:
