@@ -88,9 +88,10 @@ def _ties(simulated: SimulatedSite) -> Tables:
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
-    lines = Tables()
+    lines, beam = Tables(), round(simulated.options.world.beam / MRAD, 6)
     for image in simulated.images:
-        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=image.settings.name, **sigmas)
+        name = image.settings.name
+        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, beam_sigma_mrad=beam, **sigmas)
     return lines
 
 
