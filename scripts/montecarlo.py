@@ -5,8 +5,8 @@ holds what the posterior says of points, poses, pairs, projections and new place
 montecarlo.md and montecarlo.png, into docs/ by default; 200 seeds of everything take some twelve
 minutes of one processor (NUMBA_NUM_THREADS=1).
 
-    python scripts/montecarlo.py [--case three-sites|block|both] [--seeds 200] [--processes 2 | --cluster PLACE]
-                                 [--out docs] [--keep FILE]
+    python scripts/montecarlo.py [--case three-sites|block|both] [--seeds 200] [--first 0]
+                                 [--processes 2 | --cluster PLACE] [--out docs] [--keep FILE]
 
 With --keep every seed that is done is noted in FILE, and not done again. Workers of a cluster that runs elsewhere need
 this folder on their PYTHONPATH. Exit status: 0 done (whatever the figures are: the page tells), 2 bad input.
@@ -95,7 +95,8 @@ def as_line(drawn: Drawn) -> str:
         name: {kind: np.round(values, 5).tolist() for kind, values in parts.items()}
         for name, parts in (("squares", drawn.squares), ("errors", drawn.errors))
     }
-    known = {"case": order.case, "seed": order.seed, "recipe": recipe(order.case), "converged": drawn.converged}
+    known = {"case": order.case, "seed": order.seed, "recipe": recipe(order.case), "converged": drawn.converged,
+             "passed": drawn.passed}  # fmt: skip
     return json.dumps(known | rounded)
 
 
@@ -106,7 +107,7 @@ def from_line(line: str, where: str) -> Drawn | None:
         if known["recipe"] != recipe(known["case"]):
             return None
         squares, errors = ({kind: np.array(known[name][kind]) for kind in KINDS} for name in ("squares", "errors"))
-        return Drawn(Order(known["case"], known["seed"]), known["converged"], squares, errors)
+        return Drawn(Order(known["case"], known["seed"]), known["converged"], squares, errors, known["passed"])
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(where, f"not a kept seed ({error})", "what --keep has written", "take it out") from None
 
@@ -115,7 +116,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """The command."""
     parser = OneLine(prog="montecarlo.py", description="Coverage, NEES and bias of the posterior over many seeds.")
     parser.add_argument("--case", choices=tuple(CHOICES), default="both")
-    parser.add_argument("--seeds", type=at_least(2), default=200, help="seeds 0 .. N-1 of each case")
+    parser.add_argument("--seeds", type=at_least(2), default=200, help="number of seeds of each case")
+    parser.add_argument("--first", type=at_least(0), default=0, help="first of them")
     workers = parser.add_mutually_exclusive_group()
     workers.add_argument("--processes", type=at_least(1), help="worker processes on this machine")
     workers.add_argument("--cluster", metavar="PLACE", help="local, local:N, tcp://host:port or tls://host:port")
@@ -130,7 +132,8 @@ def prove(wanted: Namespace) -> None:
     table, picture = wanted.out / "montecarlo.md", wanted.out / "montecarlo.png"
     require_writable(table, picture, wanted.keep)
     place = f"local:{wanted.processes}" if wanted.processes and wanted.processes > 1 else wanted.cluster
-    orders = [Order(case, seed) for case in CHOICES[wanted.case] for seed in range(wanted.seeds)]
+    seeds = range(wanted.first, wanted.first + wanted.seeds)
+    orders = [Order(case, seed) for case in CHOICES[wanted.case] for seed in seeds]
     drawn = gathered(orders, place, wanted.keep)
     by_case = {case: [one for one in drawn if one.order.case == case] for case in CHOICES[wanted.case]}
     write_figure(figure(by_case), picture)

@@ -19,6 +19,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.demo.truth import nees
+from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -44,6 +45,8 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 """What the posterior is asked, and the components in which bias is told."""
 BLOCK = StripSettings(images=6, ties=200, shots=30)
+MOST_PASSED = 20
+"""Draws of one seed."""
 POINTS, LINES, PIXELS, NEW = 12, 3, 4, 3
 """Items that one seed asks for, evenly spread: points and pairs of them, lines of each image, projections, new places.
 """
@@ -91,6 +94,8 @@ class Drawn:
     """By kind: (items,) normalised estimation error squared, e' C^-1 e; chi-square of the kind's dimension."""
     errors: dict[str, Array]
     """By kind: (items, d) estimate minus truth in sigmas, along the kind's components."""
+    passed: int = 0
+    """Draws before it that are no cases: by their orientation a point lies beside its image."""
 
 
 @lru_cache(maxsize=2)
@@ -110,10 +115,21 @@ def prepared(name: str) -> tuple[Network, SolverSettings]:
 
 
 def one_seed(order: Order) -> Drawn:
-    """Draw, adjust, ask."""
+    """Draw, adjust, ask; draw again where a point that is asked for lies beside its image by the orientation drawn."""
+    for passed in range(MOST_PASSED):
+        try:
+            return one_draw(order, passed)
+        except InputError:
+            if passed == MOST_PASSED - 1:
+                raise
+    raise AssertionError  # the loop returns or raises
+
+
+def one_draw(order: Order, passed: int) -> Drawn:
+    """Draw, adjust, ask, after some draws of the same seed that were passed over."""
     network, settings = prepared(order.case)
     stated = CASES[order.case].stated
-    draw = redraw(network, np.random.default_rng(order.seed), settings.angles)
+    draw = redraw(network, np.random.default_rng([order.seed, passed] if passed else order.seed), settings.angles)
     solution = adjust_network(with_stated_sigmas(draw.network, stated), settings)
     rng = np.random.default_rng([order.seed, 2])
     asked = questions(Posterior.of(solution), draw, stated, rng)
@@ -123,7 +139,7 @@ def one_seed(order: Order) -> Drawn:
         covariance = np.array([one for _, one in answers])
         squares[kind] = nees(error, covariance)
         errors[kind] = error / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    return Drawn(order, solution.converged, squares, errors)
+    return Drawn(order, solution.converged, squares, errors, passed)
 
 
 def with_stated_sigmas(network: Network, stated: float) -> Network:

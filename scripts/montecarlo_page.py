@@ -13,7 +13,7 @@ HEAD = f"""# Is the posterior right? A Monte-Carlo proof
 
 Each seed draws a truth (every orientation coefficient, profile shift, footprint and height above the terrain), then
 every measure, from the sigmas that the adjustment assumes; adjusts; and asks `mgsgraph.Posterior`. Its answers are held
-against the truth. Made by `scripts/montecarlo.py`; seeds 0 .. N-1, none left out.
+against the truth. Made by `scripts/montecarlo.py`; none left out.
 
 * *tie point*, *footprint*: {POINTS} of each, evenly spread. *position*, *pointing*: each image's pose at {LINES} lines;
   truth is the nominal orientation (+) the true corrections. *height difference*: {POINTS} pairs of points.
@@ -51,7 +51,14 @@ TITLES = {
 def page(drawn: Mapping[str, Sequence[Drawn]]) -> str:
     """The whole page."""
     found = {case: [judged(case, kind, draws) for kind in KINDS] for case, draws in drawn.items()}
-    parts = [HEAD, *summary(found, drawn), "", "![coverage, NEES and bias](montecarlo.png)", "", reading(found)]
+    every = [one for draws in drawn.values() for one in draws]
+    seeds, passed = [one.order.seed for one in every], sum(one.passed for one in every)
+    words = (
+        f"Seeds {min(seeds)} to {max(seeds)}. {passed} draws are no cases, as a point that is asked for lies beside "
+        "its image: such a seed is drawn again.\n"
+    )
+    parts = [HEAD, words, *summary(found, drawn), "",
+             "![coverage, NEES and bias](montecarlo.png)", "", reading(found)]  # fmt: skip
     for case, rows in found.items():
         parts += [f"## {TITLES[case]}", "", *case_table(rows), ""]
     return "\n".join([*parts, made_with(), ""])

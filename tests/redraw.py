@@ -1,20 +1,23 @@
 """A network drawn anew: the same geometry and sigmas, with a truth and observations from their stated distributions.
 
-Every orientation coefficient, shift and row is drawn from its stated sigma, so that the normalised estimation errors of
-the adjustment must average to one: the test of whether its sigmas are honest.
+Every orientation coefficient, shift, shared unknown and row is drawn from its stated sigma, so that the normalised
+estimation errors of the adjustment must average to one: the test of whether its sigmas are honest.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.shared import footprint_shifts
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import heights_above
-from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, Surface
+from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKind, Surface
+from mgsgraph.network.corrections import adjusted_image
+from mgsgraph.network.shared import image_effect
 from mgsgraph.simulation.strip_truth import drawn_nodes, strip_correction
 from mgsgraph.ties import PointKind
 
@@ -37,6 +40,17 @@ class Draw:
     lift: Array | None = None
     """(w,) m and rad, how the truth lies above and is tilted to the terrain model, as `Solution.lift` has it; None
     or empty where neither is unknown."""
+    shared: tuple[Array, ...] = ()
+    """(width,) true value of each unknown that images share."""
+    own: tuple[OrientationCorrection, ...] = ()
+    """The orientations without what images share."""
+
+    @property
+    def vector(self) -> Array:
+        """The truth in the order of an adjustment's vector: images without strips, shifts, shared unknowns."""
+        return np.concatenate([
+            *(one.coefficients.ravel() for one in self.own), self.shifts.ravel(), *self.shared
+        ])  # fmt: skip
 
 
 def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera") -> Draw:
@@ -56,16 +70,35 @@ def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera"
     InputError
         When a coefficient has no finite a-priori sigma, or a point isn't seen where it was.
     """
-    corrections = _drawn_corrections(network, rng, angles)
+    own = _drawn_corrections(network, rng, angles)
+    shared = tuple(rng.standard_normal(one.sigmas.size) * one.sigmas for one in network.shared)
+    corrections = _with_shared(network, own, shared, angles)
     terrain = _drawn_terrain(network.surface, rng)
     truth = _on_stereo(network, _true_places(network, terrain, rng), corrections, rng)
-    shifts, points = _drawn_points(network, truth, rng)
+    shifts, points = _drawn_points(network, truth, shared, rng)
     level = 2 if network.surface is not None and network.surface.shift_sigma else 0
     if network.terrain_moves:
         shifts = np.concatenate([shifts, np.pad(terrain[:level], (0, 2 - level))[None]])
-    rays = _drawn_rays(network, truth, points, corrections, rng)
-    ranges = _drawn_ranges(network, truth, corrections, rng)
-    return Draw(replace(network, points=points, rays=rays, ranges=ranges), corrections, shifts, truth, terrain[level:])
+    rays = _drawn_rays(network, truth, points, corrections, shared, rng)
+    ranges = _drawn_ranges(network, truth, corrections, shared, rng)
+    drawn = replace(network, points=points, rays=rays, ranges=ranges)
+    return Draw(drawn, corrections, shifts, truth, terrain[level:], shared, own)
+
+
+def _with_shared(
+    network: Network, own: tuple[OrientationCorrection, ...], shared: tuple[Array, ...], angles: Angles
+) -> tuple[OrientationCorrection, ...]:
+    """Corrections of images with what unknowns that they share do to them."""
+    found = list(own)
+    for one, value in zip(network.shared, shared, strict=True):
+        for j in one.images.tolist() if one.kind.moves_pose else ():
+            before, effect = found[j], np.tensordot(value, image_effect(network.images[j], one.kind, angles), 1)
+            polynomial = len(before.coefficients) - len(before.nodes or ())
+            rows = max(polynomial, len(effect))
+            whole = sum(np.pad(part, ((0, rows - len(part)), (0, 0)))
+                        for part in (before.coefficients[:polynomial], effect))  # fmt: skip
+            found[j] = replace(before, coefficients=np.vstack([whole, before.coefficients[polynomial:]]))
+    return tuple(found)
 
 
 def _drawn_terrain(surface: Surface | None, rng: np.random.Generator) -> Array:
@@ -142,13 +175,18 @@ def _on_stereo(
     return places
 
 
-def _drawn_points(network: Network, truth: Array, rng: np.random.Generator) -> tuple[Array, GroundPoints]:
-    """True shifts, and a-priori places that lack them and an error of their covariance."""
+def _drawn_points(
+    network: Network, truth: Array, shared: tuple[Array, ...], rng: np.random.Generator
+) -> tuple[Array, GroundPoints]:
+    """True shifts, and a-priori places that lack them, what shared unknowns move, and an error of their covariance."""
     points = network.points
     places, constrained = points.places.copy(), points.kinds == PointKind.CONSTRAINED
     roots = np.linalg.cholesky(points.covariances[constrained])
     noise = np.einsum("nij,nj->ni", roots, rng.standard_normal((roots.shape[0], 3)))
     places[constrained] = truth[constrained] - noise
+    known = np.where(constrained[:, None], truth, points.places)
+    moved = footprint_shifts(replace(network, points=replace(points, places=known)), shared)
+    places[constrained] -= moved[constrained]
     shifts = np.zeros((0, 2))
     if network.shifts is not None:
         shifts = rng.standard_normal((network.shifts.sigmas.size, 2)) * network.shifts.sigmas[:, None]
@@ -162,15 +200,18 @@ def _drawn_rays(
     truth: Array,
     points: GroundPoints,
     corrections: tuple[OrientationCorrection, ...],
+    shared: tuple[Array, ...],
     rng: np.random.Generator,
 ) -> ImageRays:
     rays = network.rays
     noise = rng.standard_normal(rays.places.shape) * rays.sigmas
     places = np.empty_like(rays.places)
     repeated = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=bool)
+    values = [np.zeros(0)] * network.first_shared + list(shared)
     for j, image in enumerate(network.images):
         drawn, copied = (rays.image == j) & ~repeated, (rays.image == j) & repeated
-        seen, _ = image.ground_to_image(truth[rays.point[drawn]], corrections[j], rays.places[drawn, 0])
+        true = adjusted_image(network, j, values)
+        seen, _ = true.ground_to_image(truth[rays.point[drawn]], corrections[j], rays.places[drawn, 0])
         places[drawn] = seen + noise[drawn]
         places[copied] = image.ground_to_image(points.places[rays.point[copied]])[0]
     for k in np.flatnonzero(~np.all(np.isfinite(places), axis=1))[:1]:
@@ -180,7 +221,8 @@ def _drawn_rays(
 
 
 def _drawn_ranges(
-    network: Network, truth: Array, corrections: tuple[OrientationCorrection, ...], rng: np.random.Generator
+    network: Network, truth: Array, corrections: tuple[OrientationCorrection, ...], shared: tuple[Array, ...],
+    rng: np.random.Generator,
 ) -> Ranges:
     ranges = network.ranges
     values = rng.standard_normal(ranges.values.size) * ranges.sigmas
@@ -191,4 +233,7 @@ def _drawn_ranges(
         correction, _ = corrections[j].at(image.moments(image.timing.lines(since)))
         eye = image.trajectory.pose(since).position + correction[:, :3]
         values[mine] += np.linalg.norm(truth[ranges.point[mine]] - eye, axis=1)
+    for one, value in zip(network.shared, shared, strict=True):
+        if one.kind is SharedKind.RANGE_BIAS:
+            values += value[0] * np.isin(ranges.image, one.images)
     return replace(ranges, values=values)

@@ -1,15 +1,20 @@
 """[[shared]] in a case file."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from redraw import redraw
+from sites import plain_site
 
 import mgsgraph
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.network import SharedKind
 from mgsgraph.reports.inventory import inventory
+from mgsgraph.simulation.files import write_site
 
 GOOD = """
 [[shared]]
@@ -93,3 +98,55 @@ def test_the_command_line_reports_them(case_file: Path, tmp_path: Path, capsys: 
     assert "Shared unknowns" in said
     assert "m on the ground there" in said
     assert (tmp_path / "out" / "shared.csv").is_file()
+
+
+# --- beams of rolled profiles
+
+
+@pytest.fixture
+def rolled(tmp_path: Path) -> Path:
+    """The case of Gusev, of whose two profiles one is rolled by 22 degrees, and which states no beam."""
+    path = write_site(plain_site(), tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace("beam_sigma_mrad = 0.0\n", ""), encoding="utf-8")
+    return path
+
+
+def beams(path: Path, stated: str = "", after: str = "ap19043l.b", laser: bool = True) -> dict[str, tuple[int, float]]:
+    """Image and sigma (mrad) of each beam of a case, with more text after the line of one of its profiles."""
+    text = path.read_text(encoding="utf-8")
+    there = path.with_name("stated.toml")
+    there.write_text(text.replace(f'"{after}"\n', f'"{after}"\n{stated}\n'), encoding="utf-8")
+    found = mgsgraph.read_case(there, laser=laser).network.shared
+    assert all(one.kind is SharedKind.ALTIMETER_BORESIGHT for one in found)
+    return {one.name: (int(one.images[0]), round(float(one.sigmas[0] * 1e3), 9)) for one in found}
+
+
+def test_the_beam_of_a_rolled_profile_is_an_unknown(rolled: Path) -> None:
+    default = {"beam of ap19043l": (1, 0.25)}
+    assert beams(rolled) == default
+    assert beams(rolled, laser=False) == {}
+    assert beams(rolled, "beam_sigma_mrad = 0.5") == {"beam of ap19043l": (1, 0.5)}
+    assert beams(rolled, "beam_sigma_mrad = 0") == beams(rolled, "ranges = false") == {}
+    (nadir,) = set(re.findall(r'pedr = "(.*)"', rolled.read_text(encoding="utf-8"))) - {"ap19043l.b"}
+    assert len(beams(rolled, "beam_sigma_mrad = 0.1", nadir)) == 2
+    with pytest.raises(InputError, match="without ranges"):
+        beams(rolled, "ranges = false\nbeam_sigma_mrad = 0.5")
+    both = '[[shared]]\nkind = "altimeter boresight"\nsigma_mrad = 1.0\n'
+    rolled.write_text(rolled.read_text(encoding="utf-8") + both, encoding="utf-8")
+    assert list(beams(rolled)) == ["altimeter boresight"]
+
+
+def test_a_rolled_profiles_heights_are_as_good_as_its_beam(rolled: Path) -> None:
+    """Adjusted without the beam from which they are drawn, they are off by many times what is stated."""
+    case = mgsgraph.read_case(rolled)
+    moved, _ = case.network.beams(case.network.shared[0])
+    squares = np.empty((12, 2))
+    for seed in range(12):
+        draw = redraw(case.network, np.random.default_rng(seed))
+        for k, net in enumerate((draw.network, replace(draw.network, shared=()))):
+            found = mgsgraph.adjust_network(net, case.settings)
+            error, up = found.places[moved] - draw.places[moved], draw.places[moved] / 3.39e6
+            height = np.einsum("ni,nij,nj->n", up, found.covariances[moved], up)
+            squares[seed, k] = np.mean(np.einsum("ni,ni->n", error, up) ** 2 / height)
+    assert 0.25 < squares[:, 0].mean() < 2.4  # chi-square with 12 degrees of freedom, 99%: a profile errs as one
+    assert squares[:, 1].mean() > 100.0

@@ -32,6 +32,7 @@ from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
 from mgsgraph.registration.tables import discrepancy_table, registration_table
 from mgsgraph.reports.analysis import components_table
+from mgsgraph.reports.likelihood import likelihood_table
 from mgsgraph.reports.plan import judged_table
 from mgsgraph.reports.reliability import reliability_table
 from mgsgraph.reports.shared import shared_table
@@ -88,6 +89,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "reliability.csv", reliability_table(reliability(linearised))
     yield "unexplained.csv", unexplained_table(unexplained(linearised))
     yield "components.csv", components_table(components_of(linearised))
+    yield "likelihood.csv", likelihood_table(())
     registration = _registration()
     yield "registration.csv", registration_table(registration)
     yield "discrepancy.csv", discrepancy_table(registration)

@@ -107,8 +107,8 @@ def families(rows: ResidualRows) -> Iterator[Family]:
             by_sample.append(_by_sample(rows, j, mine))
     yield from by_sample
     if len(by_sample) > 1:
-        together = [np.concatenate([getattr(one, name) for one in by_sample]) for name in ("rows", "columns")]
-        yield Family("all images", *together, by_sample[0].hypotheses)
+        rows_of, columns = (np.concatenate([getattr(one, name) for one in by_sample]) for name in ("rows", "columns"))
+        yield Family("all images", rows_of, columns, by_sample[0].hypotheses)
     yield from _of_terrain(rows)
     yield from _of_profiles(rows)
 

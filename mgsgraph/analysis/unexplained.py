@@ -238,7 +238,7 @@ class _Search:
     def _estimate(self, test: "_Test") -> tuple[Array, Array]:
         """Amplitudes (d,) of an effect and their covariance (d, d)."""
         chosen = list(test.hypothesis.columns)
-        inverse = np.linalg.pinv(test.judged.variance[np.ix_(chosen, chosen)], rcond=_SHOWN, hermitian=True)
+        inverse = _inverse(test.judged.variance[np.ix_(chosen, chosen)])
         return inverse @ test.judged.score[chosen], inverse
 
     def _named(self, best: _Test, count: int) -> Effect:
@@ -248,7 +248,7 @@ class _Search:
         if hypothesis.kind is EffectKind.JITTER:
             hypothesis, columns, shown = self._refined(best)
         variance = columns.T @ shown[family.rows]
-        inverse = np.linalg.pinv(variance, rcond=_SHOWN, hermitian=True)
+        inverse = _inverse(variance)
         estimate = inverse @ (columns.T @ self._residuals[family.rows])
         kind = hypothesis.kind
         before = self._clearest(kind)
@@ -305,10 +305,15 @@ class _Search:
         inner = np.stack([
             columns[:, 2 * k : 2 * k + 2].T @ shown[family.rows, 2 * k : 2 * k + 2] for k in range(_FINE)
         ])  # fmt: skip
-        gain = np.einsum("tk,tkj,tj->t", score, np.linalg.pinv(inner, rcond=_SHOWN, hermitian=True), score)
+        gain = np.einsum("tk,tkj,tj->t", score, _inverse(inner), score)
         k = int(np.argmax(gain))
         mine = slice(2 * k, 2 * k + 2)
         return best.hypothesis._replace(period=float(tried[k])), columns[:, mine], shown[:, mine]
+
+
+def _inverse(matrices: Array) -> Array:
+    """(..., d, d) inverses of symmetric matrices, of directions that residuals hardly show none."""
+    return np.asarray(np.linalg.pinv(matrices, rcond=_SHOWN, hermitian=True))
 
 
 def _chosen(network: Network) -> Index:

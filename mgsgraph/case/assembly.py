@@ -27,14 +27,22 @@ from mgsgraph.network import (
     PointClass,
     ProfileShifts,
     Ranges,
+    SharedKind,
     SharedUnknown,
     Surface,
 )
 from mgsgraph.network.observations import nominal_ground, require_inside
+from mgsgraph.network.shared import off_nadir
 from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.registration.footprints import footprints_in_images, points_in_images
 from mgsgraph.ties import PointKind, TiePoints
-from mgsgraph.units import MRAD
+from mgsgraph.units import DEG, MRAD
+
+_BEAM_SIGMA = 0.25
+"""mrad, about each axis, by which MOLA's beam may point elsewhere than its team took it to: its footprints are good to
+100 m (Kirk et al. 2002), seen from 400 km."""
+_OFF_NADIR = 2.0 * DEG
+"""From which that is an unknown by default: it lifts footprints by range * beam * sin(off-nadir), 3.5 m at 400 km."""
 
 
 class Parts:
@@ -50,8 +58,9 @@ class Parts:
         self._ranges: list[tuple[NDArray[Any], ...]] = []
         self._back_projected: list[Mask] = []
         self._shifts: list[tuple[str, float, Index]] = []
-        self.heights: list[SharedUnknown] = []
-        """Unknown heights and drifts of profiles."""
+        self.shared: list[SharedUnknown] = []
+        """Unknown heights and drifts of profiles, unknown pointing of their beams."""
+        self._beams: dict[int, tuple[str, float]] = {}
         self.footprints: dict[str, float] = {}
         """Diameter of the laser's spots on the ground, m, by profile."""
 
@@ -86,9 +95,10 @@ class Parts:
             own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
             self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
 
-    def add_mola(self, shots: AltimeterShots, wanted: MolaInput) -> AltimeterShots:
+    def add_mola(self, shots: AltimeterShots, wanted: MolaInput, pointed: frozenset[str]) -> AltimeterShots:
         """Shots of a MOLA profile that fall in an image: constrained points, with a range from the simultaneous image
-        and, if asked for, back-projected image coordinates. Returns the shots taken: all but the check points.
+        and, if asked for, back-projected image coordinates. Returns the shots taken: all but the check points. Images
+        in `pointed` have an altimeter's boresight already.
         """
         seen = footprints_in_images(self.images, shots)
         usable = shots.ground & np.isfinite(shots.ranges)
@@ -121,9 +131,32 @@ class Parts:
         if wanted.shift_sigma_m is not None:
             self._shifts.append((name, wanted.shift_sigma_m, np.arange(first, first + n)))
             self.footprints[name] = MOLA_FOOTPRINT
+        self._add_beam(name, taken, wanted, owner, pointed)
         if wanted.image_rows == "back-projected":
             self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)
         return taken
+
+    def _add_beam(
+        self, name: str, taken: AltimeterShots, wanted: MolaInput, owner: int | None, pointed: frozenset[str]
+    ) -> None:
+        """What a profile's beam points elsewhere in common, as an unknown; profiles along one image have one beam."""
+        sigma = wanted.beam_sigma_mrad
+        if owner is None or not wanted.ranges:
+            if sigma:
+                found = f"beam_sigma_mrad = {sigma:g} without ranges of an image taken along with the shots"
+                raise InputError(taken.source, found, "ranges = true and such an image", "take beam_sigma_mrad out")
+            return
+        image = self.images[owner]
+        if sigma is None:
+            off = off_nadir(image, taken.times - image.trajectory.epoch, taken.footprints)
+            sigma = _BEAM_SIGMA if np.median(off) > _OFF_NADIR and image.name not in pointed else 0.0
+        other, known = self._beams.setdefault(owner, (name, sigma))
+        if known != sigma:
+            found = f"beam_sigma_mrad of {known:g} and {sigma:g} mrad for {other} and {name}, both along {image.name}"
+            raise InputError(taken.source, found, "one number: they have one beam")
+        if sigma and other == name:
+            sigmas, along = np.full(3, sigma * MRAD), np.array([owner])
+            self.shared.append(SharedUnknown(f"beam of {name}", SharedKind.ALTIMETER_BORESIGHT, along, sigmas))
 
     def add_altimetry(self, cloud: AltimetryCloud, wanted: AltimetryInput) -> None:
         """Shots in an image or its margin: constrained points in profiles of unknown shift, height and drift."""
@@ -145,7 +178,7 @@ class Parts:
         for p, profile in enumerate(taken.profiles):
             full = f"{name}:{profile}"
             self._shifts.append((full, east, first + np.flatnonzero(taken.profile == p)))
-            self.heights.append(SharedUnknown.of_height(full, upward, wanted.drift_sigma_m))
+            self.shared.append(SharedUnknown.of_height(full, upward, wanted.drift_sigma_m))
             self.footprints[full] = taken.footprint
 
     def _add_back_projections(self, first: int, places: Array, inside: Mask, sigma: float) -> None:

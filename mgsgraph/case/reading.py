@@ -112,7 +112,7 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     radii, areoid, models = _read_terrain(wanted, path, images)
     network = parts.network(priors, held, radii, areoid, next(iter(wanted.terrain_models), None))
     network = _with_strips(network, wanted, of_strips, path)
-    network = _with_shared(network, wanted, path, laser, parts.heights)
+    network = _with_shared(network, wanted, path, laser, parts.shared)
     network = _with_considered(network, wanted, path, laser)
     _require_same_heights(network, wanted, path)
     _require_seeing_images(network)
@@ -172,18 +172,18 @@ def _with_considered(network: Network, wanted: CaseInput, path: Path, laser: boo
 
 
 def _with_shared(
-    network: Network, wanted: CaseInput, path: Path, laser: bool, heights: Sequence[SharedUnknown]
+    network: Network, wanted: CaseInput, path: Path, laser: bool, of_profiles: Sequence[SharedUnknown]
 ) -> Network:
-    """The network with the unknowns that its images share, and with heights of profiles; those of the laser go with its
-    rows.
+    """The network with the unknowns that its images share, and with heights and beams of profiles; those of the laser
+    go with its rows.
     """
-    if not (wanted.shared or heights):
+    if not (wanted.shared or of_profiles):
         return network
     names = [image.name for image in network.images]
     shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
     if not laser:
         shared = tuple(one for one in shared if not one.kind.of_laser)
-    shared += tuple(heights)
+    shared += tuple(of_profiles)
     with errors_from(str(path)):
         network = replace(network, shared=shared)
         network.require_observed()
@@ -239,7 +239,9 @@ def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterSh
         parts.add_profile(read_lidar(path.parent / group.file), group)
     for altimetry in wanted.altimetry:
         parts.add_altimetry(read_altimetry(altimetry, path.parent, parts.images[0].body), altimetry)
-    return tuple(parts.add_mola(read_mola(entry, path.parent), entry) for entry in wanted.mola)
+    stated = [one for one in wanted.shared if one.kind == "altimeter boresight"]
+    pointed = frozenset(name for one in stated for name in one.images or [image.name for image in wanted.images])
+    return tuple(parts.add_mola(read_mola(entry, path.parent), entry, pointed) for entry in wanted.mola)
 
 
 def read_mola(entry: MolaInput, folder: Path) -> AltimeterShots:

@@ -144,6 +144,9 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of each footprint's height, where it is another one than `ground_sigma_m`."""
     shift_sigma_m: Sigma | None = None
     """Sigma of the profile's common horizontal error, which becomes an unknown; absent: none."""
+    beam_sigma_mrad: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] | None = None
+    """Sigma of what its beam points elsewhere in common, about each axis of the camera flown with it: an unknown; 0:
+    none; absent: 0.25 where the shots have ranges and lie more than 2 degrees off nadir, else none."""
     image_rows: Literal["none", "back-projected"] = "none"
     """Image coordinates of the footprints: none, or their projections with the nominal orientation (the papers')."""
     image_sigma_px: Sigma = 30.0

@@ -70,7 +70,8 @@ def require_nothing_shared(network: Network) -> None:
     for one in network.shared:
         raise InputError(
             f"shared unknown {one.name!r}", f"{one.kind} in what is adjusted image by image",
-            "orientation and shifts alone", "adjust such a case as a whole (`mgsgraph adjust`), or take [[shared]] out",
+            "orientation and shifts alone",
+            "adjust such a case as a whole (`mgsgraph adjust`), or take [[shared]] out and state beam_sigma_mrad = 0",
         )
     for strip in network.strips:
         raise InputError(

@@ -226,6 +226,15 @@ def beam_motion(image: PushbroomImage, times: Array, footprints: Array) -> Array
     return np.cross(pose.matrix, (footprints - pose.position)[:, None])
 
 
+def off_nadir(image: PushbroomImage, times: Array, footprints: Array) -> Array:
+    """(n,) rad by which the laser's beam is off the vertical (from the body's centre) at the footprint; arguments as of
+    `beam_motion`.
+    """
+    arm = footprints - image.trajectory.pose(times).position
+    sizes = np.linalg.norm(arm, axis=1) * np.linalg.norm(footprints, axis=1)
+    return np.asarray(np.arccos(np.clip(-np.einsum("nc,nc->n", arm, footprints) / sizes, -1.0, 1.0)))
+
+
 def ground_shift(image: PushbroomImage, kind: SharedKind) -> Array:
     """(kind.width, 3) m per s or rad: how far the ground moves that the middle of an image shows (or, by the
     altimeter's boresight, a footprint there), level with the ellipsoid.

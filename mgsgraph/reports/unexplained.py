@@ -21,7 +21,7 @@ def unexplained_table(found: Unexplained) -> Table:
     return Table("unexplained", "What the adjustment cannot explain", (
         Column("kind", [str(one.kind) for one in every], meaning="what it is"),
         Column("where", [one.where for one in every], meaning="image, profile, model, kind of rows"),
-        Column("named", ["yes" if k < named else "" for k in range(len(every))], meaning="yes: beyond the level of a run"),
+        Column("named", ["yes" if k < named else "" for k in range(len(every))], meaning="yes: p below the level"),
         Column("p", numbers(every, "p_value"), meaning="chance of anything as clear in a whole run on good data"),
         Column("quantity", [one.quantity for one in every], meaning="what varies: line, sample; up, east and north"),
         Column("amplitude", numbers(every, "amplitude"),

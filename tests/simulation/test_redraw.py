@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface
 from redraw import redraw
+from sharing import with_all_kinds
 from sites import plain_site
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -35,17 +36,17 @@ def test_without_noise_the_truth_fits_exactly() -> None:
         assert 0.6 < np.sqrt(np.mean(error**2)) < 1.4
 
 
-@pytest.mark.parametrize("extended", [False, True])
-def test_normalised_errors_average_to_one(extended: bool) -> None:
+@pytest.mark.parametrize("extended", ["", "shift and surface", "all that images share"])
+def test_normalised_errors_average_to_one(extended: str) -> None:
     net = network(pair(ties=30, shots=12))
     net = with_shift_and_surface(net) if extended else net
+    net = with_all_kinds(net) if extended.startswith("all") else net
     shared, points, cost = [], [], []
     for seed in range(12):
         draw = redraw(net, np.random.default_rng(seed))
         solution = adjust_network(draw.network, SolverSettings())
-        truth = [part.coefficients.ravel() for part in draw.corrections] + [draw.shifts.ravel()]
-        found = [part.ravel() for part in solution.coefficients] + [solution.shifts.ravel()]
-        error = np.concatenate(found) - np.concatenate(truth)
+        found = [part.ravel() for part in (*solution.coefficients, solution.shifts, *solution.shared)]
+        error = np.concatenate(found) - draw.vector
         shared.append(nees(error[None], solution.joint_covariance.dense()[None])[0] / error.size)
         points.append(nees(solution.places - draw.places, solution.covariances).mean() / 3.0)
         cost.append(2.0 * solution.cost_final / solution.fit.degrees_of_freedom)
