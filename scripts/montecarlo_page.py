@@ -54,8 +54,8 @@ def page(drawn: Mapping[str, Sequence[Drawn]]) -> str:
     every = [one for draws in drawn.values() for one in draws]
     seeds, passed = [one.order.seed for one in every], sum(one.passed for one in every)
     words = (
-        f"Seeds {min(seeds)} to {max(seeds)}. {passed} draws are no cases, as a point of theirs lies beside its image: "
-        "such a seed is drawn again.\n"
+        f"Seeds {min(seeds)} to {max(seeds)}. {passed} draws are no cases, as a point that is asked for lies beside "
+        "its image: such a seed is drawn again.\n"
     )
     parts = [HEAD, words, *summary(found, drawn), "",
              "![coverage, NEES and bias](montecarlo.png)", "", reading(found)]  # fmt: skip

@@ -22,8 +22,6 @@ from mgsgraph.simulation.strip_truth import drawn_nodes, strip_correction
 from mgsgraph.ties import PointKind
 
 _HEIGHT_STEPS = 20
-_MOST_PASSED = 20
-"""Draws of one seed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,19 +99,6 @@ def _with_shared(
                         for part in (before.coefficients[:polynomial], effect))  # fmt: skip
             found[j] = replace(before, coefficients=np.vstack([whole, before.coefficients[polynomial:]]))
     return tuple(found)
-
-
-def redraw_by_seed(network: Network, seed: int, angles: Angles = "camera") -> tuple[Draw, int]:
-    """The first draw of a seed in which each image still shows its points, and how many were passed over: with an
-    orientation by which a point lies beside its image, it would not have been measured there.
-    """
-    for passed in range(_MOST_PASSED):
-        try:
-            return redraw(network, np.random.default_rng([seed, passed] if passed else seed), angles), passed
-        except InputError:
-            if passed == _MOST_PASSED - 1:
-                raise
-    raise AssertionError  # the loop returns or raises
 
 
 def _drawn_terrain(surface: Surface | None, rng: np.random.Generator) -> Array:

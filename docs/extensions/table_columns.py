@@ -31,6 +31,7 @@ from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
 from mgsgraph.registration.tables import discrepancy_table, registration_table
 from mgsgraph.reports.analysis import components_table
+from mgsgraph.reports.likelihood import likelihood_table
 from mgsgraph.reports.plan import judged_table
 from mgsgraph.reports.reliability import reliability_table
 from mgsgraph.reports.shared import shared_table
@@ -85,6 +86,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "strips.csv", nodes_table(solution)
     yield "reliability.csv", reliability_table(reliability(linearised))
     yield "components.csv", components_table(components_of(linearised))
+    yield "likelihood.csv", likelihood_table(())
     registration = _registration()
     yield "registration.csv", registration_table(registration)
     yield "discrepancy.csv", discrepancy_table(registration)

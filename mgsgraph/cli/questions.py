@@ -48,6 +48,10 @@ _WEAK = 5
 @click.option("--snoop", is_flag=True, help="Adjust again without what data snooping finds.")
 @click.option("--alpha", type=float, help="Baarda's level, share of false alarms; 0.001 when absent.")
 @click.option("--power", type=float, help="Share of minimal detectable blunders that are found; 0.8 when absent.")
+@click.option(
+    "--likelihood", multiple=True, metavar="NAME",
+    help="Intervals of an image's, shift's or shared unknown's numbers by the likelihood, without linear propagation.",
+)  # fmt: skip
 @click.option("--weak", type=click.IntRange(1), metavar="N", help="N directions of which least was learnt, in words.")
 @click.option("--out", type=PATH, help="Folder for analysis.json, tables and figures; made anew.")
 @NO_FIGURES
@@ -72,6 +76,7 @@ def analyze(
     snoop: bool,
     alpha: float | None,
     power: float | None,
+    likelihood: tuple[str, ...],
     weak: int | None,
     out: Path | None,
     no_figures: bool,
@@ -93,7 +98,7 @@ def analyze(
     if out is not None:
         require_replaceable(out, ANALYSIS)
     nothing = not (points or pairs or poses or pose_pairs or projections or pixels or curves or raster or components
-                   or iterate or reliability or snoop or weak)  # fmt: skip
+                   or iterate or reliability or snoop or likelihood or weak)  # fmt: skip
     tested = nothing or bool(reliability) or snoop
     require_used("--image, --cell-m", bool(images) or cell_m is not None, raster, "--raster")
     require_used("--raster", raster, out is not None, "--out FOLDER, for the GeoTIFF")
@@ -109,8 +114,8 @@ def analyze(
         correlations, 0.95 if probability is None else probability,
     )  # fmt: skip
     wanted = Wanted(
-        questions, curves, images if raster else None, cell_m, sigma, components or iterate or nothing, iterate,
-        reliability or (_SUMMARY if nothing else 0), snoop, weak or (_WEAK if nothing else 0),
+        questions, curves, images if raster else None, cell_m, sigma, components or iterate or nothing, likelihood,
+        iterate, reliability or (_SUMMARY if nothing else 0), snoop, weak or (_WEAK if nothing else 0),
         Levels(0.001 if alpha is None else alpha, 0.8 if power is None else power),
     )  # fmt: skip
     name, posterior, warning = read_posterior(adjusted)

@@ -85,6 +85,10 @@ def demo(
 @click.option("--out", type=PATH, required=True, help="Folder for the files; absent or empty.")
 @_SEED
 @_ATTITUDE_TIME_BIAS
+@click.option(
+    "--world", "effects", metavar="EFFECT,...",
+    help="What the world does besides: beam, drift, pulse, tracks, orbit, jitter, matching; or all of them: all.",
+)  # fmt: skip
 @click.option("--no-pictures", is_flag=True, help="Uniform grey images, which are enough for geometry.")
 @click.option("--images", type=int, help="Of a strip: number of images, 2 to 500.  [default: 40]")
 @click.option("--ties", type=int, help="Of a strip: new tie points with each further image.  [default: 2000]")
@@ -94,6 +98,7 @@ def simulate(
     out: Path,
     seed: int,
     attitude_time_bias: float | None,
+    effects: str | None,
     no_pictures: bool,
     images: int | None,
     ties: int | None,
@@ -107,12 +112,16 @@ def simulate(
     case.toml in it is what `mgsgraph adjust`, `mgsgraph register` and `mgsgraph coregister` take; truth.json says what
     they should find. Errors are drawn from the sigmas that case.toml states; an attitude time bias, which it doesn't
     know of, comes on top: 0.95 s move the nadir image by the 325 m of the papers' text.
+
+    --world adds errors of the real world: beams that point elsewhere than their attitude says, shifts of profiles that
+    drift, pulses broadened by slopes, terrain models interpolated between tracks, orbits wrong alike, cameras that
+    vibrate (1.5 pixels), matches that err together. What can be known of them by a sigma, case.toml states.
     """
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.demo.simulate import simulation_options, strip_settings, write_simulation
 
-    options = simulation_options(site, attitude_time_bias, not no_pictures)
-    strip = strip_settings(site, images, ties, steps)
+    options = simulation_options(site, attitude_time_bias, not no_pictures, effects=effects)
+    strip = strip_settings(site, images, ties, steps, options.world)
     with stage_bar(2) as stages:
         case = write_simulation(site, out, seed, options, strip, steps, stages)
     click.echo(f"The case is {case}; the truth lies beside it in truth.json")

@@ -14,6 +14,7 @@ from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
 from mgsgraph.simulation.three_sites import simulate_three_sites
+from mgsgraph.simulation.world import EFFECTS, STRIP_EFFECTS, World
 from mgsgraph.stages import Stages
 
 PAIR = "pair"
@@ -31,22 +32,35 @@ _T = TypeVar("_T")
 
 
 def simulation_options(
-    site: str, attitude_time_bias: float | None = None, pictures: bool = True, known: Sequence[str] = SIMULATED
+    site: str,
+    attitude_time_bias: float | None = None,
+    pictures: bool = True,
+    known: Sequence[str] = SIMULATED,
+    effects: str | None = None,
 ) -> SimulationOptions:
-    """Options of a simulation; InputError unless the site is among the `known` ones, and can have them."""
+    """Options of a simulation; InputError unless the site is among the `known` ones, and can have them. `effects` are
+    those of `World`, with commas between, or "all".
+    """
     if site not in known:
         raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
     if site not in SITE_NAMES and attitude_time_bias is not None:
         raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
-    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
+    world = World.of(EFFECTS if effects == "all" else effects.split(",") if effects is not None else ())
+    able = STRIP_EFFECTS if site == STRIP else EFFECTS if site in SITE_NAMES else ()
+    for name in world.effects if effects != "all" else ():
+        if name not in able:
+            raise InputError("world", f"{name!r} for {site}", f"one of {', '.join(able) or 'none'}", "leave it out")
+    if effects == "all":
+        world = World.of(able)
+    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures, world=world)
 
 
-def strip_settings(site: str, images: int | None, ties: int | None, steps: bool) -> StripSettings:
+def strip_settings(site: str, images: int | None, ties: int | None, steps: bool, world: World) -> StripSettings:
     """Settings of a strip, the default ones of what isn't given; InputError where another site is given any."""
     given: dict[str, Any] = {name: value for name, value in (("images", images), ("ties", ties)) if value is not None}
     for name in (*given, *(["steps"] if steps else [])) if site != STRIP else ():
         raise InputError(name, f"given for {site}", f"the site {STRIP}", "leave it out")
-    return replace(StripSettings(), **given)
+    return replace(StripSettings(), world=world if site == STRIP else World(), **given)
 
 
 def write_simulation(

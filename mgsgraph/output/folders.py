@@ -42,7 +42,7 @@ TABLES = (
     "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
     REGISTRATION, "registration.csv", "discrepancy.csv",
     PLAN, "plan.csv",
-    ANALYSIS, "components.csv", "components_iterated.csv", "reliability.csv", "sigmas.tif",
+    ANALYSIS, "components.csv", "components_iterated.csv", "reliability.csv", "likelihood.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
     DEM, "dem.tif", "ortho.tif", "shots.csv",

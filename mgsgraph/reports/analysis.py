@@ -20,6 +20,7 @@ from mgsgraph.output.csv_json import write_json
 from mgsgraph.output.folders import ANALYSIS, PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.reports.answers import Answer, Questions, answered
+from mgsgraph.reports.likelihood import likelihood_section, linearity_section
 from mgsgraph.reports.reliability import (
     reliability_record,
     reliability_table,
@@ -53,7 +54,9 @@ class Wanted:
     sigma: float = 1.0
     """px, of the measures of the raster's points."""
     honesty: bool = False
-    """Global test, variance components, statistics of residuals."""
+    """Global test, variance components, statistics of residuals; linearity."""
+    likelihood: tuple[str, ...] = ()
+    """Images, shifts and shared unknowns whose intervals by the likelihood are wanted."""
     iterated: bool = False
     """Variance components by adjusting again and again."""
     suspects: int = 0
@@ -90,6 +93,9 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
         yield raster_section(posterior, wanted.raster, wanted.cell, wanted.sigma)
     if wanted.honesty:
         yield _honesty(posterior, name)
+        yield linearity_section(posterior)
+    if wanted.likelihood:
+        yield likelihood_section(posterior, wanted.likelihood)
     if wanted.iterated:
         yield _iterated(posterior)
     if wanted.suspects:

@@ -87,13 +87,11 @@ def _ties(simulated: SimulatedSite) -> Tables:
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
-    """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case. Their beams
-    point where they say.
-    """
-    lines = Tables()
+    """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
+    lines, beam = Tables(), round(simulated.options.world.beam / MRAD, 6)
     for image in simulated.images:
         name = image.settings.name
-        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, beam_sigma_mrad=0.0, **sigmas)
+        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, beam_sigma_mrad=beam, **sigmas)
     return lines
 
 

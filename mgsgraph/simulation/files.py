@@ -190,6 +190,7 @@ def _site_truth(simulated: SimulatedSite) -> dict[str, Any]:
     return {
         "site": simulated.settings.name,
         "seed": simulated.seed,
+        "world": list(simulated.options.world.effects),
         "images": {image.true.name: _image_truth(image) for image in images},
         "ties": dict(zip(simulated.ties.ids, simulated.true_ties.tolist(), strict=True)),
         "footprints": {
@@ -217,10 +218,17 @@ def _image_truth(image: SimulatedImage) -> dict[str, Any]:
         "profile": {
             "pedr": pedr_file(image),
             "shift_east_north_m": profile.shift.tolist(),
+            "drift_east_north_m": profile.drift.tolist(),
+            "beam_x_y_rad": profile.beam.tolist(),
             "ground_shots_inside": image.settings.shots,
         },
+        "vibration": None if image.vibration is None else {
+            "period_s": image.vibration.period,
+            "amplitudes_pitch_roll_rad": list(image.vibration.amplitudes),
+            "phases_rad": list(image.vibration.phases),
+        },
         "sun": image.sun.tolist(),
-    }
+    }  # fmt: skip
 
 
 def _poses(image: PushbroomImage) -> dict[str, Any]:

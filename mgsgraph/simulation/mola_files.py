@@ -289,7 +289,8 @@ class MegdrLayout:
 
 def write_megdr(folder: Path, name: str, layout: MegdrLayout, posts: Iterable[Array]) -> None:
     """Write ``name.img`` and ``name.lbl`` to a folder that exists, or replace them: ``megr...`` for radii of the
-    planet, ``megt...`` for topography. `posts` (m) are the grid's rows from the north, some at a time.
+    planet, ``megt...`` for topography, ``megc...`` for shots in each cell. `posts` (m, or numbers) are the grid's rows
+    from the north, some at a time.
     """
     with (folder / f"{name}.img").open("wb") as file:
         for rows in posts:

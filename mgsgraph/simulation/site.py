@@ -6,23 +6,25 @@ differs from truth by `sites.KernelErrors` (kernels), one horizontal shift of ea
 and noise (tie points, ranges, pictures). Each is drawn from the sigma that the case states (`case_files`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.simulation.camera import moc_image
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import Picture, render
 from mgsgraph.simulation.laser_spot import ranges_over_spots
 from mgsgraph.simulation.mars import sun_direction
 from mgsgraph.simulation.mola_files import PedrFrames
-from mgsgraph.simulation.observations import MARGIN, require_positive, require_seed, shared_ties
+from mgsgraph.simulation.observations import MARGIN, project, require_positive, require_seed, shared_ties
 from mgsgraph.simulation.orbit import SitePass, nominal_trajectory, site_pass, true_trajectory
 from mgsgraph.simulation.sites import (
     SHIFT_SIGMA,
@@ -35,6 +37,7 @@ from mgsgraph.simulation.sites import (
 )
 from mgsgraph.simulation.spice_files import clock_count, ephemeris_time
 from mgsgraph.simulation.terrain import terrain_grid
+from mgsgraph.simulation.world import Vibration, World, common_errors, drawn_vibration, of_tracks, vibrating
 from mgsgraph.ties import TiePoints
 
 SOURCE = "simulated site"
@@ -48,6 +51,8 @@ _MOLA_ORBIT = 10_000
 """What MOLA adds to MGS's mapping orbit."""
 _SHOT_INTERVAL = 0.1
 """s between two shots."""
+_SHOT_SPACING = 300.0
+"""m between two shots on the ground, about."""
 _BEYOND = 6.0
 """s, at least, by which a profile is longer than its image at either end."""
 _ALTIMETER_AXIS = np.array([4e-4, -6e-4, 1.0])
@@ -84,6 +89,8 @@ class SimulationOptions:
     """posts per degree of the terrain grid."""
     pictures: bool = True
     """Render the images; otherwise they are of one grey, which is enough for geometry."""
+    world: World = field(default_factory=World)
+    """What the world does besides."""
 
     def __post_init__(self) -> None:
         if self.errors not in get_args(Errors):
@@ -108,6 +115,11 @@ class SimulatedProfile(PedrFrames):
     """(n, 2, 2) line and sample of these in each of the two images; NaN where unseen."""
     shift: Array
     """(2,) m east and north, by which all given footprints lie off."""
+    drift: Array
+    """(2,) m east and north, by how much more they do at the profile's end than in its middle."""
+    beam: Array
+    """(2,) rad about the axes x and y of the camera beside it, by which the beam is turned from where its attitude has
+    it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +142,8 @@ class SimulatedImage:
     """(lines, samples) grey values."""
     profile: SimulatedProfile
     """Shots of the simultaneous profile."""
+    vibration: Vibration | None = None
+    """Of the camera; None for none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +160,8 @@ class SimulatedSite:
     """True ground."""
     grid: TerrainGrid
     """The ground as a grid of radii has it, shifted and with noise."""
+    counts: Array | None
+    """(rows, columns) shots in each of the grid's cells; None where all were measured."""
     images: tuple[SimulatedImage, SimulatedImage]
     """Left and right as in PE&RS."""
     ties: TiePoints
@@ -188,24 +204,40 @@ def simulate_site(
     require_seed("simulated site", seed)
     terrain = terrain or make_terrain(settings.name, seed)
     streams = np.random.default_rng([seed, 3, SITE_NAMES.index(settings.name)]).spawn(9)
+    world, mine = options.world, (seed, SITE_NAMES.index(settings.name))
+    orbit = world.orbit * world.stream("orbit", *mine).standard_normal(3)
     flights = [
-        _flight(settings, image, options, terrain, rng) for image, rng in zip(settings.images, streams[7:], strict=True)
+        _flight(settings, image, options, terrain, orbit, rng)
+        for image, rng in zip(settings.images, streams[7:], strict=True)
     ]
     pairs = [_images(*given) for given in zip(settings.images, flights, streams[:2], strict=True)]
-    true = (pairs[0][0], pairs[1][0])
+    shaken = world.stream("jitter", *mine)
+    vibrations = [drawn_vibration(world, one, shaken) if world.jitter else None for one, _ in pairs]
+    first, second = (
+        vibrating(one, vibration) if vibration else one for (one, _), vibration in zip(pairs, vibrations, strict=True)
+    )
+    true = (first, second)
     drawn = streams[2].uniform(MARGIN, np.array([true[0].lines, true[0].samples]) - MARGIN, (8 * settings.ties, 2))
     ground = terrain.intersect(*true[0].rays(drawn[:, 0], drawn[:, 1])[:2])
     ties, points = shared_ties(SOURCE, true, (None, None), ground, settings.ties, options.tie_noise, streams[2])
+    if world.matching:
+        exact = project(true, (None, None), points)[0].reshape(-1, 2)
+        image, rng = np.arange(len(exact)) % 2, world.stream("matching", *mine)
+        ties = replace(ties, measures=exact + common_errors(world, ties.measures - exact, image, exact, rng))
     images = []
     for k, (image, (_, errors, _, count)) in enumerate(zip(settings.images, flights, strict=True)):
         sun = sun_direction(true[k].trajectory.epoch)
         pixels = np.full((image.lines, image.samples), 120, dtype=np.uint8)
         if options.pictures:
             pixels = render(true[k], terrain, None, sun, streams[3 + k])
-        profile = _profile(k, true, image, terrain, options, streams[5 + k])
-        images.append(SimulatedImage(image, errors, count, *pairs[k], sun, pixels, profile))
-    grid = terrain_grid(terrain, options.resolution, _GRID_REACH)
-    return SimulatedSite(settings, options, seed, terrain, grid, (images[0], images[1]), ties, points)
+        profile = _profile(k, true, image, terrain, options, (*mine, k), streams[5 + k])
+        images.append(SimulatedImage(image, errors, count, true[k], pairs[k][1], sun, pixels, profile, vibrations[k]))
+    grid, counts = terrain_grid(terrain, options.resolution, _GRID_REACH), None
+    if world.tracks:
+        sides = grid.latitude_step * terrain.metres_per_radian[1], grid.longitude_step * terrain.metres_per_radian[0]
+        radii, measured = of_tracks(grid.radii, sides, world.tracks, world.stream("tracks", *mine))
+        grid, counts = replace(grid, radii=radii), np.where(measured, max(1, round(sides[0] / _SHOT_SPACING)), 0)
+    return SimulatedSite(settings, options, seed, terrain, grid, counts, (images[0], images[1]), ties, points)
 
 
 def _flight(
@@ -213,9 +245,12 @@ def _flight(
     image: ImageSettings,
     options: SimulationOptions,
     terrain: SiteTerrain,
+    orbit: Array,
     rng: np.random.Generator,
 ) -> tuple[SitePass, KernelErrors, float, str]:
-    """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count."""
+    """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count; `orbit` (3,)
+    m is wrong with both images' positions, radial, along and across the flight.
+    """
     count, start = clock_count(ephemeris_time(image.start))
     middle = terrain.on_ground(np.array([site.longitude]), np.array([site.latitude]))[0]
     emission = options.emission if image.held else None
@@ -223,6 +258,8 @@ def _flight(
     errors = image.errors
     if options.errors == "drawn":
         errors = drawn_errors(site.prior(image), errors.noise, rng)
+    if np.any(orbit):
+        errors = replace(errors, position=errors.position + np.eye(len(errors.position), 1) * orbit)
     if options.attitude_time_bias is not None and not image.held:
         errors = replace(errors, attitude_time_bias=options.attitude_time_bias)
     return flown, errors, start, count
@@ -245,13 +282,15 @@ def _profile(
     settings: ImageSettings,
     terrain: SiteTerrain,
     options: SimulationOptions,
+    seed: tuple[int, ...],
     rng: np.random.Generator,
 ) -> SimulatedProfile:
-    """Shots along with one of the images, by its number, at ten a second in whole frames.
+    """Shots along with one of the images, by its number, at ten a second in whole frames; `seed` is of the world's.
 
-    Where the file says that a footprint is, lacks its jitter, and has the profile's shift and a height of its own.
+    Where the file says that a footprint is, lacks its jitter and the beam's pointing error, and has the profile's shift
+    and a height of its own.
     """
-    image = images[number]
+    image, world = images[number], options.world
     epoch, edges = image.trajectory.epoch, image.timing.at(np.array([0.0, float(image.lines)]))[0]
     frames = int(np.ceil((edges[1] - edges[0] + 2.0 * _BEYOND) / (_SHOT_INTERVAL * SHOTS_PER_FRAME)))
     count = frames * SHOTS_PER_FRAME
@@ -264,6 +303,7 @@ def _profile(
     beams = aimed + np.einsum("nk,nkj->nj", jitter, east_north(aimed)) - pose.position
     beams /= np.linalg.norm(beams, axis=1, keepdims=True)
     ranges, spread = ranges_over_spots(terrain, pose.position, beams)
+    broad = world.pulse * spread * world.stream("pulse", *seed).standard_normal(count)
     points = pose.position + ranges[:, None] * beams
     pixels = np.stack([each.ground_to_image(points)[0] for each in images], axis=1)
     ground = _ground_returns(pixels[:, number], image, settings, rng)
@@ -271,7 +311,11 @@ def _profile(
     cloud *= np.linalg.norm(pose.position, axis=1)
     met = points - cloud[:, None] * beams  # where the pulse came back from
     common = SHIFT_SIGMA * rng.standard_normal(2)
-    given = _displaced(met, np.column_stack([common - jitter, options.height_noise * rng.standard_normal(count)]))
+    beam = world.beam * world.stream("beam", *seed).standard_normal(2)
+    drift = world.drift * world.stream("drift", *seed).standard_normal(2)
+    believed = _believed(met, broad, pose, beam)
+    off = common + np.linspace(-1.0, 1.0, count)[:, None] * drift - jitter
+    given = _displaced(believed, np.column_stack([off, options.height_noise * rng.standard_normal(count)]))
     longitude, latitude, _ = planetocentric(given).T
     nadir = -pose.position / np.linalg.norm(pose.position, axis=1, keepdims=True)
     return SimulatedProfile(
@@ -283,11 +327,24 @@ def _profile(
         spacecraft=pose.position,
         off_nadir=np.arccos(np.einsum("ni,ni->n", beams, nadir)),
         shift=common,
+        drift=drift,
+        beam=beam,
         spread=spread,
         footprints=given,
-        ranges=np.linalg.norm(met - pose.position, axis=1) + options.range_noise * rng.standard_normal(count),
+        ranges=np.linalg.norm(met - pose.position, axis=1) + broad + options.range_noise * rng.standard_normal(count),
         areoid_radii=terrain.areoid_radius(longitude, latitude),
     )
+
+
+def _believed(met: Array, longer: Array, pose: Pose, beam: Array) -> Array:
+    """(n, 3) m, where shots that met the ground at (n, 3) are believed to have met it: by ranges longer by (n,) m, and
+    along beams without their rotation (2,) in rad about the camera's axes x and y.
+    """
+    rays = met - pose.position
+    rays = rays * (1.0 + longer / np.linalg.norm(rays, axis=1))[:, None]
+    back = rotation.exponential(np.append(beam, 0.0)).T
+    seen = np.einsum("nij,nj->ni", pose.matrix, rays) @ back.T
+    return np.asarray(pose.position + np.einsum("nji,nj->ni", pose.matrix, seen))
 
 
 def _ground_returns(pixels: Array, image: PushbroomImage, settings: ImageSettings, rng: np.random.Generator) -> Mask:
