@@ -4,7 +4,8 @@ Every row and every orientation coefficient is drawn anew from its stated sigma 
 network is adjusted, and the errors are normalised by the stated covariances: per degree of freedom their mean is one if
 the sigmas are honest. Writes a table, docs/nees.md by default.
 
-    python scripts/nees.py [--draws 100] [--sites eos gusev isidis] [--cases rigorous no-terrain papers] [--out FILE]
+    python scripts/nees.py [--draws 100] [--first 0] [--sites eos gusev isidis] [--cases rigorous no-terrain papers]
+                           [--out FILE]
 """
 
 import sys
@@ -19,7 +20,10 @@ import study
 from study import DOCS, at_least, chi_square_band, command, made_with, show, student, within, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.linearity import LINEAR
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.demo.truth import nees
 from mgsgraph.geometry.records import Array
@@ -31,8 +35,9 @@ from mgsgraph.simulation.sites import SITE_NAMES
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from redraw import redraw
 
-COLUMNS = ("orientation", "shifts", "ties", "laser", "squares")
-"""Orientation coefficients; shifts of profiles and terrain; tie points; footprints; weighted squares of all rows."""
+COLUMNS = ("orientation", "shifts", "likelihood ratio", "ties", "laser", "squares")
+"""Orientation coefficients; shifts of profiles and terrain; both by twice the rise of the cost at the truth; tie
+points; footprints; weighted squares of all rows."""
 CASES: dict[str, Weighting] = {"rigorous": "rigorous", "no-terrain": "rigorous", "papers": "papers"}
 """no-terrain is the rigorous case without its surface rows: what is left if these are at fault."""
 WORDS = """# NEES of the three sites
@@ -40,10 +45,14 @@ WORDS = """# NEES of the three sites
 Are the stated sigmas honest? Each draw takes the site's network (geometry, sigmas, terrain model), draws every
 orientation coefficient, profile shift, footprint, image measure, range and terrain height anew from its stated sigma,
 adjusts, and normalises the errors by the stated covariances (for sigma0 = 1). Per degree of freedom the mean is 1 if
-they are honest. Made by `scripts/nees.py`; seeds 0 .. N-1.
+they are honest. Made by `scripts/nees.py`; seeds {first} .. {last}.
 
 * *orientation*: all orientation coefficients jointly; *shifts*: those of the profiles and of the terrain model,
   jointly. Band: chi-square with N times their number of degrees of freedom.
+* *likelihood ratio*: orientation and shifts jointly, without linear error propagation: held at the truth, by how much
+  more than at the optimum twice the cost is, per unknown (`Likelihood.ratio`). Band: chi-square.
+* *linear*: by how much more than the joint error ellipsoid says the cost rises over draws from it (`Linearity.ratio`,
+  mean), and in how many draws `adjust` says that the ellipsoid may be used.
 * *ties*, *laser*: mean over the points of (error' C^-1 error) / 3. Points of one draw share its orientation, so that
   they are not independent; the draws are: 1 +- Student's 99% quantile times the scatter over the draws / sqrt(N).
 * *squares*: weighted squares of all rows over the degrees of freedom. Band: chi-square.
@@ -58,8 +67,12 @@ that of one of them and knows nothing of the others; a few draws in the wrong on
 whose median is below one. The terrain model's shift is therefore less certain than it says, and most so at Eos.
 A band that reaches below zero says that a few draws dominate: it tells nothing.
 Where *no-terrain* lies outside as well, as Eos' orientation does, its priors are too wide for linear error
-propagation: 3', 6' and 10' (twice that for the held image), equally wide along the image. (Tried once, 60 draws without
-terrain: 1.33 with these sigmas, 1.01 with half of them, 0.97 with a tenth.) The points are honest there.
+propagation: 3', 6' and 10' (twice that for the second image), equally wide along the image. (Tried once, 60 draws
+without terrain: 1.33 with these sigmas, 1.01 with half of them, 0.97 with a tenth.) The likelihood ratio of the same
+draws is in its band, `adjust` says that the case is not linear, and the points are honest there. Single coefficients'
+intervals by the likelihood are those by the covariance to 0.5 % (`mgsgraph analyze RESULT --likelihood IMAGE`): what
+bends is the valley between them. (The other sites without terrain are a little bent, too, 1.04 to 1.05: within what
+counts as linear, and over 200 draws at the edge of the band.)
 """
 PAPERS = """
 `papers` has no band. Its MOLA image rows are projections of the footprints with the *nominal* orientation: they say
@@ -78,7 +91,9 @@ class Campaign:
     site: str
     case: str
     values: Array
-    """(draws, 5), see COLUMNS."""
+    """(draws, 6), see COLUMNS."""
+    linear: Array
+    """(draws,) ratios of linearity."""
     degrees: tuple[int, ...]
     """Degrees of freedom of each column in one draw."""
     failures: int
@@ -87,18 +102,19 @@ class Campaign:
     """Wall time."""
 
 
-def campaign(site: str, case: str, network: Network, settings: SolverSettings, draws: int) -> Campaign:
-    """Adjust `draws` draws of a network."""
-    start, values, failures = time.perf_counter(), np.empty((draws, len(COLUMNS))), 0
-    for seed in range(draws):
-        values[seed], degrees, converged = one_draw(network, settings, seed)
-        failures += not converged
-        show(f"{site} {case}: draw {seed + 1} of {draws}")
-    return Campaign(site, case, values, degrees, failures, time.perf_counter() - start)
+def campaign(site: str, case: str, network: Network, settings: SolverSettings, seeds: range) -> Campaign:
+    """Adjust draws of a network."""
+    start, values, linear, failures = time.perf_counter(), np.empty((len(seeds), len(COLUMNS))), list[float](), 0
+    for k, seed in enumerate(seeds):
+        values[k], degrees, solution = one_draw(network, settings, seed)
+        failures += not solution.converged
+        linear.append(solution.linearity.ratio if solution.linearity else float("nan"))
+        show(f"{site} {case}: draw {k + 1} of {len(seeds)}")
+    return Campaign(site, case, values, np.array(linear), degrees, failures, time.perf_counter() - start)
 
 
-def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[list[float], tuple[int, ...], bool]:
-    """Normalised errors of one draw, their degrees of freedom, and whether the adjustment came to rest."""
+def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[list[float], tuple[int, ...], Solution]:
+    """Normalised errors of one draw, their degrees of freedom, and the adjustment."""
     draw = redraw(network, np.random.default_rng(seed), settings.angles)
     solution = adjust_network(draw.network, settings)
     found = [one.ravel() for one in (*solution.coefficients, solution.shifts, *solution.shared)]
@@ -115,9 +131,17 @@ def one_draw(network: Network, settings: SolverSettings, seed: int) -> tuple[lis
     members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
     points = [nees((solution.places - draw.places)[one], solution.covariances[one]) for one in members]
     freedom = solution.fit.degrees_of_freedom
+    names = [*(image.name for image in network.images), *network.shift_names, *(one.name for one in network.shared)]
+    truth = dict(zip(names, (*(one.coefficients for one in draw.own), *draw.shifts, *draw.shared), strict=True))
+    for j in np.flatnonzero(network.held).tolist():
+        del truth[names[j]]
+    ratio = Posterior.of(solution).likelihood.ratio(truth)
+    shared.append(ratio.squares / ratio.degrees)
     values = [*shared, *(float(one.mean()) / 3.0 for one in points), solution.fit.squares / freedom]
-    degrees = (orientation, error.size - orientation, *(3 * one.size for one in points), freedom)
-    return values, degrees, solution.converged
+    degrees = (
+        orientation, error.size - orientation, ratio.degrees, *(3 * one.size for one in points), freedom
+    )  # fmt: skip
+    return values, degrees, solution
 
 
 def shared_nees(error: Array, covariance: Array) -> float:
@@ -130,7 +154,7 @@ def bands(found: Campaign) -> list[tuple[float, float]]:
     draws = found.values.shape[0]
     result = []
     for k, name in enumerate(COLUMNS):
-        if name in ("orientation", "shifts", "squares") and found.degrees[k]:
+        if name not in ("ties", "laser") and found.degrees[k]:
             result.append(chi_square_band(draws * found.degrees[k]))
         else:
             half = student(0.01, draws - 1) * found.values[:, k].std(ddof=1) / np.sqrt(draws)
@@ -147,26 +171,31 @@ def table(found: list[Campaign]) -> list[str]:
             cells = [f"{mean:.3g}" for mean in means]
         else:
             cells = [within(mean, band) for mean, band in zip(means, bands(one), strict=True)]
-        rows.append((one.site, one.case, str(draws), *cells, str(one.failures), f"{one.seconds / draws:.1f}"))
-    return study.table(("site", "case", "N", *COLUMNS, "not converged", "s per draw"), rows)
+        told = one.linear[np.isfinite(one.linear)]
+        good = int(np.sum((told <= LINEAR) & (told >= 1.0 / LINEAR)))
+        linear = f"{told.mean():.2f}, {good} of {told.size}"
+        rows.append((one.site, one.case, str(draws), *cells, linear, str(one.failures), f"{one.seconds / draws:.1f}"))
+    return study.table(("site", "case", "N", *COLUMNS, "linear", "not converged", "s per draw"), rows)
 
 
 def page(wanted: Namespace) -> str:
     """All campaigns, and their page."""
-    found = []
+    found, seeds = [], range(wanted.first, wanted.first + wanted.draws)
     with tempfile.TemporaryDirectory() as folder:
         for site in wanted.sites:
             simulated = simulate_site(site, 1, SimulationOptions("published", pictures=False))
             for case in wanted.cases:
                 read = read_case(write_site(simulated, Path(folder, site), CASES[case]))
                 network = replace(read.network, surface=None) if case == "no-terrain" else read.network
-                found.append(campaign(site, case, network, read.settings, wanted.draws))
-    return "\n".join([WORDS, *table(found), READING, PAPERS, made_with(), ""])
+                found.append(campaign(site, case, network, read.settings, seeds))
+    words = WORDS.format(first=seeds[0], last=seeds[-1])
+    return "\n".join([words, *table(found), READING, PAPERS, made_with(), ""])
 
 
 def main() -> int:
     parser = command(__doc__)
     parser.add_argument("--draws", type=at_least(2), default=100, help="2 or more, to know their scatter")
+    parser.add_argument("--first", type=at_least(0), default=0, help="first seed")
     parser.add_argument("--sites", nargs="+", choices=SITE_NAMES, default=SITE_NAMES)
     parser.add_argument("--cases", nargs="+", choices=tuple(CASES), default=tuple(CASES))
     parser.add_argument("--out", type=Path, default=DOCS / "nees.md")

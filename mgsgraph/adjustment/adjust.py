@@ -14,6 +14,8 @@ from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.bundle import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.shared import shared_values, shift_values, strip_values
+from mgsgraph.adjustment.linearity import MOST_POINTS, MOST_UNKNOWNS, Linearity, linearity
+from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.passes import (
     Progress,
     Selection,
@@ -38,7 +40,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import Reduction
-from mgsgraph.kernel.rows import FIXED, PRIOR
+from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.support import require_observed_nodes
 
@@ -248,6 +250,8 @@ def _posterior(
         joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
         covariances = point_covariances(layout, rows, orientation, solved.points, joint, sweeper)
     clock.stop("covariance")
+    straight = _linearity(layout, solved, joint, sweeper)
+    clock.stop("linearity")
     shifts, lift = shift_values(network, layout.variables, orientation)
     coefficients = tuple(
         orientation[layout.columns_of(j)].reshape(-1, 6) if own else np.zeros_like(network.priors[j].sigmas)
@@ -295,7 +299,20 @@ def _posterior(
         nodes=nodes,
         trends=trends,
         lift=lift,
+        linearity=straight,
     )
+
+
+def _linearity(layout: Layout, solved: Solved, joint: JointCovariance, sweeper: Sweeper) -> Linearity | None:
+    """Whether the joint covariance may be used; None of large networks, and of costs that are no sums of squares."""
+    large = len(layout.network.points) > MOST_POINTS or layout.columns > MOST_UNKNOWNS
+    if large or layout.model.loss != NO_LOSS or not solved.outcome.converged:
+        return None
+    graph = BundleGraph(layout, solved.rows, sweeper)
+    at = solved.reduction or graph.reduction(solved.orientation, points=solved.points)
+    if layout.prior.considered:
+        joint = orientation_covariance(graph, at, consider=False)
+    return linearity(graph, at, joint.square_root)
 
 
 def _blanked(layout: Layout, values: Array, determined: Mask) -> Array:

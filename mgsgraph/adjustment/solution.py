@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.linearity import Linearity
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
@@ -101,6 +102,9 @@ class Solution:
     lift: Array | None = None
     """(w,) m and rad, of the terrain model's upward shift and of its tilts about east and north those that are unknown
     (`Surface.terms` after the horizontal shift); None where none is."""
+    linearity: Linearity | None = None
+    """Whether the joint covariance may be used for statements about the shared unknowns together; None where nobody has
+    looked (large networks, robust losses, no optimum; `Likelihood.linearity` looks), or an older version didn't say."""
 
     @property
     def stereo_used(self) -> Mask:

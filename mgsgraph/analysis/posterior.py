@@ -26,6 +26,7 @@ from mgsgraph.analysis.estimates import (
     covariance,
     together,
 )
+from mgsgraph.analysis.likelihood import Likelihood
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
@@ -182,6 +183,11 @@ class Posterior:
         found = point_covariances(layout.rows, groups, target, layout.model, orientation, pairs, places)
         found[~good], places[~good] = np.nan, np.nan
         return layout.network_order(places), layout.network_order(found)
+
+    @cached_property
+    def likelihood(self) -> Likelihood:
+        """Likelihood ratios and profiles of the shared unknowns, where linear error propagation fails."""
+        return Likelihood(self.linearised)
 
     # --- what they are made of
 

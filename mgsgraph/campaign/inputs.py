@@ -131,7 +131,7 @@ def _named(wanted: CaseInput, folder: Path) -> Iterator[str]:
             yield from (several,) if isinstance(several, str) else several
         others = (terrain.topography, terrain.areoid, terrain.leap_seconds)
         yield from (name for name in others if name is not None)
-        yield from count_files(terrain, folder)
+        yield from () if terrain.counts is True else count_files(terrain, folder)
 
 
 def _kernels(wanted: CaseInput) -> Iterator[str]:

@@ -40,6 +40,7 @@ _WEAK = 5
 @click.option("--image", "images", multiple=True, metavar="IMAGE", help="Images of the raster, two or more; else all.")
 @click.option("--cell-m", type=float, help="Side of the raster's cells.")
 @click.option("--sigma-px", type=float, help="Of the measures of new points (--pixel, --raster); 1 when absent.")
+@click.option("--unexplained", is_flag=True, help="What the adjustment can't explain, by name, with the term to add.")
 @click.option("--components", is_flag=True, help="Are the sigmas honest? Global test, variance components, residuals.")
 @click.option("--iterate", is_flag=True, help="Variance components until they come to rest: adjusts again and again.")
 @click.option(
@@ -48,6 +49,10 @@ _WEAK = 5
 @click.option("--snoop", is_flag=True, help="Adjust again without what data snooping finds.")
 @click.option("--alpha", type=float, help="Baarda's level, share of false alarms; 0.001 when absent.")
 @click.option("--power", type=float, help="Share of minimal detectable blunders that are found; 0.8 when absent.")
+@click.option(
+    "--likelihood", multiple=True, metavar="NAME",
+    help="Intervals of an image's, shift's or shared unknown's numbers by the likelihood, without linear propagation.",
+)  # fmt: skip
 @click.option("--weak", type=click.IntRange(1), metavar="N", help="N directions of which least was learnt, in words.")
 @click.option("--out", type=PATH, help="Folder for analysis.json, tables and figures; made anew.")
 @NO_FIGURES
@@ -66,20 +71,23 @@ def analyze(
     images: tuple[str, ...],
     cell_m: float | None,
     sigma_px: float | None,
+    unexplained: bool,
     components: bool,
     iterate: bool,
     reliability: int | None,
     snoop: bool,
     alpha: float | None,
     power: float | None,
+    likelihood: tuple[str, ...],
     weak: int | None,
     out: Path | None,
     no_figures: bool,
 ) -> None:
     """Ask the covariance of SOLUTION_OR_PROJECT (results of `mgsgraph adjust`, or a project).
 
-    Without a question: the global test, variance components, the most suspicious measures, and what is weak. Sigmas
-    are for sigma0 = 1, as the a-priori sigmas imply. Nothing of what is asked is changed.
+    Without a question: what the adjustment cannot explain, the global test, variance components, the most suspicious
+    measures, and what is weak. Sigmas are for sigma0 = 1, as the a-priori sigmas imply. Nothing of what is asked is
+    changed.
 
     Exit status: 0, also where tests fail; 2 bad input.
     """
@@ -92,8 +100,8 @@ def analyze(
 
     if out is not None:
         require_replaceable(out, ANALYSIS)
-    nothing = not (points or pairs or poses or pose_pairs or projections or pixels or curves or raster or components
-                   or iterate or reliability or snoop or weak)  # fmt: skip
+    nothing = not (points or pairs or poses or pose_pairs or projections or pixels or curves or raster or unexplained
+                   or components or iterate or reliability or snoop or likelihood or weak)  # fmt: skip
     tested = nothing or bool(reliability) or snoop
     require_used("--image, --cell-m", bool(images) or cell_m is not None, raster, "--raster")
     require_used("--raster", raster, out is not None, "--out FOLDER, for the GeoTIFF")
@@ -109,8 +117,9 @@ def analyze(
         correlations, 0.95 if probability is None else probability,
     )  # fmt: skip
     wanted = Wanted(
-        questions, curves, images if raster else None, cell_m, sigma, components or iterate or nothing, iterate,
-        reliability or (_SUMMARY if nothing else 0), snoop, weak or (_WEAK if nothing else 0),
+        questions, curves, images if raster else None, cell_m, sigma, unexplained or nothing,
+        components or iterate or nothing, likelihood,
+        iterate, reliability or (_SUMMARY if nothing else 0), snoop, weak or (_WEAK if nothing else 0),
         Levels(0.001 if alpha is None else alpha, 0.8 if power is None else power),
     )  # fmt: skip
     name, posterior, warning = read_posterior(adjusted)

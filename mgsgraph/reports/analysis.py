@@ -20,6 +20,7 @@ from mgsgraph.output.csv_json import write_json
 from mgsgraph.output.folders import ANALYSIS, PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.reports.answers import Answer, Questions, answered
+from mgsgraph.reports.likelihood import likelihood_section, linearity_section
 from mgsgraph.reports.reliability import (
     reliability_record,
     reliability_table,
@@ -28,6 +29,7 @@ from mgsgraph.reports.reliability import (
     snooping_text,
 )
 from mgsgraph.reports.sigmas import Section, curve_section, raster_section
+from mgsgraph.reports.unexplained import unexplained_section
 
 if TYPE_CHECKING:
     from mgsgraph.figures.sheet import Sheet
@@ -52,8 +54,12 @@ class Wanted:
     """m, side of the raster's cells."""
     sigma: float = 1.0
     """px, of the measures of the raster's points."""
+    unexplained: bool = False
+    """Tests of the residuals against time, sample, slope, height and neighbours."""
     honesty: bool = False
-    """Global test, variance components, statistics of residuals."""
+    """Global test, variance components, statistics of residuals; linearity."""
+    likelihood: tuple[str, ...] = ()
+    """Images, shifts and shared unknowns whose intervals by the likelihood are wanted."""
     iterated: bool = False
     """Variance components by adjusting again and again."""
     suspects: int = 0
@@ -88,8 +94,13 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
         yield curve_section(posterior, image)
     if wanted.raster is not None:
         yield raster_section(posterior, wanted.raster, wanted.cell, wanted.sigma)
+    if wanted.unexplained:
+        yield unexplained_section(posterior)
     if wanted.honesty:
         yield _honesty(posterior, name)
+        yield linearity_section(posterior)
+    if wanted.likelihood:
+        yield likelihood_section(posterior, wanted.likelihood)
     if wanted.iterated:
         yield _iterated(posterior)
     if wanted.suspects:

@@ -14,6 +14,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.output.page import write_page
 from mgsgraph.output.table import NONE
 from mgsgraph.registration.case import CaseRegistration, register_case, registration_statements
+from mgsgraph.reports.likelihood import linearity_figure
 from mgsgraph.reports.page_comparison import compare
 from mgsgraph.reports.page_tables import inputs_table, settings_table, tables, versions_table
 from mgsgraph.reports.summary import statements
@@ -133,6 +134,7 @@ def _key_figures(solution: Solution) -> list[tuple[str, str]]:
     return [
         ("state", "converged" if solution.converged else "NOT CONVERGED"),
         ("sigma0", sigma0),
+        *linearity_figure(solution.linearity),
         ("cost", f"{solution.cost_initial:.4g} → {solution.cost_final:.4g}"),
         ("degrees of freedom", str(fit.degrees_of_freedom)),
         ("images", str(len(network.images))),

@@ -27,6 +27,7 @@ from mgsgraph.output.csv_json import plain, write_json
 from mgsgraph.output.folders import PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import ARCHIVE, write_archive
 from mgsgraph.reports.control import control_json
+from mgsgraph.reports.likelihood import linearity_json
 from mgsgraph.reports.shared import shared_table
 from mgsgraph.reports.strips import nodes_table, strips_table
 from mgsgraph.reports.summary import statements
@@ -144,6 +145,7 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "cost_final": solution.cost_final,
         "sigma0": solution.sigma0,
         "degrees_of_freedom": fit.degrees_of_freedom,
+        "linearity": linearity_json(solution.linearity),
         "observations": fit.observations,
         "unknowns": fit.unknowns,
         "images": [_image(solution, j, rays) for j in range(len(network.images))],

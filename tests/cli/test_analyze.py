@@ -36,7 +36,9 @@ def test_the_summary_says_what_is_wrong_and_what_is_weak(result: Path, tmp_path:
     for words in ("Global test", "tie image points", "By suspicion", "Of what least was learnt"):
         assert words in said
     record = json.loads((tmp_path / "analysis" / "analysis.json").read_text(encoding="utf-8"))
-    assert {"honesty", "reliability", "weak"} <= set(record)
+    assert {"unexplained", "honesty", "reliability", "weak"} <= set(record)
+    tested = (tmp_path / "analysis" / "unexplained.csv").read_text(encoding="utf-8").splitlines()
+    assert len(tested) == 1 + len(record["unexplained"][0]["effects"]) > 1
     redundancy = record["reliability"][0]["redundancy"]
     assert redundancy == pytest.approx(record["honesty"][0]["global_test"]["degrees_of_freedom"], abs=1e-4)
     assert redundancy == pytest.approx(read_solution(result).fit.degrees_of_freedom, abs=1e-4)
@@ -45,6 +47,17 @@ def test_the_summary_says_what_is_wrong_and_what_is_weak(result: Path, tmp_path:
     again = call("analyze", result, "--weak", 1, "--out", tmp_path / "analysis", "--no-figures")  # an earlier one goes
     assert "Global test" not in again
     assert [path.name for path in (tmp_path / "analysis").iterdir()] == ["analysis.json"]
+
+
+def test_intervals_by_the_likelihood(result: Path, tmp_path: Path, call: Called) -> None:
+    image = read_solution(result).network.images[0].name
+    said = call("analyze", result, "--likelihood", image, "--out", tmp_path / "analysis", "--no-figures")
+    assert "constant pitch" in said
+    rows = json.loads((tmp_path / "analysis" / "analysis.json").read_text(encoding="utf-8"))["likelihood"][0]
+    assert len(rows) == read_solution(result).coefficients[0].size
+    assert all(row["low_99"] < row["low_95"] < row["value"] < row["high_95"] < row["high_99"] for row in rows)
+    assert rows[0]["ratio"] == pytest.approx(1.0, abs=0.02)
+    assert (tmp_path / "analysis" / "likelihood.csv").exists()
 
 
 def test_questions_are_answered_in_their_order(result: Path, tmp_path: Path, call: Called) -> None:

@@ -165,6 +165,15 @@ class Frames:
             result[rows] = self.of(image).turn @ (directions[rows] * scales[:, None])
         return result
 
+    def along(self, column: int) -> Array:
+        """(columns,) per m and rad of the components, amount along the axis of a column."""
+        result = np.zeros(self.layout.columns)
+        result[column] = 1.0
+        for image, rows, _ in self._blocks():
+            if rows.start <= column < rows.stop:
+                result[rows] = self.of(image).turn[column - rows.start]
+        return result
+
     def moved(self, columns: slice, directions: Array) -> Array:
         """(c, k) m, what directions (c, k) on the columns of whole variables move, axis by axis.
 
