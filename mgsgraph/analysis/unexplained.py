@@ -6,8 +6,9 @@ one place counts as many tests as it has hypotheses (Bonferroni), and all famili
 false alarm, `LEVEL` for a whole run. The clearest effect is named, its share is taken out of the residuals and of their
 covariance, and the rest is tested again: what it had brought about elsewhere goes with it.
 
-Errors that are simply larger than stated would look like every effect at once. So each test is held against Fisher's
-law, too, with the scatter of the residuals of the same points, and the larger p-value counts.
+Errors that are simply larger than stated would look like every effect at once. So a test has to be clear by Fisher's
+law, too, with the scatter that the residuals of the same points have: then a run names nothing with a probability of
+1 - `_OWN_LEVEL` whatever the sigmas are. That scatter holds the effects themselves, so its level is a wider one.
 """
 
 import math
@@ -37,6 +38,8 @@ _SHOWN = 1e-3
 """Share of an effect that residuals have to show: below, it is absorbed by the unknowns."""
 _ALIKE = 0.8
 """Share of the named effect's test from which on another, which is gone with it, can't be told apart from it."""
+_OWN_LEVEL = 0.2
+"""Probability that a run names anything where errors are larger than stated, but nothing else."""
 _LEAST_REST = 1e-3
 """Share of the squares that an effect leaves at the least."""
 _FINE = 9
@@ -113,17 +116,11 @@ class _Judged:
         for width in np.unique(widths).tolist():
             mine = np.flatnonzero(widths == width)
             chosen = np.array([hypotheses[k].columns for k in mine.tolist()])
-            size = np.sqrt(self.size[chosen])
-            inner = self.variance[chosen[:, :, None], chosen[:, None, :]]
-            scaled = inner / np.maximum(size[:, :, None] * size[:, None, :], np.finfo(float).tiny)
-            values, vectors = np.linalg.eigh(scaled)
-            seen = values > _SHOWN
-            turned = np.einsum("tkd,tk->td", vectors, self.score[chosen] / np.maximum(size, np.finfo(float).tiny))
-            weighted = np.where(seen, turned / np.where(seen, values, 1.0), 0.0)
-            statistic, degrees = np.einsum("td,td->t", turned, weighted), seen.sum(axis=1)
-            single = _p_values(statistic, degrees, squares, self.freedom)
+            inverse, degrees = solved(self.variance[chosen[:, :, None], chosen[:, None, :]], self.size[chosen])
+            statistic = np.einsum("td,tde,te->t", self.score[chosen], inverse, self.score[chosen])
+            stated, own = _p_values(statistic, degrees, squares, self.freedom)
             found += [
-                _Test(self, hypotheses[k], float(statistic[n]), int(degrees[n]), float(single[n]))
+                _Test(self, hypotheses[k], float(statistic[n]), int(degrees[n]), float(stated[n]), float(own[n]))
                 for n, k in enumerate(mine.tolist())
             ]
         return found
@@ -142,24 +139,41 @@ class _Test:
     degrees: int
     single: float
     """p-value of this test alone."""
+    own: float
+    """The same with the scatter that the residuals have."""
 
     @property
     def p_value(self) -> float:
         """Of all hypotheses of its family."""
         return self.single * len(self.judged.family.hypotheses)
 
+    def named(self, count: int, level: float) -> bool:
+        """Whether it is to be named, one of `count` families."""
+        every = count * len(self.judged.family.hypotheses)
+        return every * self.single <= level and every * self.own <= _OWN_LEVEL
 
-def _p_values(statistic: Array, degrees: Index, squares: float, freedom: float) -> Array:
-    """Larger one of the p-values by chi-square and, with the scatter of residuals of a sum of squares and a redundancy,
-    by Fisher's law.
+
+def solved(variance: Array, size: Array) -> tuple[Array, Index]:
+    """Inverses (t, d, d) of the covariances of scores, whose columns have square sums (t, d), without the directions
+    that residuals hardly show; and how many (t,) they show.
     """
+    scale = 1.0 / np.sqrt(np.maximum(size, np.finfo(np.float64).tiny))
+    values, vectors = np.linalg.eigh(variance * scale[:, :, None] * scale[:, None, :])
+    seen = values > _SHOWN
+    vectors = vectors * scale[:, :, None]
+    weight = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
+    return np.einsum("tik,tk,tjk->tij", vectors, weight, vectors), seen.sum(axis=1)
+
+
+def _p_values(statistic: Array, degrees: Index, squares: float, freedom: float) -> tuple[Array, Array]:
+    """By chi-square, and by Fisher's law with the scatter of residuals of a sum of squares and a redundancy."""
     from scipy.special import chdtrc, fdtrc  # slow to import
 
     left, count = freedom - degrees, np.maximum(degrees, 1)
     tested = (degrees > 0) & (left > 0.0)
     rest = np.maximum(squares - statistic, _LEAST_REST * squares) / np.where(tested, left, 1.0)
-    sure = fdtrc(count, np.where(tested, left, 1.0), statistic / count / np.maximum(rest, np.finfo(float).tiny))
-    return np.where(tested, np.maximum(chdtrc(count, statistic), sure), 1.0)
+    own = fdtrc(count, np.where(tested, left, 1.0), statistic / count / np.maximum(rest, np.finfo(np.float64).tiny))
+    return np.where(tested, chdtrc(count, statistic), 1.0), np.where(tested, own, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,9 +232,10 @@ class _Search:
         named, count = list[Effect](), len(self._judged) + 3  # kinds of rows whose correlation is tested at last
         while True:
             tests = [min(one.tests(self._residuals), key=lambda test: test.single) for one in self._judged]
-            best = min(tests, key=lambda test: test.p_value, default=None)
-            if best is None or best.p_value * count > self._level or len(named) == _MOST_NAMED:
+            clear = [test for test in tests if test.named(count, self._level)]
+            if not clear or len(named) == _MOST_NAMED:
                 break
+            best = min(clear, key=lambda test: test.p_value)
             named.append(self._named(best, count))
         last = [
             Effect(
@@ -238,7 +253,7 @@ class _Search:
     def _estimate(self, test: "_Test") -> tuple[Array, Array]:
         """Amplitudes (d,) of an effect and their covariance (d, d)."""
         chosen = list(test.hypothesis.columns)
-        inverse = _inverse(test.judged.variance[np.ix_(chosen, chosen)])
+        inverse = solved(test.judged.variance[np.ix_(chosen, chosen)][None], test.judged.size[None, chosen])[0][0]
         return inverse @ test.judged.score[chosen], inverse
 
     def _named(self, best: _Test, count: int) -> Effect:
@@ -248,7 +263,7 @@ class _Search:
         if hypothesis.kind is EffectKind.JITTER:
             hypothesis, columns, shown = self._refined(best)
         variance = columns.T @ shown[family.rows]
-        inverse = _inverse(variance)
+        inverse = solved(variance[None], np.sum(columns**2, axis=0)[None])[0][0]
         estimate = inverse @ (columns.T @ self._residuals[family.rows])
         kind = hypothesis.kind
         before = self._clearest(kind)
@@ -261,7 +276,7 @@ class _Search:
             where + (f" (period {test.hypothesis.period:.2g} s)" if kind is EffectKind.JITTER else "")
             for where, test in before.items()
             if where != family.where and test.statistic > _ALIKE * best.statistic
-            and after[where].p_value * count > self._level
+            and not after[where].named(count, self._level)
         ]  # fmt: skip
         return self._effect(replace(best, hypothesis=hypothesis), count, estimate, inverse, tuple(alike))
 
@@ -279,7 +294,8 @@ class _Search:
         self, test: "_Test", count: int, estimate: Array, covariance: Array, alternatives: tuple[str, ...] = ()
     ) -> Effect:
         where, hypothesis = test.judged.family.where, test.hypothesis
-        amplitude = float(np.linalg.norm(estimate)) if estimate.size > 1 else float(estimate[0])
+        # sine and cosine, east and north; of two coordinates the larger one's
+        amplitude = float(estimate[0]) if estimate.size == 1 else float(np.hypot(estimate[::2], estimate[1::2]).max())
         return Effect(
             hypothesis.kind, where, min(1.0, test.p_value * count), amplitude, hypothesis.unit,
             _term(self._rows.at.network, where, hypothesis), float(np.sqrt(np.mean(np.diagonal(covariance)))),
@@ -299,21 +315,14 @@ class _Search:
         assert family.times is not None
         step = 0.5 / max(float(np.ptp(family.times)), 1e-9)
         tried = 1.0 / (1.0 / period + step * np.linspace(-0.8, 0.8, _FINE))
-        columns = np.concatenate([family.jitter(one) for one in tried.tolist()], axis=1)
-        shown = self._shown(family.rows, columns)
-        score = (columns.T @ self._residuals[family.rows]).reshape(-1, 2)
-        inner = np.stack([
-            columns[:, 2 * k : 2 * k + 2].T @ shown[family.rows, 2 * k : 2 * k + 2] for k in range(_FINE)
-        ])  # fmt: skip
-        gain = np.einsum("tk,tkj,tj->t", score, _inverse(inner), score)
-        k = int(np.argmax(gain))
-        mine = slice(2 * k, 2 * k + 2)
-        return best.hypothesis._replace(period=float(tried[k])), columns[:, mine], shown[:, mine]
-
-
-def _inverse(matrices: Array) -> Array:
-    """(..., d, d) inverses of symmetric matrices, of directions that residuals hardly show none."""
-    return np.asarray(np.linalg.pinv(matrices, rcond=_SHOWN, hermitian=True))
+        columns = [family.jitter(best.hypothesis, one) for one in tried.tolist()]
+        width = columns[0].shape[1]
+        shown = self._shown(family.rows, np.concatenate(columns, axis=1)).reshape(-1, _FINE, width).swapaxes(0, 1)
+        score = np.array([one.T @ self._residuals[family.rows] for one in columns])
+        inner = np.array([one.T @ other[family.rows] for one, other in zip(columns, shown, strict=True)])
+        inverse, _ = solved(inner, np.array([np.sum(one**2, axis=0) for one in columns]))
+        k = int(np.argmax(np.einsum("td,tde,te->t", score, inverse, score)))
+        return best.hypothesis._replace(period=float(tried[k])), columns[k], shown[k]
 
 
 def _chosen(network: Network) -> Index:
