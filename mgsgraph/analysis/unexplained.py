@@ -8,7 +8,7 @@ covariance, and the rest is tested again: what it had brought about elsewhere go
 
 Errors that are simply larger than stated would look like every effect at once. So a test has to be clear by Fisher's
 law, too, with the scatter that the residuals of the same points have: then a run names nothing with a probability of
-1 - `_OWN_LEVEL` whatever the sigmas are. That scatter holds the effects themselves, so its level is a wider one.
+1 - `OWN_LEVEL` whatever the sigmas are. That scatter holds the effects themselves, so its level is a wider one.
 """
 
 import math
@@ -21,7 +21,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.correlated import correlations
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
-from mgsgraph.analysis.systematic import EffectKind, Family, Hypothesis, families
+from mgsgraph.analysis.score_tests import Judged, Test, solved
+from mgsgraph.analysis.systematic import EffectKind, Hypothesis, families
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
@@ -34,14 +35,10 @@ _MOST_POINTS = 20_000
 """Points whose rows are tested; of a larger network some of each image and profile."""
 _PER_OWNER = 1000, 100
 """Of each image and profile at most, and where these are many at least."""
-_SHOWN = 1e-3
-"""Share of an effect that residuals have to show: below, it is absorbed by the unknowns."""
 _ALIKE = 0.8
 """Share of the named effect's test from which on another, which is gone with it, can't be told apart from it."""
-_OWN_LEVEL = 0.2
-"""Probability that a run names anything where errors are larger than stated, but nothing else."""
-_LEAST_REST = 1e-3
-"""Share of the squares that an effect leaves at the least."""
+_PAIR = 2
+"""Sine and cosine."""
 _FINE = 9
 """Periods tried about the best one."""
 
@@ -96,84 +93,18 @@ class Effect:
         return f"{self.where}: {how}, p = {self.p_value:.1g}): {self.kind}{other}; {self.term}"
 
 
-class _Judged:
-    """A family with what the residuals say of it, while others are named."""
-
-    def __init__(self, rows: ResidualRows, family: Family, residuals: Array) -> None:
-        self.family = family
-        self.score = family.columns.T @ residuals[family.rows]
-        self.variance = rows.variance(family.rows, family.columns)
-        self.size = np.einsum("qk,qk->k", family.columns, family.columns)
-        points = np.unique(rows.point[family.rows])
-        self.beside = np.flatnonzero(np.isin(rows.point, points[points >= 0]))
-        self.freedom = float(rows.redundancy[self.beside].sum())
-
-    def tests(self, residuals: Array) -> list["_Test"]:
-        """Of all hypotheses."""
-        squares = float(residuals[self.beside] @ residuals[self.beside])
-        found, hypotheses = list[_Test](), self.family.hypotheses
-        widths = np.array([len(one.columns) for one in hypotheses])
-        for width in np.unique(widths).tolist():
-            mine = np.flatnonzero(widths == width)
-            chosen = np.array([hypotheses[k].columns for k in mine.tolist()])
-            inverse, degrees = solved(self.variance[chosen[:, :, None], chosen[:, None, :]], self.size[chosen])
-            statistic = np.einsum("td,tde,te->t", self.score[chosen], inverse, self.score[chosen])
-            stated, own = _p_values(statistic, degrees, squares, self.freedom)
-            found += [
-                _Test(self, hypotheses[k], float(statistic[n]), int(degrees[n]), float(stated[n]), float(own[n]))
-                for n, k in enumerate(mine.tolist())
-            ]
-        return found
-
-    def without(self, cross: Array, inverse: Array, estimate: Array) -> None:
-        """Take an effect out: its covariance (k, d) with the columns, inverse (d, d) of its own, estimate (d,)."""
-        self.score = self.score - cross @ estimate
-        self.variance = self.variance - cross @ inverse @ cross.T
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Test:
-    judged: _Judged
-    hypothesis: Hypothesis
-    statistic: float
-    degrees: int
-    single: float
-    """p-value of this test alone."""
-    own: float
-    """The same with the scatter that the residuals have."""
+class Pattern:
+    """How the residuals go with an effect: for a picture."""
 
-    @property
-    def p_value(self) -> float:
-        """Of all hypotheses of its family."""
-        return self.single * len(self.judged.family.hypotheses)
-
-    def named(self, count: int, level: float) -> bool:
-        """Whether it is to be named, one of `count` families."""
-        every = count * len(self.judged.family.hypotheses)
-        return every * self.single <= level and every * self.own <= _OWN_LEVEL
-
-
-def solved(variance: Array, size: Array) -> tuple[Array, Index]:
-    """Inverses (t, d, d) of the covariances of scores, whose columns have square sums (t, d), without the directions
-    that residuals hardly show; and how many (t,) they show.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(size, np.finfo(np.float64).tiny))
-    values, vectors = np.linalg.eigh(variance * scale[:, :, None] * scale[:, None, :])
-    seen = values > _SHOWN
-    vectors = vectors * scale[:, :, None]
-    weight = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
-    return np.einsum("tik,tk,tjk->tij", vectors, weight, vectors), seen.sum(axis=1)
-
-
-def _p_values(statistic: Array, degrees: Index, squares: float, freedom: float) -> tuple[Array, Array]:
-    """By chi-square, and by Fisher's law with the scatter of residuals of a sum of squares and a redundancy."""
-    from scipy.special import chdtrc, fdtrc  # slow to import
-
-    left, count = freedom - degrees, np.maximum(degrees, 1)
-    tested = (degrees > 0) & (left > 0.0)
-    rest = np.maximum(squares - statistic, _LEAST_REST * squares) / np.where(tested, left, 1.0)
-    own = fdtrc(count, np.where(tested, left, 1.0), statistic / count / np.maximum(rest, np.finfo(np.float64).tiny))
-    return np.where(tested, chdtrc(count, statistic), 1.0), np.where(tested, own, 1.0)
+    effect: Effect
+    """Which."""
+    along: Array
+    """(n,) what they vary with: s within a period, px or m of the effect itself, distance of points."""
+    residuals: Array
+    """(n,) px or m, as they were when the effect was named; of a correlation its coefficient at each distance."""
+    shown: Array
+    """(n,) the part of it that the effect explains; of a correlation its sigma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +119,8 @@ class Unexplained:
     """Of each place and kind of rows the clearest of what isn't named, once the named effects are taken out."""
     tests: int
     """Number of tests."""
+    patterns: tuple[Pattern, ...] = ()
+    """Of each named effect."""
 
     def words(self) -> str:
         """What was found, a line for each effect."""
@@ -223,9 +156,10 @@ class _Search:
     def __init__(self, rows: ResidualRows, level: float) -> None:
         self._rows, self._level = rows, level
         self._residuals = rows.residuals.copy()
-        self._judged = [_Judged(rows, one, rows.residuals) for one in families(rows)]
+        self._judged = [Judged(rows, one, rows.residuals) for one in families(rows)]
         self._taken = list[tuple[Array, Array]]()
         """Of each named effect C g (r, d), once those before it are taken out, and the inverse of g' C g."""
+        self._patterns = list[Pattern]()
 
     def found(self) -> Unexplained:
         """All of it."""
@@ -237,26 +171,27 @@ class _Search:
                 break
             best = min(clear, key=lambda test: test.p_value)
             named.append(self._named(best, count))
-        last = [
-            Effect(
+        last = list[Effect]()
+        for one in correlations(self._rows, self._residuals, self._taken):
+            last.append(Effect(
                 EffectKind.CORRELATION, one.where, min(1.0, one.p_value * count), one.coefficient, one.unit, one.term,
                 one.sigma, one.quantity, one.length, one.statistic, 1,
-            )
-            for one in correlations(self._rows, self._residuals, self._taken)
-        ]  # fmt: skip
-        named += [one for one in last if one.p_value <= self._level]
+            ))  # fmt: skip
+            if last[-1].p_value <= self._level:
+                self._patterns.append(Pattern(last[-1], *(np.array(part) for part in zip(*one.course, strict=True))))
+        named += [one.effect for one in self._patterns[len(named) :]]
         others = [self._effect(test, count, *self._estimate(test)) for test in tests if test.degrees]
         others += [one for one in last if one.p_value > self._level]
         number = sum(len(one.family.hypotheses) for one in self._judged) + len(last)
-        return Unexplained(self._level, tuple(named), tuple(others), number)
+        return Unexplained(self._level, tuple(named), tuple(others), number, tuple(self._patterns))
 
-    def _estimate(self, test: "_Test") -> tuple[Array, Array]:
+    def _estimate(self, test: Test) -> tuple[Array, Array]:
         """Amplitudes (d,) of an effect and their covariance (d, d)."""
         chosen = list(test.hypothesis.columns)
         inverse = solved(test.judged.variance[np.ix_(chosen, chosen)][None], test.judged.size[None, chosen])[0][0]
         return inverse @ test.judged.score[chosen], inverse
 
-    def _named(self, best: _Test, count: int) -> Effect:
+    def _named(self, best: Test, count: int) -> Effect:
         family, hypothesis = best.judged.family, best.hypothesis
         columns = family.columns[:, list(hypothesis.columns)]
         shown = self._shown(family.rows, columns)
@@ -266,7 +201,7 @@ class _Search:
         inverse = solved(variance[None], np.sum(columns**2, axis=0)[None])[0][0]
         estimate = inverse @ (columns.T @ self._residuals[family.rows])
         kind = hypothesis.kind
-        before = self._clearest(kind)
+        before, pattern = self._clearest(kind), self._pattern(best.judged, hypothesis, columns, shown, estimate)
         self._residuals -= shown @ estimate
         self._taken.append((shown, inverse))
         for one in self._judged:
@@ -278,11 +213,30 @@ class _Search:
             if where != family.where and test.statistic > _ALIKE * best.statistic
             and not after[where].named(count, self._level)
         ]  # fmt: skip
-        return self._effect(replace(best, hypothesis=hypothesis), count, estimate, inverse, tuple(alike))
+        effect = self._effect(replace(best, hypothesis=hypothesis), count, estimate, inverse, tuple(alike))
+        self._patterns.append(Pattern(effect, *pattern))
+        return effect
 
-    def _clearest(self, kind: EffectKind) -> dict[str, "_Test"]:
+    def _pattern(
+        self, judged: Judged, hypothesis: Hypothesis, columns: Array, shown: Array, estimate: Array
+    ) -> tuple[Array, Array, Array]:
+        """What the residuals vary with, they, and what the effect explains of them, in px or m."""
+        family, rows = judged.family, self._rows
+        unit = np.where(rows.scale > 0.0, rows.scale, np.linalg.norm(rows.by_point, axis=1))[family.rows]
+        wave = hypothesis.kind is EffectKind.JITTER and estimate.size == 2 * _PAIR
+        part = slice(_PAIR * int(np.argmax(np.hypot(estimate[::2], estimate[1::2]))), None) if wave else slice(None)
+        mine = np.any(columns[:, part][:, :_PAIR] != 0.0, axis=1) & (unit > 0.0)
+        effect = (columns @ estimate)[mine] / unit[mine]
+        along = effect
+        if hypothesis.kind in (EffectKind.JITTER, EffectKind.TREND):
+            assert family.times is not None
+            along = family.times[mine] % hypothesis.period if wave or estimate.size > 1 else family.times[mine]
+        chosen = family.rows[mine]
+        return along, self._residuals[chosen] / unit[mine], (shown @ estimate)[chosen] / unit[mine]
+
+    def _clearest(self, kind: EffectKind) -> dict[str, Test]:
         """Clearest test of a kind at each place."""
-        found = dict[str, _Test]()
+        found = dict[str, Test]()
         for one in self._judged:
             for test in one.tests(self._residuals):
                 where = one.family.where
@@ -291,7 +245,7 @@ class _Search:
         return found
 
     def _effect(
-        self, test: "_Test", count: int, estimate: Array, covariance: Array, alternatives: tuple[str, ...] = ()
+        self, test: Test, count: int, estimate: Array, covariance: Array, alternatives: tuple[str, ...] = ()
     ) -> Effect:
         where, hypothesis = test.judged.family.where, test.hypothesis
         # sine and cosine, east and north; of two coordinates the larger one's
@@ -309,7 +263,7 @@ class _Search:
             found -= taken @ (inverse @ (taken[rows].T @ columns))
         return found
 
-    def _refined(self, best: _Test) -> tuple[Hypothesis, Array, Array]:
+    def _refined(self, best: Test) -> tuple[Hypothesis, Array, Array]:
         """Jitter of the period that explains most near the best one: hypothesis, columns (q, 2) and what they show."""
         family, period = best.judged.family, best.hypothesis.period
         assert family.times is not None
