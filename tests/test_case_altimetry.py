@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import mgsgraph
+from mgsgraph.case.laser import AltimetryInput
 from mgsgraph.case.reading import read_altimetry
-from mgsgraph.case.schema import AltimetryInput, decode
+from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass, SharedKind
 from mgsgraph.simulation.mars import MARS

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.case.schema import AltimetryInput, LaserInput, MolaInput, TerrainInput
+from mgsgraph.case.laser import AltimetryInput, LaserInput, MolaInput
+from mgsgraph.case.schema import TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import (
     MOLA_FOOTPRINT,
