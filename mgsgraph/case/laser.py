@@ -31,6 +31,9 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Image taken along with it, whose orientation carries the ranges; found by time when absent."""
     range_sigma_m: Sigma = 10.0
     """Sigma of the ranges."""
+    pulse_share: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.1
+    """What ranges and footprints err more, as a share of the echo's standard deviation, which a binary PEDR has; 0:
+    none."""
     ground_sigma_m: Sigma = 10.0
     """Sigma of each footprint in each direction."""
     height_sigma_m: Sigma | None = None

@@ -88,10 +88,11 @@ def _ties(simulated: SimulatedSite) -> Tables:
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
-    lines, beam = Tables(), round(simulated.options.world.beam / MRAD, 6)
+    lines, world = Tables(), simulated.options.world
+    drawn: dict[str, Value] = {"beam_sigma_mrad": round(world.beam / MRAD, 6), "pulse_share": world.pulse}
     for image in simulated.images:
         name = image.settings.name
-        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, beam_sigma_mrad=beam, **sigmas)
+        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, **drawn, **sigmas)
     return lines
 
 
