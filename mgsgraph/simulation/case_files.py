@@ -95,6 +95,7 @@ def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
     lines, world = Tables(), simulated.options.world
     drawn: dict[str, Value] = {"beam_sigma_mrad": round(world.beam / MRAD, 6), "pulse_share": world.pulse}
+    drawn |= {"drift_sigma_m": world.drift} if world.drift and "shift_sigma_m" in sigmas else {}
     for image in simulated.images:
         name = image.settings.name
         lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, **drawn, **sigmas)
