@@ -33,6 +33,8 @@ class Overrides:
     """Robust loss."""
     reject: float | None = None
     """Blunder limit in standard deviations, as `SolverSettings.reject`."""
+    starts: int | None = None
+    """Starts over a terrain model's unknown shift, as `SolverSettings.starts`."""
     laser: bool = True
     """False leaves the laser rows out."""
     figures: bool = True
@@ -40,7 +42,7 @@ class Overrides:
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""
-        chosen: dict[str, Any] = {"form": self.form, "loss": self.loss, "reject": self.reject}
+        chosen: dict[str, Any] = {"form": self.form, "loss": self.loss, "reject": self.reject, "starts": self.starts}
         return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
 
 
