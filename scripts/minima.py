@@ -44,13 +44,14 @@ _LOWER = 1e-3
 WAYS = {"one": "one start", "mixture": f"{STARTS} starts, mixture"}
 WORDS = """# Several minima
 
-Made by `scripts/minima.py` ({machine}), seeds {first} to {last}, draws as in [](cells.md) (*ties*): tie points on the B-spline of
-the model's posts, whose shift has an a-priori sigma of 200 m. *one start*: from the nominal orientation; *mixture*: with {starts} starts
-over that shift, the lowest minimum with the mean squares about it over the mixture of all (`adjust`'s default, [](theory.md)).
-NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in brackets: *terrain* of the model's shift east, north and
-up (band: chi-square), *ties* of all tie points (band: scatter over the draws). *several*: draws in which a second minimum is more
-than 1 % probable; *lower*: in which starts find a lower one than the first; *15 more*: in which with {more} more starts there is a lower
-one still. *s*: of the starts, beside *s* of all else.
+Made by `scripts/minima.py` ({machine}), seeds {first} to {last}, draws as in [](cells.md) (*ties*): tie points on the
+B-spline of the model's posts, whose shift has an a-priori sigma of 200 m. *one start*: from the nominal orientation;
+*mixture*: with {starts} starts over that shift, the lowest minimum with the mean squares about it over the mixture of
+all (`adjust`'s default, [](theory.md)). NEES per degree of freedom, 1 if the sigmas are honest, with 99 % bands in
+brackets: *terrain* of the model's shift east, north and up (band: chi-square), *ties* of all tie points (band:
+scatter over the draws). *several*: draws in which a second minimum is more than 1 % probable; *lower*: in which
+starts find a lower one than the first; *15 more*: in which with {more} more starts there is a lower one still. *s*:
+of all else, and of the starts.
 """
 HEAD = ("site", "by", "draws", "terrain", "ties", "model, m", "ties, m", "several", "lower", "15 more", "s")
 
@@ -107,7 +108,8 @@ def row(site: str, way: str, every: list[Draw]) -> list[str]:
         cells.append(within(float(values.mean()), band))
     errors = [f"{np.sqrt(np.mean([one[name] ** 2 for one in mine])):.0f}" for name in ("model", "ties")]
     seconds = f"{np.mean([one['seconds'] for one in mine]):.2f}"
-    return [site, WAYS[way], str(len(mine)), *cells, *errors, *(_counts(every) if way == "mixture" else [""] * 3), seconds]
+    counts = _counts(every) if way == "mixture" else [""] * 3
+    return [site, WAYS[way], str(len(mine)), *cells, *errors, *counts, seconds]
 
 
 def _counts(every: list[Draw]) -> list[str]:

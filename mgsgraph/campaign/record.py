@@ -33,12 +33,12 @@ class Overrides:
     """Robust loss."""
     reject: float | None = None
     """Blunder limit in standard deviations, as `SolverSettings.reject`."""
-    starts: int | None = None
-    """Starts over a terrain model's unknown shift, as `SolverSettings.starts`."""
     laser: bool = True
     """False leaves the laser rows out."""
     figures: bool = True
     """False leaves the figures out."""
+    starts: int | None = None
+    """Starts over a terrain model's unknown shift, as `SolverSettings.starts`."""
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""

@@ -54,7 +54,7 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     ) -> None:
         from mgsgraph.campaign import Overrides
 
-        verb(overrides=Overrides(form, loss, reject, starts, not no_laser, not no_figures), **others)
+        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts), **others)
 
     for option in reversed(_OPTIONS):
         option(with_overrides)
