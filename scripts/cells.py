@@ -166,26 +166,26 @@ class Truth:
         network = solution.network
         model, of_model = model_shift(solution)
         members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
-        (ties, of_ties), (laser, of_laser) = (self._errors(solution, mine) for mine in members)
+        (ties, of_ties), (laser, of_laser) = (self.errors(solution, mine) for mine in members)
         assert network.shifts is not None
         chosen = [(p, name) for p, name in enumerate(network.shifts.names) if name in self._shifts]
         shifts = np.array([solution.shifts[p] - self._shifts[name] for p, name in chosen])
         of_shifts = np.array([solution.shift_covariance(p) for p, _ in chosen])
         each = nees(ties, of_ties)
         squares = {
-            "terrain": nees((model - self._model)[None], of_model[None]),
+            "terrain": nees((model - self._model[: model.size])[None], of_model[None]) * KINDS["terrain"] / model.size,
             "ties": each, "profiles": nees(shifts, of_shifts), "laser": nees(laser, of_laser),
         }  # fmt: skip
         return {
             "converged": solution.converged,
             "nees": {kind: float(values.mean()) / KINDS[kind] for kind, values in squares.items()},
             "inside": float(np.mean(each < INSIDE)),
-            "model": float(np.linalg.norm((model - self._model)[:2])),
+            "model": float(np.linalg.norm(model[:2] - self._model[:2])),
             "ties": float(np.sqrt(np.mean(np.sum(ties**2, axis=1)))),
             "laser": float(np.sqrt(np.mean(np.sum(laser**2, axis=1)))),
         }
 
-    def _errors(self, solution: Solution, points: Array) -> tuple[Array, Array]:
+    def errors(self, solution: Solution, points: Array) -> tuple[Array, Array]:
         """(n, 3) m east, north and up, errors of points; their covariances."""
         truth = np.array([self._points[solution.network.points.ids[i]] for i in points.tolist()])
         axes = east_north_up(truth)

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TextIO
 
 import numpy as np
-from montecarlo_draw import BLOCK, CASES, KINDS, LINES, NEW, PIXELS, POINTS, Drawn, Order, one_seed
+from montecarlo_draw import BLOCK, CASES, EDGE, KINDS, LINES, NEW, PIXELS, POINTS, Drawn, Order, one_seed
 from montecarlo_page import figure, page
 from study import DOCS, REMEDY, OneLine, at_least, require_writable, show, status, write_figure, write_text
 
@@ -86,7 +86,7 @@ def kept(path: Path | None) -> Iterator[tuple[dict[Order, Drawn], TextIO | None]
 
 def recipe(case: str) -> str:
     """What a kept seed depends on; of another recipe it is done again."""
-    return repr((CASES.get(case), BLOCK, POINTS, LINES, PIXELS, NEW, sorted(versions().items())))
+    return repr((CASES.get(case), BLOCK, POINTS, LINES, PIXELS, NEW, EDGE, sorted(versions().items())))
 
 
 def as_line(drawn: Drawn) -> str:
@@ -95,8 +95,7 @@ def as_line(drawn: Drawn) -> str:
         name: {kind: np.round(values, 5).tolist() for kind, values in parts.items()}
         for name, parts in (("squares", drawn.squares), ("errors", drawn.errors))
     }
-    known = {"case": order.case, "seed": order.seed, "recipe": recipe(order.case), "converged": drawn.converged,
-             "passed": drawn.passed}  # fmt: skip
+    known = {"case": order.case, "seed": order.seed, "recipe": recipe(order.case), "converged": drawn.converged}
     return json.dumps(known | rounded)
 
 
@@ -107,7 +106,7 @@ def from_line(line: str, where: str) -> Drawn | None:
         if known["recipe"] != recipe(known["case"]):
             return None
         squares, errors = ({kind: np.array(known[name][kind]) for kind in KINDS} for name in ("squares", "errors"))
-        return Drawn(Order(known["case"], known["seed"]), known["converged"], squares, errors, known["passed"])
+        return Drawn(Order(known["case"], known["seed"]), known["converged"], squares, errors)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(where, f"not a kept seed ({error})", "what --keep has written", "take it out") from None
 

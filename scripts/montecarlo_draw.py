@@ -19,11 +19,10 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.demo.truth import nees
-from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.files import write_site, write_strip
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
@@ -45,8 +44,8 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 """What the posterior is asked, and the components in which bias is told."""
 BLOCK = StripSettings(images=6, ties=200, shots=30)
-MOST_PASSED = 20
-"""Draws of one seed."""
+EDGE = 10.0
+"""pixels from an image's edges, within which places in it are asked for."""
 POINTS, LINES, PIXELS, NEW = 12, 3, 4, 3
 """Items that one seed asks for, evenly spread: points and pairs of them, lines of each image, projections, new places.
 """
@@ -94,8 +93,6 @@ class Drawn:
     """By kind: (items,) normalised estimation error squared, e' C^-1 e; chi-square of the kind's dimension."""
     errors: dict[str, Array]
     """By kind: (items, d) estimate minus truth in sigmas, along the kind's components."""
-    passed: int = 0
-    """Draws before it that are no cases: by their orientation a point lies beside its image."""
 
 
 @lru_cache(maxsize=2)
@@ -115,21 +112,10 @@ def prepared(name: str) -> tuple[Network, SolverSettings]:
 
 
 def one_seed(order: Order) -> Drawn:
-    """Draw, adjust, ask; draw again where a point that is asked for lies beside its image by the orientation drawn."""
-    for passed in range(MOST_PASSED):
-        try:
-            return one_draw(order, passed)
-        except InputError:
-            if passed == MOST_PASSED - 1:
-                raise
-    raise AssertionError  # the loop returns or raises
-
-
-def one_draw(order: Order, passed: int) -> Drawn:
-    """Draw, adjust, ask, after some draws of the same seed that were passed over."""
+    """Draw, adjust, ask."""
     network, settings = prepared(order.case)
     stated = CASES[order.case].stated
-    draw = redraw(network, np.random.default_rng([order.seed, passed] if passed else order.seed), settings.angles)
+    draw = redraw(network, np.random.default_rng(order.seed), settings.angles)
     solution = adjust_network(with_stated_sigmas(draw.network, stated), settings)
     rng = np.random.default_rng([order.seed, 2])
     asked = questions(Posterior.of(solution), draw, stated, rng)
@@ -139,7 +125,7 @@ def one_draw(order: Order, passed: int) -> Drawn:
         covariance = np.array([one for _, one in answers])
         squares[kind] = nees(error, covariance)
         errors[kind] = error / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    return Drawn(order, solution.converged, squares, errors, passed)
+    return Drawn(order, solution.converged, squares, errors)
 
 
 def with_stated_sigmas(network: Network, stated: float) -> Network:
@@ -161,6 +147,7 @@ def questions(posterior: Posterior, draw: Draw, stated: float, rng: np.random.Ge
     network = posterior.network
     ties, laser = (np.flatnonzero(network.points.classes == kind) for kind in (PointClass.TIE, PointClass.LASER))
     both = np.concatenate([evenly(ties, POINTS // 2), evenly(laser, POINTS // 2)])
+    shown = inside(network)
     positions, pointings = poses(posterior, draw)
     return {
         "tie point": [of_point(posterior, draw, i) for i in evenly(ties, POINTS)],
@@ -168,9 +155,16 @@ def questions(posterior: Posterior, draw: Draw, stated: float, rng: np.random.Ge
         "position": positions,
         "pointing": pointings,
         "height difference": [of_heights(posterior, draw, i, j) for i, j in zip(both, np.roll(both, -1), strict=True)],
-        "projection": of_projections(posterior, draw, evenly(np.arange(network.rays.point.size), PIXELS)),
-        "new place": list(new_places(posterior, draw, ties, stated, rng)),
+        "projection": of_projections(posterior, draw, evenly(np.flatnonzero(shown), PIXELS)),
+        "new place": list(new_places(posterior, draw, np.setdiff1d(ties, network.rays.point[~shown]), stated, rng)),
     }
+
+
+def inside(network: Network) -> Mask:
+    """Which rays (k,) lie well inside their images: by the orientation drawn, others lie beside them."""
+    rays = network.rays
+    size = np.array([[image.lines, image.samples] for image in network.images])[rays.image]
+    return np.asarray(np.all((rays.places > EDGE) & (rays.places < size - EDGE), axis=1))
 
 
 def evenly(items: Index, count: int) -> Index:

@@ -3,9 +3,10 @@
 HEAD = """# The papers' tables, simulated
 
 Made by `scripts/reproduce_papers.py --seed {seed}`: simulated sites with the published geometry, the case `papers`
-(observations and weights of Yoon & Shan 2005). Published numbers: `scripts/published.py`. RMSE is the spread about the
-mean, as in the papers. Truth is known here; their data are not: numbers that geometry and weights alone determine must
-agree, numbers that the errors of the kernels determine can't.
+(observations and weights of Yoon & Shan 2005; of MOLA's image points the weights that balance their Table 5, below).
+Published numbers: `scripts/published.py`. RMSE is the spread about the mean, as in the papers. Truth is known here;
+their data are not: numbers that geometry and weights alone determine must agree, numbers that the errors of the
+kernels determine can't.
 """
 TABLE_1 = """By construction. At Eos 17.97 deg and a base-to-height ratio of 0.41 exclude each other (see Shan's
 orientation below).
@@ -21,22 +22,36 @@ are not expected.
 TABLE_3 = """Ties depend on the kernels' errors: not comparable but in size. Footprints hardly move in either (10 m a
 priori, ranges 10 m).
 """
-TABLE_4 = """Predicted sigmas depend on geometry and weights only and are comparable (ours are for sigma0 = 1, theirs
-contain a sigma0 of 1.01 to 1.06). sigma0 is not: simulated ranges and footprints are better than their a-priori 10 m,
-and back-projected rows have no noise. But the published sigma0, Table 5 and the residuals of ties belong together only
-with other sigmas of MOLA's image points than the "approximately 30 pixels" of the text (every footprint counted in both
-images):
+TABLE_4 = """*Predicted* sigmas are for sigma0 = 1; the published ones contain sigma0, and are to be compared with
+*times sigma0*. sigma0 is as PE&RS counts it: "computed from the residuals of the measurements", which are image
+points and ranges, less all unknowns; the last column has it of all rows. Nothing here is fitted to Table 4: MOLA's
+image sigmas follow from Table 5 and the residuals of ties (next table), the noise of ties from these residuals
+({noise:.2f} px, pooled), the polynomials' trends from the RMSE of the positions in Table 2 (1, 0.02, 0.002; at Eos 1,
+1, 1; with 1, 0.1, 0.01 Gusev's ties would be 1.6 times theirs in Y), and the kernels' errors are those of
+`simulation/sites.py`.
 """
-IMPLIED = """At Gusev that accounts for the tie sigmas in which the case falls short; at Isidis it mends X and Z and
-spoils Y; at Eos it spoils them. The case keeps what the papers state: 30 px, and at Eos the 125 px and unit trends of
-`simulation/case_files.py`, without which its tie sigmas are a quarter of the published ones.
+BALANCE = """At the solution footprints and ties pull each image with equal force, so that T mean(tie residual) = N
+mean(MOLA correction) / sigma^2 in each image and coordinate: ISPRS Table 3 has both means. At Gusev all four
+coordinates give 22 px, at Isidis 26 to 31 px. At Eos the images differ, and y of the right image has a sigma four to
+five times that of x: the 47 px there go with residuals of ties of 0.002 px, a digit that is good to a quarter. With
+these sigmas sigma0 follows from the published residuals within {worst:.0f}% at all three sites, if every footprint
+counts in both images. Simulated images end: at Eos 176 of 250 footprints are inside the right one, at Isidis 154 of
+178 inside the left one.
+"""
+CONTRADICTIONS = """The "approximately 30 pixels" hold at Isidis alone. A sigma for each image and coordinate isn't in
+the text, but without it neither Eos' tie sigmas nor its sigma0 come out. ISPRS: the sigmas "are based on the previous
+analysis about the MOLA registration". A case file has one sigma for a profile's image points (`image_sigma_px`):
+`case_papers.toml` has 40, 22 and 30 px, and this script puts those of the table in their place.
 """
 TABLE_5 = """The corrections of the two images together make up the injected relative error: comparable. The split
-follows from the weights, about equal in pixels; the published one at Isidis is another (35 to 25 px), so that
-footprints or weights there were not quite those of the text. Across the flight, in the epipolar plane, an error lifts
-the ties and leaves no contradiction: corrections are near zero here, and theirs of 3 px stay unexplained. RMSE is what
-the kernels' errors vary by along the image. The residuals of ties along the flight are those of 1 px noise; across it,
-the ground point of a pair takes them up.
+follows from weights and counts, here about equal in pixels. The published one at Isidis is another (35 to 25 px), and
+so is the ratio of the ties' residuals in the two images: both are what Table 1 gives if its two pixel sizes there
+(3.3 and 4.4 m) are exchanged. Across the flight, in the epipolar plane, an error lifts the ties and leaves no
+contradiction: corrections are near zero here. Theirs of 3 px have to those in x the ratio that the ties' residuals
+have (Gusev -0.14 and -0.11, of ties -0.14 and -0.10; Isidis -0.08 and -0.12, of ties -0.07 and -0.15): one
+contradiction, which lies a few degrees off the flight since the line planes of the two cameras are not quite
+parallel. Simulated cameras differ by a roll alone. RMSE is what the kernels' errors vary by along the image. The
+residuals of ties along the flight are those of 1 px noise; across it, the ground point of a pair takes them up.
 """
 RANGES = """Simulated ranges have 1 m of noise, the SPK 10 to 20 m in height; published ones depend on both.
 """

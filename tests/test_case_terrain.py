@@ -7,6 +7,7 @@ import numpy as np
 import profiles
 import pytest
 from rasters import PROJECTIONS, RADIUS, SPHERE, ground, pixels, raster
+from sites import plain_site
 
 import mgsgraph
 from mgsgraph.campaign.inputs import checksums
@@ -19,7 +20,9 @@ from mgsgraph.network.posts import posts_of
 from mgsgraph.network.terrain_control import coverage, terrain_ground
 from mgsgraph.reports.control import control_json, control_statements
 from mgsgraph.reports.inventory import inventory
+from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.mars import MARS
+from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.units import DEG, MRAD
 
 STEP = 0.01
@@ -213,7 +216,7 @@ def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:
     path = add(case_file, f"tracks = {names!r}\nlongest_edge_m = 6000.0".replace("'", '"'))
     net = mgsgraph.read_case(path).network
     assert net.surface is not None
-    assert net.surface.grid.post_sigmas is not None
+    assert net.surface.grid.gaps is not None
     there = np.isfinite(net.surface.sigmas)
     assert there.sum() > 0
     assert np.all(net.surface.sigmas[there] >= 10.0)
@@ -222,6 +225,32 @@ def test_tracks_take_the_place_of_a_grid(case_file: Path) -> None:
     add(case_file, f"tracks = {names!r}\nlongest_edge_m = 100.0".replace("'", '"'))
     with pytest.raises(InputError, match=r"edges up to 0\.1 km"):
         mgsgraph.read_case(case_file)
+
+
+def test_between_tracks_ties_are_held_by_what_interpolation_misses(tmp_path: Path) -> None:
+    """Counts beside MEGDR's radii are taken: cells with shots in every fourth column of posts."""
+    site, path = plain_site(), write_site(plain_site(), tmp_path)
+    grid, name = site.grid, f"megc_{site.settings.name}"
+    places = grid.radii.shape, grid.first_longitude, grid.first_latitude, grid.longitude_step
+    shots = np.zeros(grid.radii.shape)
+    shots[:, ::4] = 2.0
+    measured = surface_of(path).sigmas
+    write_megdr(tmp_path, name, MegdrLayout(*places, 0.0), [shots])
+    net = mgsgraph.read_case(path).network
+    surface, ties = net.surface, np.isfinite(measured)
+    assert surface is not None
+    assert surface.grid.gaps is not None
+    assert np.all(surface.sigmas[ties] >= measured[ties])
+    assert np.median(surface.sigmas[ties]) > 1.5 * np.median(measured[ties])
+    assert f"{name}.lbl" in checksums(path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(f"{text}\ncounts = false\n", encoding="utf-8")
+    np.testing.assert_array_equal(surface_of(path).sigmas, measured)
+    path.write_text(f'{text}\ncounts = "{name}.img"\n', encoding="utf-8")
+    np.testing.assert_array_equal(surface_of(path).sigmas, surface.sigmas)
+    path.write_text(f'{text}\ncounts = "megt_{site.settings.name}.lbl"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="a grid of topography; expected one of counts"):
+        mgsgraph.read_case(path)
 
 
 def test_tiles_in_another_projection_are_one_file_or_none(case_file: Path) -> None:

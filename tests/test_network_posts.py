@@ -8,6 +8,7 @@ import pytest
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import PointClass, SharedKind
@@ -65,14 +66,26 @@ def test_cells_are_about_as_wide_as_high_near_the_pole() -> None:
     assert posts.footprint == pytest.approx(4.0 / np.sqrt(12.0) * SIDE, rel=0.01)
 
 
-def test_a_cell_of_few_posts_is_none_and_posts_have_sigmas_of_their_own() -> None:
+def test_a_cell_of_few_posts_is_none() -> None:
     radii = plane(4, 4)
     radii[:2, 1:3] = np.nan
-    sigmas = np.full((4, 4), 7.0)
-    lattice = replace(model(radii).lattice, post_sigmas=sigmas)
-    posts = posts_of(TerrainModel("dtm", lattice), 2.0 * SIDE)
+    posts = posts_of(model(radii), 2.0 * SIDE)
     assert [name[4:] for name in posts.ids] == ["3:1", "3:3"]
-    assert posts.sigmas == pytest.approx(np.full(2, 3.5))
+    assert posts.sigmas == pytest.approx(np.full(2, 5.0))
+
+
+@pytest.mark.parametrize("side", [1.0, 2.0])
+def test_cells_in_one_gap_are_worth_no_more_than_its_error(side: float) -> None:
+    """Sixteen posts between two tracks that are off by 7 m as one, however they are averaged."""
+    between = np.zeros((4, 12))
+    between[:, 4:8] = 7.0
+    lattice = replace(model(plane(4, 12)).lattice, gaps=Gaps(between, np.full((4, 12), 6.0 * SIDE)))
+    posts = posts_of(TerrainModel("dtm", lattice), side * SIDE)
+    within = posts.sigmas > 11.0 / side
+    assert np.count_nonzero(within) == 16 / side**2
+    together = 1.0 / np.sum(posts.sigmas[within] ** -2.0)
+    assert together == pytest.approx(7.0**2 + 10.0**2 / 16.0)
+    assert posts.sigmas[~within] == pytest.approx(np.full(32 // int(side**2), 10.0 / side))
 
 
 def test_what_is_not_known_is_said() -> None:

@@ -62,7 +62,8 @@ ONLY_IN = {
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment.blunders", "mgsgraph.adjustment.datum",
         "mgsgraph.adjustment.graph.prior",
-        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.stereo_surface", "mgsgraph.geometry.terrain",
+        "mgsgraph.adjustment.sparse_cholesky", "mgsgraph.geometry.common_errors", "mgsgraph.geometry.stereo_surface",
+        "mgsgraph.geometry.terrain",
         "mgsgraph.geometry.track_terrain",
         "mgsgraph.matching", "mgsgraph.dem", "mgsgraph.spacing",
     ),

@@ -17,6 +17,7 @@ from mgsgraph.analysis.components import components_of
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.statistics import solution_connectivity
+from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.dem.checking import HeightChecks
 from mgsgraph.dem.files import shots_table
@@ -37,6 +38,7 @@ from mgsgraph.reports.reliability import reliability_table
 from mgsgraph.reports.shared import shared_table
 from mgsgraph.reports.strips import nodes_table
 from mgsgraph.reports.tables import connectivity_table, orientation_table, points_table, residuals_table
+from mgsgraph.reports.unexplained import unexplained_table
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -85,6 +87,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "shared.csv", shared_table(solution)
     yield "strips.csv", nodes_table(solution)
     yield "reliability.csv", reliability_table(reliability(linearised))
+    yield "unexplained.csv", unexplained_table(unexplained(linearised))
     yield "components.csv", components_table(components_of(linearised))
     yield "likelihood.csv", likelihood_table(())
     registration = _registration()

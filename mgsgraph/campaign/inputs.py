@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from mgsgraph.case.schema import CaseInput, decode
+from mgsgraph.case.terrain import count_files
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import sha256_of
 
@@ -103,7 +104,7 @@ def checksums(case: Path) -> dict[str, str | None]:
         wanted = decode(case)
     except InputError:
         return sums
-    for name in dict.fromkeys(_named(wanted)):
+    for name in dict.fromkeys(_named(wanted, case.parent)):
         sums[name] = _checksum(case.parent / name)
         sums |= {os.path.relpath(other, case.parent): _checksum(other) for other in _described(case.parent / name)}
     for name in dict.fromkeys(_kernels(wanted)):
@@ -112,8 +113,8 @@ def checksums(case: Path) -> dict[str, str | None]:
     return sums
 
 
-def _named(wanted: CaseInput) -> Iterator[str]:
-    """Every path in a case file but those of kernels."""
+def _named(wanted: CaseInput, folder: Path) -> Iterator[str]:
+    """Every path in a case file, which lies in a folder, but those of kernels."""
     for image in wanted.images:
         times = None if image.line_times == "mean" else image.line_times
         yield from (name for name in (image.isd, image.label, image.cube, image.pixels, times) if name is not None)
@@ -130,6 +131,7 @@ def _named(wanted: CaseInput) -> Iterator[str]:
             yield from (several,) if isinstance(several, str) else several
         others = (terrain.topography, terrain.areoid, terrain.leap_seconds)
         yield from (name for name in others if name is not None)
+        yield from () if terrain.counts is True else count_files(terrain, folder)
 
 
 def _kernels(wanted: CaseInput) -> Iterator[str]:

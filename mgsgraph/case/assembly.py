@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.case.schema import AltimetryInput, LaserInput, MolaInput, TerrainInput
+from mgsgraph.case.laser import AltimetryInput, LaserInput, MolaInput
+from mgsgraph.case.schema import TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import (
     MOLA_FOOTPRINT,
@@ -120,8 +121,9 @@ class Parts:
         taken = shots.chosen(usable)
         name = Path(shots.source).stem
         profile = taken.profile(
-            wanted.range_sigma_m, wanted.ground_sigma_m, name=name, height_sigma=wanted.height_sigma_m
-        )
+            wanted.range_sigma_m, wanted.ground_sigma_m, name=name, height_sigma=wanted.height_sigma_m,
+            pulse_share=wanted.pulse_share, ranged=owner is not None and wanted.ranges,
+        )  # fmt: skip
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))

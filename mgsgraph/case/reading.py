@@ -18,7 +18,8 @@ from mgsgraph.case.assembly import Parts
 from mgsgraph.case.groups import merged, with_sigmas
 from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
-from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, MolaInput, TerrainInput, TiesInput, decode
+from mgsgraph.case.laser import AltimetryInput, MolaInput
+from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput, decode
 from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, errors_from

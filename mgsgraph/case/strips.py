@@ -7,6 +7,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from mgsgraph.case.numbers import Positive
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
@@ -16,7 +17,6 @@ from mgsgraph.network.passes import require_one_pass, seconds, straightest
 from mgsgraph.units import MGON, MRAD
 from mgsgraph.wording import listed
 
-_Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 _SPACING = 10.0
 """s between nodes where nothing is said: 40 km on the ground for Mars Express."""
 _MOST_NODES = 10_000
@@ -35,9 +35,9 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     basis: Basis = "lagrange"
     """Third-order polynomials through the four nearest, or the uniform cubic B-spline."""
-    spacing_s: _Positive | None = None
+    spacing_s: Positive | None = None
     """Largest spacing; 10 s when nothing is said."""
-    spacing_lines: _Positive | None = None
+    spacing_lines: Positive | None = None
     """The same in lines of the strip's nadir image (`network.passes.straightest`), by its mean line period."""
     times_et_s: tuple[float, ...] = ()
     """Times, s TDB past J2000."""

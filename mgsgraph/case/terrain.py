@@ -1,6 +1,7 @@
 """The terrain model of a case: grids and their tiles, heights above a sphere or the areoid, tracks of an altimeter."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,6 +15,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, TerrainKind, areoid_grid
 from mgsgraph.geometry.terrain_grids import above_areoid, mosaic
+from mgsgraph.geometry.track_gaps import track_gaps
 from mgsgraph.network.terrain_control import box_of, in_degrees
 from mgsgraph.units import DEG, KM
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
 _EDGES = 65
 """Lines of each image at whose edges and middle its ground is taken."""
-_MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoid": "mega"}
+_MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoid": "mega", "counts": "megc"}
 """How MEGDR's files of each kind begin."""
 _SAMPLE = 1000
 """Posts by which a terrain model is held against the body."""
@@ -63,6 +65,10 @@ def read_terrain_model(
     model = files.read(entry.grids, "topography" if areoid else "radius", areoid)
     if areoid and isinstance(model, TerrainGrid) and model.kind == "topography":
         model = above_areoid(model, areoid)
+    if counts := count_files(entry, folder):
+        if not isinstance(model, TerrainGrid):
+            raise InputError(place, "counts of a raster in another projection", "those of a MEGDR grid")
+        model = replace(model, gaps=track_gaps(model, as_grid(files.read(counts, "counts"), "counts")))
     _require_body(model.lattice(), images[0].body)
     if entry.topography is not None:
         areoid = areoid_grid(as_grid(model), as_grid(files.read((entry.topography,), "topography"), "topography"))
@@ -72,6 +78,21 @@ def read_terrain_model(
 def as_grid(model: "TerrainGrid | TerrainRaster", kind: TerrainKind = "radius") -> TerrainGrid:
     """Posts at equal steps of longitude and latitude, those of a raster in another projection interpolated there."""
     return model if isinstance(model, TerrainGrid) else model.grid(kind)
+
+
+def count_files(entry: TerrainInput, folder: Path) -> tuple[str, ...]:
+    """Files with the numbers of shots: those stated, or one beside each of MEGDR's radii, where all have one."""
+    if entry.counts is True:
+        raise InputError("terrain, counts", "true", "a file (MEGC...), or false")
+    if entry.counts is False:
+        return ()
+    if entry.counts is not None:
+        return (entry.counts,) if isinstance(entry.counts, str) else entry.counts
+    paths = [Path(name) for name in entry.grids]
+    if not all(path.suffix.lower() in (".img", ".lbl") and path.name.lower().startswith("megr") for path in paths):
+        return ()
+    names = [path.with_name(path.name[:3] + ("c" if path.name[3] == "r" else "C") + path.name[4:]) for path in paths]
+    return tuple(str(name) for name in names) if all((folder / name).is_file() for name in names) else ()
 
 
 class _Files(NamedTuple):

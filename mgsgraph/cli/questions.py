@@ -40,6 +40,7 @@ _WEAK = 5
 @click.option("--image", "images", multiple=True, metavar="IMAGE", help="Images of the raster, two or more; else all.")
 @click.option("--cell-m", type=float, help="Side of the raster's cells.")
 @click.option("--sigma-px", type=float, help="Of the measures of new points (--pixel, --raster); 1 when absent.")
+@click.option("--unexplained", is_flag=True, help="What the adjustment can't explain, by name, with the term to add.")
 @click.option("--components", is_flag=True, help="Are the sigmas honest? Global test, variance components, residuals.")
 @click.option("--iterate", is_flag=True, help="Variance components until they come to rest: adjusts again and again.")
 @click.option(
@@ -70,6 +71,7 @@ def analyze(
     images: tuple[str, ...],
     cell_m: float | None,
     sigma_px: float | None,
+    unexplained: bool,
     components: bool,
     iterate: bool,
     reliability: int | None,
@@ -83,8 +85,9 @@ def analyze(
 ) -> None:
     """Ask the covariance of SOLUTION_OR_PROJECT (results of `mgsgraph adjust`, or a project).
 
-    Without a question: the global test, variance components, the most suspicious measures, and what is weak. Sigmas
-    are for sigma0 = 1, as the a-priori sigmas imply. Nothing of what is asked is changed.
+    Without a question: what the adjustment cannot explain, the global test, variance components, the most suspicious
+    measures, and what is weak. Sigmas are for sigma0 = 1, as the a-priori sigmas imply. Nothing of what is asked is
+    changed.
 
     Exit status: 0, also where tests fail; 2 bad input.
     """
@@ -97,8 +100,8 @@ def analyze(
 
     if out is not None:
         require_replaceable(out, ANALYSIS)
-    nothing = not (points or pairs or poses or pose_pairs or projections or pixels or curves or raster or components
-                   or iterate or reliability or snoop or likelihood or weak)  # fmt: skip
+    nothing = not (points or pairs or poses or pose_pairs or projections or pixels or curves or raster or unexplained
+                   or components or iterate or reliability or snoop or likelihood or weak)  # fmt: skip
     tested = nothing or bool(reliability) or snoop
     require_used("--image, --cell-m", bool(images) or cell_m is not None, raster, "--raster")
     require_used("--raster", raster, out is not None, "--out FOLDER, for the GeoTIFF")
@@ -114,7 +117,8 @@ def analyze(
         correlations, 0.95 if probability is None else probability,
     )  # fmt: skip
     wanted = Wanted(
-        questions, curves, images if raster else None, cell_m, sigma, components or iterate or nothing, likelihood,
+        questions, curves, images if raster else None, cell_m, sigma, unexplained or nothing,
+        components or iterate or nothing, likelihood,
         iterate, reliability or (_SUMMARY if nothing else 0), snoop, weak or (_WEAK if nothing else 0),
         Levels(0.001 if alpha is None else alpha, 0.8 if power is None else power),
     )  # fmt: skip

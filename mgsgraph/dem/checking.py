@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.laser import MolaInput
 from mgsgraph.case.reading import read_mola, read_shots
-from mgsgraph.case.schema import CaseInput, MolaInput
+from mgsgraph.case.schema import CaseInput
 from mgsgraph.dem.gridding import HeightGrid
 from mgsgraph.dem.map import bilinear
 from mgsgraph.errors import InputError

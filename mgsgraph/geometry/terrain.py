@@ -17,10 +17,11 @@ from mgsgraph.errors import InputError
 from mgsgraph.factors.surface import bilinear, cubic, height_above, post_coordinates
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
+from mgsgraph.geometry.common_errors import Gaps, common_variances
 from mgsgraph.geometry.records import Array, Index, Mask, assign
 
-TerrainKind = Literal["radius", "topography", "areoid"]
-"""What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid."""
+TerrainKind = Literal["radius", "topography", "areoid", "counts"]
+"""What the posts hold: distance from the body's centre, height above the areoid, radius of the areoid; shots."""
 _BEYOND = 3
 """Posts by which a grid is continued: so many make the surface level where it ends."""
 _EDGE = 1e-9
@@ -76,8 +77,8 @@ class PostLattice:
     """m, of a post; None where unknown."""
     planimetric_sigma: float | None = None
     """m, of the posts' common horizontal place; None where unknown."""
-    post_sigmas: NDArray[np.float32] | Array | None = None
-    """(rows, columns) m, of each post by itself, in place of `vertical_sigma`; NaN where a post is missing."""
+    gaps: Gaps | None = None
+    """What interpolation between tracks adds to that of each post; None where posts are measured."""
 
 
 def window(
@@ -150,8 +151,8 @@ class TerrainGrid:
     """m, of a post; None where unknown."""
     planimetric_sigma: float | None = None
     """m, of the grid's common horizontal place; None where unknown."""
-    post_sigmas: NDArray[np.float32] | Array | None = None
-    """(rows, columns) m, of each post by itself, in place of `vertical_sigma`; NaN where a post is missing."""
+    gaps: Gaps | None = None
+    """What interpolation between tracks adds to that of each post; None where posts are measured."""
 
     def __post_init__(self) -> None:
         where = f"terrain {self.source}"
@@ -162,7 +163,7 @@ class TerrainGrid:
             raise InputError(f"{where}, kind", repr(self.kind), f"one of {', '.join(get_args(TerrainKind))}")
         if np.any(np.isinf(radii)):
             raise InputError(where, "an infinite post", "metres, or NaN where a post is missing")
-        if self.kind != "topography" and np.nanmin(radii, initial=np.inf) <= 0.0:
+        if self.kind in ("radius", "areoid") and np.nanmin(radii, initial=np.inf) <= 0.0:
             raise InputError(where, f"a {self.kind} of {np.nanmin(radii):g} m", "positive numbers")
         for name in ("longitude_step", "latitude_step"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
@@ -180,13 +181,14 @@ class TerrainGrid:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"{where}, {name}", f"{value} m", "a positive number")
-        if self.post_sigmas is not None:
-            sigmas = np.array(self.post_sigmas, dtype=np.float32)
-            if sigmas.shape != radii.shape or not np.all(sigmas[np.isfinite(radii)] > 0.0):
-                found, expected = f"an array of shape {sigmas.shape}", f"a positive number for each of {radii.shape}"
-                raise InputError(f"{where}, sigmas of the posts", found, expected)
-            sigmas.flags.writeable = False
-            assign(self, post_sigmas=sigmas)
+        if self.gaps is not None:
+            gaps = Gaps(*(np.array(one, dtype=np.float32) for one in self.gaps))
+            for one in gaps:
+                if one.shape != radii.shape or not np.all(one[np.isfinite(radii)] >= 0.0):
+                    found, expected = f"an array of shape {one.shape}", f"a number >= 0 for each of {radii.shape}"
+                    raise InputError(f"{where}, gaps between tracks", found, expected)
+                one.flags.writeable = False
+            assign(self, gaps=gaps)
         radii.flags.writeable = False
         assign(self, radii=radii)
 
@@ -244,25 +246,31 @@ class TerrainGrid:
         which is common to all. NaN outside the grid and beside missing posts, infinite where the grid knows no sigma.
         """
         longitudes, latitudes, _ = planetocentric(points).T
-        sigmas = np.full(longitudes.size, self.vertical_sigma or np.inf)
-        if self.post_sigmas is not None:
-            sigmas = replace(self, radii=self.post_sigmas, kind="topography", post_sigmas=None).at(points)
-        return np.where(np.isfinite(self._patch(longitudes, latitudes).value), sigmas, np.nan)
+        between, _ = self._gaps(longitudes, latitudes)
+        there = np.isfinite(self._patch(longitudes, latitudes).value)
+        return np.where(there, np.hypot(self.vertical_sigma or np.inf, between), np.nan)
+
+    def _gaps(self, longitudes: Array, latitudes: Array) -> tuple[Array, Array]:
+        """`gaps` at places (n,), m: zero where there are none."""
+        if self.gaps is None:
+            return np.zeros(longitudes.size), np.zeros(longitudes.size)
+        sigmas, reaches = (
+            replace(self, radii=one, kind="topography", gaps=None)._patch(longitudes, latitudes).value
+            for one in self.gaps
+        )
+        return sigmas, reaches
 
     def control_sigmas(self, points: Array) -> Array:
         """Sigma (n,) in m with which points (n, 3) in m are to lie on the model: those within a circle as large as a
-        cell share its posts' errors, and are worth no more than one. NaN and infinite as of `height_sigmas`.
+        cell share its posts' errors, and those within half the distance between two tracks that of the interpolation
+        (`common_variances`). NaN and infinite as of `height_sigmas`.
         """
-        from scipy.spatial import cKDTree  # slow to import
-
         sigmas = self.height_sigmas(points)
         there = np.flatnonzero(np.isfinite(sigmas))
-        if not there.size:
-            return sigmas
-        _, latitudes, radii = planetocentric(points[there]).T
-        cell = self.latitude_step * self.longitude_step * np.cos(latitudes) * radii**2
-        near = cKDTree(points[there]).query_ball_point(points[there], np.sqrt(cell / np.pi), return_length=True)
-        sigmas[there] *= np.sqrt(near)
+        longitudes, latitudes, radii = planetocentric(points[there]).T
+        circle = np.sqrt(self.latitude_step * self.longitude_step * np.cos(latitudes) / np.pi) * radii
+        posts = common_variances(points[there], np.full(there.size, self.vertical_sigma or 0.0), circle)
+        sigmas[there] = np.sqrt(posts + common_variances(points[there], *self._gaps(longitudes, latitudes)))
         return sigmas
 
     @property
@@ -326,7 +334,7 @@ class TerrainGrid:
         return replace(
             self,
             radii=self.radii[rows][:, columns],
-            post_sigmas=None if self.post_sigmas is None else self.post_sigmas[rows][:, columns],
+            gaps=None if self.gaps is None else Gaps(*(one[rows][:, columns] for one in self.gaps)),
             first_longitude=self.first_longitude + int(columns[0]) * self.longitude_step,
             first_latitude=self.first_latitude - rows.start * self.latitude_step,
             wraps=self.wraps and columns.size == self.radii.shape[1],
@@ -343,7 +351,7 @@ class TerrainGrid:
         """Its posts as those of any projection."""
         self._require("radius", "posts")
         return PostLattice(
-            self.source, self.radii, self.points, self.vertical_sigma, self.planimetric_sigma, self.post_sigmas
+            self.source, self.radii, self.points, self.vertical_sigma, self.planimetric_sigma, self.gaps
         )
 
     def _require(self, kind: TerrainKind, what: str) -> None:

@@ -54,7 +54,7 @@ def _place(tile: TerrainGrid, first: TerrainGrid) -> tuple[int, int]:
     steps = np.array([[grid.longitude_step, grid.latitude_step] for grid in (tile, first)])
     if not np.allclose(steps[0], steps[1], rtol=_ROUNDING, atol=0.0):
         raise InputError(where, "posts at other steps", f"those of {first.source}", "give tiles of one grid")
-    if tile.kind != first.kind or tile.post_sigmas is not None:
+    if tile.kind != first.kind or tile.gaps is not None:
         raise InputError(where, f"a grid of {tile.kind}", f"one of {first.kind}, as {first.source}")
     shift = np.array([first.first_latitude - tile.first_latitude, tile.first_longitude - first.first_longitude])
     place = shift / steps[1, ::-1]

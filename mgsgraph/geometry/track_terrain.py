@@ -4,7 +4,8 @@ The shots' directions are laid out in a plane, longitude times the cosine of the
 triangulated there (Delaunay). Radii are linear over each triangle. A triangle with an edge longer than a limit bridges
 no ground that anyone has seen, and is a hole; so is what lies outside the shots' convex hull.
 
-The sigma of a post is sqrt(vertical^2 + (roughness x distance to the nearest shot)^2). The roughness of the region is
+The sigma of a post is sqrt(vertical^2 + (roughness x distance to the nearest shot)^2), and what interpolation adds is
+common within that distance. The roughness of the region is
 what linear interpolation along the tracks misses at a known distance: the rms of each shot's radius minus the one
 between its two neighbours, over its distance to the nearer one. Relief grows slower than distance, so
 that this errs to the safe side between tracks, where the distance is larger than along them. Of orbits left out of real
@@ -19,6 +20,7 @@ from scipy.spatial import Delaunay, KDTree, QhullError
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric, in_turn, planetocentric
+from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.units import DEG, KM
@@ -109,7 +111,7 @@ def track_terrain(
         )  # fmt: skip
     return TerrainGrid(
         source, values, *lattice, *steps, vertical_sigma=vertical_sigma, planimetric_sigma=planimetric_sigma,
-        post_sigmas=np.hypot(vertical_sigma, roughness * distances).astype(np.float32),
+        gaps=Gaps(roughness * distances, distances),
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""MOLA gridded records (MEGDR), simple cylindrical, to a TerrainGrid: planetary radius, topography or areoid.
+"""MOLA gridded records (MEGDR), simple cylindrical, to a TerrainGrid: planetary radius, topography, areoid or counts.
 
 A grid's place comes from its PDS3 label (``.lbl`` beside the ``.img``) or, without one, from its name
 ``MEG{A,C,R,T}{latitude}{N,S}{longitude}{resolution}{version}.IMG``, which gives the upper left corner, and its size.
@@ -23,13 +23,16 @@ from mgsgraph.units import DEG
 REFERENCE_RADIUS = 3_396_000.0
 """m, taken off the radii of the planet and of the areoid before they were stored in 16 bits."""
 _NAME = re.compile(r"meg([acrt])(\d\d)([ns])(\d{3})([c-h])\w\.img", re.IGNORECASE)
-_KINDS: dict[str, TerrainKind] = {"A": "areoid", "R": "radius", "T": "topography"}
+_KINDS: dict[str, TerrainKind] = {"A": "areoid", "C": "counts", "R": "radius", "T": "topography"}
 _RESOLUTIONS = {"C": 4, "D": 8, "E": 16, "F": 32, "G": 64, "H": 128}
 """pixels per degree, by the letter in the name."""
 _SHAPES = {"C": (180, 360), "D": (180, 360), "E": (180, 360), "F": (180, 360), "G": (90, 180), "H": (44, 90)}
 """degrees of latitude and longitude in one file."""
-_NAMES = "MEGR90N000CB.IMG (radius), MEGT... (topography) or MEGA... (areoid)"
-_BYTES = 2
+_NAMES = "MEGR90N000CB.IMG (radius), MEGT... (topography), MEGA... (areoid) or MEGC... (counts)"
+_SAMPLES = {"MSB_INTEGER 16": ">i2", "INTEGER 16": ">i2"}
+_COUNTS = {f"{sign}INTEGER {bits}": kind for sign in ("MSB_", "", "UNSIGNED_", "MSB_UNSIGNED_")
+           for bits, kind in ((8, "u1"), (16, ">u2"))}  # fmt: skip
+"""NumPy's types of the labels' samples; counts are no less than zero whatever these say."""
 _MARGIN = 4
 """Posts kept beyond the points around which a grid is read."""
 
@@ -52,12 +55,15 @@ class _Layout:
     """m per count."""
     skipped: int
     """bytes before the first pixel."""
+    types: tuple[str, ...] = (">i2",)
+    """NumPy's, of a pixel; of several that which the file's size says."""
 
 
 def read_megdr(
     path: Path, vertical_sigma: float | None = None, planimetric_sigma: float | None = None, near: Array | None = None
 ) -> TerrainGrid | None:
-    """Read a MEGDR grid of 16-bit numbers, or the part of it around points; None where none of it is there.
+    """Read a MEGDR grid of 16-bit numbers (or 8, of counts), or the part of it around points; None where none of it is
+    there.
 
     Parameters
     ----------
@@ -71,7 +77,7 @@ def read_megdr(
     Returns
     -------
     TerrainGrid
-        Its `kind` says whether posts are radii, heights above the areoid, or radii of the areoid.
+        Its `kind` says whether posts are radii, heights above the areoid, radii of the areoid, or numbers of shots.
 
     Raises
     ------
@@ -85,13 +91,11 @@ def read_megdr(
         size = image.stat().st_size
     except OSError:
         raise InputError(str(image), "no such file", remedy="put the image beside its label") from None
-    expected = layout.skipped + layout.lines * layout.samples * _BYTES
-    if size != expected:
-        raise InputError(
-            str(image), f"{size} bytes",
-            f"{expected}: {layout.lines} lines x {layout.samples} samples x {_BYTES} bytes", "fetch it anew",
-        )
-    counts = np.memmap(image, ">i2", "r", layout.skipped, (layout.lines, layout.samples))
+    expected = {layout.skipped + layout.lines * layout.samples * np.dtype(one).itemsize: one for one in layout.types}
+    if size not in expected:
+        wanted = f"{layout.lines} lines x {layout.samples} samples x {np.dtype(layout.types[0]).itemsize} bytes"
+        raise InputError(str(image), f"{size} bytes", f"{next(iter(expected))}: {wanted}", "fetch it anew")
+    counts = np.memmap(image, expected[size], "r", layout.skipped, (layout.lines, layout.samples))
     step, wraps = DEG / layout.resolution, abs(layout.samples - 360.0 * layout.resolution) < 0.5
     first = np.array([layout.latitude, layout.longitude]) * DEG
     rows, columns = slice(0, layout.lines), np.arange(layout.samples)
@@ -123,8 +127,7 @@ def _files(path: Path) -> tuple[Path, Path | None]:
 def _kind(name: str, where: str) -> TerrainKind:
     letter = name[3:4].upper() if name[:3].upper() == "MEG" else ""
     if letter not in _KINDS:
-        found = "a grid of counts" if letter == "C" else f"the product {name!r}"
-        raise InputError(where, found, _NAMES)
+        raise InputError(where, f"the product {name!r}", _NAMES)
     return _KINDS[letter]
 
 
@@ -140,8 +143,13 @@ def _from_name(path: Path) -> _Layout:
         kind, high * resolution, wide * resolution, resolution,
         float(longitude) + 0.5 / resolution,
         float(latitude) * (1.0 if side.upper() == "N" else -1.0) - 0.5 / resolution,
-        0.0 if kind == "topography" else REFERENCE_RADIUS, 1.0, 0,
+        _usual_offset(kind), 1.0, 0, ("u1", ">u2") if kind == "counts" else (">i2",),
     )
+
+
+def _usual_offset(kind: TerrainKind) -> float:
+    """m, where no label says."""
+    return REFERENCE_RADIUS if kind in ("radius", "areoid") else 0.0
 
 
 def _from_label(path: Path, image: Path) -> _Layout:
@@ -149,23 +157,24 @@ def _from_label(path: Path, image: Path) -> _Layout:
     projection = label.text("MAP_PROJECTION_TYPE").upper().replace("_", " ")
     if projection != "SIMPLE CYLINDRICAL":
         raise InputError(f"{path}, MAP_PROJECTION_TYPE", projection, "SIMPLE CYLINDRICAL")
+    kind = _kind(label.text("PRODUCT_ID") if "PRODUCT_ID" in label else image.name, str(path))
     sample = f"{label.text('SAMPLE_TYPE').upper()} {label.count('SAMPLE_BITS')}"
-    if sample not in ("MSB_INTEGER 16", "INTEGER 16"):
-        raise InputError(f"{path}, SAMPLE_TYPE and SAMPLE_BITS", sample, "MSB_INTEGER 16")
+    types = _SAMPLES | (_COUNTS if kind == "counts" else {})
+    if sample not in types:
+        expected = "MSB_INTEGER 16" + (", or 8 bits" if kind == "counts" else "")
+        raise InputError(f"{path}, SAMPLE_TYPE and SAMPLE_BITS", sample, expected)
     resolution = label.number("MAP_RESOLUTION")
     if resolution <= 0.0:
         raise InputError(f"{path}, MAP_RESOLUTION", f"{resolution:g} pixels per degree", "a positive number")
     if label.number("CENTER_LATITUDE") != 0.0:
         raise InputError(f"{path}, CENTER_LATITUDE", f"{label.number('CENTER_LATITUDE'):g}", "0, the projection's own")
-    kind = _kind(label.text("PRODUCT_ID") if "PRODUCT_ID" in label else image.name, str(path))
-    usual = 0.0 if kind == "topography" else REFERENCE_RADIUS
     return _Layout(
         kind, label.count("LINES"), label.count("LINE_SAMPLES"), resolution,
         label.number("CENTER_LONGITUDE") + (1.0 - label.number("SAMPLE_PROJECTION_OFFSET")) / resolution,
         (label.number("LINE_PROJECTION_OFFSET") - 1.0) / resolution,
-        label.number("OFFSET") if "OFFSET" in label else usual,
+        label.number("OFFSET") if "OFFSET" in label else _usual_offset(kind),
         label.number("SCALING_FACTOR") if "SCALING_FACTOR" in label else 1.0,
-        _skipped(label),
+        _skipped(label), (types[sample],),
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import SPOT_WIDTHS, footprint_covariances
+from mgsgraph.geometry.common_errors import common_variances
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import PostLattice
 from mgsgraph.network.network import Network
@@ -65,7 +66,8 @@ class Posts(NamedTuple):
 
 def posts_of(model: TerrainModel, least: float) -> Posts:
     """Posts of a terrain model by rows from its first one; m by n of them averaged to one where a cell would be smaller
-    than `least`, m. The posts' errors count as independent, and so a mean's sigma is theirs by the root of m n.
+    than `least`, m. The posts' own errors count as independent, and so a mean's sigma is theirs by the root of m n;
+    those of interpolation between tracks are common within half the distance between these (`common_variances`).
 
     Raises
     ------
@@ -91,11 +93,11 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
         posts = _blocks(np.where(known, values, 0.0), high, wide)
         return np.asarray(posts.sum(axis=(1, 3), dtype=np.float64)[there] / count)
 
-    own = lattice.post_sigmas
-    spread = (np.full(count.size, lattice.vertical_sigma or np.nan) ** 2 if own is None else mean(own**2)) / count
-    if not np.all(spread > 0.0):
+    if not lattice.vertical_sigma:
         raise InputError(f"terrain {lattice.source}", "no sigma of its heights", "metres, above zero")
-    points = lattice.located(row, column, mean(lattice.values))
+    spread, points = lattice.vertical_sigma**2 / count, lattice.located(row, column, mean(lattice.values))
+    if lattice.gaps is not None:
+        spread += common_variances(np.nan_to_num(points), *(mean(one) for one in lattice.gaps))
     names = tuple(f"{model.name}:{i}:{j}" for i, j in (first + 1).tolist())
     posts = Posts(names, points, np.sqrt(spread), _WIDTH * float(np.sqrt(np.prod(sides * [high, wide]))))
     return posts.chosen(np.flatnonzero(np.all(np.isfinite(points), axis=1)))

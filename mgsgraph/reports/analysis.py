@@ -29,6 +29,7 @@ from mgsgraph.reports.reliability import (
     snooping_text,
 )
 from mgsgraph.reports.sigmas import Section, curve_section, raster_section
+from mgsgraph.reports.unexplained import unexplained_section
 
 if TYPE_CHECKING:
     from mgsgraph.figures.sheet import Sheet
@@ -53,6 +54,8 @@ class Wanted:
     """m, side of the raster's cells."""
     sigma: float = 1.0
     """px, of the measures of the raster's points."""
+    unexplained: bool = False
+    """Tests of the residuals against time, sample, slope, height and neighbours."""
     honesty: bool = False
     """Global test, variance components, statistics of residuals; linearity."""
     likelihood: tuple[str, ...] = ()
@@ -91,6 +94,8 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
         yield curve_section(posterior, image)
     if wanted.raster is not None:
         yield raster_section(posterior, wanted.raster, wanted.cell, wanted.sigma)
+    if wanted.unexplained:
+        yield unexplained_section(posterior)
     if wanted.honesty:
         yield _honesty(posterior, name)
         yield linearity_section(posterior)

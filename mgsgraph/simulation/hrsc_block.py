@@ -7,11 +7,10 @@ trajectory (+) nodes drawn from the prior that the network states (bias, drift, 
 where asked for, of which the network knows nothing. Image rays are true ones plus noise of the stated sigma.
 
 With the truth on the adjustment's own nodes and without jitter and blunders an adjustment with these sigmas has honest
-statistics, but for one thing: neighbouring points share posts of the terrain model and so their error, of which surface
-rows know nothing.
+statistics: neighbouring points share posts of the terrain model and so their error, which their sigmas count with.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.orientation_images import Basis, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask, assign
+from mgsgraph.geometry.track_gaps import track_gaps
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, PointClass, Ranges, Strip, Surface
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_terrain
@@ -28,6 +28,7 @@ from mgsgraph.simulation.mars import MARS
 from mgsgraph.simulation.observations import Visible, require_count, require_positive
 from mgsgraph.simulation.strip_truth import Jitter, true_correction
 from mgsgraph.simulation.terrain import block_grid
+from mgsgraph.simulation.world import BLOCK_EFFECTS, World, common_errors, drawn_period, of_tracks
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MGON
 
@@ -37,7 +38,9 @@ _FIRST, _REVOLUTION = 130_000_000.0, 24_000.0
 """s TDB past J2000 of the first pericentre, in February 2004, and from one to the next: 6.7 hours."""
 _INCLINATION = 86.6 * DEG
 """Of Mars Express' orbit, about; with the eccentricity it only shapes the passes."""
-_WIDTH = HRSC_PIXELS * 0.007 / 175.0
+_PIXEL = 0.007 / 175.0
+"""rad, of a detector's pixel."""
+_WIDTH = HRSC_PIXELS * _PIXEL
 """Swath over altitude."""
 _BLUNDER = (5.0, 100.0)
 """px, least and largest size of a blunder."""
@@ -139,6 +142,8 @@ class BlockSettings:
     """Of all strips, on top; no prior knows it."""
     terrain: TerrainErrors | None = field(default_factory=TerrainErrors)
     """Of the terrain model; None for a network without."""
+    world: World = field(default_factory=World)
+    """What the world does besides: tracks, jitter, matching."""
     ground: int = 1
     """Seed of the true ground, which blocks of several seeds share."""
 
@@ -157,6 +162,8 @@ class BlockSettings:
         _require_share("pericentre", self.pericentre)
         _require_share("overlap", self.overlap)
         require_positive("block settings, spacing", self.spacing)
+        for name in self.world.effects:
+            require(name in BLOCK_EFFECTS, "block settings, world", repr(name), f"some of {', '.join(BLOCK_EFFECTS)}")
         if self.true_spacing is not None:
             require_positive("block settings, true spacing", self.true_spacing)
         known, latitude = np.all(np.isfinite(self.centre)), self.centre[1] / DEG
@@ -224,7 +231,7 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)
     relief, prior = block_terrain(*settings.centre, settings.ground), settings.errors.prior
     flown, nodes = list[FlownStrip](), list[OrientationImages]()
-    passes = _passes(settings)
+    passes, world = _passes(settings), settings.world
     for k, (orbit, rng) in enumerate(zip(passes, of_orientation.spawn(len(passes)), strict=True)):
         images = strip_images(
             f"HRSC/{k:02d}", orbit, orbit.interval(settings.length, settings.pericentre), settings.readout
@@ -232,11 +239,12 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
         edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] for image in images]
         coverage = min(float(one[0]) for one in edges), max(float(one[1]) for one in edges)
         nodes.append(evenly_spaced(settings.basis, orbit.epoch, coverage, settings.spacing))
-        true = true_correction(prior, nodes[k], settings.true_spacing, settings.jitter, rng)
+        jitter = settings.jitter or _drawn_jitter(world, seed, k)
+        true = true_correction(prior, nodes[k], settings.true_spacing, jitter, rng)
         flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
-    rays, blunders = _rays(visible, settings.matches, of_points)
-    surface, shifts = _surface(settings.terrain, relief, points, of_terrain)
+    rays, blunders = _rays(visible, settings.matches, world, seed, of_points)
+    surface, shifts = _surface(settings.terrain, relief, points, world, seed, of_terrain)
     network = _network(flown, nodes, prior, len(points), rays, surface)
     corrections = tuple(one.true for one in flown for _ in STEREO)
     return SimulatedBlock(settings, seed, network, corrections, shifts, points, blunders, relief)
@@ -270,10 +278,23 @@ def _abreast(altitudes: Array, overlap: float) -> Array:
     return np.asarray(angles - 0.5 * (angles[:1] + angles[-1:]))
 
 
-def _rays(visible: Visible, matches: PointMatching, rng: np.random.Generator) -> tuple[ImageRays, Mask]:
+def _drawn_jitter(world: World, seed: int, strip: int) -> Jitter | None:
+    """Of one strip, of the world's amplitude in pixels; None where it has none."""
+    if not world.jitter:
+        return None
+    rng = world.stream("jitter", seed, strip)
+    return Jitter(world.jitter * _PIXEL, 1.0 / drawn_period(rng), "pitch")
+
+
+def _rays(
+    visible: Visible, matches: PointMatching, world: World, seed: int, rng: np.random.Generator
+) -> tuple[ImageRays, Mask]:
     """Image rays as measured, by point and image, and which of them are blunders."""
     point, image, exact = visible.ordered()
-    noisy = exact + matches.sigma * rng.standard_normal(exact.shape)
+    errors = matches.sigma * rng.standard_normal(exact.shape)
+    if world.matching:
+        errors = common_errors(world, errors, image, exact, world.stream("matching", seed))
+    noisy = exact + errors
     blunders = rng.random(point.size) < matches.blunders
     size, direction = rng.uniform(*_BLUNDER, point.size), rng.uniform(0.0, 2.0 * np.pi, point.size)
     off = np.where(blunders, size, 0.0)[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
@@ -281,14 +302,25 @@ def _rays(visible: Visible, matches: PointMatching, rng: np.random.Generator) ->
 
 
 def _surface(
-    errors: TerrainErrors | None, relief: SiteTerrain, points: Array, rng: np.random.Generator
+    errors: TerrainErrors | None,
+    relief: SiteTerrain,
+    points: Array,
+    world: World,
+    seed: int,
+    rng: np.random.Generator,
 ) -> tuple[Surface | None, Array]:
     """Terrain model as control, and what it lacks of the truth, (1, 2) m east and north; no rows where posts miss."""
     if errors is None:
         return None, np.zeros((0, 2))
     shift = errors.planimetric * rng.standard_normal(2)
     grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
-    sigmas = np.where(np.isfinite(grid.at(points)), errors.vertical, np.inf)
+    if world.tracks:
+        sides = grid.latitude_step * relief.metres_per_radian[1], grid.longitude_step * relief.metres_per_radian[0]
+        radii, measured = of_tracks(grid.radii, sides, world.tracks, world.stream("tracks", seed))
+        grid = replace(grid, radii=radii)
+        counts = replace(grid, radii=measured.astype(np.float64), kind="counts", vertical_sigma=None)
+        grid = replace(grid, gaps=track_gaps(grid, counts))
+    sigmas = np.nan_to_num(grid.control_sigmas(points), nan=np.inf)
     return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]
 
 

@@ -26,6 +26,8 @@ EFFECTS: tuple[Effect, ...] = get_args(Effect)
 """What can be switched on."""
 STRIP_EFFECTS: tuple[Effect, ...] = ("orbit", "jitter", "matching")
 """Those that a strip has: its shots are taken by nadir images, and it has no terrain model."""
+BLOCK_EFFECTS: tuple[Effect, ...] = ("tracks", "jitter", "matching")
+"""Those that a block of HRSC strips has: no laser, and orbits of its own prior."""
 JITTER_PERIODS = (0.5, 5.0)
 """s, shortest and longest period of a vibration."""
 _WAVES = 200
@@ -119,12 +121,16 @@ class Vibration:
 
 
 def drawn_vibration(world: World, image: PushbroomImage, rng: np.random.Generator) -> Vibration:
-    """A vibration of an image, of the world's amplitude in pixels: period from all octaves alike, phases from all."""
-    low, high = np.log(JITTER_PERIODS)
-    period = float(np.exp(rng.uniform(low, high)))
+    """A vibration of an image, of the world's amplitude in pixels: its period and its phases are drawn."""
+    period = drawn_period(rng)
     first, second = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
     by_line, by_sample = (world.jitter * angle for angle in pixel_angles(image))
     return Vibration(period, (by_line, by_sample), (first, second))
+
+
+def drawn_period(rng: np.random.Generator) -> float:
+    """S, of a vibration: all octaves between the shortest and the longest are alike."""
+    return float(np.exp(rng.uniform(*np.log(JITTER_PERIODS))))
 
 
 def vibrating(image: PushbroomImage, vibration: Vibration) -> PushbroomImage:

@@ -36,7 +36,9 @@ def test_the_summary_says_what_is_wrong_and_what_is_weak(result: Path, tmp_path:
     for words in ("Global test", "tie image points", "By suspicion", "Of what least was learnt"):
         assert words in said
     record = json.loads((tmp_path / "analysis" / "analysis.json").read_text(encoding="utf-8"))
-    assert {"honesty", "reliability", "weak"} <= set(record)
+    assert {"unexplained", "honesty", "reliability", "weak"} <= set(record)
+    tested = (tmp_path / "analysis" / "unexplained.csv").read_text(encoding="utf-8").splitlines()
+    assert len(tested) == 1 + len(record["unexplained"][0]["effects"]) > 1
     redundancy = record["reliability"][0]["redundancy"]
     assert redundancy == pytest.approx(record["honesty"][0]["global_test"]["degrees_of_freedom"], abs=1e-4)
     assert redundancy == pytest.approx(read_solution(result).fit.degrees_of_freedom, abs=1e-4)

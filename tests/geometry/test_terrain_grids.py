@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.terrain_grids import above_areoid, mosaic
@@ -37,21 +38,30 @@ def inside(one: TerrainGrid, count: int = 500, seed: int = 3) -> Array:
     return from_planetocentric(np.column_stack([longitude, latitude, np.full(count, RADIUS)]))
 
 
-def test_posts_may_have_sigmas_of_their_own() -> None:
+def test_interpolation_between_tracks_adds_to_the_sigma() -> None:
     one = grid()
-    sigmas = np.linspace(5.0, 50.0, one.radii.size).reshape(one.radii.shape)
-    own = replace(one, post_sigmas=sigmas)
+    between = np.linspace(5.0, 50.0, one.radii.size).reshape(one.radii.shape)
+    own = replace(one, gaps=Gaps(between, np.full(between.shape, 1e4)))
     points = inside(one, 20)
-    found = own.height_sigmas(points)
-    assert found.min() > 5.0
-    np.testing.assert_allclose(found, replace(one, radii=sigmas, kind="topography").at(points), rtol=1e-6)
+    found, more = own.height_sigmas(points), replace(one, radii=between, kind="topography").at(points)
+    np.testing.assert_allclose(found, np.hypot(10.0, more), rtol=1e-6)
     cut = own.around(points[:3], margin=1)
     assert cut.radii.size < own.radii.size
     np.testing.assert_allclose(cut.height_sigmas(points[:3]), found[:3], rtol=1e-6)
-    with pytest.raises(InputError, match="sigmas of the posts"):
-        replace(one, post_sigmas=sigmas[1:])
-    with pytest.raises(InputError, match="sigmas of the posts"):
-        replace(one, post_sigmas=sigmas - 5.0)
+    for wrong in (between[1:], between - 10.0):
+        with pytest.raises(InputError, match="gaps between tracks"):
+            replace(one, gaps=Gaps(wrong, between))
+
+
+def test_points_in_one_gap_are_worth_no_more_than_one_height() -> None:
+    """Points in pairs 1 km apart: each pair shares its posts, and all of them the error between two tracks."""
+    one = grid()
+    own = replace(one, gaps=Gaps(np.full(one.radii.shape, 30.0), np.full(one.radii.shape, 1e6)))
+    apart = 20.0 * STEP * np.arange(1.0, 4.0)[:, None] / 20.0 + [0.0, 1e-6]
+    longitude = one.first_longitude + 10.0 * STEP + apart.ravel()
+    points = from_planetocentric(np.column_stack([longitude, np.full((6, 2), [9.9 * DEG, RADIUS])]))
+    assert one.control_sigmas(points) == pytest.approx(np.full(6, 10.0 * 2**0.5))
+    assert own.control_sigmas(points) ** 2 == pytest.approx(np.full(6, 2.0 * 10.0**2 + 6.0 * 30.0**2))
 
 
 @example(row=20, column=30, order=[0, 1, 2, 3], west=-30)  # on either side of the prime meridian

@@ -40,6 +40,7 @@ def tracks(
         footprints=from_planetocentric(np.column_stack([longitude.ravel(), latitude.ravel(), radii.ravel()])),
         areoid_radii=nothing, ranges=nothing, range_corrections=nothing, spacecraft=np.full((n, 3), np.nan),
         off_nadir=nothing, ground=np.ones(n, dtype=bool), channels=np.zeros(n, dtype=np.int64), clocks=nothing,
+        pulses=nothing,
     )  # fmt: skip
 
 
@@ -88,14 +89,14 @@ def test_no_post_stands_where_the_nearest_tracks_are_too_far_apart() -> None:
 def test_sigmas_grow_with_distance_and_roughness() -> None:
     """A saw of 200 m, 300 m long: each shot is 200 m off its neighbours, 2/3 m per m of distance."""
     smooth, rough = (track_terrain([tracks(apart([0.0, 4.0]), heights=kind)]) for kind in ("plane", "steps"))
-    assert smooth.post_sigmas is not None
-    assert rough.post_sigmas is not None
-    assert np.nanmax(smooth.post_sigmas) < 10.1
+    assert smooth.gaps is not None
+    assert rough.gaps is not None
+    assert np.nanmax(smooth.gaps.sigmas) < 1.5
     longitude, latitude = posts(rough)
     east = (longitude - 175.0 * DEG + 0.05 * (latitude - NORTH)) * RADIUS * np.cos(NORTH)
     middle = (np.abs(east - 2.0 * KM) < 200.0) & (np.abs(latitude - NORTH - 12.0 * KM / RADIUS) < 8.0 * KM / RADIUS)
-    np.testing.assert_allclose(rough.post_sigmas[middle], 2.0 / 3.0 * 1.95 * KM, rtol=0.1)
-    assert np.nanmin(rough.post_sigmas) < 100.0
+    np.testing.assert_allclose(rough.gaps.sigmas[middle], 2.0 / 3.0 * 1.95 * KM, rtol=0.1)
+    assert np.nanmin(rough.gaps.sigmas) < 100.0
 
 
 def test_only_what_lies_around_the_points_is_laid_out() -> None:

@@ -101,6 +101,19 @@ def test_sixteen_pixels_areoid_and_offset_in_the_label(tmp_path: Path) -> None:
     assert np.all(grid.radii == 3397200.0)
 
 
+@pytest.mark.parametrize(("kind", "bits"), [("u1", 8), (">u2", 16)])
+def test_counts_of_shots_have_one_byte_or_two(tmp_path: Path, kind: str, bits: int) -> None:
+    """By the label, or without one by the size of the file."""
+    counts = np.random.default_rng(1).integers(0, 255, (720, 1440))
+    path = tmp_path / "megc90n000cb.img"
+    counts.astype(kind).tofile(path)
+    by_name = read_megdr(path)
+    (tmp_path / "megc90n000cb.lbl").write_text(label(PRODUCT_ID="MEGC90N000CB.IMG", SAMPLE_BITS=bits))
+    for found in (by_name, read_megdr(path)):
+        assert found.kind == "counts"
+        np.testing.assert_array_equal(found.radii, counts)
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -108,7 +121,8 @@ def test_sixteen_pixels_areoid_and_offset_in_the_label(tmp_path: Path) -> None:
         ({"SAMPLE_TYPE": "IEEE_REAL", "SAMPLE_BITS": 32}, "IEEE_REAL 32"),
         ({"LINES": 721}, "2073600 bytes; expected 2076480"),
         ({"MAP_RESOLUTION": "N/A"}, "MAP_RESOLUTION: 'N/A'"),
-        ({"PRODUCT_ID": '"MEGC90N000CB.IMG"'}, "a grid of counts"),
+        ({"PRODUCT_ID": '"MEGX90N000CB.IMG"'}, "the product 'MEGX90N000CB.IMG'"),
+        ({"PRODUCT_ID": '"MEGC90N000CB.IMG"', "SAMPLE_BITS": 32}, "MSB_INTEGER 32"),
         ({"CENTER_LATITUDE": 10.0}, "CENTER_LATITUDE: 10"),
     ],
 )

@@ -56,7 +56,7 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
         points = network.footprints_moved(shared)
         places = network.points.places[points]
         up = places / np.linalg.norm(places, axis=1, keepdims=True)
-        return points, np.stack([up, _along_track(places)[:, None] * up], axis=1)
+        return points, np.stack([up, along_track(places)[:, None] * up], axis=1)
     points, chosen = network.beams(shared)
     ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
     for j in np.unique(ranges.image).tolist():
@@ -66,7 +66,7 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
     return points, motion
 
 
-def _along_track(places: Array) -> Array:
+def along_track(places: Array) -> Array:
     """(p,) where shots (p, 3) of a profile lie along it, from -1 at one end to 1 at the other."""
     if len(places) < 2:
         return np.zeros(len(places))

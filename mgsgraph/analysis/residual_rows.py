@@ -1,0 +1,213 @@
+"""Whitened rows of chosen points as one sparse system, and what the residuals say of a suspected systematic effect.
+
+A suspected effect adds g theta to the whitened rows, theta unknown. With R = 1 - A Q A' the covariance of the whitened
+residuals v of all rows (Baarda 1968), g' v has the variance g' R g, and
+
+    T = v' G (G' R G)^-1 G' v
+
+is chi-square with as many degrees of freedom as G has columns if there is no such effect, however the residuals are
+correlated and whatever the adjustment has already absorbed: the score test, or Lagrange multiplier test, of theta
+(Rao 1948; in geodesy Teunissen 2006, Testing theory). An effect on some of the rows alone is tested as exactly; so
+of a large network some points do.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.linearised import Linearised
+from mgsgraph.adjustment.posterior import residuals
+from mgsgraph.adjustment.square_root import begins
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.rows import GROUND, IMAGE, NO_LOSS, OUT, RANGE, STEREO, SURFACE
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+_EXACT = 1e-12
+"""Residual in sigmas below which its robust weight is taken as one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualRows:
+    """r whitened rows: those of chosen points, then those of the priors of the shared unknowns."""
+
+    at: Linearised
+    """Where they are linearised, with the covariance that estimates had were considered unknowns without error."""
+    residuals: Array
+    """(r,) in sigmas."""
+    redundancy: Array
+    """(r,) redundancy numbers; of priors' rows 0: they are not judged."""
+    by_point: Array
+    """(r, 3) per m, derivatives by the row's own point; zero for priors."""
+    point: Index
+    """(r,) network point; -1 for priors."""
+    kind: Index
+    """(r,) IMAGE, RANGE, GROUND, SURFACE or STEREO; -1 for priors."""
+    component: Index
+    """(r,) line 0, sample 1; x, y, z of a ground prior (whitened); else 0."""
+    measure: Index
+    """(r,) ray or range of the network; else -1."""
+    own: "csr_array"
+    """(r, 3 p) orthonormal, on what p points keep for themselves."""
+    through: "csr_array"
+    """(r, columns) on the shared unknowns, which the points follow."""
+
+    def of_kind(self, kind: int) -> Index:
+        """Rows of one kind."""
+        return np.flatnonzero(self.kind == kind)
+
+    @cached_property
+    def begin_of_priors(self) -> int:
+        """First row of the priors."""
+        return int(np.count_nonzero(self.kind >= 0))
+
+    @cached_property
+    def scale(self) -> Array:
+        """(r,) of rays and ranges what a pixel or a metre is in the whitened rows, robust weight included; else 0."""
+        network, layout = self.at.network, self.at.layout
+        found = np.zeros(self.kind.size)
+        rays, ranges = self.of_kind(IMAGE), self.of_kind(RANGE)
+        found[rays] = 1.0 / network.rays.sigmas[self.measure[rays], self.component[rays]]
+        found[ranges] = 1.0 / network.ranges.sigmas[self.measure[ranges]]
+        if layout.model.loss != NO_LOSS:
+            plain = residuals(layout, self.at.orientation, self.at.points)
+            image, single = plain.image[self.measure[rays], self.component[rays]], plain.ranges[self.measure[ranges]]
+            for mine, one in ((rays, image), (ranges, single)):
+                there = np.abs(one * found[mine]) > _EXACT
+                found[mine] = np.where(there, self.residuals[mine] / np.where(there, one, 1.0), found[mine])
+        return found
+
+    @cached_property
+    def considered(self) -> Array:
+        """(r, h) residuals that one sigma of each considered unknown brings about.
+
+        They were held at zero by pseudo-observations of a weight w: v = R (e + A c), and in all rows but these
+        A' R g = w^2 S A' g with the covariance S of the unknowns.
+        """
+        variables = self.at.layout.variables
+        held = np.flatnonzero(variables.considered)
+        factor = (variables.sigmas / variables.prior_sigmas**2)[held]
+        unit = np.zeros((self.at.layout.columns, held.size))
+        unit[held, np.arange(held.size)] = factor
+        found = np.asarray(self.through @ self._spread(unit))
+        own = np.flatnonzero(self.at.layout.prior.weights)
+        found[self.begin_of_priors + np.flatnonzero(np.isin(own, held))] = 0.0  # pseudo-observations, not their errors
+        return found
+
+    def explained(self, rows: Index, columns: Array) -> Array:
+        """C G (r, k) with the covariance C of the residuals: how effects G, whose `columns` (q, k) stand in some rows
+        (q,), show in them.
+        """
+        own, through, brought = self.own[rows], self.through[rows], self.considered
+        found = np.asarray(-(self.own @ (own.T @ columns)) - self.through @ self._spread(through.T @ columns))
+        found[rows] += columns
+        return np.asarray(found + brought @ (brought[rows].T @ columns))
+
+    def variance(self, rows: Index, columns: Array) -> Array:
+        """G' C G (k, k) of effects whose columns (q, k) stand in some rows (q,)."""
+        own, right = self.own[rows].T @ columns, self.through[rows].T @ columns
+        brought = self.considered[rows].T @ columns
+        found = columns.T @ columns - own.T @ own - right.T @ self._spread(right) + brought.T @ brought
+        return np.asarray(0.5 * (found + found.T))
+
+    def _spread(self, right: Array) -> Array:
+        """Covariance of the shared unknowns times vectors (columns, k)."""
+        return self.at.joint.square_root.covariance_times(right)
+
+
+def residual_rows(at: Linearised, points: Index) -> ResidualRows:
+    """Rows of network points (p,), those left out by the adjustment skipped, and of the priors.
+
+    Parameters
+    ----------
+    at : Linearised
+        At its solution.
+    points : (p,)
+        Each once.
+    """
+    from scipy.sparse import coo_array, csr_array, vstack  # slow to import
+
+    at = at.of_estimator()
+    parts, prior = list(_parts(at, points)), at.layout.prior
+    begin = begins(np.array([part.residuals.size for part in parts], dtype=np.int64))
+    r = int(begin[-1])
+
+    def joined(name: str, shape: tuple[int, ...] = ()) -> Any:
+        """Of all parts, then of the priors."""
+        values = [getattr(part, name) for part in parts]
+        return np.concatenate([*values, np.full((prior.rows, *shape), -1 if values[0].dtype == np.int64 else 0.0)])
+
+    row = np.concatenate([first + part.row for first, part in zip(begin.tolist(), parts, strict=False)])
+    column, value = (np.concatenate([getattr(part, name) for part in parts]) for name in ("column", "value"))
+    through = coo_array((value, (row, column)), (r, at.layout.columns)).tocsr()
+    misfits, point, observation = joined("residuals"), joined("point"), joined("observation")[:r]
+    misfits[r:] = prior.every @ at.orientation
+    misfits[misfits.size - prior.target.size :] -= prior.target
+    number = np.unique(point[:r], return_inverse=True)[1]
+    place = np.repeat(np.arange(r), 3), (3 * number[:, None] + np.arange(3)).ravel()
+    own = coo_array((joined("own", (3,))[:r].ravel(), place), (misfits.size, 3 * (number.max(initial=-1) + 1)))
+    kind, measure = (np.append(one, np.full(prior.rows, -1)) for one in _what(at, observation))
+    return ResidualRows(
+        at, misfits, joined("redundancy"), joined("by_point", (3,)), point, kind, joined("component"), measure,
+        own.tocsr(), csr_array(vstack([through, prior.every])),
+    )  # fmt: skip
+
+
+class _Part(NamedTuple):
+    """Rows of the points of one piece, and entries of `ResidualRows.through` in them."""
+
+    residuals: Array
+    redundancy: Array
+    by_point: Array
+    point: Index
+    observation: Index
+    """(r,) place among all observations."""
+    component: Index
+    own: Array
+    """(r, 3)"""
+    row: Index
+    column: Index
+    value: Array
+
+
+def _parts(at: Linearised, points: Index) -> Iterator[_Part]:
+    """Piece by piece, point by point; rows without a weight are left out."""
+    index = np.sort(at.layout.patterns.point_index[points])
+    index = index[at.rows.kind[index] != OUT]
+    if not index.size:
+        raise InputError("tests of the residuals", "no point that took part", "some", "adjust the case again")
+    piece = at.layout.patterns.piece_of(index)
+    for one in np.unique(piece).tolist():
+        _, first, count, _, among = at.rows.piece[one].tolist()
+        inside = index[piece == one] - first
+        rows = at.rows_inside(one, inside)
+        own, through = rows.following()
+        m, r = rows.residuals.shape
+        share = np.sum(own**2, axis=2) + np.einsum("mrc,cd,mrd->mr", through, at.joint.of(rows.variables), through)
+        parts = [np.arange(*at.layout.columns_of(v).indices(at.layout.columns)) for v in rows.variables]
+        columns = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+        taken = np.any(rows.by_point.reshape(-1, 3) != 0.0, axis=1)
+        flat = through.reshape(m * r, -1)[taken]
+        row, column = np.nonzero(flat)
+        yield _Part(
+            rows.residuals.ravel()[taken], (1.0 - share).ravel()[taken], rows.by_point.reshape(-1, 3)[taken],
+            np.repeat(at.layout.point_order[first + inside], r)[taken],
+            (among + rows.observation * count + inside[:, None]).ravel()[taken], np.tile(rows.row, m)[taken],
+            own.reshape(-1, 3)[taken], row, columns[column], flat[row, column],
+        )  # fmt: skip
+
+
+def _what(at: Linearised, observation: Index) -> tuple[Index, Index]:
+    """Kind (r,) of observations, by their places among all, and the network's ray or range that each is; else -1."""
+    places = at.layout.observation_rows
+    kinds = np.full(at.rows.weight.shape[1], GROUND)
+    measures = np.full(kinds.size, -1)
+    kinds[places.rays], kinds[places.ranges] = IMAGE, RANGE
+    kinds[places.heights], kinds[places.stereo] = SURFACE, STEREO
+    measures[places.rays], measures[places.ranges] = np.arange(places.rays.size), np.arange(places.ranges.size)
+    return kinds[observation], measures[observation]
