@@ -62,11 +62,10 @@ they are honest. Made by `scripts/nees.py`; seeds {first} .. {last}.
 READING = """
 Where *rigorous* lies outside its band and *no-terrain* inside, the surface rows are the cause. A tie's height above the
 grid says something of the horizontal place only by the ground's slope, which differs from post to post (463 m): over
-the hundred metres to which that place is known, the cost has several minima of nearly equal depth. The covariance is
-that of one of them and knows nothing of the others; a few draws in the wrong one dominate the mean of the *shifts*,
-whose median is below one. The terrain model's shift is therefore less certain than it says, and most so at Eos.
-A band that reaches below zero says that a few draws dominate: it tells nothing.
-Where *no-terrain* lies outside as well, as Eos' orientation does, its priors are too wide for linear error
+the hundred metres to which that place is known, the cost may have several minima. `adjust` looks for them and states
+the sigmas of their mixture ([](minima.md)). A band that reaches below zero says that a few draws dominate: it tells
+nothing.
+Where *no-terrain* lies outside, as Eos' orientation does, its priors are too wide for linear error
 propagation: 3', 6' and 10' (twice that for the second image), equally wide along the image. (Tried once, 60 draws
 without terrain: 1.33 with these sigmas, 1.01 with half of them, 0.97 with a tenth.) The likelihood ratio of the same
 draws is in its band, `adjust` says that the case is not linear, and the points are honest there. Single coefficients'

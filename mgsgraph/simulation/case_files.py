@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.simulation.isis_files import image_file
@@ -83,7 +85,10 @@ def _images(simulated: SimulatedSite, settings: SiteSettings, folder: str = "") 
 
 
 def _ties(simulated: SimulatedSite) -> Tables:
-    return _table("[ties]", network="network.pvl", sigma_px=simulated.options.tie_noise)
+    """Ties, whose errors are as much in common as those of windows that overlap: as the world's are correlated."""
+    world, sigma = simulated.options.world, simulated.options.tie_noise
+    window = round(world.window * float(np.sqrt(np.pi * world.matching)), 1)
+    return _table("[ties]", network="network.pvl", sigma_px=sigma, window_px=window)
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
