@@ -239,6 +239,7 @@ class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     loss: Loss = _DEFAULTS.loss
     loss_width: Positive | None = _DEFAULTS.loss_width
     reject: float = _DEFAULTS.reject
+    starts: Annotated[int, msgspec.Meta(ge=0)] | None = _DEFAULTS.starts
     max_iterations: Annotated[int, msgspec.Meta(ge=1)] = _DEFAULTS.max_iterations
 
     @property

@@ -22,7 +22,8 @@ _IMAGE_SIGMA: dict[str, float] = {"eos": 40.0, "gusev": 22.0, "isidis": 30.0}
 (`scripts/papers_balance.py`, which at Eos gives each image and coordinate its own); the text has "approximately 30"."""
 _TREND, _EOS_TREND = (1.0, 0.02, 0.002), (1.0, 1.0, 1.0)
 """Factors of the orientation's sigmas for each power of u, which the papers leave open. RMSE of the refined positions
-about their mean (Table 2) times sqrt(3), over 100 or 200 m: 0.007 to 0.04 at Gusev and Isidis, 3.8 at Eos."""
+about their mean (Table 2) times sqrt(3), over 100 or 200 m: 0.007 to 0.04 at Gusev and Isidis, 3.8 in the right
+image of Eos."""
 
 Value = str | float | Sequence["str | float"] | dict[str, "Value"]
 """Of a key in a case file."""
