@@ -103,22 +103,29 @@ def main(arguments: list[str] | None = None) -> int:
 def one_draw(name: str, seed: int) -> Draw:
     """Draw, adjust by tie points and by cells, judge."""
     begin = time.perf_counter()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            case, truth, site, rng = drawn_case(name, seed, Path(folder))
+    except InputError as error:
+        return {"refused": str(error)}
+    ties = adjust_network(case.network, case.settings, case.name)
+    cells = by_cells(case, ties, site, rng)
+    judged = {"ties": truth.judge(ties), "cells": truth.judge(cells)}
+    return judged | {"seconds": time.perf_counter() - begin}
+
+
+def drawn_case(name: str, seed: int, folder: Path) -> tuple[Case, "Truth", SimulatedSite, np.random.Generator]:
+    """A case in the mission's formats, what it should find, the site, and the generator for its matches.
+
+    Raises InputError where a profile misses its image.
+    """
     site = simulate_site(name, seed, SimulationOptions(pictures=False))
     rng = np.random.default_rng([seed, SITE_NAMES.index(name), 7])
     lift = float(rng.normal(0.0, HEIGHT_SIGMA))
     site = replace(site, grid=replace(site.grid, radii=site.grid.radii + lift))
-    with tempfile.TemporaryDirectory() as folder:
-        path = write_site(site, Path(folder))
-        path.write_text(f"{path.read_text(encoding='utf-8')}height_sigma_m = {HEIGHT_SIGMA}\n", encoding="utf-8")
-        try:
-            case = read_case(path)
-        except InputError as error:
-            return {"refused": str(error)}
-    ties = adjust_network(case.network, case.settings, case.name)
-    cells = by_cells(case, ties, site, rng)
-    truth = Truth(site, lift)
-    judged = {"ties": truth.judge(ties), "cells": truth.judge(cells)}
-    return judged | {"seconds": time.perf_counter() - begin}
+    path = write_site(site, folder)
+    path.write_text(f"{path.read_text(encoding='utf-8')}height_sigma_m = {HEIGHT_SIGMA}\n", encoding="utf-8")
+    return read_case(path), Truth(site, lift), site, rng
 
 
 def by_cells(case: Case, before: Solution, site: SimulatedSite, rng: np.random.Generator) -> Solution:

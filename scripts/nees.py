@@ -62,11 +62,10 @@ they are honest. Made by `scripts/nees.py`; seeds {first} .. {last}.
 READING = """
 Where *rigorous* lies outside its band and *no-terrain* inside, the surface rows are the cause. A tie's height above the
 grid says something of the horizontal place only by the ground's slope, which differs from post to post (463 m): over
-the hundred metres to which that place is known, the cost has several minima of nearly equal depth. The covariance is
-that of one of them and knows nothing of the others; a few draws in the wrong one dominate the mean of the *shifts*,
-whose median is below one. The terrain model's shift is therefore less certain than it says, and most so at Eos.
-A band that reaches below zero says that a few draws dominate: it tells nothing.
-Where *no-terrain* lies outside as well, as Eos' orientation does, its priors are too wide for linear error
+the hundred metres to which that place is known, the cost may have several minima. `adjust` looks for them and states
+the sigmas of their mixture ([](minima.md)). A band that reaches below zero says that a few draws dominate: it tells
+nothing.
+Where *no-terrain* lies outside, as Eos' orientation does, its priors are too wide for linear error
 propagation: 3', 6' and 10' (twice that for the second image), equally wide along the image. (Tried once, 60 draws
 without terrain: 1.33 with these sigmas, 1.01 with half of them, 0.97 with a tenth.) The likelihood ratio of the same
 draws is in its band, `adjust` says that the case is not linear, and the points are honest there. Single coefficients'
@@ -77,10 +76,11 @@ counts as linear, and over 200 draws at the edge of the band.)
 PAPERS = """
 `papers` has no band. Its MOLA image rows are projections of the footprints with the *nominal* orientation: they say
 what the orientation's prior says, some hundred times over, as if each were a measurement of its own with a sigma of
-30 px (125 px at Eos). The adjustment believes them: it states sigmas of the orientation far below the prior's, around
+40, 22 or 30 px. The adjustment believes them: it states sigmas of the orientation far below the prior's, around
 an orientation that is still nothing but the nominal one, from which the truth is as far as the prior says. Hence the
 large NEES of the orientation and the tie points. Footprints are held by their own 10 m and hardly move: theirs is about
-one. The squares are small for the same reason: back-projected rows fit without noise.
+one. The squares say nothing, for the same reason: back-projected rows have no noise, and contradict each other by
+what was drawn of the orientation.
 """
 
 

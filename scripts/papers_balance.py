@@ -37,13 +37,13 @@ _RANGE_SQUARES = (1.5 / 10.0) ** 2
 def squares(site: str, printed: dict[str, published.Scatter]) -> Array:
     """(2, 2) pixels^2, mean squares of Table 5 or of the ties' residuals: left and right, x and y."""
     mean, spread = (np.array(part) for part in printed[site])
-    return (mean**2 + spread**2).reshape(2, 2)
+    return np.asarray((mean**2 + spread**2).reshape(2, 2))
 
 
 def information(site: str) -> Array:
     """(2, 2) pixels^-2, N / sigma^2 of the footprints in the left and right image, x and y."""
     ties, footprints = (np.array(part[site].mean) for part in (published.TIE_RESIDUALS, published.TABLE_5))
-    return np.abs(published.TIES[site] * ties / footprints).reshape(2, 2)
+    return np.asarray(np.abs(published.TIES[site] * ties / footprints).reshape(2, 2))
 
 
 def implied_sigmas(site: str, seen: Sequence[int]) -> Array:
@@ -64,7 +64,7 @@ def seen_in(network: Network) -> tuple[int, int]:
 
 
 def _footprint_rays(network: Network) -> NDArray[np.bool_]:
-    return network.points.classes[network.rays.point] == PointClass.LASER
+    return np.asarray(network.points.classes[network.rays.point] == PointClass.LASER)
 
 
 def weighed(network: Network, sigmas: Array) -> Network:
@@ -120,7 +120,7 @@ def balance_table(networks: dict[str, Network]) -> list[str]:
         seen, whole = seen_in(network), (shots(site),) * 2
         stated, implied = np.full((2, 2), STATED_SIGMA), [implied_sigmas(site, each) for each in (seen, whole)]
         rows.append((
-            site, " ".join(f"{value:.2f}" for value in (information(site) ** -0.5).ravel()),
+            site, " ".join(map(str, seen)), " ".join(f"{value:.2f}" for value in (information(site) ** -0.5).ravel()),
             *(" ".join(f"{value:.0f}" for value in each.ravel()) for each in implied),
             f"{implied_sigma0(site, implied[0], seen):.3f}", f"{implied_sigma0(site, implied[1], whole):.3f}",
             f"{implied_sigma0(site, implied[1], whole, measurements=False):.3f}",
@@ -129,9 +129,9 @@ def balance_table(networks: dict[str, Network]) -> list[str]:
             f"{published.TABLE_4['PE&RS'][site].sigma0:.3f}",
         ))  # fmt: skip
     head = (
-        "site", "sigma / sqrt(N) (px): left x y, right x y", "sigma (px), footprints inside the images",
-        "sigma (px), all in both", "sigma0, inside", "all in both", "all in both, all rows", "30 px", "30 px, all rows",
-        "published",
+        "site", "footprints inside, left right", "sigma / sqrt(N) (px): left x y, right x y",
+        "sigma (px), footprints inside the images", "sigma (px), all in both", "sigma0, inside", "all in both",
+        "all in both, all rows", "30 px", "30 px, all rows", "published",
     )  # fmt: skip
     return table(head, rows)
 
@@ -184,10 +184,10 @@ def contradictions(ties_with_one_sigma: Sequence[float], shares: dict[str, list[
     ))  # fmt: skip
     rows.append(("eos", "Table 5, right: a root mean square", "positive", f"{-x} px", ""))
     for site, (theirs, simulated) in shares.items():
-        expected, found = (" and ".join(f"{100.0 * value:.0f}" for value in each) for each in (simulated, theirs))
+        each = [" and ".join(f"{100.0 * value:.0f}" for value in part) for part in (simulated, theirs)]
         rows.append((
             site, "sigmas of pointing that match those of position (text): share of positions in the corrections along "
-            "the flight, left and right", f"{expected} %", f"{found} %",
+            "the flight, left and right", f"{each[0]} %", f"{each[1]} %",
             f"{max(max(a / b, b / a) for a, b in zip(theirs, simulated, strict=True)):.2f}",
         ))  # fmt: skip
     for site in ("gusev", "isidis"):

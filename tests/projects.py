@@ -28,7 +28,7 @@ class StopHere(Exception):
 @cache
 def four_images() -> Network:
     """The simulated pair with a twin of each image (same geometry, own name), its measures dealt out at random: ties in
-    four bundles, laser points with a profile's shift, ties on a terrain model, one held image.
+    four bundles, laser points with a profile's shift, ties on a terrain model (both considered), one held image.
     """
     net = with_shift_and_surface(network(pair(ties=24, shots=9)))
     twins = tuple(replace(image, name=f"{image.name}'") for image in net.images)
@@ -37,7 +37,7 @@ def four_images() -> Network:
     rays = replace(net.rays, image=image, back_projected=rng.random(image.size) < 0.2)
     return replace(
         net, images=(*net.images, *twins), priors=(*net.priors, *net.priors), rays=rays,
-        held=np.array([False, False, False, True]),
+        held=np.array([False, False, False, True]), considered=net.shift_names,
     )  # fmt: skip
 
 
@@ -54,7 +54,7 @@ def odd(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 def shared_of(rng: np.random.Generator, size: int) -> Shared:
     shape = {"prior": (size,), "motion": (size,), "ground": (3, size), "value": (size,), "covariance": (size, size)}
-    return Shared(**{field.name: odd(rng, *shape[field.name]) for field in fields(Shared)})
+    return Shared(**{name: odd(rng, *one) for name, one in shape.items()}, considered=bool(rng.random() < 0.5))
 
 
 def bundle_of(rng: np.random.Generator, members: Members, net: Network) -> Bundle:

@@ -346,3 +346,25 @@ def test_the_real_case(shared_data: Path) -> None:
     assert counts == {PointClass.TIE: 311, PointClass.LASER: 52}
     assert case.network.ranges.point.size == 52
     assert len(islands(case.network)) == 1
+
+
+def test_measures_within_one_window_have_errors_in_common(case_file: Path) -> None:
+    """By the window that the case states, or that of the matching whose record lies beside the network."""
+    whole = case_file.read_text(encoding="utf-8")
+
+    def sigmas(more: str = "") -> np.ndarray:
+        case_file.write_text(whole.replace("[ties]\n", f"[ties]\n{more}\n"), encoding="utf-8")
+        rays = mgsgraph.read_case(case_file).network.rays
+        return rays.sigmas
+
+    plain = sigmas()
+    wide = sigmas("window_px = 1e6")
+    ties = wide[:, 0] > 1.5 * plain[:, 0]
+    assert wide[ties] == pytest.approx(plain[ties] * np.sqrt(np.count_nonzero(ties) / 2.0), rel=0.02)
+    record = case_file.with_name("match.json")
+    record.write_text('{"settings": {"half_window": 499999.5}}', encoding="utf-8")
+    np.testing.assert_array_equal(sigmas(), wide)
+    np.testing.assert_array_equal(sigmas("window_px = 0"), plain)
+    record.write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError, match="half_window"):
+        sigmas()

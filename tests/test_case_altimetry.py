@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from profiles import with_profile
 
 import mgsgraph
 from mgsgraph.case.laser import AltimetryInput
@@ -11,6 +12,7 @@ from mgsgraph.case.reading import read_altimetry
 from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
 from mgsgraph.network import PointClass, SharedKind
+from mgsgraph.reports.inventory import inventory
 from mgsgraph.simulation.mars import MARS
 
 TABLE = """
@@ -106,3 +108,7 @@ def test_shots_that_no_image_shows_are_refused(case_file: Path) -> None:
     (case_file.parent / "cloud.csv").write_text("x_m,y_m,z_m\n3396190.0,0.0,0.0\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"cloud\.csv.*1 shots"):
         mgsgraph.read_case(case_with(case_file, TABLE.replace("20.0, 30.0", "20.0, 20.0")))
+
+
+def test_profiles_that_dont_say_how_broad_their_echoes_were_are_named(case_file: Path) -> None:
+    assert "profile.csv" in inventory(mgsgraph.read_case(with_profile(case_file)))

@@ -136,6 +136,17 @@ def test_the_beam_of_a_rolled_profile_is_an_unknown(rolled: Path) -> None:
     assert list(beams(rolled)) == ["altimeter boresight"]
 
 
+def test_a_profile_may_drift(rolled: Path) -> None:
+    text = rolled.read_text(encoding="utf-8")
+    rolled.write_text(text.replace('"ap19043l.b"\n', '"ap19043l.b"\ndrift_sigma_m = 30.0\n'), encoding="utf-8")
+    (drift,) = (one for one in mgsgraph.read_case(rolled).network.shared if one.kind is SharedKind.PROFILE_DRIFT)
+    assert (drift.name, drift.profile, drift.sigmas.tolist()) == ("drift of ap19043l", "ap19043l", [30.0, 30.0])
+    still = rolled.read_text(encoding="utf-8").replace("shift_sigma_m = 100.0\n", "")
+    rolled.write_text(still, encoding="utf-8")
+    with pytest.raises(InputError, match="without shift_sigma_m"):
+        mgsgraph.read_case(rolled)
+
+
 def test_a_rolled_profiles_heights_are_as_good_as_its_beam(rolled: Path) -> None:
     """Adjusted without the beam from which they are drawn, they are off by many times what is stated."""
     case = mgsgraph.read_case(rolled)

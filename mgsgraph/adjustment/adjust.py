@@ -37,6 +37,7 @@ from mgsgraph.adjustment.posterior import (
 from mgsgraph.adjustment.predicted_lines import exactly, settled
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.starts import best_of_starts, starts_wanted
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.reduction import Reduction
@@ -120,9 +121,14 @@ def adjust_network(
         clock.stop("residuals")
         orientation = None if begin is None else layout.variables.joined(begin)
         solved = solve_in_passes(layout, settings, selection, before, progress, sweeper, orientation)
-        del before, layout, places  # the posterior needs the memory
         clock.stop("solve")
-        return _posterior(settings, name, solved, nominal, clock, sweeper)
+        starts = 0 if begin is not None else starts_wanted(network, settings, layout)
+        minima, mixture = None, None
+        if starts and solved.outcome.converged:
+            solved, minima, mixture = best_of_starts(solved, settings, before, starts, sweeper)
+            clock.stop("starts")
+        del before, layout, places  # the posterior needs the memory
+        return replace(_posterior(settings, name, solved, nominal, clock, sweeper, mixture), minima=minima)
 
 
 class Adjustment:
@@ -227,9 +233,15 @@ class _Nominal:
 
 
 def _posterior(
-    settings: SolverSettings, name: str, solved: Solved, nominal: _Nominal, clock: _Clock, sweeper: Sweeper
+    settings: SolverSettings,
+    name: str,
+    solved: Solved,
+    nominal: _Nominal,
+    clock: _Clock,
+    sweeper: Sweeper,
+    mixture: JointCovariance | None,
 ) -> Solution:
-    """Covariances, residuals and the record of it all."""
+    """Covariances, residuals and the record of it all; with several minima the joint covariance is their mixture's."""
     layout, rows, orientation = solved.layout, solved.rows, solved.orientation
     network = layout.network
     without_laser = _sigmas_without_laser(layout, solved, sweeper)
@@ -245,13 +257,15 @@ def _posterior(
     clock.stop("residuals")
     if solved.explicit is not None:
         joint, covariances = explicit_covariances(layout, solved.explicit, solved.outcome.state)
+        straight = _linearity(layout, solved, joint, sweeper)
     else:
         assert solved.reduction is not None
         joint = orientation_covariance(BundleGraph(layout, rows), solved.reduction)
+        straight = _linearity(layout, solved, joint, sweeper)
+        clock.stop("linearity")
+        joint = joint if mixture is None else mixture
         covariances = point_covariances(layout, rows, orientation, solved.points, joint, sweeper)
     clock.stop("covariance")
-    straight = _linearity(layout, solved, joint, sweeper)
-    clock.stop("linearity")
     shifts, lift = shift_values(network, layout.variables, orientation)
     coefficients = tuple(
         orientation[layout.columns_of(j)].reshape(-1, 6) if own else np.zeros_like(network.priors[j].sigmas)

@@ -80,6 +80,8 @@ class Linearised:
     """(n, 3) m, layout order."""
     joint: JointCovariance
     """Of the shared unknowns, for sigma0 = 1."""
+    mixed: bool = False
+    """Whether that is the mean square over a mixture of minima."""
 
     @property
     def network(self) -> Network:
@@ -101,14 +103,14 @@ class Linearised:
         return fit(self.layout, self.rows, self.orientation, self.points, found)
 
     def of_estimator(self) -> "Linearised":
-        """The same with the covariance that estimates had were considered unknowns without error: what redundancy and
-        tests of residuals are about. Itself where nothing is considered.
+        """The same with the covariance that estimates had were considered unknowns without error, and this the only
+        minimum: what redundancy and tests of residuals are about. Itself where that is so.
         """
-        if not self.layout.prior.considered:
+        if not (self.layout.prior.considered or self.mixed):
             return self
         graph = BundleGraph(self.layout, self.rows)
         reduction = graph.reduction(self.orientation, points=self.points)
-        return replace(self, joint=orientation_covariance(graph, reduction, consider=False))
+        return replace(self, joint=orientation_covariance(graph, reduction, consider=False), mixed=False)
 
     def layout_index(self, point: int) -> int:
         """Place in the layout of a network point that takes part; InputError where nothing determines it."""

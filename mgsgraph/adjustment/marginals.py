@@ -61,6 +61,29 @@ class _Wanted(NamedTuple):
         return _Wanted(self.first[chosen], self.second[chosen], self.places.only(chosen))
 
 
+def carried(covariance: Array, columns: Index, sigmas: Array) -> Array:
+    """What considered unknowns c put into unknowns x, a root (x, c) of what is to be added to their covariance.
+
+    Schmidt (1966): with c held by their priors to next to nothing, S_xc S_cc^-1 is how x follows c, exactly, and
+
+        S_xx + V V',    V = S_xc S_cc^-1 (C - S_cc)^1/2,
+
+    the covariance of x with the a-priori covariance C of c carried; of c itself it is C.
+
+    Parameters
+    ----------
+    covariance : (x, c)
+        m and rad, of unknowns with those considered, held.
+    columns : (c,)
+        Which of x these are.
+    sigmas : (c,)
+        m and rad, their a-priori sigmas.
+    """
+    own = covariance[columns]
+    root = np.linalg.cholesky(np.diag(sigmas**2) - own)
+    return np.asarray(np.linalg.solve(own, covariance.T).T @ root)
+
+
 @dataclass(frozen=True, eq=False)
 class JointCovariance:
     """Joint covariance of the shared unknowns, for sigma0 = 1: the blocks that matter, and any other on demand."""

@@ -37,6 +37,9 @@ class SolverSettings:
     reject: float = 0.0
     """Blunder limit: a good observation is beyond it as rarely as a normal error is beyond so many standard deviations,
     either side (4: 1 in 15,800), whatever its redundancy (`adjustment.blunders`); 0 seeks none."""
+    starts: int | None = None
+    """Starts over a terrain model's unknown shift, where the cost may have several minima (`adjustment.starts`); None:
+    16 of networks up to 5,000 points, none of larger ones."""
     max_iterations: int = 500
     """Maximum number of iterations."""
     cost_tolerance: float = 1e-11
@@ -53,6 +56,8 @@ class SolverSettings:
             raise InputError("solver, loss_width", f"{self.loss_width}", "a positive number of sigmas")
         if not (math.isfinite(self.reject) and (self.reject == 0.0 or self.reject >= 2.0)):
             raise InputError("solver, reject", f"{self.reject}", "0 (off) or at least 2 standard deviations")
+        if self.starts is not None and self.starts < 0:
+            raise InputError("solver, starts", f"{self.starts}", "0 (none) or more")
         if self.max_iterations < 1:
             raise InputError("solver, max_iterations", f"{self.max_iterations}", "at least 1")
         for name in ("cost_tolerance", "step_tolerance"):

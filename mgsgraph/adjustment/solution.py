@@ -10,6 +10,7 @@ from mgsgraph.adjustment.linearity import Linearity
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.posterior import Fit
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.starts import Minima
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.image import PushbroomImage
@@ -104,7 +105,10 @@ class Solution:
     (`Surface.terms` after the horizontal shift); None where none is."""
     linearity: Linearity | None = None
     """Whether the joint covariance may be used for statements about the shared unknowns together; None where nobody has
-    looked (large networks, robust losses, no optimum; `Likelihood.linearity` looks), or an older version didn't say."""
+    looked (large networks, robust losses, no optimum; `linearity_of` looks), or an older version didn't say."""
+    minima: Minima | None = None
+    """What starts over the terrain model's shift have found; None where there were none. With several minima the joint
+    covariance, and what follows from it, is the mean square about the lowest one over their mixture."""
 
     @property
     def stereo_used(self) -> Mask:

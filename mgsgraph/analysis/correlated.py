@@ -52,6 +52,8 @@ class NearCorrelation:
     """v' K v less its mean, in its standard deviations."""
     p_value: float
     """Of all distances together."""
+    course: tuple[tuple[float, float, float], ...]
+    """Each distance, the coefficient within it and its sigma."""
 
 
 def correlations(
@@ -81,7 +83,8 @@ def correlations(
         if tried:
             length, coefficient, sigma, statistic, p = min(tried, key=lambda one: one[-1])
             every = min(1.0, p * len(tried))
-            yield NearCorrelation(where, quantity, unit, term, length, coefficient, sigma, statistic, every)
+            course = tuple(one[:3] for one in tried)
+            yield NearCorrelation(where, quantity, unit, term, length, coefficient, sigma, statistic, every, course)
 
 
 _KINDS = (

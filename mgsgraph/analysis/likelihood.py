@@ -99,6 +99,7 @@ class Likelihood:
         for name in at.network.considered[:1]:
             found = "a considered unknown, of which the cost says nothing"
             raise InputError(f"likelihood, {name!r}", found, "an estimated one", "take it out of `considered`")
+        at = at.of_estimator()
         self._at, self._frames, self._joint = at, Frames(at.layout), at.joint
         self._begin = BundleGraph(at.layout, at.rows).reduction(at.orientation, SYSTEM, at.points)
         self._lowest = BundleGraph(at.layout, at.rows).cost(self._begin)

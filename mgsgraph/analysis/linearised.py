@@ -37,7 +37,8 @@ def at_solution(solution: Solution) -> Linearised:
     layout, points = exactly(layout, orientation, points)
     rays = solution.rays_used | out[network.rays.point]
     rows = layout.active(rays, solution.ranges_used, out, solution.stereo_used)
-    return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance)
+    mixed = solution.minima is not None and len(solution.minima.each) > 1
+    return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance, mixed)
 
 
 def at_values(network: Network, settings: SolverSettings, values: Sequence[Array], places: Array) -> Linearised:

@@ -87,11 +87,13 @@ class Family:
     times: Array | None = None
     """(q,) s, of rows that may jitter."""
 
-    def jitter(self, period: float) -> Array:
-        """(q, 2) sine and cosine of a period in s."""
+    def jitter(self, hypothesis: Hypothesis, period: float) -> Array:
+        """(q, 2 or 4) columns of a hypothesis of jitter with another period in s."""
         assert self.times is not None
-        phase, size = 2.0 * np.pi * self.times / period, np.abs(self.columns[:, :1])
-        return np.asarray(size * np.stack([np.sin(phase), np.cos(phase)], axis=1))
+        phase = 2.0 * np.pi * self.times[:, None] / period
+        # a sine and a cosine at once are nowhere zero
+        size = np.hypot(self.columns[:, hypothesis.columns[::2]], self.columns[:, hypothesis.columns[1::2]])
+        return np.asarray(np.stack([size * np.sin(phase), size * np.cos(phase)], axis=2).reshape(self.rows.size, -1))
 
 
 def families(rows: ResidualRows) -> Iterator[Family]:
@@ -103,7 +105,7 @@ def families(rows: ResidualRows) -> Iterator[Family]:
     for j in np.unique(image).tolist():
         mine = seen[image == j]
         if np.unique(rows.point[mine]).size >= _FEWEST:
-            yield from (_by_time(rows, j, mine, component) for component in range(2))
+            yield _by_time(rows, j, mine)
             by_sample.append(_by_sample(rows, j, mine))
     yield from by_sample
     if len(by_sample) > 1:
@@ -113,28 +115,29 @@ def families(rows: ResidualRows) -> Iterator[Family]:
     yield from _of_profiles(rows)
 
 
-_COMPONENTS = ("line", "sample")
-
-
-def _by_time(rows: ResidualRows, image: int, mine: Index, component: int) -> Family:
-    """Jitter and slow changes of one image coordinate."""
-    network, mine = rows.at.network, mine[rows.component[mine] == component]
+def _by_time(rows: ResidualRows, image: int, mine: Index) -> Family:
+    """Jitter and slow changes of the image coordinates, by themselves and together."""
+    network = rows.at.network
     picture, degree = network.images[image], network.priors[image].degree
     times, _ = picture.timing.at(network.rays.places[rows.measure[mine], 0])
-    low, span = times.min(), max(float(np.ptp(times)), 1e-9)
-    since, unit, name = times - low, rows.scale[mine][:, None], _COMPONENTS[component]
-    slow = np.polynomial.legendre.legvander(2.0 * since / span - 1.0, degree + 1)
-    most = min(_MOST_CYCLES, 0.5 * np.unique(times).size)
-    cycles = np.arange(1.0, most + 0.5 * _STEP, _STEP)
+    span = max(float(np.ptp(times)), 1e-9)
+    since = times - times.min()
+    cycles = np.arange(1.0, min(_MOST_CYCLES, 0.5 * np.unique(times).size) + 0.5 * _STEP, _STEP)
     phase = 2.0 * np.pi * np.outer(since / span, cycles)
-    columns = unit * np.concatenate([slow, np.sin(phase), np.cos(phase)], axis=1)
-    first, count = slow.shape[1], cycles.size
-    found = [Hypothesis(EffectKind.TREND, name, "px", (k,)) for k in range(first)]
-    found += [
-        Hypothesis(EffectKind.JITTER, name, "px", (first + k, first + count + k), span / one)
-        for k, one in enumerate(cycles.tolist())
-    ]
-    return Family(f"image {picture.name}", mine, columns, tuple(found), since)
+    waves = np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(since.size, -1)
+    slow = np.polynomial.legendre.legvander(2.0 * since / span - 1.0, degree + 1)
+    every, found = list[Array](), list[Hypothesis]()
+    width = slow.shape[1] + waves.shape[1]
+    for component, name in enumerate(("line", "sample")):
+        unit = (rows.scale[mine] * (rows.component[mine] == component))[:, None]
+        every += [unit * slow, unit * waves]
+        found += [Hypothesis(EffectKind.TREND, name, "px", (component * width + k,)) for k in range(slow.shape[1])]
+    for k, one in enumerate(cycles.tolist()):
+        line = slow.shape[1] + 2 * k
+        pairs = (line, line + 1), (line + width, line + width + 1)
+        both = ("line", pairs[0]), ("sample", pairs[1]), ("line and sample", (*pairs[0], *pairs[1]))
+        found += [Hypothesis(EffectKind.JITTER, name, "px", columns, span / one) for name, columns in both]
+    return Family(f"image {picture.name}", mine, np.concatenate(every, axis=1), tuple(found), since)
 
 
 def _by_sample(rows: ResidualRows, image: int, mine: Index) -> Family:

@@ -6,8 +6,9 @@ one place counts as many tests as it has hypotheses (Bonferroni), and all famili
 false alarm, `LEVEL` for a whole run. The clearest effect is named, its share is taken out of the residuals and of their
 covariance, and the rest is tested again: what it had brought about elsewhere goes with it.
 
-Errors that are simply larger than stated would look like every effect at once. So each test is held against Fisher's
-law, too, with the scatter of the residuals of the same points, and the larger p-value counts.
+Errors that are simply larger than stated would look like every effect at once. So a test has to be clear by Fisher's
+law, too, with the scatter that the residuals of the same points have: then a run names nothing with a probability of
+1 - `OWN_LEVEL` whatever the sigmas are. That scatter holds the effects themselves, so its level is a wider one.
 """
 
 import math
@@ -20,7 +21,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.correlated import correlations
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
-from mgsgraph.analysis.systematic import EffectKind, Family, Hypothesis, families
+from mgsgraph.analysis.score_tests import Judged, Test, solved
+from mgsgraph.analysis.systematic import EffectKind, Hypothesis, families
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
@@ -33,12 +35,10 @@ _MOST_POINTS = 20_000
 """Points whose rows are tested; of a larger network some of each image and profile."""
 _PER_OWNER = 1000, 100
 """Of each image and profile at most, and where these are many at least."""
-_SHOWN = 1e-3
-"""Share of an effect that residuals have to show: below, it is absorbed by the unknowns."""
 _ALIKE = 0.8
 """Share of the named effect's test from which on another, which is gone with it, can't be told apart from it."""
-_LEAST_REST = 1e-3
-"""Share of the squares that an effect leaves at the least."""
+_PAIR = 2
+"""Sine and cosine."""
 _FINE = 9
 """Periods tried about the best one."""
 
@@ -93,73 +93,18 @@ class Effect:
         return f"{self.where}: {how}, p = {self.p_value:.1g}): {self.kind}{other}; {self.term}"
 
 
-class _Judged:
-    """A family with what the residuals say of it, while others are named."""
-
-    def __init__(self, rows: ResidualRows, family: Family, residuals: Array) -> None:
-        self.family = family
-        self.score = family.columns.T @ residuals[family.rows]
-        self.variance = rows.variance(family.rows, family.columns)
-        self.size = np.einsum("qk,qk->k", family.columns, family.columns)
-        points = np.unique(rows.point[family.rows])
-        self.beside = np.flatnonzero(np.isin(rows.point, points[points >= 0]))
-        self.freedom = float(rows.redundancy[self.beside].sum())
-
-    def tests(self, residuals: Array) -> list["_Test"]:
-        """Of all hypotheses."""
-        squares = float(residuals[self.beside] @ residuals[self.beside])
-        found, hypotheses = list[_Test](), self.family.hypotheses
-        widths = np.array([len(one.columns) for one in hypotheses])
-        for width in np.unique(widths).tolist():
-            mine = np.flatnonzero(widths == width)
-            chosen = np.array([hypotheses[k].columns for k in mine.tolist()])
-            size = np.sqrt(self.size[chosen])
-            inner = self.variance[chosen[:, :, None], chosen[:, None, :]]
-            scaled = inner / np.maximum(size[:, :, None] * size[:, None, :], np.finfo(float).tiny)
-            values, vectors = np.linalg.eigh(scaled)
-            seen = values > _SHOWN
-            turned = np.einsum("tkd,tk->td", vectors, self.score[chosen] / np.maximum(size, np.finfo(float).tiny))
-            weighted = np.where(seen, turned / np.where(seen, values, 1.0), 0.0)
-            statistic, degrees = np.einsum("td,td->t", turned, weighted), seen.sum(axis=1)
-            single = _p_values(statistic, degrees, squares, self.freedom)
-            found += [
-                _Test(self, hypotheses[k], float(statistic[n]), int(degrees[n]), float(single[n]))
-                for n, k in enumerate(mine.tolist())
-            ]
-        return found
-
-    def without(self, cross: Array, inverse: Array, estimate: Array) -> None:
-        """Take an effect out: its covariance (k, d) with the columns, inverse (d, d) of its own, estimate (d,)."""
-        self.score = self.score - cross @ estimate
-        self.variance = self.variance - cross @ inverse @ cross.T
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Test:
-    judged: _Judged
-    hypothesis: Hypothesis
-    statistic: float
-    degrees: int
-    single: float
-    """p-value of this test alone."""
+class Pattern:
+    """How the residuals go with an effect: for a picture."""
 
-    @property
-    def p_value(self) -> float:
-        """Of all hypotheses of its family."""
-        return self.single * len(self.judged.family.hypotheses)
-
-
-def _p_values(statistic: Array, degrees: Index, squares: float, freedom: float) -> Array:
-    """Larger one of the p-values by chi-square and, with the scatter of residuals of a sum of squares and a redundancy,
-    by Fisher's law.
-    """
-    from scipy.special import chdtrc, fdtrc  # slow to import
-
-    left, count = freedom - degrees, np.maximum(degrees, 1)
-    tested = (degrees > 0) & (left > 0.0)
-    rest = np.maximum(squares - statistic, _LEAST_REST * squares) / np.where(tested, left, 1.0)
-    sure = fdtrc(count, np.where(tested, left, 1.0), statistic / count / np.maximum(rest, np.finfo(float).tiny))
-    return np.where(tested, np.maximum(chdtrc(count, statistic), sure), 1.0)
+    effect: Effect
+    """Which."""
+    along: Array
+    """(n,) what they vary with: s within a period, px or m of the effect itself, distance of points."""
+    residuals: Array
+    """(n,) px or m, as they were when the effect was named; of a correlation its coefficient at each distance."""
+    shown: Array
+    """(n,) the part of it that the effect explains; of a correlation its sigma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +119,8 @@ class Unexplained:
     """Of each place and kind of rows the clearest of what isn't named, once the named effects are taken out."""
     tests: int
     """Number of tests."""
+    patterns: tuple[Pattern, ...] = ()
+    """Of each named effect."""
 
     def words(self) -> str:
         """What was found, a line for each effect."""
@@ -209,49 +156,52 @@ class _Search:
     def __init__(self, rows: ResidualRows, level: float) -> None:
         self._rows, self._level = rows, level
         self._residuals = rows.residuals.copy()
-        self._judged = [_Judged(rows, one, rows.residuals) for one in families(rows)]
+        self._judged = [Judged(rows, one, rows.residuals) for one in families(rows)]
         self._taken = list[tuple[Array, Array]]()
         """Of each named effect C g (r, d), once those before it are taken out, and the inverse of g' C g."""
+        self._patterns = list[Pattern]()
 
     def found(self) -> Unexplained:
         """All of it."""
         named, count = list[Effect](), len(self._judged) + 3  # kinds of rows whose correlation is tested at last
         while True:
             tests = [min(one.tests(self._residuals), key=lambda test: test.single) for one in self._judged]
-            best = min(tests, key=lambda test: test.p_value, default=None)
-            if best is None or best.p_value * count > self._level or len(named) == _MOST_NAMED:
+            clear = [test for test in tests if test.named(count, self._level)]
+            if not clear or len(named) == _MOST_NAMED:
                 break
+            best = min(clear, key=lambda test: test.p_value)
             named.append(self._named(best, count))
-        last = [
-            Effect(
+        last = list[Effect]()
+        for one in correlations(self._rows, self._residuals, self._taken):
+            last.append(Effect(
                 EffectKind.CORRELATION, one.where, min(1.0, one.p_value * count), one.coefficient, one.unit, one.term,
                 one.sigma, one.quantity, one.length, one.statistic, 1,
-            )
-            for one in correlations(self._rows, self._residuals, self._taken)
-        ]  # fmt: skip
-        named += [one for one in last if one.p_value <= self._level]
+            ))  # fmt: skip
+            if last[-1].p_value <= self._level:
+                self._patterns.append(Pattern(last[-1], *(np.array(part) for part in zip(*one.course, strict=True))))
+        named += [one.effect for one in self._patterns[len(named) :]]
         others = [self._effect(test, count, *self._estimate(test)) for test in tests if test.degrees]
         others += [one for one in last if one.p_value > self._level]
         number = sum(len(one.family.hypotheses) for one in self._judged) + len(last)
-        return Unexplained(self._level, tuple(named), tuple(others), number)
+        return Unexplained(self._level, tuple(named), tuple(others), number, tuple(self._patterns))
 
-    def _estimate(self, test: "_Test") -> tuple[Array, Array]:
+    def _estimate(self, test: Test) -> tuple[Array, Array]:
         """Amplitudes (d,) of an effect and their covariance (d, d)."""
         chosen = list(test.hypothesis.columns)
-        inverse = _inverse(test.judged.variance[np.ix_(chosen, chosen)])
+        inverse = solved(test.judged.variance[np.ix_(chosen, chosen)][None], test.judged.size[None, chosen])[0][0]
         return inverse @ test.judged.score[chosen], inverse
 
-    def _named(self, best: _Test, count: int) -> Effect:
+    def _named(self, best: Test, count: int) -> Effect:
         family, hypothesis = best.judged.family, best.hypothesis
         columns = family.columns[:, list(hypothesis.columns)]
         shown = self._shown(family.rows, columns)
         if hypothesis.kind is EffectKind.JITTER:
             hypothesis, columns, shown = self._refined(best)
         variance = columns.T @ shown[family.rows]
-        inverse = _inverse(variance)
+        inverse = solved(variance[None], np.sum(columns**2, axis=0)[None])[0][0]
         estimate = inverse @ (columns.T @ self._residuals[family.rows])
         kind = hypothesis.kind
-        before = self._clearest(kind)
+        before, pattern = self._clearest(kind), self._pattern(best.judged, hypothesis, columns, shown, estimate)
         self._residuals -= shown @ estimate
         self._taken.append((shown, inverse))
         for one in self._judged:
@@ -261,13 +211,32 @@ class _Search:
             where + (f" (period {test.hypothesis.period:.2g} s)" if kind is EffectKind.JITTER else "")
             for where, test in before.items()
             if where != family.where and test.statistic > _ALIKE * best.statistic
-            and after[where].p_value * count > self._level
+            and not after[where].named(count, self._level)
         ]  # fmt: skip
-        return self._effect(replace(best, hypothesis=hypothesis), count, estimate, inverse, tuple(alike))
+        effect = self._effect(replace(best, hypothesis=hypothesis), count, estimate, inverse, tuple(alike))
+        self._patterns.append(Pattern(effect, *pattern))
+        return effect
 
-    def _clearest(self, kind: EffectKind) -> dict[str, "_Test"]:
+    def _pattern(
+        self, judged: Judged, hypothesis: Hypothesis, columns: Array, shown: Array, estimate: Array
+    ) -> tuple[Array, Array, Array]:
+        """What the residuals vary with, they, and what the effect explains of them, in px or m."""
+        family, rows = judged.family, self._rows
+        unit = np.where(rows.scale > 0.0, rows.scale, np.linalg.norm(rows.by_point, axis=1))[family.rows]
+        wave = hypothesis.kind is EffectKind.JITTER and estimate.size == 2 * _PAIR
+        part = slice(_PAIR * int(np.argmax(np.hypot(estimate[::2], estimate[1::2]))), None) if wave else slice(None)
+        mine = np.any(columns[:, part][:, :_PAIR] != 0.0, axis=1) & (unit > 0.0)
+        effect = (columns @ estimate)[mine] / unit[mine]
+        along = effect
+        if hypothesis.kind in (EffectKind.JITTER, EffectKind.TREND):
+            assert family.times is not None
+            along = family.times[mine] % hypothesis.period if wave or estimate.size > 1 else family.times[mine]
+        chosen = family.rows[mine]
+        return along, self._residuals[chosen] / unit[mine], (shown @ estimate)[chosen] / unit[mine]
+
+    def _clearest(self, kind: EffectKind) -> dict[str, Test]:
         """Clearest test of a kind at each place."""
-        found = dict[str, _Test]()
+        found = dict[str, Test]()
         for one in self._judged:
             for test in one.tests(self._residuals):
                 where = one.family.where
@@ -276,10 +245,11 @@ class _Search:
         return found
 
     def _effect(
-        self, test: "_Test", count: int, estimate: Array, covariance: Array, alternatives: tuple[str, ...] = ()
+        self, test: Test, count: int, estimate: Array, covariance: Array, alternatives: tuple[str, ...] = ()
     ) -> Effect:
         where, hypothesis = test.judged.family.where, test.hypothesis
-        amplitude = float(np.linalg.norm(estimate)) if estimate.size > 1 else float(estimate[0])
+        # sine and cosine, east and north; of two coordinates the larger one's
+        amplitude = float(estimate[0]) if estimate.size == 1 else float(np.hypot(estimate[::2], estimate[1::2]).max())
         return Effect(
             hypothesis.kind, where, min(1.0, test.p_value * count), amplitude, hypothesis.unit,
             _term(self._rows.at.network, where, hypothesis), float(np.sqrt(np.mean(np.diagonal(covariance)))),
@@ -293,27 +263,20 @@ class _Search:
             found -= taken @ (inverse @ (taken[rows].T @ columns))
         return found
 
-    def _refined(self, best: _Test) -> tuple[Hypothesis, Array, Array]:
+    def _refined(self, best: Test) -> tuple[Hypothesis, Array, Array]:
         """Jitter of the period that explains most near the best one: hypothesis, columns (q, 2) and what they show."""
         family, period = best.judged.family, best.hypothesis.period
         assert family.times is not None
         step = 0.5 / max(float(np.ptp(family.times)), 1e-9)
         tried = 1.0 / (1.0 / period + step * np.linspace(-0.8, 0.8, _FINE))
-        columns = np.concatenate([family.jitter(one) for one in tried.tolist()], axis=1)
-        shown = self._shown(family.rows, columns)
-        score = (columns.T @ self._residuals[family.rows]).reshape(-1, 2)
-        inner = np.stack([
-            columns[:, 2 * k : 2 * k + 2].T @ shown[family.rows, 2 * k : 2 * k + 2] for k in range(_FINE)
-        ])  # fmt: skip
-        gain = np.einsum("tk,tkj,tj->t", score, _inverse(inner), score)
-        k = int(np.argmax(gain))
-        mine = slice(2 * k, 2 * k + 2)
-        return best.hypothesis._replace(period=float(tried[k])), columns[:, mine], shown[:, mine]
-
-
-def _inverse(matrices: Array) -> Array:
-    """(..., d, d) inverses of symmetric matrices, of directions that residuals hardly show none."""
-    return np.asarray(np.linalg.pinv(matrices, rcond=_SHOWN, hermitian=True))
+        columns = [family.jitter(best.hypothesis, one) for one in tried.tolist()]
+        width = columns[0].shape[1]
+        shown = self._shown(family.rows, np.concatenate(columns, axis=1)).reshape(-1, _FINE, width).swapaxes(0, 1)
+        score = np.array([one.T @ self._residuals[family.rows] for one in columns])
+        inner = np.array([one.T @ other[family.rows] for one, other in zip(columns, shown, strict=True)])
+        inverse, _ = solved(inner, np.array([np.sum(one**2, axis=0) for one in columns]))
+        k = int(np.argmax(np.einsum("td,tde,te->t", score, inverse, score)))
+        return best.hypothesis._replace(period=float(tried[k])), columns[k], shown[k]
 
 
 def _chosen(network: Network) -> Index:

@@ -37,10 +37,12 @@ class Overrides:
     """False leaves the laser rows out."""
     figures: bool = True
     """False leaves the figures out."""
+    starts: int | None = None
+    """Starts over a terrain model's unknown shift, as `SolverSettings.starts`."""
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""
-        chosen: dict[str, Any] = {"form": self.form, "loss": self.loss, "reject": self.reject}
+        chosen: dict[str, Any] = {"form": self.form, "loss": self.loss, "reject": self.reject, "starts": self.starts}
         return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
 
 

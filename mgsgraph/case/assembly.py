@@ -121,8 +121,9 @@ class Parts:
         taken = shots.chosen(usable)
         name = Path(shots.source).stem
         profile = taken.profile(
-            wanted.range_sigma_m, wanted.ground_sigma_m, name=name, height_sigma=wanted.height_sigma_m
-        )
+            wanted.range_sigma_m, wanted.ground_sigma_m, name=name, height_sigma=wanted.height_sigma_m,
+            pulse_share=wanted.pulse_share, ranged=owner is not None and wanted.ranges,
+        )  # fmt: skip
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))
@@ -132,6 +133,10 @@ class Parts:
         if wanted.shift_sigma_m is not None:
             self._shifts.append((name, wanted.shift_sigma_m, np.arange(first, first + n)))
             self.footprints[name] = MOLA_FOOTPRINT
+        if wanted.drift_sigma_m is not None:
+            if wanted.shift_sigma_m is None:
+                raise InputError(taken.source, "drift_sigma_m without shift_sigma_m", "both: the shift drifts")
+            self.shared.append(SharedUnknown.of_drift(name, wanted.drift_sigma_m))
         self._add_beam(name, taken, wanted, owner, pointed)
         if wanted.image_rows == "back-projected":
             self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)

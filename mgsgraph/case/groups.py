@@ -1,23 +1,50 @@
 """Several control networks as one set of tie points: a point of several files has the measures of all of them."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.common_errors import overlap_variances
 from mgsgraph.geometry.records import Array
+from mgsgraph.output.folders import MATCH
 from mgsgraph.ties import PointKind, TiePoints
 
 _SAME_PLACE = 1e-3
 """m, within which two a-priori places of one known point are the same."""
 
 
-def with_sigmas(points: TiePoints, sigma: float, of_images: Mapping[str, float]) -> TiePoints:
-    """The same points with a sigma for every measure: the file's own, or else its image's, or else the group's (px)."""
+def with_sigmas(
+    points: TiePoints, sigma: float, of_images: Mapping[str, float], window: float = 0.0
+) -> TiePoints:
+    """The same points with a sigma for every measure: the file's own, or else its image's, or else the group's (px).
+    Measures of an image within one window (px, its side) have errors in common, by which their sigmas grow.
+    """
     default = np.array([of_images.get(name, sigma) for name in points.measure_image], dtype=np.float64)
     sigmas = np.where(np.isnan(points.measure_sigmas), default[:, None], points.measure_sigmas)
+    if window > 0.0:
+        names = np.array(points.measure_image)
+        for name in dict.fromkeys(points.measure_image):
+            mine = names == name
+            sigmas[mine] = np.sqrt(overlap_variances(points.measures[mine], sigmas[mine], window))
     return replace(points, measure_sigmas=sigmas)
+
+
+def window_beside(network: Path) -> float:
+    """Pixels, side of the windows in which `mgsgraph match` compared what a network beside its record holds; 0 for a
+    network that lies beside none.
+    """
+    record = network.with_name(MATCH)
+    if not record.is_file():
+        return 0.0
+    try:
+        return 2.0 * float(json.loads(record.read_text(encoding="utf-8"))["settings"]["half_window"]) + 1.0
+    except (OSError, ValueError, KeyError, TypeError):
+        found = "no settings.half_window"
+        raise InputError(str(record), found, "what mgsgraph match writes", "state window_px in [ties]") from None
 
 
 def merged(groups: Sequence[TiePoints]) -> TiePoints:

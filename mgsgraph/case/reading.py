@@ -15,7 +15,7 @@ from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.assembly import Parts
-from mgsgraph.case.groups import merged, with_sigmas
+from mgsgraph.case.groups import merged, window_beside, with_sigmas
 from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
 from mgsgraph.case.laser import AltimetryInput, MolaInput
@@ -226,7 +226,9 @@ def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> TiePoints | Non
     }
     groups = []
     for entry in wanted.tie_groups:
-        group = with_sigmas(read_tie_points(folder / entry.network, parts.images[0].body), entry.sigma_px, of_images)
+        path = folder / entry.network
+        window = window_beside(path) if entry.window_px is None else entry.window_px
+        group = with_sigmas(read_tie_points(path, parts.images[0].body), entry.sigma_px, of_images, window)
         parts.require_measures(group)
         groups.append(group)
     return merged(groups) if groups else None

@@ -104,6 +104,9 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """ISIS control network (.pvl, .net) or table (.csv)."""
     sigma_px: Sigma = 1.0
     """Sigma of line and sample where neither the network nor the image ([[images]], measure_sigma_px) says."""
+    window_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] | None = None
+    """Side of the windows that were matched: measures of an image whose windows overlap have errors in common, by which
+    their sigmas grow; that of the match.json beside the network when absent, else 0: none."""
 
 
 class ControlInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -236,6 +239,7 @@ class SolverInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     loss: Loss = _DEFAULTS.loss
     loss_width: Positive | None = _DEFAULTS.loss_width
     reject: float = _DEFAULTS.reject
+    starts: Annotated[int, msgspec.Meta(ge=0)] | None = _DEFAULTS.starts
     max_iterations: Annotated[int, msgspec.Meta(ge=1)] = _DEFAULTS.max_iterations
 
     @property

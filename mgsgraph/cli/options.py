@@ -30,6 +30,9 @@ _OPTIONS = (
     click.option(
         "--reject", type=float, help="Reject what good rays exceed as rarely as so many standard deviations; 0: none."
     ),
+    click.option(
+        "--starts", type=click.IntRange(0), help="Starts over the terrain model's shift; 0: none. 16 of small networks."
+    ),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
     NO_FIGURES,
 )
@@ -44,13 +47,14 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
         form: "Form | None",
         loss: "Loss | None",
         reject: float | None,
+        starts: int | None,
         no_laser: bool,
         no_figures: bool,
         **others: Any,
     ) -> None:
         from mgsgraph.campaign import Overrides
 
-        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures), **others)
+        verb(overrides=Overrides(form, loss, reject, not no_laser, not no_figures, starts), **others)
 
     for option in reversed(_OPTIONS):
         option(with_overrides)

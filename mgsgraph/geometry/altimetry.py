@@ -19,6 +19,8 @@ from mgsgraph.geometry.records import (
 
 MOLA_FOOTPRINT = 168.0
 """m, diameter of MOLA's spots: 0.42 mrad seen from 400 km (Smith et al. 2001, Neumann et al. 2003)."""
+_HALF_LIGHT = 0.5 * 299_792_458.0
+"""m/s, by which a range is longer for an echo that comes a second later."""
 SPOT_WIDTHS = 4.0
 """Standard deviations of the Gaussian energy in a laser spot's diameter."""
 
@@ -114,6 +116,9 @@ class AltimeterShots:
     """(n,) receiver channel 1 .. 4 that triggered; 0 where unknown."""
     clocks: Array
     """(n,) Hz, the altimeter's clock; NaN where unknown."""
+    pulses: Array
+    """(n,) s, standard deviation of the optical echo, which slopes and roughness in the spot make broad; NaN where
+    unknown."""
 
     def __post_init__(self) -> None:
         n = np.size(self.times)
@@ -133,7 +138,7 @@ class AltimeterShots:
             name: _with_gaps(getattr(self, name), f"{self.source}, {name}", shape)
             for name, shape in (
                 ("areoid_radii", (n,)), ("ranges", (n,)), ("range_corrections", (n,)), ("off_nadir", (n,)),
-                ("clocks", (n,)), ("spacecraft", (n, 3)),
+                ("clocks", (n,)), ("pulses", (n,)), ("spacecraft", (n, 3)),
             )
         }
         for k in np.flatnonzero(partly["ranges"] <= 0.0)[:1]:
@@ -173,6 +178,8 @@ class AltimeterShots:
         simultaneous: str | None = None,
         name: str = "",
         height_sigma: float | None = None,
+        pulse_share: float = 0.0,
+        ranged: bool = True,
     ) -> LaserProfile:
         """The shots as observations of an adjustment, without image measures.
 
@@ -188,6 +195,11 @@ class AltimeterShots:
             Put before the shots' names, where profiles of several files meet.
         height_sigma : float, optional
             m, of each footprint's height; `ground_sigma` when absent.
+        pulse_share : float
+            Sigma of a range's further error, in standard deviations of its echo. The footprint follows from the range
+            and has the same error along the beam.
+        ranged : bool
+            Both are used: then either has twice its variance (`common_errors`), for together they tell no more.
 
         Raises
         ------
@@ -200,14 +212,18 @@ class AltimeterShots:
             )
         n = self.times.size
         ids = self.ids
+        broad = (1.0 + ranged) * (pulse_share * _HALF_LIGHT * np.nan_to_num(self.pulses)) ** 2
+        beams = np.where(np.isfinite(self.spacecraft), self.spacecraft - self.footprints, self.footprints)
+        beams /= np.linalg.norm(beams, axis=1, keepdims=True)
+        covariances = footprint_covariances(self.footprints, ground_sigma, height_sigma or ground_sigma)
         return LaserProfile(
             source=self.source,
             ids=tuple(f"{name}:{one}" for one in ids) if name else ids,
             times=self.times,
             ranges=self.ranges,
-            range_sigmas=np.full(n, range_sigma),
+            range_sigmas=np.sqrt(range_sigma**2 + broad),
             footprints=self.footprints,
-            covariances=footprint_covariances(self.footprints, ground_sigma, height_sigma or ground_sigma),
+            covariances=covariances + broad[:, None, None] * beams[:, :, None] * beams[:, None],
             simultaneous=((simultaneous,) if simultaneous else (),) * n,
             measure_shot=np.zeros(0, dtype=np.int64),
             measure_image=(),

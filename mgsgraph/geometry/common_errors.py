@@ -42,3 +42,17 @@ def common_variances(places: Array, sigmas: Array, reaches: Array) -> Array:
         near = (pairs["v"] <= np.minimum(reaches[one], reaches[other])) & (one != other)
         found += sigmas * np.bincount(one[near], sigmas[other[near]], sigmas.size)
     return np.asarray(found)
+
+
+def overlap_variances(places: Array, sigmas: Array, side: float) -> Array:
+    """Variances (n, c) with which errors of sigmas (n, c) count as independent at places (n, 2) that are the middles of
+    square windows, whose overlap is how far two of them are correlated.
+    """
+    from scipy.spatial import cKDTree  # slow to import
+
+    first, second = cKDTree(places).query_pairs(side, p=np.inf, output_type="ndarray").T
+    shares = np.prod(1.0 - np.abs(places[first] - places[second]) / side, axis=1)
+    found = sigmas**2
+    for one, other in ((first, second), (second, first)):
+        np.add.at(found, one, sigmas[one] * sigmas[other] * shares[:, None])
+    return np.asarray(found)

@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.incremental.shared import image_motion
@@ -93,7 +94,7 @@ class Engine:
         """The tree of all unknowns and systems: from reduced systems, never from points."""
         self._tree, self.value = Tree(), {unknown: one.value for unknown, one in self.shared.items()}
         self._holding: defaultdict[Unknown, set[Members]] = defaultdict(set)
-        self._tree.change({unknown: one.prior for unknown, one in self.shared.items()}, self.systems)
+        self._tree.change({unknown: one.prior_sigmas for unknown, one in self.shared.items()}, self.systems)
         self._hold(self.systems)
 
     @contextmanager
@@ -131,7 +132,7 @@ class Engine:
             self._changing[members] = Sweep(network, self._settings, _places_of(network, places))
         systems = self._made(networks)
         dropped = [*dropped, *self._unfelt(gone, networks)]
-        self._tree.change({unknown: one.prior for unknown, one in new.items()}, systems, gone, dropped)
+        self._tree.change({unknown: one.prior_sigmas for unknown, one in new.items()}, systems, gone, dropped)
         for unknown in dropped:
             del self.shared[unknown], self.value[unknown]
         self._take(systems)
@@ -168,8 +169,17 @@ class Engine:
         return self._placed(wanted, joint)
 
     def joint(self, unknowns: Sequence[Unknown]) -> Array:
-        """Joint covariance (d, d) of some unknowns, m and rad, straight from iSAM2."""
-        return self._tree.covariance(unknowns)
+        """Joint covariance (d, d) of some unknowns, m and rad, straight from iSAM2, with what is considered carried."""
+        considered = [unknown for unknown, one in self.shared.items() if one.considered]
+        every = [*unknowns, *(unknown for unknown in considered if unknown not in unknowns)]
+        covariance = self._tree.covariance(every)
+        if not considered:
+            return covariance
+        place, d = stretches(every, self.value), sum(self.value[unknown].size for unknown in unknowns)
+        columns = np.concatenate([np.arange(place[unknown].start, place[unknown].stop) for unknown in considered])
+        sigmas = np.concatenate([self.shared[unknown].prior for unknown in considered])
+        root = carried(covariance[:, columns], columns, sigmas)[:d]
+        return np.asarray(covariance[:d, :d] + root @ root.T)
 
     # --- books
 

@@ -261,7 +261,7 @@ class IncrementalAdjustment:
             for unknown in members:
                 if unknown.kind == "shift" and unknown not in self._engine.shared:
                     motion = max(image_motion(one)[0] for one in known_images(network))
-                    found[unknown] = shared_shift(network.shift_sigma(unknown.name), motion)
+                    found[unknown] = shared_shift(network, unknown.name, motion)
         return found
 
     def _change(

@@ -13,6 +13,7 @@ from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.rotation import skew
 from mgsgraph.incremental.state import Shared
+from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage, Unknown, unknowns
 
 
@@ -53,9 +54,11 @@ def shared_image(known: KnownImage, angles: Angles) -> Shared:
     return Shared(prior, image_motion(known), ground_motion(known, angles), np.zeros(prior.size), np.diag(prior**2))
 
 
-def shared_shift(sigma: float, motion: float) -> Shared:
-    """A horizontal shift, eastward and northward, of a-priori `sigma` in m; `motion` is pixels per m."""
-    return Shared(np.full(2, sigma), np.full(2, motion), np.zeros((3, 2)), np.zeros(2), np.eye(2) * sigma**2)
+def shared_shift(network: Network, name: str, motion: float) -> Shared:
+    """A horizontal shift of a network, eastward and northward, as it is beforehand; `motion` is pixels per m."""
+    sigma, considered = network.shift_sigma(name), name in network.considered
+    unmoved = np.full(2, sigma), np.full(2, motion), np.zeros((3, 2)), np.zeros(2), np.eye(2) * sigma**2
+    return Shared(*unmoved, considered)
 
 
 def shared_of(solution: Solution) -> dict[Unknown, Shared]:
@@ -69,6 +72,6 @@ def shared_of(solution: Solution) -> dict[Unknown, Shared]:
             found[names[j]] = replace(one, value=value, covariance=covariance)
     motion = max((float(one.motion[0]) for one in found.values()), default=1.0)
     for p, name in enumerate(network.shift_names):
-        one = shared_shift(network.shift_sigma(name), motion)
+        one = shared_shift(network, name, motion)
         found[names[count + p]] = replace(one, value=solution.shifts[p], covariance=solution.shift_covariance(p))
     return found

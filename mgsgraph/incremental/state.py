@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from mgsgraph.adjustment.graph.variables import HELD
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import Network
@@ -92,12 +93,19 @@ class Shared:
     """(d,) m and rad, adjusted."""
     covariance: Array
     """(d, d) for sigma0 = 1, when it was looked at last."""
+    considered: bool = False
+    """Whether it is held at zero, while its a-priori covariance is carried."""
 
     def __post_init__(self) -> None:
         d = np.size(self.prior)
         shapes = {"prior": (d,), "motion": (d,), "ground": (3, d), "value": (d,), "covariance": (d, d)}
         for name, shape in shapes.items():
             assign(self, **{name: frozen(getattr(self, name), f"shared unknown, {name}", shape)})
+
+    @property
+    def prior_sigmas(self) -> Array:
+        """(d,) m and rad, of the prior in the tree: one that holds a considered unknown."""
+        return self.prior * HELD if self.considered else self.prior
 
     @property
     def sigmas(self) -> Array:

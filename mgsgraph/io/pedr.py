@@ -31,6 +31,8 @@ HEADER_RECORDS = 10
 """Records of the label before the first frame."""
 IAU2000_VERSION = "L"
 """Product version from which on the archive is in the IAU2000 frame; earlier ones are IAU1991 (PDS pedr.html)."""
+_PULSE = 1e-10
+"""s, of the echo's widths."""
 _CM = 1e-2
 _MICRODEG = 1e-6 * DEG
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
@@ -57,7 +59,7 @@ _FIELDS: tuple[tuple[str, str, int, int], ...] = (
     ("reflectivity", "u2", SHOTS, 184),
     ("channel", "u1", SHOTS, 224),
     ("pulse_width", "i2", SHOTS, 244),  # 0.1 ns
-    ("sigma_optical", "i2", SHOTS, 284),
+    ("sigma_optical", "i2", SHOTS, 284),  # 0.1 ns
     ("parallax_latitude", "i4", 1, 324),  # 1e-9 deg per m
     ("parallax_longitude", "i4", 1, 328),
     ("crossover", "i4", 1, 332),
@@ -272,7 +274,7 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
     def whole(values: NDArray[np.integer]) -> Index:
         return np.broadcast_to(values, raw.shape).ravel()[kept].astype(np.int64)
 
-    ranges = frames["range"] * _CM
+    ranges, pulses = frames["range"] * _CM, frames["sigma_optical"] * _PULSE
     return AltimeterShots(
         source=str(path),
         orbits=whole(frames["orbit"][:, None]),
@@ -290,6 +292,7 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
         ground=(frames["shot_class"] == 1).ravel()[kept],
         channels=whole(frames["channel"]),
         clocks=flat(field("clock")),
+        pulses=flat(np.where(pulses > 0.0, pulses, np.nan)),
     )
 
 

@@ -231,6 +231,7 @@ def _shots(table: _ShotTable, clock_bias: float, leap_seconds: Path | None) -> A
         ground=~(flag >= _NOT_GROUND),
         channels=table.whole("channel"),
         clocks=np.full(n, np.nan),
+        pulses=np.full(n, np.nan),  # in what unit PEDR2TAB writes Sigopt is not known
     )
 
 

@@ -1,6 +1,6 @@
 """The network: who sees what, with what sigma. Validated once."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -144,6 +144,11 @@ class Network:
         stereo = replace(self.stereo, images=images, surface=surface, sigmas=sigmas, rejected=rejected)
         assign(self, stereo=stereo)
 
+    def considering(self, names: Iterable[str]) -> "Network":
+        """The network with those of some names considered that are unknowns of its own."""
+        there = (*self.shift_names, *(one.name for one in self.shared))
+        return replace(self, considered=tuple(name for name in names if name in there))
+
     def with_rejected(self, rays: Mask | None, ranges: Mask | None, stereo: Mask | None = None) -> "Network":
         """The network with rays (k,), ranges (r,) and heights of points (n,) above stereo surfaces marked as blunders;
         None marks none.
@@ -221,7 +226,7 @@ class Network:
 
     def footprints_moved(self, shared: SharedUnknown) -> Index:
         """Constrained points, ascending, whose a-priori position a shared unknown moves."""
-        if shared.kind is not SharedKind.PROFILE_HEIGHT:
+        if not shared.kind.of_profile:
             return self.beams(shared)[0]
         assert self.shifts is not None
         return np.flatnonzero(self.shifts.profile == self.shifts.names.index(shared.profile))

@@ -84,12 +84,6 @@ def require_nothing_shared(network: Network) -> None:
             "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
             "profiles by themselves", "register them without (`mgsgraph coregister --no-crossovers`)",
         )
-    for name in network.considered:
-        raise InputError(
-            f"considered unknown {name!r}", "a covariance carried in what is adjusted image by image",
-            "unknowns that are estimated",
-            "adjust such a case as a whole (`mgsgraph adjust`), or take `considered` and `shift = false` out",
-        )
     if network.surface is not None and network.surface.raised:
         raise InputError(
             f"terrain {network.surface.grid.source}", "an unknown height or tilt in what is adjusted image by image",
@@ -112,7 +106,7 @@ def part(network: Network, points: Index) -> Network:
     pairs = [] if stereo is None else [stereo.images.ravel()]
     images, image = _renumbered(network.rays.image[rays], network.ranges.image[ranges], *pairs)
     own, seen, shot = network.points, network.rays.chosen(rays), network.ranges.chosen(ranges)
-    return Network(
+    found = Network(
         tuple(network.images[j] for j in images),
         tuple(network.priors[j] for j in images),
         network.held[images],
@@ -130,6 +124,7 @@ def part(network: Network, points: Index) -> Network:
         network.areoid,
         stereo=None if stereo is None else replace(stereo, images=image[stereo.images]),
     )
+    return found.considering(network.considered)
 
 
 def _renumbered(*used: Index) -> tuple[Index, Index]:
@@ -225,11 +220,22 @@ def joined(networks: Sequence[Network]) -> Network:
     )
     _require_single_ranges(ranges, points.ids, tuple(images))
     areoid = next((net.areoid for net in networks if net.areoid is not None), None)
-    return Network(
+    found = Network(
         *image_columns(list(images.values())), points, rays, ranges,
         _joined_shifts(networks, place_of, len(points)), _joined_surface(networks, place_of, len(points)), areoid,
         stereo=joined_control([net.stereo for net in networks], place_of, image_of, len(points)),
     )  # fmt: skip
+    return found.considering(_joined_considered(networks))
+
+
+def _joined_considered(networks: Sequence[Network]) -> tuple[str, ...]:
+    """Unknowns that all parts which have them consider; InputError where one considers what another estimates."""
+    names = dict.fromkeys(name for net in networks for name in net.considered)
+    for name in names:
+        if any(name in net.shift_names and name not in net.considered for net in networks):
+            remedy = "name it in `considered` (of a terrain model: shift = false) for both, or for neither"
+            raise InputError(f"unknown {name!r}", "considered in one part, estimated in another", "one of them", remedy)
+    return tuple(names)
 
 
 def _columns(rows: Iterable[tuple[NDArray[Any], ...]]) -> list[NDArray[Any]]:

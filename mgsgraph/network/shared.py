@@ -47,13 +47,20 @@ class SharedKind(StrEnum):
     """m: to be added to the nominal one."""
     PROFILE_HEIGHT = "profile height"
     """m: what the shots of a laser profile are too low, in its middle, and how much more at its end (drift)."""
+    PROFILE_DRIFT = "profile drift"
+    """m: what is to be added east and north to the shots at a laser profile's end, taken off at its beginning."""
 
     @property
     def width(self) -> int:
-        """Number of columns: three angles, height and drift, or one."""
+        """Number of columns: three angles, height and drift, east and north, or one."""
         if self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT):
             return 3
-        return 2 if self is SharedKind.PROFILE_HEIGHT else 1
+        return 2 if self.of_profile else 1
+
+    @property
+    def of_profile(self) -> bool:
+        """Whether it is of a laser profile, and of no images."""
+        return self in (SharedKind.PROFILE_HEIGHT, SharedKind.PROFILE_DRIFT)
 
     @property
     def unit(self) -> str:
@@ -85,11 +92,13 @@ class SharedKind(StrEnum):
     @property
     def moves_footprints(self) -> bool:
         """Whether it moves a-priori positions of laser footprints."""
-        return self in (SharedKind.ALTIMETER_BORESIGHT, SharedKind.PROFILE_HEIGHT)
+        return self is SharedKind.ALTIMETER_BORESIGHT or self.of_profile
 
     @property
     def components(self) -> tuple[str, ...]:
         """Names of its columns; one empty name where there is but one."""
+        if self is SharedKind.PROFILE_DRIFT:
+            return ("east", "north")
         return {1: ("",), 2: ("middle", "drift"), 3: ("x", "y", "z")}[self.width]
 
 
@@ -102,20 +111,20 @@ class SharedUnknown:
     kind: SharedKind
     """What it is."""
     images: Index
-    """(m,) images that share it, each once; none of a profile's height."""
+    """(m,) images that share it, each once; none of what is of a profile."""
     sigmas: Array
     """(kind.width,) a-priori, about zero, in the kind's unit; finite."""
     profile: str = ""
-    """Laser profile (`ProfileShifts.names`) whose height it is."""
+    """Laser profile (`ProfileShifts.names`) whose height or drift it is."""
 
     def __post_init__(self) -> None:
         where = f"shared unknown {self.name!r}"
         if not self.name:
             raise InputError("shared unknown", "an empty name", "what to call it")
         images = frozen_index(self.images, f"{where}, images", np.size(self.images), 2**31)
-        of_profile = self.kind is SharedKind.PROFILE_HEIGHT
+        of_profile = self.kind.of_profile
         if bool(self.profile) != of_profile:
-            raise InputError(where, f"profile {self.profile!r}", "a profile for a profile's height alone")
+            raise InputError(where, f"profile {self.profile!r}", "a profile for a profile's height or drift alone")
         if (images.size == 0) != of_profile or np.unique(images).size != images.size:
             raise InputError(f"{where}, images", f"{images.tolist()[:10]}", "at least one image, each once")
         sigmas = frozen(self.sigmas, f"{where}, sigmas", (self.kind.width,))
@@ -128,6 +137,12 @@ class SharedUnknown:
         """Height of a profile with a-priori sigmas of its middle and its drift in m; no drift when None."""
         sigmas, none = np.array([middle, drift or _NO_DRIFT]), np.zeros(0, dtype=np.int64)
         return cls(f"height of {profile}", SharedKind.PROFILE_HEIGHT, none, sigmas, profile)
+
+    @classmethod
+    def of_drift(cls, profile: str, sigma: float) -> "SharedUnknown":
+        """How much a profile's horizontal shift grows from its middle to its end, with an a-priori sigma in m."""
+        none = np.zeros(0, dtype=np.int64)
+        return cls(f"drift of {profile}", SharedKind.PROFILE_DRIFT, none, np.full(2, sigma), profile)
 
     def of(self, image: int) -> bool:
         """Whether an image shares it."""

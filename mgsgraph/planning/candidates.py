@@ -284,7 +284,9 @@ def _network(
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])
     image = np.array([number[name] for name in names], dtype=np.int64)
     network = Network(*image_columns(known), points, ImageRays(point, image, places, sigmas), shots, shifts)
-    return network if old else replace(network, surface=_surface(coverage, points))
+    if old:
+        return network
+    return replace(network, surface=_surface(coverage, points)).considering(coverage.network.considered)
 
 
 def _surface(coverage: ImageCoverage, points: GroundPoints) -> Surface | None:

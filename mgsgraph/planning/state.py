@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.datum.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
+from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.passes import Selection, determined_points, everything, without_weak
 from mgsgraph.adjustment.posterior import orientation_covariance
 from mgsgraph.adjustment.predicted_lines import exactly
@@ -165,7 +166,8 @@ class ReducedNetwork:
 
 
 class CurrentState(ReducedNetwork):
-    """A whole network linearised at its state, with the joint covariance of its shared unknowns.
+    """A whole network linearised at its state, with the joint covariance of its shared unknowns; what is considered of
+    them is carried in it.
 
     Raises WeakNetwork where nothing determines some direction of the orientation.
     """
@@ -174,11 +176,23 @@ class CurrentState(ReducedNetwork):
         super().__init__(state.network, state.settings, state.values, state.places)
         self.state = state
         require_strength(self.layout, self.reduction)
-        self.joint = orientation_covariance(BundleGraph(self.layout, self.rows), self.reduction)
+        graph, variables = BundleGraph(self.layout, self.rows), self.layout.variables
+        self.joint = orientation_covariance(graph, self.reduction)
+        self._held = self.joint
+        if variables.with_considered:
+            self._held = orientation_covariance(graph, self.reduction, consider=False)
+        self.considered = [self.names[v] for v in variables.with_considered]
         self.index_of = {name: i for i, name in enumerate(state.network.points.ids)}
 
-    def covariance_with(self, names: Sequence[Unknown]) -> Array:
-        """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another."""
+    def held_with(self, names: Sequence[Unknown]) -> Array:
+        """Covariance (columns, d), m and rad, of all shared unknowns with some, one after another; considered ones are
+        held, as the estimates have them.
+        """
         number = {name: v for v, name in enumerate(self.names)}
         ones = np.array([number[name] for name in names], dtype=np.int64)
-        return self.joint.square_root.cross(ones, self.joint.adjusted).T
+        return self._held.square_root.cross(ones, self._held.adjusted).T
+
+    def carried(self, held: Array) -> Array:
+        """(columns, c) root of what the considered unknowns add to the covariance, of `held_with` them."""
+        columns = self.columns(self.considered)
+        return carried(held, columns, self.layout.sigmas[columns])

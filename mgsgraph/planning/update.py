@@ -6,6 +6,9 @@ With the information D that they add on the unknowns they touch (points and new 
 
 and the determinant of S falls by that of C C': half its binary logarithm is the information gained, in bits. Points
 that are measured again count with what they add to what they said before: D is a difference then.
+
+Unknowns that are considered stay held in S. What they add to it, V V' (`adjustment.marginals.carried`), is found before
+and after; the determinant of the whole falls as that of S does, for that of the sum is |S_xx| |C| (Schur).
 """
 
 from collections.abc import Sequence
@@ -47,8 +50,10 @@ class Update:
     """The present network."""
     added: AddedInformation
     """Information that the measures add."""
-    downdate: Array
-    """(columns, d) U of S' = S - U U', on all present unknowns."""
+    change: Array
+    """(columns, d) M of S' = S + M diag(signs) M', on all present unknowns."""
+    signs: Array
+    """(d,) -1, and 1 for what considered unknowns add afterwards."""
     bits: float
     """Information gained on all present unknowns."""
 
@@ -69,22 +74,28 @@ class Update:
     def pairs(self) -> Array:
         """The joint covariance after, in the blocks of the present layout, flat."""
         blocks, layout = self.present.layout.blocks, self.present.layout
-        flat = blocks.filled(self.present.joint)
+        flat, signed = blocks.filled(self.present.joint), self.change * self.signs
         for v, w, block in blocks.each(flat, layout.variables.width):
-            block -= self.downdate[layout.columns_of(v)] @ self.downdate[layout.columns_of(w)].T
+            block += signed[layout.columns_of(v)] @ self.change[layout.columns_of(w)].T
         return flat
 
     def covariance(self, unknown: Unknown) -> Array:
         """(d, d) m and rad, of one present unknown."""
         v = self.present.names.index(unknown)
-        downdate = self.downdate[self.present.layout.columns_of(v)]
-        return self.present.joint.block(v, v) - downdate @ downdate.T
+        change = self.change[self.present.layout.columns_of(v)]
+        return self.present.joint.block(v, v) + (change * self.signs) @ change.T
+
+    def _joint_of(self, names: Sequence[Unknown]) -> Array:
+        """(d, d) m and rad, joint covariance of some present unknowns."""
+        present, columns = self.present, self.present.columns(names)
+        number, change = [present.names.index(name) for name in names], self.change[columns]
+        before = present.joint.of(number) if number else np.zeros((0, 0))
+        return before + (change * self.signs) @ change.T
 
     def point_covariances(self) -> tuple[Array, Mask]:
         """(n, 3, 3) m^2 of the points touched, network order, and (n,) which of them have a place."""
         added, after = self.added, self.added.after
-        layout, columns = after.layout, self.present.columns(added.touched)
-        known = self.present.covariance_with(added.touched)[columns] - self.downdate[columns] @ self.downdate[columns].T
+        layout, known = after.layout, self._joint_of(added.touched)
         across = added.regression @ known
         joint = np.block([[known, across.T], [across, added.conditional + across @ added.regression.T]])
         order = np.argsort(after.columns([*added.touched, *added.new]))
@@ -137,11 +148,18 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
 def updated(present: CurrentState, adds: AddedInformation) -> Update:
     """What added information does to the joint covariance of the present network."""
     touched, root = adds.touched, adds.root
-    spread = present.covariance_with(touched) @ root if touched else np.zeros((present.layout.columns, 0))
+    spread = present.held_with(touched) @ root if touched else np.zeros((present.layout.columns, 0))
     inner = np.eye(root.shape[1]) + root.T @ spread[present.columns(touched)]
     factor = np.linalg.cholesky(0.5 * (inner + inner.T))
     downdate = np.linalg.solve(factor, spread.T).T
-    return Update(present, adds, downdate, float(np.sum(np.log2(np.diagonal(factor)))))
+    change, signs = downdate, -np.ones(downdate.shape[1])
+    if present.considered:
+        held = present.held_with(present.considered)
+        before = present.carried(held)
+        after = present.carried(held - downdate @ downdate[present.columns(present.considered)].T)
+        change = np.hstack([downdate, before, after])
+        signs = np.concatenate([signs, -np.ones(before.shape[1]), np.ones(after.shape[1])])
+    return Update(present, adds, change, signs, float(np.sum(np.log2(np.diagonal(factor)))))
 
 
 def _positions(network: ReducedNetwork, among: Sequence[Unknown], some: Sequence[Unknown]) -> Index:

@@ -360,4 +360,6 @@ def on_terrain(network: Network, store: ProjectStore) -> Network:
     sigmas = np.full(len(network.points), np.inf)
     sigmas[members[mine]] = np.nan_to_num(grid.control_sigmas(places[mine]), nan=np.inf)
     usable = np.any(np.isfinite(sigmas))
-    return replace(network, surface=Surface(grid, sigmas, shift_sigma)) if usable else network
+    if not usable:
+        return network
+    return replace(network, surface=Surface(grid, sigmas, shift_sigma)).considering(store.considered)

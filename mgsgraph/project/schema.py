@@ -8,7 +8,7 @@ The points, rays and ranges of a bundle are written together, one after the othe
 by which they are read and removed, so that only names need an index.
 """
 
-FORMAT = 3
+FORMAT = 4
 """Number of the layout; raised with every change of a table, together with a step in MIGRATIONS."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
@@ -56,6 +56,7 @@ TABLES = (
     ground BLOB NOT NULL, -- float64 (3, d), m by which the ground under the image's middle moves, per m and per rad
     value BLOB NOT NULL, -- float64 (d), m and rad, adjusted
     covariance BLOB NOT NULL, -- float64 (d, d), for sigma0 = 1
+    considered INTEGER NOT NULL DEFAULT 0, -- 1: held at zero, while its a-priori covariance is carried
     UNIQUE (kind, name)
 )""",
     """CREATE TABLE terrain ( -- grids of the terrain model and of the areoid
@@ -67,7 +68,8 @@ TABLES = (
     """CREATE TABLE profile ( -- laser profiles with an unknown horizontal shift
     id INTEGER PRIMARY KEY,
     name TEXT NOT NULL UNIQUE,
-    sigma NOT NULL -- m, a-priori, east and north
+    sigma NOT NULL, -- m, a-priori, east and north
+    considered INTEGER NOT NULL DEFAULT 0 -- 1: not estimated
 )""",
     """CREATE TABLE bundle ( -- all points that feel the same shared unknowns
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -77,6 +79,7 @@ TABLES = (
     first_range INTEGER NOT NULL, ranges INTEGER NOT NULL,
     terrain INTEGER REFERENCES terrain, -- model that its points lie on
     terrain_shift_sigma, -- m, a-priori, of that model
+    terrain_considered INTEGER NOT NULL DEFAULT 0, -- 1: that shift is not estimated
     areoid INTEGER REFERENCES terrain,
     unknowns TEXT, -- JSON: those of the reduced system, in the order of its columns; NULL where there is none
     at BLOB, -- float64 (d), m and rad, where the reduced system was made
@@ -158,5 +161,10 @@ MIGRATIONS: dict[int, tuple[str, ...]] = {
         "ALTER TABLE range ADD COLUMN rejected INTEGER NOT NULL DEFAULT 0",
     ),
     2: _STEREO,  # nothing lay on a stereo surface
+    3: (  # every unknown was estimated
+        "ALTER TABLE shared ADD COLUMN considered INTEGER NOT NULL DEFAULT 0",
+        "ALTER TABLE profile ADD COLUMN considered INTEGER NOT NULL DEFAULT 0",
+        "ALTER TABLE bundle ADD COLUMN terrain_considered INTEGER NOT NULL DEFAULT 0",
+    ),
 }
 """Statements by which a format becomes the next one."""

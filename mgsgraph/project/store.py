@@ -14,7 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.incremental.state import Bundle, ReducedSystem, Shared
-from mgsgraph.network import Network, ProfileShifts, Surface
+from mgsgraph.network import TERRAIN, Network, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
 from mgsgraph.project.rows import (
     Run,
@@ -34,7 +34,7 @@ _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
 """Columns of a reduced system; NULL in a bundle that has none."""
 _BUNDLE = (
     "id", "first_point", "points", "first_ray", "rays", "first_range", "ranges",
-    "terrain", "terrain_shift_sigma", "areoid", *_REDUCED,
+    "terrain", "terrain_shift_sigma", "terrain_considered", "areoid", *_REDUCED,
 )  # fmt: skip
 _AT_HAND = 100
 """Bundles that are kept after they were read: a change looks at the same ones several times."""
@@ -89,17 +89,18 @@ class ProjectStore:
 
     def shared(self) -> dict[Unknown, Shared]:
         """All adjusted unknowns."""
-        rows = self._ask(f"SELECT kind, name, {', '.join(_SHARED)} FROM shared ORDER BY id")
-        return {Unknown(kind, name): _shared(*blobs) for kind, name, *blobs in rows}
+        rows = self._ask(f"SELECT kind, name, considered, {', '.join(_SHARED)} FROM shared ORDER BY id")
+        return {Unknown(kind, name): _shared(bool(held), *blobs) for kind, name, held, *blobs in rows}
 
     def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
         """Add unknowns or replace their values."""
-        renewed = ", ".join(f"{name} = excluded.{name}" for name in _SHARED)
+        columns = "considered", *_SHARED
+        renewed = ", ".join(f"{name} = excluded.{name}" for name in columns)
         self._connection.executemany(
-            f"INSERT INTO shared (kind, name, {', '.join(_SHARED)}) VALUES ({', '.join('?' * (2 + len(_SHARED)))}) "
+            f"INSERT INTO shared (kind, name, {', '.join(columns)}) VALUES ({', '.join('?' * (2 + len(columns)))}) "
             f"ON CONFLICT (kind, name) DO UPDATE SET {renewed}",
             [
-                (unknown.kind, unknown.name, *(getattr(one, name).tobytes() for name in _SHARED))
+                (*unknown, int(one.considered), *(getattr(one, name).tobytes() for name in _SHARED))
                 for unknown, one in shared.items()
             ],
         )
@@ -160,7 +161,7 @@ class ProjectStore:
 
     def _read(self, members: Members) -> Bundle:
         row = self._one(f"SELECT {', '.join(_BUNDLE)} FROM bundle WHERE members = ?", _text(members))
-        number, first, points, first_ray, rays, first_range, ranges, terrain, shift_sigma, areoid, *reduced = row
+        number, first, points, first_ray, rays, first_range, ranges, terrain, shift_sigma, stays, areoid, *reduced = row
         names, numbers = self._images_of(number)
         read = points_of(self._connection, Run(first, points))
         known = [self.image(name) for name in names]
@@ -173,7 +174,7 @@ class ProjectStore:
             None if terrain is None else Surface(self._grid(terrain), read.surface_sigmas, shift_sigma),
             None if areoid is None else self._grid(areoid),
             stereo=self._stereo.control(Run(first, points), read.numbers, numbers, read.places),
-        )
+        ).considering([*self._considered_profiles, *([TERRAIN] if stays else [])])
         system = None if reduced[0] is None else _reduced(_members(reduced[0]), *reduced[1:])
         return Bundle(network, system, read.places, read.covariances)
 
@@ -223,6 +224,7 @@ class ProjectStore:
                 _text(members), number, *points, *rays, *ranges,
                 None if surface is None else self._number(surface.grid),
                 None if surface is None else surface.shift_sigma,
+                int(TERRAIN in network.considered),
                 None if network.areoid is None else self._number(network.areoid),
                 *_reduced_row(bundle.reduced),
             ),
@@ -248,7 +250,17 @@ class ProjectStore:
             self._surface(read),
             self.areoid,
             stereo=self._stereo.control(None, read.numbers, images, read.places),
-        )
+        ).considering(self.considered)
+
+    @property
+    def considered(self) -> list[str]:
+        """Shifts that are not estimated: of profiles, and the terrain model's."""
+        stays = self._ask("SELECT 1 FROM bundle WHERE terrain_considered LIMIT 1")
+        return [*self._considered_profiles, *([TERRAIN] if stays else [])]
+
+    @property
+    def _considered_profiles(self) -> list[str]:
+        return [name for (name,) in self._ask("SELECT name FROM profile WHERE considered ORDER BY id")]
 
     def _surface(self, read: StoredPoints) -> Surface | None:
         terrain = self.terrain
@@ -309,9 +321,9 @@ class ProjectStore:
         numbers = []
         for name, sigma in zip(network.shifts.names, network.shifts.sigmas.tolist(), strict=True):
             self._connection.execute(
-                "INSERT INTO profile (name, sigma) VALUES (?, ?) "
-                "ON CONFLICT (name) DO UPDATE SET sigma = excluded.sigma",
-                (name, sigma),
+                "INSERT INTO profile (name, sigma, considered) VALUES (?, ?, ?) "
+                "ON CONFLICT (name) DO UPDATE SET sigma = excluded.sigma, considered = excluded.considered",
+                (name, sigma, int(name in network.considered)),
             )
             numbers.append(self._one("SELECT id FROM profile WHERE name = ?", name)[0])
         return numbers
@@ -367,10 +379,10 @@ def _vector(blob: bytes) -> Array:
     return np.frombuffer(blob, "<f8")
 
 
-def _shared(prior: bytes, motion: bytes, ground: bytes, value: bytes, covariance: bytes) -> Shared:
+def _shared(considered: bool, prior: bytes, motion: bytes, ground: bytes, value: bytes, covariance: bytes) -> Shared:
     sigmas = _vector(prior)
     two = [_vector(blob).reshape(-1, sigmas.size) for blob in (ground, covariance)]
-    return Shared(sigmas, _vector(motion), two[0], _vector(value), two[1])
+    return Shared(sigmas, _vector(motion), two[0], _vector(value), two[1], considered)
 
 
 def _reduced(unknowns: Members, at: bytes, normal: bytes, gradient: bytes, cost: float, slack: float) -> ReducedSystem:

@@ -95,7 +95,7 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
     if wanted.raster is not None:
         yield raster_section(posterior, wanted.raster, wanted.cell, wanted.sigma)
     if wanted.unexplained:
-        yield unexplained_section(posterior)
+        yield unexplained_section(posterior, name)
     if wanted.honesty:
         yield _honesty(posterior, name)
         yield linearity_section(posterior)

@@ -1,6 +1,7 @@
 """What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -61,6 +62,7 @@ def inventory(case: Case) -> str:
         _images(network),
         _points(network, prediction),
         _connections(connected),
+        *_pulses(case),
         *([_shared(network)] if network.shared else []),
         *([strips_inventory(network)] if network.strips else []),
         *([_terrain(network, network.surface, prediction.places)] if network.surface is not None else []),
@@ -100,6 +102,15 @@ def _terrain(network: Network, surface: Surface, places: Array) -> str:
     ]
     lines.append(f"  unknowns of its own, a-priori sigma: {', '.join(terms) if terms else 'none'}")
     return "\n".join(lines)
+
+
+def _pulses(case: Case) -> list[str]:
+    """Profiles whose ranges and heights get no share of their echoes' widths, which nobody knows; nothing without."""
+    names = [Path(one.source).name for one in case.profiles if np.all(np.isnan(one.pulses))]
+    if not names:
+        return []
+    return [f"Laser profiles that don't say how broad their echoes were: {some(names, _NAMED)}\n  "
+            "sigmas of their ranges and heights are as stated, on slopes too (pulse_share)"]  # fmt: skip
 
 
 def _shared(network: Network) -> str:

@@ -14,6 +14,7 @@ from mgsgraph.analysis.statistics import (
 from mgsgraph.geometry.records import Index
 from mgsgraph.output.csv_json import picked
 from mgsgraph.output.table import Column, Table, cut
+from mgsgraph.reports.minima import minima_table
 from mgsgraph.reports.shared import ON_PAGE, shared_table
 from mgsgraph.reports.strips import strips_table
 from mgsgraph.reports.tables import classes_table, images_table, points_table, residuals_table
@@ -30,7 +31,8 @@ def tables(solution: Solution) -> list[Table]:
     """All tables of a solution that have rows."""
     found = [
         _images(solution), _points_by_class(solution), _ranges(solution), _shifts(solution),
-        shared_table(solution).pick(*ON_PAGE), strips_table(solution), _measures(solution), _points(solution),
+        minima_table(solution.minima), shared_table(solution).pick(*ON_PAGE), strips_table(solution),
+        _measures(solution), _points(solution),
     ]  # fmt: skip
     return [table for table in found if len(table)]
 

@@ -28,6 +28,7 @@ from mgsgraph.output.folders import PROGRAM, RECORD, fresh_folder
 from mgsgraph.reports.archive import ARCHIVE, write_archive
 from mgsgraph.reports.control import control_json
 from mgsgraph.reports.likelihood import linearity_json
+from mgsgraph.reports.minima import minima_json
 from mgsgraph.reports.shared import shared_table
 from mgsgraph.reports.strips import nodes_table, strips_table
 from mgsgraph.reports.summary import statements
@@ -146,6 +147,7 @@ def solution_json(solution: Solution, connected: Connectivity | None = None) -> 
         "sigma0": solution.sigma0,
         "degrees_of_freedom": fit.degrees_of_freedom,
         "linearity": linearity_json(solution.linearity),
+        "minima": minima_json(solution.minima),
         "observations": fit.observations,
         "unknowns": fit.unknowns,
         "images": [_image(solution, j, rays) for j in range(len(network.images))],

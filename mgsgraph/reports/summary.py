@@ -23,6 +23,7 @@ from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_statements
 from mgsgraph.reports.control import control_statements
 from mgsgraph.reports.likelihood import linearity_statements
+from mgsgraph.reports.minima import minima_statements
 from mgsgraph.reports.shared import IN_TEXT, shared_statements, shared_table
 from mgsgraph.reports.strips import strips_statements, strips_table
 from mgsgraph.reports.tables import classes_table, images_table
@@ -49,6 +50,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
         *_ending(solution),
         _weight_unit(solution),
         *linearity_statements(solution.linearity),
+        *minima_statements(solution.minima),
         *_fits(solution, rays),
         *_datum(solution),
         *control_statements(solution),

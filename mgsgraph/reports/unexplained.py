@@ -1,17 +1,28 @@
 """What an adjustment cannot explain: sentences, the table of all tests, and their record in analysis.json."""
 
+from typing import TYPE_CHECKING
+
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
 from mgsgraph.output.table import Column, Table, numbers
 from mgsgraph.reports.sigmas import Section
 
+if TYPE_CHECKING:
+    from mgsgraph.figures.sheet import Sheet
 
-def unexplained_section(posterior: Posterior) -> Section:
+
+def unexplained_section(posterior: Posterior, name: str) -> Section:
     """The tests of the residuals."""
     found = unexplained(posterior.linearised)
+
+    def sheet() -> "Sheet":
+        from mgsgraph.figures.unexplained import unexplained_sheet
+
+        return unexplained_sheet(found, name)
+
     table, words = unexplained_table(found), found.words()
     record = {"level": found.level, "tests": found.tests, "words": words.splitlines(), "effects": table.records()}
-    return Section("unexplained", words, record, {"unexplained.csv": table.write_csv})
+    return Section("unexplained", words, record, {"unexplained.csv": table.write_csv}, sheet)
 
 
 def unexplained_table(found: Unexplained) -> Table:

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.simulation.isis_files import image_file
@@ -20,7 +22,8 @@ _IMAGE_SIGMA: dict[str, float] = {"eos": 40.0, "gusev": 22.0, "isidis": 30.0}
 (`scripts/papers_balance.py`, which at Eos gives each image and coordinate its own); the text has "approximately 30"."""
 _TREND, _EOS_TREND = (1.0, 0.02, 0.002), (1.0, 1.0, 1.0)
 """Factors of the orientation's sigmas for each power of u, which the papers leave open. RMSE of the refined positions
-about their mean (Table 2) times sqrt(3), over 100 or 200 m: 0.007 to 0.04 at Gusev and Isidis, 3.8 at Eos."""
+about their mean (Table 2) times sqrt(3), over 100 or 200 m: 0.007 to 0.04 at Gusev and Isidis, 3.8 in the right
+image of Eos."""
 
 Value = str | float | Sequence["str | float"] | dict[str, "Value"]
 """Of a key in a case file."""
@@ -83,15 +86,20 @@ def _images(simulated: SimulatedSite, settings: SiteSettings, folder: str = "") 
 
 
 def _ties(simulated: SimulatedSite) -> Tables:
-    return _table("[ties]", network="network.pvl", sigma_px=simulated.options.tie_noise)
+    """Ties, whose errors are as much in common as those of windows that overlap: as the world's are correlated."""
+    world, sigma = simulated.options.world, simulated.options.tie_noise
+    window = round(world.window * float(np.sqrt(np.pi * world.matching)), 1)
+    return _table("[ties]", network="network.pvl", sigma_px=sigma, window_px=window)
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
-    lines, beam = Tables(), round(simulated.options.world.beam / MRAD, 6)
+    lines, world = Tables(), simulated.options.world
+    drawn: dict[str, Value] = {"beam_sigma_mrad": round(world.beam / MRAD, 6), "pulse_share": world.pulse}
+    drawn |= {"drift_sigma_m": world.drift} if world.drift and "shift_sigma_m" in sigmas else {}
     for image in simulated.images:
         name = image.settings.name
-        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, beam_sigma_mrad=beam, **sigmas)
+        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, **drawn, **sigmas)
     return lines
 
 

@@ -11,11 +11,15 @@ from sharing import shared
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.two_steps import without_terrain
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
+from mgsgraph.export.bundle_orientation import orientation_polynomials
+from mgsgraph.export.isis import adjusted_network
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedKind
+from mgsgraph.network.parts import joined, part
 
 SHIFT = 60.0
 """m, a-priori sigma of the profile's shift."""
@@ -71,6 +75,29 @@ def test_the_covariance_is_that_of_estimates_that_a_shift_displaces() -> None:
     assert found.shift_covariance(0) == pytest.approx(SHIFT**2 * np.eye(2), rel=1e-6, abs=1e-3)
 
 
+def test_what_is_exported_has_it_carried() -> None:
+    """Covariances and sigmas in ISIS's terms: those without the unknown, and S C S' with S of exported values."""
+    net, step = with_profile(), 20.0
+    found = adjust_network(replace(net, considered=("profile",)), EXACT)
+    plain = adjust_network(displaced(net, np.zeros(2)), EXACT)
+    points, images, count = [], [], len(net.images)
+    for way in np.eye(2):
+        both = [adjust_network(displaced(net, sign * step * way), EXACT) for sign in (1.0, -1.0)]
+        ends = [np.array([one.adjusted for one in adjusted_network(each).points]) for each in both]
+        points.append((ends[0] - ends[1]) / (2.0 * step))
+        ends = [np.array([orientation_polynomials(each, j, 2).correction for j in range(count)]) for each in both]
+        images.append((ends[0] - ends[1]) / (2.0 * step))
+    spread = [np.array([one.adjusted_covariance for one in adjusted_network(each).points]) for each in (found, plain)]
+    rows, across = np.triu_indices(3)
+    added = SHIFT**2 * np.einsum("kni,knj->nij", np.array(points), np.array(points))[:, rows, across]
+    assert added.max() > 100.0
+    np.testing.assert_allclose(spread[0] - spread[1], added, atol=2e-3 * added.max())
+    sigmas = [np.array([orientation_polynomials(each, j, 2).sigma for j in range(count)]) for each in (found, plain)]
+    expected = sigmas[1] ** 2 + SHIFT**2 * np.sum(np.array(images) ** 2, axis=0)
+    np.testing.assert_allclose(sigmas[0] ** 2 / expected, 1.0, atol=2e-3)
+    assert np.max(sigmas[0] / sigmas[1]) > 1.2
+
+
 def test_redundancy_is_the_estimators() -> None:
     """What is carried of an unknown doesn't change which blunders show: as where the shift is known."""
     net = with_profile()
@@ -107,6 +134,21 @@ def test_an_unknown_that_is_known_already_may_be_considered_or_estimated() -> No
     net = replace(net, shifts=replace(net.shifts, sigmas=np.array([0.01])))
     estimated, considered = (adjust_network(one, EXACT) for one in (net, replace(net, considered=("profile",))))
     np.testing.assert_allclose(considered.covariances, estimated.covariances, rtol=1e-5)
+
+
+def test_parts_of_a_network_keep_what_they_consider() -> None:
+    net = replace(with_shift_and_surface(network(pair()), SHIFT), considered=("profile", TERRAIN))
+    ties, shots = (np.flatnonzero(net.points.classes == kind) for kind in (PointClass.TIE, PointClass.LASER))
+    parts = part(net, ties), part(net, shots)
+    assert [one.considered for one in parts] == [(TERRAIN,), ("profile",)]
+    assert set(joined(parts).considered) == {"profile", TERRAIN}
+    with pytest.raises(InputError, match="profile"):
+        joined([part(net, shots[:2]), part(replace(net, considered=()), shots[2:])])
+
+
+def test_without_its_terrain_a_network_considers_the_rest() -> None:
+    net = replace(with_shift_and_surface(network(pair()), SHIFT), considered=("profile", TERRAIN))
+    assert without_terrain(net).considered == ("profile",)
 
 
 def test_names_of_no_unknowns_are_refused() -> None:

@@ -13,9 +13,10 @@ from mgsgraph.adjustment.cluster import open_cluster
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
 from mgsgraph.incremental.incremental import IncrementalAdjustment
-from mgsgraph.network import Network, SharedKind
+from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.network.parts import bundles, joined
 from mgsgraph.network.shared import ground_shift, image_effect
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken
@@ -32,7 +33,7 @@ SHARP = NoiseSettings(tie=1e-3, shot_image=1e-3, range=1e-3, ground=1e-2, positi
 def everything(
     angles: Angles = "camera", line: Line = "predicted", held: tuple[bool, bool] = (False, False)
 ) -> Solution:
-    """All six kinds at once, a shifted profile and a terrain model beside them."""
+    """All kinds at once, a shifted profile and a terrain model beside them."""
     net = with_all_kinds(with_shift_and_surface(network(pair(), held=held)))
     return adjust_network(net, SolverSettings(angles=angles, line=line))
 
@@ -117,6 +118,23 @@ def test_an_instrument_that_truly_is_so_is_found(
     assert np.count_nonzero(certain) >= min(kind.width, 2)
     assert np.abs(solution.residuals).max() < 0.02
     assert solution.cost_initial > 10.0 * solution.cost_final
+
+
+def test_a_profile_that_drifts_is_found() -> None:
+    """Shots given ever farther off, by 20 m west and 30 m south at the end, and as much the other way at the beginning;
+    the images see where they truly are.
+    """
+    net = with_all_kinds(network(simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2), held=(True, True)))
+    laser = np.flatnonzero(net.points.classes == PointClass.LASER)
+    times = net.ranges.times[np.argsort(net.ranges.point)]
+    along = 2.0 * (times - times.min()) / np.ptp(times) - 1.0
+    places = net.points.places.copy()
+    places[laser] -= along[:, None] * np.einsum("k,nkj->nj", [20.0, 30.0], east_north(places[laser]))
+    net = replace(net, points=replace(net.points, places=places), shared=(shared(SharedKind.PROFILE_DRIFT, [], 100.0),))
+    solution = adjust_network(net, SolverSettings())
+    np.testing.assert_allclose(solution.shared[0], [20.0, 30.0], atol=0.05)
+    np.testing.assert_allclose(solution.shifts, 0.0, atol=0.05)
+    assert np.abs(solution.residuals).max() < 0.02
 
 
 def test_the_ground_moves_as_an_instrument_that_truly_is_so_moves_it() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.common_errors import common_variances
+from mgsgraph.geometry.common_errors import common_variances, overlap_variances
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.track_gaps import track_gaps
@@ -97,3 +97,16 @@ def test_variances_bound_the_covariance_that_they_stand_for(count: int, seed: in
     found = common_variances(places, sigmas, reaches)
     np.testing.assert_allclose(found, covariance.sum(axis=1), rtol=1e-9)
     assert np.linalg.eigvalsh(np.diag(found) - covariance).min() > -1e-9 * max(found.max(), 1.0)
+
+
+@given(st.integers(1, 30), st.integers(0, 1000))
+def test_windows_that_overlap_have_that_share_of_their_errors_in_common(count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places, sigmas = rng.uniform(0, 60, (count, 2)), rng.uniform(0.1, 2, (count, 2))
+    shares = np.prod(np.clip(1.0 - np.abs(places[:, None] - places) / 21.0, 0.0, None), axis=2)
+    found = overlap_variances(places, sigmas, 21.0)
+    for found_one, sigma in zip(found.T, sigmas.T, strict=True):
+        covariance = np.outer(sigma, sigma) * shares
+        np.testing.assert_allclose(found_one, covariance.sum(axis=1), rtol=1e-9)
+        assert np.linalg.eigvalsh(covariance).min() > -1e-9
+        assert np.linalg.eigvalsh(np.diag(found_one) - covariance).min() > -1e-9 * count

@@ -40,6 +40,7 @@ def tracks(
         footprints=from_planetocentric(np.column_stack([longitude.ravel(), latitude.ravel(), radii.ravel()])),
         areoid_radii=nothing, ranges=nothing, range_corrections=nothing, spacecraft=np.full((n, 3), np.nan),
         off_nadir=nothing, ground=np.ones(n, dtype=bool), channels=np.zeros(n, dtype=np.int64), clocks=nothing,
+        pulses=nothing,
     )  # fmt: skip
 
 

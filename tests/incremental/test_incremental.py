@@ -30,7 +30,7 @@ from mgsgraph.incremental import engine
 from mgsgraph.incremental.closing import EXACT
 from mgsgraph.incremental.incremental import IncrementalAdjustment
 from mgsgraph.incremental.state import Bundle, InMemory
-from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
+from mgsgraph.network import TERRAIN, Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.parts import KnownImage, Members, Unknown
 from mgsgraph.ties import TiePoints
 
@@ -215,6 +215,25 @@ def test_shifts_terrain_losses_and_held_images(choices: dict[str, Any], held: tu
     adjustment.remove("FAN/4")
     found = distances(adjustment, by_batch(adjustment))
     assert found.within(), found
+
+
+def test_considered_shifts_are_carried_as_by_batch() -> None:
+    """Of a profile and the terrain model; an image that knows nothing of them has it from its neighbours."""
+    net = rich((1,))
+    assert net.surface is not None
+    net = replace(net, surface=replace(net.surface, shift_sigma=150.0), considered=(net.shift_names[0], TERRAIN))
+    adjustment = IncrementalAdjustment()
+    for k in (3, 0, 4, 1, 2):
+        adjustment.add(by_image(net)[k])
+    assert adjustment.network.considered == net.considered
+    batch, plain = (adjust_network(one, adjustment.settings) for one in (net, replace(net, considered=())))
+    found = distances(adjustment, batch)
+    assert found.within(), found
+    assert np.max(batch.sigmas / plain.sigmas) > 2.0
+    assert distances(IncrementalAdjustment.of(batch), batch).within(EXACT)
+    adjustment.remove("FAN/4")
+    assert distances(adjustment, by_batch(adjustment)).within()
+    assert adjustment.close()[0].close
 
 
 def test_images_that_are_all_held_leave_intersection() -> None:

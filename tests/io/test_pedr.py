@@ -33,6 +33,7 @@ def frame(**changed: Any) -> bytes:
         "areoid": 339012000, "off_nadir": 321000, "d_areoid": -900, "clock": 99996232,
         "range": [37900000 + k for k in range(20)], "correction": [-12 + k for k in range(20)],
         "d_ground": (103100, -13900), "channel": [1, 2] * 10,
+        "sigma_optical": [80 + k for k in range(19)] + [0],
     } | changed
     out = bytearray(776)
 
@@ -45,6 +46,7 @@ def frame(**changed: Any) -> bytes:
     put(48, "20I", *values["radius"])
     put(128, "I", values["mid_radius"])
     put(224, "20B", *values["channel"])
+    put(284, "20h", *values["sigma_optical"])
     put(324, "iii", values["dlatdr"], values["dlondr"], values["crossover"])
     put(336, "ii", values["lat"], values["lon"])
     put(384, "20h", *values["class"])
@@ -108,6 +110,8 @@ def test_every_term_of_every_shot(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.degrees(got.off_nadir), 0.321, rtol=1e-12)
     assert got.channels[:2].tolist() == [1, 2]
     assert np.all(got.clocks == 99996232)
+    np.testing.assert_allclose(got.pulses[:19], 1e-10 * (80.0 + np.arange(19.0)))
+    assert np.isnan(got.pulses[19])
 
 
 def test_the_public_layout_is_the_published_one() -> None:

@@ -13,7 +13,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.incremental.incremental import IncrementalAdjustment
-from mgsgraph.network import Network
+from mgsgraph.network import TERRAIN, Network
 from mgsgraph.network.parts import KnownImage, Unknown
 from mgsgraph.planning.candidates import (
     PlannedShots,
@@ -101,10 +101,10 @@ def test_the_ground_under_an_image_is_that_of_the_solution() -> None:
         assert sigmas[0, 3] < 1e-2 * sigmas[0, 0]
 
 
-@pytest.mark.parametrize("loss", ["none", "huber"])
-def test_terrain_shifts_and_a_robust_loss_hold_too(loss: Loss) -> None:
+@pytest.mark.parametrize(("loss", "considered"), [("none", ()), ("huber", ()), ("none", ("profile", TERRAIN))])
+def test_terrain_shifts_and_a_robust_loss_hold_too(loss: Loss, considered: tuple[str, ...]) -> None:
     settings = SolverSettings(loss=loss)
-    whole = with_shift_and_surface(network(pair(ties=24, shots=9)))
+    whole = replace(with_shift_and_surface(network(pair(ties=24, shots=9))), considered=considered)
     place = ImageCoverage(state_of_solution(adjust_network(whole, settings)))
     chosen = planned_control(place, "surveyed", place.state.places[0], np.eye(3), 0.5)
     present = CurrentState(place.state)
@@ -125,7 +125,40 @@ def test_the_figures_now_are_those_of_the_solution() -> None:
 
 
 def joint(present: CurrentState) -> np.ndarray:
-    return present.covariance_with(present.adjusted)
+    return present.held_with(present.adjusted)
+
+
+def schmidt(present: CurrentState) -> np.ndarray:
+    """Dense P = N_xx^-1 + S C S' of all shared unknowns (Schmidt 1966), with S = -N_xx^-1 N_xc."""
+    normal, prior = present.information(present.adjusted), present.layout.sigmas**2
+    c = present.columns(present.considered)
+    x = np.setdiff1d(np.arange(prior.size), c)
+    noise = np.linalg.inv(normal[np.ix_(x, x)] + np.diag(1.0 / prior[x]))
+    follows = np.zeros((prior.size, c.size))
+    follows[x], follows[c] = -noise @ normal[np.ix_(x, c)], np.eye(c.size)
+    found = follows * prior[c] @ follows.T
+    found[np.ix_(x, x)] += noise
+    return found
+
+
+@pytest.mark.parametrize("considered", [("profile",), ("profile", TERRAIN)])
+def test_considered_unknowns_are_carried_before_and_after(considered: tuple[str, ...]) -> None:
+    whole = replace(with_shift_and_surface(network(pair(ties=24, shots=9))), considered=considered)
+    place = ImageCoverage(state_of_solution(adjust_network(whole, SolverSettings())))
+    chosen = planned_control(place, "surveyed", place.state.places[0], np.eye(3), 0.5)
+    present, anew = (CurrentState(one) for one in (place.state, place.state.extended([addition(chosen)])))
+    update, scale = updated(present, added(present, [addition(chosen)])), np.sqrt(np.diagonal(schmidt(present)))
+    for one in (present, anew):
+        np.testing.assert_allclose(one.joint.dense() / scale / scale[:, None], schmidt(one) / scale / scale[:, None],
+                                   atol=1e-6)
+    found = present.joint.dense() + (update.change * update.signs) @ update.change.T
+    np.testing.assert_allclose(found / scale / scale[:, None], schmidt(anew) / scale / scale[:, None], atol=1e-6)
+    logs = [np.linalg.slogdet(schmidt(one) / np.outer(scale, scale))[1] for one in (present, anew)]
+    assert update.bits == pytest.approx(0.5 * (logs[0] - logs[1]) / np.log(2.0), rel=1e-6)
+    targets = targets_of(place.state, ["all"])
+    assert TargetSigmas(present, targets).after(update) == pytest.approx(TargetSigmas(anew, targets).before(), rel=1e-5)
+    c = present.columns(present.considered)
+    np.testing.assert_allclose(np.diagonal(found)[c], present.layout.sigmas[c] ** 2, rtol=1e-7)
 
 
 @pytest.mark.parametrize("existing", [False, True])
@@ -136,7 +169,7 @@ def test_the_update_equals_the_network_put_together_anew(existing: bool) -> None
     old = anew.columns(present.adjusted)
     expected = joint(anew)[np.ix_(old, old)]
     scale = np.sqrt(np.diagonal(expected))
-    found = joint(present) - update.downdate @ update.downdate.T
+    found = joint(present) + (update.change * update.signs) @ update.change.T
     assert np.max(np.abs(found - expected) / np.outer(scale, scale)) < 1e-6
     logs = [np.linalg.slogdet(one / np.outer(scale, scale))[1] for one in (joint(present), expected)]
     assert update.bits == pytest.approx(0.5 * (logs[0] - logs[1]) / np.log(2.0), rel=1e-6)

@@ -116,6 +116,7 @@ def described(net: Network) -> list[tuple[object, ...]]:
     ids, names = net.points.ids, [image.name for image in net.images]
     assert net.shifts is not None
     assert net.surface is not None
+    assert set(net.considered) == set(net.shift_names)
     shift = [net.shifts.names[p] if p >= 0 else "" for p in net.shifts.profile]
     rows: list[tuple[object, ...]] = [
         (ids[i], int(net.points.classes[i]), int(net.points.kinds[i]), net.points.places[i].tobytes(),

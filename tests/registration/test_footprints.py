@@ -39,7 +39,7 @@ def shots() -> AltimeterShots:
         source="simulated", orbits=np.full(n, 18933), frames=np.arange(1, n + 1), shots=np.ones(n),
         times=pair.laser.times, footprints=pair.true_footprints, areoid_radii=nan, ranges=pair.laser.ranges,
         range_corrections=nan, spacecraft=np.full((n, 3), np.nan), off_nadir=nan, ground=np.ones(n, dtype=bool),
-        channels=np.ones(n), clocks=nan,
+        channels=np.ones(n), clocks=nan, pulses=nan,
     )
 
 

@@ -39,7 +39,7 @@ class Variables:
     @property
     def prior_sigmas(self) -> Array:
         """(columns,) sigmas of the priors about zero in the solver, m and rad: those that hold considered unknowns."""
-        return self.sigmas * np.where(self.considered, _HELD, 1.0)
+        return self.sigmas * np.where(self.considered, HELD, 1.0)
 
     @property
     def with_considered(self) -> list[int]:
@@ -71,7 +71,7 @@ class Variables:
         ]
 
 
-_HELD = 1e-4
+HELD = 1e-4
 """A-priori sigmas to which a considered unknown is held: it moves by 1e-8 of what the observations would have it."""
 
 
