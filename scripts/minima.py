@@ -58,8 +58,8 @@ Starts find several minima where there are few tie points (41 at Isidis): there,
 mixture's mean square is nearer to honest than the first one alone. What is left at Isidis is not of several minima.
 In the draws with one minimum alone the shift's NEES is as large; by the likelihood ratio, which no bent valley
 misleads, it is less (36 draws, seeds 3001 to 3040: 1.58 by the covariance, 1.36 by the ratio, band 0.69 to 1.37):
-part is the valley's shape within one minimum; the rest is not explained (the ground between posts, which no stated sigma covers,
-is the candidate). The ties' sigmas are honest.
+part is the valley's shape within one minimum; the rest is not explained (the ground between posts, which
+no stated sigma covers, is the candidate). The ties' sigmas are honest.
 """
 HEAD = ("site", "by", "draws", "terrain", "ties", "model, m", "ties, m", "several", "lower", "15 more", "s")
 
