@@ -76,10 +76,11 @@ counts as linear, and over 200 draws at the edge of the band.)
 PAPERS = """
 `papers` has no band. Its MOLA image rows are projections of the footprints with the *nominal* orientation: they say
 what the orientation's prior says, some hundred times over, as if each were a measurement of its own with a sigma of
-30 px (125 px at Eos). The adjustment believes them: it states sigmas of the orientation far below the prior's, around
+40, 22 or 30 px. The adjustment believes them: it states sigmas of the orientation far below the prior's, around
 an orientation that is still nothing but the nominal one, from which the truth is as far as the prior says. Hence the
 large NEES of the orientation and the tie points. Footprints are held by their own 10 m and hardly move: theirs is about
-one. The squares are small for the same reason: back-projected rows fit without noise.
+one. The squares say nothing, for the same reason: back-projected rows have no noise, and contradict each other by
+what was drawn of the orientation.
 """
 
 

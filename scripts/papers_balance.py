@@ -120,7 +120,7 @@ def balance_table(networks: dict[str, Network]) -> list[str]:
         seen, whole = seen_in(network), (shots(site),) * 2
         stated, implied = np.full((2, 2), STATED_SIGMA), [implied_sigmas(site, each) for each in (seen, whole)]
         rows.append((
-            site, " ".join(f"{value:.2f}" for value in (information(site) ** -0.5).ravel()),
+            site, " ".join(map(str, seen)), " ".join(f"{value:.2f}" for value in (information(site) ** -0.5).ravel()),
             *(" ".join(f"{value:.0f}" for value in each.ravel()) for each in implied),
             f"{implied_sigma0(site, implied[0], seen):.3f}", f"{implied_sigma0(site, implied[1], whole):.3f}",
             f"{implied_sigma0(site, implied[1], whole, measurements=False):.3f}",
@@ -129,9 +129,9 @@ def balance_table(networks: dict[str, Network]) -> list[str]:
             f"{published.TABLE_4['PE&RS'][site].sigma0:.3f}",
         ))  # fmt: skip
     head = (
-        "site", "sigma / sqrt(N) (px): left x y, right x y", "sigma (px), footprints inside the images",
-        "sigma (px), all in both", "sigma0, inside", "all in both", "all in both, all rows", "30 px", "30 px, all rows",
-        "published",
+        "site", "footprints inside, left right", "sigma / sqrt(N) (px): left x y, right x y",
+        "sigma (px), footprints inside the images", "sigma (px), all in both", "sigma0, inside", "all in both",
+        "all in both, all rows", "30 px", "30 px, all rows", "published",
     )  # fmt: skip
     return table(head, rows)
 

@@ -33,10 +33,10 @@ image sigmas follow from Table 5 and the residuals of ties (next table), the noi
 BALANCE = """At the solution footprints and ties pull each image with equal force, so that T mean(tie residual) = N
 mean(MOLA correction) / sigma^2 in each image and coordinate: ISPRS Table 3 has both means. At Gusev all four
 coordinates give 22 px, at Isidis 26 to 31 px. At Eos the images differ, and y of the right image has a sigma four to
-five times that of x: the 47 px there go with residuals of ties of 0.002 px, a digit that is good to a quarter. With
-these sigmas sigma0 follows from the published residuals within {worst:.0f}% at all three sites, if every footprint
-counts in both images. Simulated images end: at Eos 176 of 250 footprints are inside the right one, at Isidis 154 of
-178 inside the left one.
+five times that of x: the 47 px there go with residuals of ties of 0.002 px, a digit that is good to a quarter (143 to
+185 px inside the image, and factors of 1.2 to 1.55 of the ties' sigma in X). With these sigmas sigma0 follows from
+the published residuals within {worst:.0f}% at all three sites, if every footprint counts in both images. Simulated
+images end before some footprints of the other profile.
 """
 CONTRADICTIONS = """The "approximately 30 pixels" hold at Isidis alone. A sigma for each image and coordinate isn't in
 the text, but without it neither Eos' tie sigmas nor its sigma0 come out. ISPRS: the sigmas "are based on the previous

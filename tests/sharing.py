@@ -31,14 +31,16 @@ SIGMAS: Mapping[SharedKind, float] = {
     SharedKind.ALTIMETER_BORESIGHT: 1e-4,
     SharedKind.RANGE_BIAS: 5.0,
     SharedKind.FOCAL_LENGTH: 0.01,
+    SharedKind.ORBIT_POSITION: 30.0,
     SharedKind.PROFILE_HEIGHT: 10.0,
+    SharedKind.PROFILE_DRIFT: 20.0,
 }
 """s, rad and m."""
 
 
 def shared(kind: SharedKind, images: Sequence[int], sigma: float | None = None) -> SharedUnknown:
     """An unknown called by its kind; a profile's height is that of `with_all_kinds`."""
-    of_profile = kind is SharedKind.PROFILE_HEIGHT
+    of_profile = kind.of_profile
     members = np.zeros(0, dtype=int) if of_profile else np.array(images)
     sigmas = np.full(kind.width, sigma or SIGMAS[kind])
     return SharedUnknown(str(kind), kind, members, sigmas, "profile" if of_profile else "")

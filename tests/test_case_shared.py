@@ -65,6 +65,8 @@ def test_check_lists_them(case_file: Path) -> None:
         ('kind = "range bias"\nsigma_s = 1.0', "sigma_s; expected sigma_m"),
         ('kind = "range bias"\nsigma_m = 1.0\nsigma_s = 1.0', "sigma_s and sigma_m; expected sigma_m"),
         ('kind = "range bias"\nsigma_m = -1.0', "shared"),
+        ('kind = "range bias"\nsigma_m = [1.0, 2.0, 3.0]', "one number for range bias"),
+        ('kind = "orbit position"\nsigma_s = 1.0', "sigma_s; expected sigma_m for orbit position"),
         ('kind = "camera boresight"\nsigma_mrad = [1.0, 2.0]', "one number from 1e-9 to 1e9, or three"),
         ('kind = "camera boresight"\nsigma_mrad = inf', "finite numbers"),
         ('kind = "clock"\nsigma_s = 1.0', "kind: 'clock'; expected one of 'altimeter boresight'"),
@@ -134,6 +136,17 @@ def test_the_beam_of_a_rolled_profile_is_an_unknown(rolled: Path) -> None:
     both = '[[shared]]\nkind = "altimeter boresight"\nsigma_mrad = 1.0\n'
     rolled.write_text(rolled.read_text(encoding="utf-8") + both, encoding="utf-8")
     assert list(beams(rolled)) == ["altimeter boresight"]
+
+
+def test_a_profile_may_drift(rolled: Path) -> None:
+    text = rolled.read_text(encoding="utf-8")
+    rolled.write_text(text.replace('"ap19043l.b"\n', '"ap19043l.b"\ndrift_sigma_m = 30.0\n'), encoding="utf-8")
+    (drift,) = (one for one in mgsgraph.read_case(rolled).network.shared if one.kind is SharedKind.PROFILE_DRIFT)
+    assert (drift.name, drift.profile, drift.sigmas.tolist()) == ("drift of ap19043l", "ap19043l", [30.0, 30.0])
+    still = rolled.read_text(encoding="utf-8").replace("shift_sigma_m = 100.0\n", "")
+    rolled.write_text(still, encoding="utf-8")
+    with pytest.raises(InputError, match="without shift_sigma_m"):
+        mgsgraph.read_case(rolled)
 
 
 def test_a_rolled_profiles_heights_are_as_good_as_its_beam(rolled: Path) -> None:

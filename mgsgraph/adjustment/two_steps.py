@@ -22,7 +22,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.forward import RaysAlone
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.network import Network
+from mgsgraph.network import TERRAIN, Network
 
 Announce = Callable[[str], None]
 """Called at the beginning of each step with what it is."""
@@ -121,7 +121,7 @@ def require_terrain(network: Network, where: str = "two steps") -> None:
 
 def without_terrain(network: Network) -> Network:
     """A network without its terrain model and what is unknown of that."""
-    return replace(network, surface=None)
+    return replace(network, surface=None, considered=tuple(name for name in network.considered if name != TERRAIN))
 
 
 def without_heights(network: Network, off: Mask) -> Network:

@@ -133,6 +133,10 @@ class Parts:
         if wanted.shift_sigma_m is not None:
             self._shifts.append((name, wanted.shift_sigma_m, np.arange(first, first + n)))
             self.footprints[name] = MOLA_FOOTPRINT
+        if wanted.drift_sigma_m is not None:
+            if wanted.shift_sigma_m is None:
+                raise InputError(taken.source, "drift_sigma_m without shift_sigma_m", "both: the shift drifts")
+            self.shared.append(SharedUnknown.of_drift(name, wanted.drift_sigma_m))
         self._add_beam(name, taken, wanted, owner, pointed)
         if wanted.image_rows == "back-projected":
             self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)

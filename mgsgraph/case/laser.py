@@ -40,6 +40,9 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of each footprint's height, where it is another one than `ground_sigma_m`."""
     shift_sigma_m: Sigma | None = None
     """Sigma of the profile's common horizontal error, which becomes an unknown; absent: none."""
+    drift_sigma_m: Sigma | None = None
+    """Sigma of how much that error grows from the middle of the profile's shots to their end, an unknown east and
+    north; absent: none."""
     beam_sigma_mrad: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] | None = None
     """Sigma of what its beam points elsewhere in common, about each axis of the camera flown with it: an unknown; 0:
     none; absent: 0.25 where the shots have ranges and lie more than 2 degrees off nadir, else none."""

@@ -226,7 +226,7 @@ class Network:
 
     def footprints_moved(self, shared: SharedUnknown) -> Index:
         """Constrained points, ascending, whose a-priori position a shared unknown moves."""
-        if shared.kind is not SharedKind.PROFILE_HEIGHT:
+        if not shared.kind.of_profile:
             return self.beams(shared)[0]
         assert self.shifts is not None
         return np.flatnonzero(self.shifts.profile == self.shifts.names.index(shared.profile))

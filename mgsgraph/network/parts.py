@@ -233,7 +233,8 @@ def _joined_considered(networks: Sequence[Network]) -> tuple[str, ...]:
     names = dict.fromkeys(name for net in networks for name in net.considered)
     for name in names:
         if any(name in net.shift_names and name not in net.considered for net in networks):
-            raise InputError(f"unknown {name!r}", "considered in one part, estimated in another", "one for all")
+            remedy = "name it in `considered` (of a terrain model: shift = false) for both, or for neither"
+            raise InputError(f"unknown {name!r}", "considered in one part, estimated in another", "one of them", remedy)
     return tuple(names)
 
 

@@ -12,6 +12,7 @@ from mgsgraph.analysis.height_cells import HeightCells, height_cells
 from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, GroupStatistics, TwoStepStatistics
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
+from mgsgraph.network import TERRAIN
 from mgsgraph.output.csv_json import picked, write_json
 from mgsgraph.output.folders import PROGRAM, fresh_folder
 from mgsgraph.output.table import Column, Table, numbers
@@ -230,7 +231,7 @@ def _of_heights(statistics: TwoStepStatistics) -> list[str]:
             f"and {_change(heights.factors[2])} with the terrain. All are of the places where the rays alone put "
             f"the points; of the adjusted ones, each pulled by its own height row, it is {heights.rms_adjusted:.3g} m."
         )
-        if statistics.steps.network.terrain_moves:
+        if statistics.steps.network.terrain_moves and TERRAIN not in statistics.steps.network.considered:
             found.append(
                 "In step 2 the terrain model has moved to where the rays put it; above the model as it was given the "
                 f"rms is {heights.rms_given:.3g} m."

@@ -22,7 +22,8 @@ _IMAGE_SIGMA: dict[str, float] = {"eos": 40.0, "gusev": 22.0, "isidis": 30.0}
 (`scripts/papers_balance.py`, which at Eos gives each image and coordinate its own); the text has "approximately 30"."""
 _TREND, _EOS_TREND = (1.0, 0.02, 0.002), (1.0, 1.0, 1.0)
 """Factors of the orientation's sigmas for each power of u, which the papers leave open. RMSE of the refined positions
-about their mean (Table 2) times sqrt(3), over 100 or 200 m: 0.007 to 0.04 at Gusev and Isidis, 3.8 at Eos."""
+about their mean (Table 2) times sqrt(3), over 100 or 200 m: 0.007 to 0.04 at Gusev and Isidis, 3.8 in the right
+image of Eos."""
 
 Value = str | float | Sequence["str | float"] | dict[str, "Value"]
 """Of a key in a case file."""
@@ -50,7 +51,8 @@ def site_case(simulated: SimulatedSite) -> str:
     lines = _images(simulated, settings) + _ties(simulated) + _profiles(simulated, "", **_drawn_sigmas(simulated))
     radius, topography = (f"{grid_file(simulated, kind)}.lbl" for kind in ("r", "t"))
     sigmas = {"vertical_sigma_m": grid.vertical_sigma or 0.0, "planimetric_sigma_m": grid.planimetric_sigma or 0.0}
-    return _case(settings.title, lines + _table("[terrain]", radius=radius, topography=topography, **sigmas))
+    lines += _table("[terrain]", radius=radius, topography=topography, **sigmas)
+    return _case(settings.title, lines + _orbit(simulated))
 
 
 def papers_case(simulated: SimulatedSite) -> str:
@@ -91,10 +93,17 @@ def _ties(simulated: SimulatedSite) -> Tables:
     return _table("[ties]", network="network.pvl", sigma_px=sigma, window_px=window)
 
 
+def _orbit(simulated: SimulatedSite) -> Tables:
+    """What the world's orbits have in common, where it is anything."""
+    sigma = simulated.options.world.orbit
+    return _table("[[shared]]", kind="orbit position", sigma_m=sigma) if sigma else []
+
+
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
     lines, world = Tables(), simulated.options.world
     drawn: dict[str, Value] = {"beam_sigma_mrad": round(world.beam / MRAD, 6), "pulse_share": world.pulse}
+    drawn |= {"drift_sigma_m": world.drift} if world.drift and "shift_sigma_m" in sigmas else {}
     for image in simulated.images:
         name = image.settings.name
         lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, **drawn, **sigmas)

@@ -11,6 +11,7 @@ from sharing import shared
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.adjustment.two_steps import without_terrain
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_orientation import orientation_polynomials
@@ -18,6 +19,7 @@ from mgsgraph.export.isis import adjusted_network
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedKind
+from mgsgraph.network.parts import joined, part
 
 SHIFT = 60.0
 """m, a-priori sigma of the profile's shift."""
@@ -132,6 +134,21 @@ def test_an_unknown_that_is_known_already_may_be_considered_or_estimated() -> No
     net = replace(net, shifts=replace(net.shifts, sigmas=np.array([0.01])))
     estimated, considered = (adjust_network(one, EXACT) for one in (net, replace(net, considered=("profile",))))
     np.testing.assert_allclose(considered.covariances, estimated.covariances, rtol=1e-5)
+
+
+def test_parts_of_a_network_keep_what_they_consider() -> None:
+    net = replace(with_shift_and_surface(network(pair()), SHIFT), considered=("profile", TERRAIN))
+    ties, shots = (np.flatnonzero(net.points.classes == kind) for kind in (PointClass.TIE, PointClass.LASER))
+    parts = part(net, ties), part(net, shots)
+    assert [one.considered for one in parts] == [(TERRAIN,), ("profile",)]
+    assert set(joined(parts).considered) == {"profile", TERRAIN}
+    with pytest.raises(InputError, match="profile"):
+        joined([part(net, shots[:2]), part(replace(net, considered=()), shots[2:])])
+
+
+def test_without_its_terrain_a_network_considers_the_rest() -> None:
+    net = replace(with_shift_and_surface(network(pair()), SHIFT), considered=("profile", TERRAIN))
+    assert without_terrain(net).considered == ("profile",)
 
 
 def test_names_of_no_unknowns_are_refused() -> None:

@@ -13,9 +13,10 @@ from mgsgraph.adjustment.cluster import open_cluster
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
 from mgsgraph.incremental.incremental import IncrementalAdjustment
-from mgsgraph.network import Network, SharedKind
+from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.network.parts import bundles, joined
 from mgsgraph.network.shared import ground_shift, image_effect
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken
@@ -32,7 +33,7 @@ SHARP = NoiseSettings(tie=1e-3, shot_image=1e-3, range=1e-3, ground=1e-2, positi
 def everything(
     angles: Angles = "camera", line: Line = "predicted", held: tuple[bool, bool] = (False, False)
 ) -> Solution:
-    """All six kinds at once, a shifted profile and a terrain model beside them."""
+    """All kinds at once, a shifted profile and a terrain model beside them."""
     net = with_all_kinds(with_shift_and_surface(network(pair(), held=held)))
     return adjust_network(net, SolverSettings(angles=angles, line=line))
 
@@ -119,6 +120,23 @@ def test_an_instrument_that_truly_is_so_is_found(
     assert solution.cost_initial > 10.0 * solution.cost_final
 
 
+def test_a_profile_that_drifts_is_found() -> None:
+    """Shots given ever farther off, by 20 m west and 30 m south at the end, and as much the other way at the beginning;
+    the images see where they truly are.
+    """
+    net = with_all_kinds(network(simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2), held=(True, True)))
+    laser = np.flatnonzero(net.points.classes == PointClass.LASER)
+    times = net.ranges.times[np.argsort(net.ranges.point)]
+    along = 2.0 * (times - times.min()) / np.ptp(times) - 1.0
+    places = net.points.places.copy()
+    places[laser] -= along[:, None] * np.einsum("k,nkj->nj", [20.0, 30.0], east_north(places[laser]))
+    net = replace(net, points=replace(net.points, places=places), shared=(shared(SharedKind.PROFILE_DRIFT, [], 100.0),))
+    solution = adjust_network(net, SolverSettings())
+    np.testing.assert_allclose(solution.shared[0], [20.0, 30.0], atol=0.05)
+    np.testing.assert_allclose(solution.shifts, 0.0, atol=0.05)
+    assert np.abs(solution.residuals).max() < 0.02
+
+
 def test_the_ground_moves_as_an_instrument_that_truly_is_so_moves_it() -> None:
     """327 m per second: where a camera with a late clock looks, level with the ellipsoid."""
     drawn_pair, step = pair(), 1e-3
@@ -168,6 +186,42 @@ def test_effects_are_polynomials_of_the_line() -> None:
     _, angular_rate = image.trajectory.camera.at(times)  # type: ignore[attr-defined]
     turned = basis @ image_effect(image, SharedKind.ATTITUDE_TIME, "camera")[0]
     np.testing.assert_allclose(turned[:, 3:], angular_rate, atol=1e-9)
+
+
+def test_an_orbit_is_displaced_outward_along_and_to_the_left() -> None:
+    """At lines that were not fitted, against the image's inertial trajectory; and shots by other code."""
+    image = drawn(1).images[0]
+    lines = np.random.default_rng(2).uniform(0.0, image.lines, 50)
+    times, _ = image.timing.at(lines)
+    basis = image.normalised(lines)[:, None] ** np.arange(6)
+    place, velocity = image.trajectory.position.at(times)  # type: ignore[attr-defined]
+    to_body, _ = image.trajectory.body.at(times)  # type: ignore[attr-defined]
+    normal = np.cross(place, velocity)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    outward = place / np.linalg.norm(place, axis=1, keepdims=True)
+    effect = image_effect(image, SharedKind.ORBIT_POSITION, "camera")
+    for one, axis in zip(effect, (outward, np.cross(normal, outward), normal), strict=True):
+        moved = basis @ one
+        np.testing.assert_allclose(moved[:, :3], np.einsum("nij,nj->ni", to_body, axis), atol=2e-6)
+        assert not moved[:, 3:].any()
+
+
+def test_an_orbit_that_truly_lies_elsewhere_is_found() -> None:
+    """Ten metres up, twenty along and thirty to the left of two passes that cross, whose frames so lie elsewhere."""
+    wanted, simulated = np.array([10.0, 20.0, 30.0]), simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2)
+    net = network(simulated, held=(True, True))
+    moved = []
+    for image in net.images:
+        table = image.trajectory.position  # type: ignore[attr-defined]
+        normal = np.cross(table.positions, table.velocities)
+        axes = np.stack([table.positions, np.cross(normal, table.positions), normal])
+        axes /= np.linalg.norm(axes, axis=2, keepdims=True)
+        nearer = replace(table, positions=table.positions - np.einsum("k,knj->nj", wanted, axes))
+        moved.append(replace(image, trajectory=replace(image.trajectory, position=nearer)))
+    net = replace(net, images=tuple(moved), shared=(shared(SharedKind.ORBIT_POSITION, [0, 1], 1e3),))
+    solution = adjust_network(net, SolverSettings())
+    np.testing.assert_allclose(solution.shared[0], wanted, atol=0.05)
+    assert np.abs(solution.residuals).max() < 0.02
 
 
 # --- what is known of them

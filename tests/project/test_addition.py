@@ -9,7 +9,7 @@ import pytest
 from projects import StopHere, four_images, images
 
 from mgsgraph.errors import InputError
-from mgsgraph.network import Network, PointClass
+from mgsgraph.network import TERRAIN, Network, PointClass
 from mgsgraph.network.parts import bundles, joined, part, without_images
 from mgsgraph.project.addition import Addition, ImageArgument, NewImage, on_terrain, parse_image, unknown_alone
 from mgsgraph.project.changes import put_in
@@ -84,9 +84,10 @@ def test_a_measure_that_contradicts_is_not_dropped(store: ProjectStore) -> None:
 
 def test_new_ties_lie_on_the_terrain_model_of_the_project(store: ProjectStore) -> None:
     net = whole()
-    bare = replace(part(net, np.flatnonzero(net.points.classes == PointClass.TIE)), surface=None)
+    bare = replace(part(net, np.flatnonzero(net.points.classes == PointClass.TIE)), surface=None, considered=())
     on = on_terrain(bare, store)
     assert on.surface is not None
+    assert on.considered == (TERRAIN,)
     assert store.terrain is not None
     assert on.surface.grid is store.terrain[0]
     assert on.surface.sigmas.min() == 25.0  # of a tie by itself; of m that share posts 25 m times the root of m

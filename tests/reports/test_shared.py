@@ -81,7 +81,7 @@ def test_likeness_is_that_of_the_data_alone() -> None:
     pitch = [layout.columns_of(j).start + 4 for j in (0, 1)]  # about the camera's y, along the detector
     size = np.sqrt(np.diag(normal))
     for k, one in enumerate(shared_estimates(solution)):
-        if one.kind is SharedKind.PROFILE_HEIGHT:
+        if one.kind.of_profile:
             assert one.image == ""  # no image's pitch is like it
             continue
         expected = np.abs(normal[first + k, pitch] / (size[first + k] * size[pitch]))

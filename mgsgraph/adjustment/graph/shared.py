@@ -50,11 +50,14 @@ class SharedEffects:
 
 def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:
     """Points (p,), ascending, whose footprint a shared unknown moves, and how: (p, width, 3) m per rad of an
-    altimeter's boresight, a row per camera axis; m per m of a profile's height and drift.
+    altimeter's boresight, a row per camera axis; m per m of a profile's height and drift upward, or of its drift
+    eastward and northward.
     """
-    if shared.kind is SharedKind.PROFILE_HEIGHT:
+    if shared.kind.of_profile:
         points = network.footprints_moved(shared)
         places = network.points.places[points]
+        if shared.kind is SharedKind.PROFILE_DRIFT:
+            return points, along_track(places)[:, None, None] * east_north(places)
         up = places / np.linalg.norm(places, axis=1, keepdims=True)
         return points, np.stack([up, along_track(places)[:, None] * up], axis=1)
     points, chosen = network.beams(shared)
@@ -67,11 +70,14 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
 
 
 def along_track(places: Array) -> Array:
-    """(p,) where shots (p, 3) of a profile lie along it, from -1 at one end to 1 at the other."""
+    """(p,) where shots (p, 3) of a profile, the first ones first, lie along it: from -1 at its beginning to 1 at its
+    end, which time does as evenly.
+    """
     if len(places) < 2:
         return np.zeros(len(places))
     apart = places - places.mean(axis=0)
     along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    along *= np.sign(along[-1] - along[0]) or 1.0
     low, high = along.min(), along.max()
     return np.asarray((2.0 * along - low - high) / max(high - low, 1.0))
 
