@@ -31,6 +31,7 @@ SIGMAS: Mapping[SharedKind, float] = {
     SharedKind.ALTIMETER_BORESIGHT: 1e-4,
     SharedKind.RANGE_BIAS: 5.0,
     SharedKind.FOCAL_LENGTH: 0.01,
+    SharedKind.ORBIT_POSITION: 30.0,
     SharedKind.PROFILE_HEIGHT: 10.0,
     SharedKind.PROFILE_DRIFT: 20.0,
 }

@@ -65,6 +65,8 @@ def test_check_lists_them(case_file: Path) -> None:
         ('kind = "range bias"\nsigma_s = 1.0', "sigma_s; expected sigma_m"),
         ('kind = "range bias"\nsigma_m = 1.0\nsigma_s = 1.0', "sigma_s and sigma_m; expected sigma_m"),
         ('kind = "range bias"\nsigma_m = -1.0', "shared"),
+        ('kind = "range bias"\nsigma_m = [1.0, 2.0, 3.0]', "one number for range bias"),
+        ('kind = "orbit position"\nsigma_s = 1.0', "sigma_s; expected sigma_m for orbit position"),
         ('kind = "camera boresight"\nsigma_mrad = [1.0, 2.0]', "one number from 1e-9 to 1e9, or three"),
         ('kind = "camera boresight"\nsigma_mrad = inf', "finite numbers"),
         ('kind = "clock"\nsigma_s = 1.0', "kind: 'clock'; expected one of 'altimeter boresight'"),

@@ -180,7 +180,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     kind: Literal[
         "attitude-time bias", "position-time bias", "camera boresight", "altimeter boresight", "range bias",
-        "focal length",
+        "focal length", "orbit position",
     ]  # fmt: skip
     """What it is."""
     images: tuple[str, ...] = ()
@@ -191,8 +191,9 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Of a time bias."""
     sigma_mrad: float | list[float] | None = None
     """Of a boresight: about the camera's axes x, y, z alike, or three numbers."""
-    sigma_m: Sigma | None = None
-    """Of a range bias or a focal length."""
+    sigma_m: float | list[float] | None = None
+    """Of a range bias or a focal length; of an orbit's position radially, along and across the flight alike, or three
+    numbers."""
 
     def unknown(self, names: Sequence[str], where: str) -> SharedUnknown:
         """The record; `names` are those of all images, and `where` names this table in errors."""
@@ -208,10 +209,9 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         for name in [name for k, name in enumerate(self.images) if name in self.images[:k]][:1]:
             raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
-        if wanted == "sigma_mrad":
-            sigmas = _three_sigmas(given[wanted], f"{where}, {wanted}") * MRAD
-        else:
-            sigmas = np.array([given[wanted]])
+        if kind.width == 1 and isinstance(given[wanted], list):
+            raise InputError(f"{where}, {wanted}", f"{given[wanted]}", f"one number for {self.kind}")
+        sigmas = _three_sigmas(given[wanted], f"{where}, {wanted}")[: kind.width] * (MRAD if kind.turns else 1.0)
         with errors_from(where):
             return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
 

@@ -45,6 +45,8 @@ class SharedKind(StrEnum):
     """m: what measured ranges are too long."""
     FOCAL_LENGTH = "focal length"
     """m: to be added to the nominal one."""
+    ORBIT_POSITION = "orbit position"
+    """m: what images are farther out, along their flight and to its left than their orbits say; of the ranges, too."""
     PROFILE_HEIGHT = "profile height"
     """m: what the shots of a laser profile are too low, in its middle, and how much more at its end (drift)."""
     PROFILE_DRIFT = "profile drift"
@@ -52,8 +54,8 @@ class SharedKind(StrEnum):
 
     @property
     def width(self) -> int:
-        """Number of columns: three angles, height and drift, east and north, or one."""
-        if self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT):
+        """Number of columns: three angles or axes of the flight, height and drift, east and north, or one."""
+        if self.turns or self is SharedKind.ORBIT_POSITION:
             return 3
         return 2 if self.of_profile else 1
 
@@ -67,12 +69,18 @@ class SharedKind(StrEnum):
         """Unit of its values."""
         if self in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME):
             return "s"
-        return "rad" if self.width == 3 else "m"
+        return "rad" if self.turns else "m"
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is a rotation about a camera's axes."""
+        return self in (SharedKind.CAMERA_BORESIGHT, SharedKind.ALTIMETER_BORESIGHT)
 
     @property
     def moves_pose(self) -> bool:
         """Whether it changes where the camera is or how it stands."""
-        return self in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME, SharedKind.CAMERA_BORESIGHT)
+        turned = (SharedKind.ATTITUDE_TIME, SharedKind.CAMERA_BORESIGHT)
+        return self in (*turned, SharedKind.POSITION_TIME, SharedKind.ORBIT_POSITION)
 
     @property
     def acts_on_rays(self) -> bool:
@@ -82,7 +90,7 @@ class SharedKind(StrEnum):
     @property
     def acts_on_ranges(self) -> bool:
         """Whether it acts on laser ranges: they begin where the camera is, and know nothing of attitude."""
-        return self in (SharedKind.POSITION_TIME, SharedKind.RANGE_BIAS)
+        return self in (SharedKind.POSITION_TIME, SharedKind.RANGE_BIAS, SharedKind.ORBIT_POSITION)
 
     @property
     def of_laser(self) -> bool:
@@ -99,6 +107,8 @@ class SharedKind(StrEnum):
         """Names of its columns; one empty name where there is but one."""
         if self is SharedKind.PROFILE_DRIFT:
             return ("east", "north")
+        if self is SharedKind.ORBIT_POSITION:
+            return ("radial", "along", "across")
         return {1: ("",), 2: ("middle", "drift"), 3: ("x", "y", "z")}[self.width]
 
 
@@ -164,13 +174,13 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
     Returns
     -------
     (kind.width, DEGREE + 1, 6)
-        Coefficients of u^0, u^1, ... in m and rad per s or rad of the unknown.
+        Coefficients of u^0, u^1, ... in m and rad per s, rad or m of the unknown.
 
     Raises
     ------
     InputError
-        For a time bias, where the nominal orientation doesn't say how the body turns; where the image is so long that
-        no polynomial describes the effect.
+        For a time bias or an orbit's position, where the nominal orientation doesn't say how the body turns; where the
+        image is so long that no polynomial describes the effect.
     """
     lines = np.linspace(0.0, float(image.lines), _PLACES)
     pose = image.pose(lines)
@@ -180,13 +190,25 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
             effect[axis, :, 3 + axis] = 1.0
     else:
         period, spin = image.timing.at(lines)[1][:, None], _spin(image)
+        velocity = pose.velocity / period + np.cross(spin, pose.position)
         if kind is SharedKind.ATTITUDE_TIME:
             effect[0, :, 3:] = pose.angular_rate / period + pose.matrix @ spin
+        elif kind is SharedKind.POSITION_TIME:
+            effect[0, :, :3] = velocity
         else:
-            effect[0, :, :3] = pose.velocity / period + np.cross(spin, pose.position)
+            effect[:, :, :3] = _flight_axes(pose.position, velocity)
     if angles != "camera":
         effect[:, :, 3:] = [_added_angles(pose, angles, turned) for turned in effect[:, :, 3:]]
     return _fitted(image, kind, image.normalised(lines), effect)
+
+
+def _flight_axes(positions: Array, velocities: Array) -> Array:
+    """(3, n, 3) unit vectors at positions (n, 3): outward, along inertial velocities (n, 3), and along the orbit's
+    normal, to the flight's left.
+    """
+    outward, normal = positions, np.cross(positions, velocities)
+    axes = np.stack([outward, np.cross(normal, outward), normal])
+    return np.asarray(axes / np.linalg.norm(axes, axis=2, keepdims=True))
 
 
 def _spin(image: PushbroomImage) -> Array:
@@ -195,7 +217,7 @@ def _spin(image: PushbroomImage) -> Array:
     if spin is None:
         raise InputError(
             f"image {image.name}", "a nominal orientation that doesn't say how fast the body turns",
-            "one read from support data or kernels, for a time bias", "adjust the case again",
+            "one read from support data or kernels, for a time bias or an orbit's position", "adjust the case again",
         )
     return spin
 
@@ -251,7 +273,7 @@ def off_nadir(image: PushbroomImage, times: Array, footprints: Array) -> Array:
 
 
 def ground_shift(image: PushbroomImage, kind: SharedKind) -> Array:
-    """(kind.width, 3) m per s or rad: how far the ground moves that the middle of an image shows (or, by the
+    """(kind.width, 3) m per s, rad or m: how far the ground moves that the middle of an image shows (or, by the
     altimeter's boresight, a footprint there), level with the ellipsoid.
     """
     line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])

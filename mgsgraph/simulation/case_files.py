@@ -51,7 +51,8 @@ def site_case(simulated: SimulatedSite) -> str:
     lines = _images(simulated, settings) + _ties(simulated) + _profiles(simulated, "", **_drawn_sigmas(simulated))
     radius, topography = (f"{grid_file(simulated, kind)}.lbl" for kind in ("r", "t"))
     sigmas = {"vertical_sigma_m": grid.vertical_sigma or 0.0, "planimetric_sigma_m": grid.planimetric_sigma or 0.0}
-    return _case(settings.title, lines + _table("[terrain]", radius=radius, topography=topography, **sigmas))
+    lines += _table("[terrain]", radius=radius, topography=topography, **sigmas)
+    return _case(settings.title, lines + _orbit(simulated))
 
 
 def papers_case(simulated: SimulatedSite) -> str:
@@ -90,6 +91,12 @@ def _ties(simulated: SimulatedSite) -> Tables:
     world, sigma = simulated.options.world, simulated.options.tie_noise
     window = round(world.window * float(np.sqrt(np.pi * world.matching)), 1)
     return _table("[ties]", network="network.pvl", sigma_px=sigma, window_px=window)
+
+
+def _orbit(simulated: SimulatedSite) -> Tables:
+    """What the world's orbits have in common, where it is anything."""
+    sigma = simulated.options.world.orbit
+    return _table("[[shared]]", kind="orbit position", sigma_m=sigma) if sigma else []
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:

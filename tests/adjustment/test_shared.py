@@ -188,6 +188,42 @@ def test_effects_are_polynomials_of_the_line() -> None:
     np.testing.assert_allclose(turned[:, 3:], angular_rate, atol=1e-9)
 
 
+def test_an_orbit_is_displaced_outward_along_and_to_the_left() -> None:
+    """At lines that were not fitted, against the image's inertial trajectory; and shots by other code."""
+    image = drawn(1).images[0]
+    lines = np.random.default_rng(2).uniform(0.0, image.lines, 50)
+    times, _ = image.timing.at(lines)
+    basis = image.normalised(lines)[:, None] ** np.arange(6)
+    place, velocity = image.trajectory.position.at(times)  # type: ignore[attr-defined]
+    to_body, _ = image.trajectory.body.at(times)  # type: ignore[attr-defined]
+    normal = np.cross(place, velocity)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    outward = place / np.linalg.norm(place, axis=1, keepdims=True)
+    effect = image_effect(image, SharedKind.ORBIT_POSITION, "camera")
+    for one, axis in zip(effect, (outward, np.cross(normal, outward), normal), strict=True):
+        moved = basis @ one
+        np.testing.assert_allclose(moved[:, :3], np.einsum("nij,nj->ni", to_body, axis), atol=2e-6)
+        assert not moved[:, 3:].any()
+
+
+def test_an_orbit_that_truly_lies_elsewhere_is_found() -> None:
+    """Ten metres up, twenty along and thirty to the left of two passes that cross, whose frames so lie elsewhere."""
+    wanted, simulated = np.array([10.0, 20.0, 30.0]), simulate_pair(PairSettings(ties=30, shots=10, noise=SHARP), 2)
+    net = network(simulated, held=(True, True))
+    moved = []
+    for image in net.images:
+        table = image.trajectory.position  # type: ignore[attr-defined]
+        normal = np.cross(table.positions, table.velocities)
+        axes = np.stack([table.positions, np.cross(normal, table.positions), normal])
+        axes /= np.linalg.norm(axes, axis=2, keepdims=True)
+        nearer = replace(table, positions=table.positions - np.einsum("k,knj->nj", wanted, axes))
+        moved.append(replace(image, trajectory=replace(image.trajectory, position=nearer)))
+    net = replace(net, images=tuple(moved), shared=(shared(SharedKind.ORBIT_POSITION, [0, 1], 1e3),))
+    solution = adjust_network(net, SolverSettings())
+    np.testing.assert_allclose(solution.shared[0], wanted, atol=0.05)
+    assert np.abs(solution.residuals).max() < 0.02
+
+
 # --- what is known of them
 
 
