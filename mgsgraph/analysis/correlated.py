@@ -54,6 +54,8 @@ class NearCorrelation:
     """Of all distances together."""
     course: tuple[tuple[float, float, float], ...]
     """Each distance, the coefficient within it and its sigma."""
+    spread: float
+    """Factor of the variance of sums over many rows that the correlation makes, at most."""
 
 
 def correlations(
@@ -78,13 +80,18 @@ def correlations(
         for shown, inverse in taken:
             covariance -= shown[mine] @ inverse @ shown[mine].T
         squares = float(residuals[mine] @ residuals[mine]) / max(float(np.trace(covariance)), 1e-9)
-        tried = [(length, *_judged(near, residuals[mine], covariance, max(1.0, squares)))
-                 for length, near in _near(rows, mine)]  # fmt: skip
+        tried = [
+            (length, *_judged(near, residuals[mine], covariance, max(1.0, squares)), near.nnz / mine.size)
+            for length, near in _near(rows, mine)
+        ]
         if tried:
-            length, coefficient, sigma, statistic, p = min(tried, key=lambda one: one[-1])
+            length, coefficient, sigma, statistic, p, count = min(tried, key=lambda one: one[-2])
             every = min(1.0, p * len(tried))
             course = tuple(one[:3] for one in tried)
-            yield NearCorrelation(where, quantity, unit, term, length, coefficient, sigma, statistic, every, course)
+            spread = 1.0 + max(coefficient, 0.0) * count
+            yield NearCorrelation(
+                where, quantity, unit, term, length, coefficient, sigma, statistic, every, course, spread
+            )
 
 
 _KINDS = (

@@ -28,8 +28,8 @@ class Judged:
         self.beside = np.flatnonzero(np.isin(rows.point, points[points >= 0]))
         self.freedom = float(rows.redundancy[self.beside].sum())
 
-    def tests(self, residuals: Array) -> list["Test"]:
-        """Of all hypotheses."""
+    def tests(self, residuals: Array, spread: float = 1.0) -> list["Test"]:
+        """Of all hypotheses, where sums over many rows scatter more than stated by a factor of their variance."""
         squares = float(residuals[self.beside] @ residuals[self.beside])
         found, hypotheses = list[Test](), self.family.hypotheses
         widths = np.array([len(one.columns) for one in hypotheses])
@@ -37,7 +37,7 @@ class Judged:
             mine = np.flatnonzero(widths == width)
             chosen = np.array([hypotheses[k].columns for k in mine.tolist()])
             inverse, degrees = solved(self.variance[chosen[:, :, None], chosen[:, None, :]], self.size[chosen])
-            statistic = np.einsum("td,tde,te->t", self.score[chosen], inverse, self.score[chosen])
+            statistic = np.einsum("td,tde,te->t", self.score[chosen], inverse, self.score[chosen]) / spread
             stated, own = _p_values(statistic, degrees, squares, self.freedom)
             found += [
                 Test(self, hypotheses[k], float(statistic[n]), int(degrees[n]), float(stated[n]), float(own[n]))

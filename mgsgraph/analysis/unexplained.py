@@ -37,6 +37,8 @@ _PER_OWNER = 1000, 100
 """Of each image and profile at most, and where these are many at least."""
 _ALIKE = 0.8
 """Share of the named effect's test from which on another, which is gone with it, can't be told apart from it."""
+_CONFOUNDED = ("image places", "terrain model")
+"""Kinds of rows of which the clearer correlation alone is named."""
 _PAIR = 2
 """Sine and cosine."""
 _FINE = 9
@@ -160,30 +162,45 @@ class _Search:
         self._taken = list[tuple[Array, Array]]()
         """Of each named effect C g (r, d), once those before it are taken out, and the inverse of g' C g."""
         self._patterns = list[Pattern]()
+        self._spread = 1.0
+        """Factor of the variance of scores that a correlation of near points makes, which is clearer than they are."""
 
     def found(self) -> Unexplained:
         """All of it."""
         named, count = list[Effect](), len(self._judged) + 3  # kinds of rows whose correlation is tested at last
         while True:
-            tests = [min(one.tests(self._residuals), key=lambda test: test.single) for one in self._judged]
+            tests = [min(self._tests(one), key=lambda test: test.single) for one in self._judged]
             clear = [test for test in tests if test.named(count, self._level)]
             if not clear or len(named) == _MOST_NAMED:
                 break
             best = min(clear, key=lambda test: test.p_value)
+            if not named and self._spread == 1.0:
+                near = correlations(self._rows, self._residuals, self._taken)
+                self._spread = max((one.spread for one in near if one.p_value < best.p_value), default=1.0)
+                if self._spread > 1.0:
+                    continue
             named.append(self._named(best, count))
-        last = list[Effect]()
-        for one in correlations(self._rows, self._residuals, self._taken):
-            last.append(Effect(
+        last = [
+            (Effect(
                 EffectKind.CORRELATION, one.where, min(1.0, one.p_value * count), one.coefficient, one.unit, one.term,
                 one.sigma, one.quantity, one.length, one.statistic, 1,
-            ))  # fmt: skip
-            if last[-1].p_value <= self._level:
-                self._patterns.append(Pattern(last[-1], *(np.array(part) for part in zip(*one.course, strict=True))))
-        named += [one.effect for one in self._patterns[len(named) :]]
+            ), one.course)
+            for one in correlations(self._rows, self._residuals, self._taken)
+        ]  # fmt: skip
+        # matching errors in common make the ties' heights alike, and errors of a terrain model their image places
+        alike = sorted((one.p_value, one.where) for one, _ in last if one.where in _CONFOUNDED)
+        for one, course in last:
+            if one.p_value <= self._level and (one.where not in _CONFOUNDED or one.where == alike[0][1]):
+                self._patterns.append(Pattern(one, *(np.array(part) for part in zip(*course, strict=True))))
+        self._patterns.sort(key=lambda one: one.effect.p_value)
         others = [self._effect(test, count, *self._estimate(test)) for test in tests if test.degrees]
-        others += [one for one in last if one.p_value > self._level]
+        others += [one for one, _ in last if one not in [pattern.effect for pattern in self._patterns]]
         number = sum(len(one.family.hypotheses) for one in self._judged) + len(last)
+        named = [one.effect for one in self._patterns]
         return Unexplained(self._level, tuple(named), tuple(others), number, tuple(self._patterns))
+
+    def _tests(self, one: Judged) -> list[Test]:
+        return one.tests(self._residuals, self._spread)
 
     def _estimate(self, test: Test) -> tuple[Array, Array]:
         """Amplitudes (d,) of an effect and their covariance (d, d)."""
@@ -238,7 +255,7 @@ class _Search:
         """Clearest test of a kind at each place."""
         found = dict[str, Test]()
         for one in self._judged:
-            for test in one.tests(self._residuals):
+            for test in self._tests(one):
                 where = one.family.where
                 if test.hypothesis.kind is kind and (where not in found or test.single < found[where].single):
                     found[where] = test
