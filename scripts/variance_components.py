@@ -43,7 +43,7 @@ sigmas, but with the errors of each group of rows 0.5, 2 or 5 times as large as 
 by turns and all groups at once, in {planted} draws; but of position and pointing priors one in turn is right (1), for
 they can hardly be told apart on narrow images, and what one of them is thought to be decides what the other is found to
 be. `iterated_components` scales and adjusts until all factors are one within 1%. Made by
-`scripts/variance_components.py`; seeds 0 .. N-1, {seconds:.0f} s on a busy machine.
+`scripts/variance_components.py`; seeds from {first} on, {seconds:.0f} s on a busy machine.
 
 * *z*: the factor found against the planted one as a standard normal deviate (Wilson & Hilferty's transform of the
   chi-square with the stated degrees of freedom). Mean 0 and rms 1 are promised; in brackets their 99% bands. *beyond*:
@@ -51,9 +51,10 @@ be. `iterated_components` scales and adjusts until all factors are one within 1%
 * *spread*: standard deviation of ln(factor / planted) over the draws; *stated*: rms of the stated relative sigmas.
 * *degrees*: median degrees of freedom of the squared factor. *not judged*: draws in which the group was called not
   judgeable; they have no z.
-* *entangled*: draws whose verdict on the group says that it depends on another group's (correlation above 0.5, or the
-  other can't be judged): their z are counted by themselves, and the other columns have the rest. What can only be said
-  of the sum of two groups' errors may be booked under the wrong one of them, and then the stated sigma is too small.
+* *dependent*: draws whose verdict on the group says that it holds if another group's stated sigmas, which can't be
+  judged, are right: their z are counted by themselves, and the other columns have the rest. Vague factors (sigma above
+  15 %) that go together with another's (correlation above 0.5) are stated without a sigma, and count as not judged:
+  what is the one's may have been booked under the other.
 """
 NULL = """
 ## All sigmas right
@@ -90,24 +91,24 @@ def planted_factors(seed: int, groups: int) -> np.ndarray:
     return factors
 
 
-def planted(network: Network, grouping: Grouping, draws: int) -> tuple[list[np.ndarray], list[Components], int]:
+def planted(network: Network, grouping: Grouping, seeds: range) -> tuple[list[np.ndarray], list[Components], int]:
     """Planted factors and what was found, and how many did not come to rest."""
     truths, found, restless = list[np.ndarray](), list[Components](), 0
-    for seed in range(draws):
+    for seed in seeds:
         truth = planted_factors(seed, len(grouping.names))
         drawn = redraw(scaled(network, grouping, truth), np.random.default_rng([1, seed])).network
         honest = iterated_components(scaled(drawn, grouping, 1.0 / truth), SolverSettings())
         restless += not honest.converged
         truths.append(truth)
         found.append(honest.components)
-        show(f"planted: draw {seed + 1} of {draws}")
+        show(f"planted: draw {len(found)} of {len(seeds)}")
     return truths, found, restless
 
 
 def planted_table(names: tuple[str, ...], truths: list[np.ndarray], found: list[Components]) -> str:
     """A row for each group and factor, and one for each group."""
     lines = [
-        "| group | planted | draws | z mean | z rms | beyond | spread | stated | degrees | entangled: draws, z rms | "
+        "| group | planted | draws | z mean | z rms | beyond | spread | stated | degrees | dependent: draws, z rms | "
         "not judged |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
@@ -117,14 +118,14 @@ def planted_table(names: tuple[str, ...], truths: list[np.ndarray], found: list[
             if not mine:
                 continue
             good = [(t, one) for t, one in mine if one.judgement is Judgement.JUDGED]
-            plain, entangled = ([(t, one) for t, one in good if one.correlated is which] for which in (False, True))
-            z = np.array([one.deviation(t) for t, one in entangled])
+            plain, dependent = ([(t, one) for t, one in good if bool(one.given) is which] for which in (False, True))
+            z = np.array([one.deviation(t) for t, one in dependent])
             beside = f"{z.size}, {root_mean_square(z):.2f}" if z.size else "0"
             what = f"{factors[0]:g}" if len(factors) == 1 else "all"
             lines.append(f"| {name} | {what} | {len(mine)} | {figures(plain)} | {beside} | {len(mine) - len(good)} |")
     every = [(t[g], one) for t, c in zip(truths, found, strict=True) for g, one in enumerate(c.groups)]
-    for which, what in ((False, "not entangled"), (True, "entangled")):
-        good = [(t, one) for t, one in every if one.judgement is Judgement.JUDGED and one.correlated is which]
+    for which, what in ((False, "not dependent"), (True, "dependent")):
+        good = [(t, one) for t, one in every if one.judgement is Judgement.JUDGED and bool(one.given) is which]
         lines.append(f"| all groups, {what} | all | {len(good)} | {figures(good)} | | |")
     return "\n".join(lines)
 
@@ -146,10 +147,11 @@ def figures(good: list) -> str:  # type: ignore[type-arg]
     )
 
 
-def null_page(network: Network, grouping: Grouping, draws: int) -> str:
+def null_page(network: Network, grouping: Grouping, seeds: range) -> str:
     """Tests and components of draws from the stated sigmas."""
     tests, found, p_values, off = [], list[Components](), [], 0.0
-    for seed in range(draws):
+    draws = len(seeds)
+    for seed in seeds:
         solution = adjust_network(redraw(network, np.random.default_rng([2, seed])).network, SolverSettings())
         at = at_solution(solution)
         tests.append(chi_square_test(solution.fit))
@@ -157,7 +159,7 @@ def null_page(network: Network, grouping: Grouping, draws: int) -> str:
         p_values.append([one.p_value for one in residual_statistics(at, grouping)])
         sums = found[-1].helmert.sum(axis=1) - np.array([one.redundancy for one in found[-1].groups])
         off = max(off, float(np.abs(sums).max()))
-        show(f"null: draw {seed + 1} of {draws}")
+        show(f"null: draw {len(found)} of {draws}")
     low, high = binom.ppf([0.005, 0.995], draws, ALPHA).astype(int)
     degrees = tests[0].degrees
     page = NULL.format(
@@ -179,6 +181,7 @@ def main() -> int:
     parser = command(__doc__)
     parser.add_argument("--planted", type=at_least(0), default=90)
     parser.add_argument("--null", type=at_least(1), default=60)
+    parser.add_argument("--first", type=at_least(0), default=0, help="first seed")
     parser.add_argument("--images", type=at_least(2), default=24)
     parser.add_argument("--out", type=Path, default=DOCS / "variance_components.md")
     options = parser.parse_args()
@@ -186,10 +189,12 @@ def main() -> int:
     def page() -> str:
         start, network = time.perf_counter(), strip(options.images)
         grouping = group_rows(network)
-        truths, found, restless = planted(network, grouping, options.planted)
-        table, null = planted_table(grouping.names, truths, found), null_page(network, grouping, options.null)
+        first = options.first
+        truths, found, restless = planted(network, grouping, range(first, first + options.planted))
+        table = planted_table(grouping.names, truths, found)
+        null = null_page(network, grouping, range(first, first + options.null))
         seconds = time.perf_counter() - start
-        words = WORDS.format(network=network, planted=options.planted, seconds=seconds)
+        words = WORDS.format(network=network, planted=options.planted, first=first, seconds=seconds)
         rest = f"\nNot at rest after all passes: {restless} of {options.planted} draws.\n"
         return f"{words}\n{table}\n{rest}{null}\n{versions()}\n"
 

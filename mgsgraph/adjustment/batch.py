@@ -21,7 +21,7 @@ State = TypeVar("State")
 Step = TypeVar("Step")
 
 _FIRST_DAMPING = 1e-8
-_LEAST_DAMPING = 1e-12
+LEAST_DAMPING = 1e-12
 _MOST_DAMPING = 1e8
 _EASE, _TIGHTEN = 0.1, 10.0
 _ROUNDING = 1e-11
@@ -148,7 +148,7 @@ def levenberg_marquardt(
     linear = problem.linear(state)
     for number in range(1, settings.max_iterations + 1):
         linear, step, damping = _solved(problem, state, linear, damping, _SHORTER * before)
-        predicted, length = linear.gain(step), _length(linear, step)
+        predicted, length = linear.gain(step), step_length(linear, step)
         keep = rejected == 0 and damping <= _FIRST_DAMPING and length <= _SHORTER * before
         keep = keep and _near(predicted, length, cost, settings)
         trial = problem.moved(state, step)
@@ -165,7 +165,7 @@ def levenberg_marquardt(
         if accepted and keep:
             linear = problem.linear(state, linear)
         elif accepted:
-            damping, rejected = max(damping * _EASE, _LEAST_DAMPING), 0
+            damping, rejected = max(damping * _EASE, LEAST_DAMPING), 0
             linear = problem.linear(state)
         elif linear.kept:  # the fault may be the matrix's
             linear = problem.linear(state)
@@ -186,7 +186,7 @@ def _solved(
 
     A kept matrix is renewed where its step is longer than `longest` (posterior sigmas).
     """
-    while (step := linear.step(damping)) is None or (linear.kept and _length(linear, step) > longest):
+    while (step := linear.step(damping)) is None or (linear.kept and step_length(linear, step) > longest):
         if step is not None:
             linear = problem.linear(state)
         elif (damping := damping * _TIGHTEN**2) > _MOST_DAMPING:
@@ -194,7 +194,7 @@ def _solved(
     return linear, step, damping
 
 
-def _length(linear: LinearSystem[Any], step: Any) -> float:
+def step_length(linear: LinearSystem[Any], step: Any) -> float:
     """Length of a step in posterior sigmas."""
     return math.sqrt(max(linear.slope(step), 0.0))
 

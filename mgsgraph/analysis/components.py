@@ -53,6 +53,9 @@ class Judgement(StrEnum):
     """Redundancy below `LEAST`."""
     INSEPARABLE = "can't be told apart from another group"
     """The factor of another group takes up what its own has."""
+    ENTANGLED = "known together with another group's only"
+    """Vague, and correlated with another factor by more than `CORRELATED`: the residuals fit both, and what is the
+    one's may have been booked under the other; a sigma at the estimate doesn't hold far from it."""
     LOST = "runs away to where nothing can be said"
     """Judged with the stated sigmas, not with those that were found; kept as stated. Corrections that fit priors of any
     small sigma end like this: the smaller it is, the less redundancy the priors have."""
@@ -121,11 +124,6 @@ class Component:
         low, high = self.interval()
         return low <= 1.0 <= high
 
-    @property
-    def correlated(self) -> bool:
-        """Whether another group may have taken what is its own: `sigma` holds near the estimate, not beyond."""
-        return abs(self.correlation) > CORRELATED or bool(self.given)
-
     def verdict(self) -> str:
         """Verdict on the sigmas of the group, in one sentence."""
         return f"{self.name}: {_VERDICTS[self.judgement](self)}"
@@ -133,10 +131,10 @@ class Component:
 
 def _judged(one: Component) -> str:
     notes = [f"if the stated sigmas of {one.given} are right"] if one.given else []
-    if one.negative:
-        notes.insert(0, "Helmert's equations gave a negative square: this is Foerstner's, as if all others were right")
     if abs(one.correlation) > CORRELATED:
         notes.insert(0, f"correlated with {one.beside}, correlation {one.correlation:.2f}")
+    if one.negative:
+        notes.insert(0, "Helmert's equations gave a negative square: this is Foerstner's, as if all others were right")
     return "; ".join([_plainly(one), *notes])
 
 
@@ -155,6 +153,13 @@ def _plainly(one: Component) -> str:
     return f"too pessimistic, sigmas too large by a factor of {_with_sigma(inverse, one.sigma * inverse**2)}"
 
 
+def _entangled(one: Component) -> str:
+    return (
+        f"factor {one.factor:.2g}, known together with that of {one.beside} only (correlation {one.correlation:.2f}): "
+        "errors of the one may be booked under the other"
+    )
+
+
 def _inseparable(one: Component) -> str:
     if not abs(one.correlation) > CORRELATED:
         return f"too little of its {one.redundancy:.2g} redundancy is its own (most of it is shared with {one.beside})"
@@ -165,6 +170,7 @@ _VERDICTS: dict[Judgement, Callable[[Component], str]] = {
     Judgement.JUDGED: _judged,
     Judgement.FEW: lambda one: f"can't be judged ({max(one.redundancy, 0.0):.1g} redundancy)",
     Judgement.INSEPARABLE: _inseparable,
+    Judgement.ENTANGLED: _entangled,
     Judgement.LOST: lambda one: (
         "can't be judged, the estimate runs away to sigmas of which nothing can be said; kept as stated"
     ),
@@ -358,11 +364,13 @@ def components_from_redundancy(found: Redundancy, judgements: list[Judgement], f
     correlation[np.ix_(judged, judged)] = covariance * scale[:, None] * scale
     groups = []
     for g, judgement in enumerate(judgements):
-        numbers = found.names[g], judgement, int(found.counts[g]), float(found.redundancy[g]), float(found.squares[g])
+        numbers = int(found.counts[g]), float(found.redundancy[g]), float(found.squares[g])
         lost = judgement in (Judgement.INSEPARABLE, Judgement.LOST)
         beside, shared = nearest(found, g) if lost else most_correlated(found, judged, g)
-        depends = given(found, judged, g, degrees[g])
-        known = judgement in (Judgement.JUDGED, Judgement.ZERO, Judgement.UNBOUNDED)
-        factor = float(factors[g]) if known else math.nan
-        groups.append(Component(*numbers, factor, float(degrees[g]), beside, shared, depends))
+        depends, known = given(found, judged, g, degrees[g]), float(degrees[g])
+        if judgement is Judgement.JUDGED and abs(shared) > CORRELATED and 2.0 * _VAGUE**2 * known < 1.0:
+            judgement, known = Judgement.ENTANGLED, math.nan
+        has = judgement in (Judgement.JUDGED, Judgement.ENTANGLED, Judgement.ZERO, Judgement.UNBOUNDED)
+        factor = float(factors[g]) if has else math.nan
+        groups.append(Component(found.names[g], judgement, *numbers, factor, known, beside, shared, depends))
     return Components(tuple(groups), correlation, found.helmert, found.exact)

@@ -12,8 +12,9 @@ import msgspec
 import numpy as np
 
 from mgsgraph.case.images import read_image
+from mgsgraph.case.numbers import Positive, Sigma
 from mgsgraph.case.reading import read_shots
-from mgsgraph.case.schema import ImageInput, OrientationInput, Positive, Sigma, SpiceInput
+from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage

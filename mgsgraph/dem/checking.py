@@ -1,11 +1,13 @@
 """Heights of a terrain model against laser shots that took no part in the adjustment.
 
-Both are compared in one datum: where the adjustment has moved the other shots of a profile by a common shift, a shot
-that was kept out is moved by it too, and the shift's covariance counts. What is stated of a difference is
+Both are compared in one datum: where the adjustment has moved the other shots of a profile in common (its shift, its
+drift, its beam), a shot that was kept out is moved so too, and the covariance of that counts. What is stated of a
+difference is
 
-    sigma^2 = sigma of the model^2 + sigma of the shot^2 + g' (sigma of the shot^2 I + covariance of the shift) g
+    sigma^2 = sigma of the model^2 + sigma of the shot^2 + g' (sigma of the shot^2 I) g + s' (covariance in common) s
 
-with the slope g of the model: a horizontal error is a height error on a slope. (The model's own sigma is that of its
+with the slope g of the model: a horizontal error is a height error on a slope; s is what a common unknown does to the
+difference, by that slope and upward. (The model's own sigma is that of its
 height at a fixed position, and holds its horizontal part already. That the shift and the orientation were found
 together, and are correlated, is left out: on slopes of a few degrees it is nothing beside the rest.)
 """
@@ -24,8 +26,10 @@ from mgsgraph.dem.gridding import HeightGrid
 from mgsgraph.dem.map import bilinear
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.body import east_north, east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network import Network, SharedUnknown
+from mgsgraph.network.shared import beam_motion
 from mgsgraph.wording import root_mean_square
 
 OUTSIDE = 3.0
@@ -44,12 +48,24 @@ class CheckProfile:
     """m, of each footprint east and north."""
     height_sigma: float
     """m, of its height."""
-    shift: Array
-    """(2,) m, east and north, to be added to all of them."""
-    shift_covariance: Array
-    """(2, 2) m^2, of that."""
+    ways: Array
+    """(n, w, 3) m per unit, how what the profile has in common moves each: first its shift east and north."""
+    values: Array
+    """(w,) of that, m and rad."""
+    covariance: Array
+    """(w, w) of these."""
     adjusted: bool
     """Whether the shift was an unknown of the adjustment; otherwise it is zero with its a-priori sigma."""
+
+    @property
+    def shift(self) -> Array:
+        """(2,) m, east and north."""
+        return self.values[:2]
+
+    @property
+    def shift_covariance(self) -> Array:
+        """(2, 2) m^2, of that."""
+        return self.covariance[:2, :2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,14 +123,42 @@ def check_profiles(
 def _unused(posterior: Posterior, entry: MolaInput, shots: AltimeterShots, used: Collection[str]) -> CheckProfile:
     name = Path(shots.source).stem
     taken = np.array([f"{name}:{one}" in used for one in shots.ids], dtype=bool)
-    names = posterior.network.shift_names
-    shift, covariance = np.zeros(2), np.eye(2) * (entry.shift_sigma_m or 0.0) ** 2
-    if adjusted := name in names:
-        variable = len(posterior.network.images) + names.index(name)
-        shift = posterior.linearised.values[variable]
-        covariance = posterior.linearised.joint.of([variable])
     left = shots.chosen(shots.ground & ~taken)
-    return CheckProfile(name, left, entry.ground_sigma_m, _height_sigma(entry), shift, covariance, adjusted)
+    values, covariance = np.zeros(2), np.eye(2) * (entry.shift_sigma_m or 0.0) ** 2
+    ways = east_north(left.footprints)
+    network, linearised = posterior.network, posterior.linearised
+    if adjusted := name in network.shift_names:
+        variables = [len(network.images) + network.shift_names.index(name)]
+        for k, shared in enumerate(network.shared):
+            if shared.kind.moves_footprints and _moves(network, shared, name):
+                variables.append(network.first_shared + k)
+                ways = np.concatenate([ways, _motion(network, shared, shots.chosen(taken), left)], axis=1)
+        values = np.concatenate([linearised.values[variable] for variable in variables])
+        covariance = linearised.joint.of(variables)
+    return CheckProfile(name, left, entry.ground_sigma_m, _height_sigma(entry), ways, values, covariance, adjusted)
+
+
+def _moves(network: Network, shared: SharedUnknown, name: str) -> bool:
+    """Whether a shared unknown moves the shots of a profile."""
+    assert network.shifts is not None
+    return bool(np.any(network.shifts.profile[network.footprints_moved(shared)] == network.shifts.names.index(name)))
+
+
+def _motion(network: Network, shared: SharedUnknown, used: AltimeterShots, left: AltimeterShots) -> Array:
+    """(n, width, 3) m per unit, how a shared unknown of the used shots moves those that are left; nothing where no
+    image was taken along with them.
+    """
+    found = np.zeros((left.times.size, shared.kind.width, 3))
+    if shared.kind.of_profile:
+        ends = used.times.min(), used.times.max()
+        along = (2.0 * left.times - sum(ends)) / (ends[1] - ends[0])
+        return along[:, None, None] * east_north(left.footprints)
+    for j in shared.images.tolist():
+        trajectory = network.images[j].trajectory
+        since, (start, stop) = left.times - trajectory.epoch, trajectory.coverage
+        along_with = (since >= start) & (since <= stop)
+        found[along_with] = beam_motion(network.images[j], since[along_with], left.footprints[along_with])
+    return found
 
 
 def _height_sigma(entry: MolaInput) -> float:
@@ -135,14 +179,16 @@ def checked(model: HeightGrid, profiles: Sequence[CheckProfile]) -> HeightChecks
 def _differences(model: HeightGrid, one: CheckProfile, number: int) -> tuple[list[str], tuple[Array, ...]]:
     """Names of the shots on the model, and the columns of `HeightChecks` from `profile` on."""
     given = one.shots.footprints
-    positions = given + np.einsum("k,nkj->nj", one.shift, east_north(given))
+    positions = given + np.einsum("w,nwj->nj", one.values, one.ways)
     plane = model.map.chart.plane(positions)
     pixels = model.map.pixels(plane)
     heights = bilinear(model.heights, pixels)
     on = np.isfinite(heights) & (np.einsum("ni,i->n", positions, model.map.chart.axes[2]) > 0.0)  # not the far side
     pixels, heights, positions, plane = pixels[on], heights[on], positions[on], plane[on]
     slopes = np.nan_to_num(bilinear(model.slopes, pixels))
-    planimetric = np.einsum("ni,ij,nj->n", slopes, one.sigma**2 * np.eye(2) + one.shift_covariance, slopes)
+    ways = np.einsum("nij,nwj->nwi", east_north_up(given[on]), one.ways[on])
+    common = np.einsum("nwi,ni->nw", ways, np.column_stack([slopes, -np.ones(len(slopes))]))
+    planimetric = one.sigma**2 * np.sum(slopes**2, axis=1) + np.einsum("nv,vw,nw->n", common, one.covariance, common)
     matching, orientation = (bilinear(band, pixels) for band in (model.matching, model.orientation))
     independent = matching**2 + one.height_sigma**2 + planimetric
     differences = heights - (np.linalg.norm(positions, axis=1) - model.map.radius)

@@ -14,6 +14,7 @@ from mgsgraph.figures.closeups import closeup_sheets
 from mgsgraph.figures.connectivity import connectivity_sheet
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import map_sheet
+from mgsgraph.figures.minima import minima_sheets
 from mgsgraph.figures.orientation import orientation_sheets
 from mgsgraph.figures.overlay import overlay_sheets, pixels_of
 from mgsgraph.figures.registration import registration_sheets
@@ -42,8 +43,8 @@ def write_figures(solution: Solution, folder: Path, connected: Connectivity | No
     -------
     list of str
         Names of the files in the folder: residuals, orientation, registration (where laser points are measured in
-        images), map and connectivity, each as .png and .svg, numbered (residuals_1, ...) where a kind takes several
-        sheets.
+        images), map, connectivity and minima (where there are several), each as .png and .svg, numbered (residuals_1,
+        ...) where a kind takes several sheets.
     """
     return save(_sheets(solution, connected), folder)
 
@@ -57,6 +58,7 @@ def _sheets(solution: Solution, connected: Connectivity | None) -> Iterator[Shee
         yield from registration_sheets(solution)
     yield map_sheet(solution)
     yield connectivity_sheet(solution, connected)
+    yield from minima_sheets(solution)
 
 
 def write_registration_figures(registration: CaseRegistration, folder: Path) -> list[str]:

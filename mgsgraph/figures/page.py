@@ -16,6 +16,7 @@ from mgsgraph.figures.connectivity import connectivity_sheet
 from mgsgraph.figures.content import centre_of, east_north
 from mgsgraph.figures.discrepancy import discrepancy_sheets
 from mgsgraph.figures.ground_map import frame, map_sheet
+from mgsgraph.figures.minima import minima_sheets
 from mgsgraph.figures.orientation import orientation_sheets
 from mgsgraph.figures.overlay import pixels_of
 from mgsgraph.figures.registration import registration_sheets
@@ -101,7 +102,7 @@ def solution_figures(solution: Solution, connected: Connectivity) -> dict[str, l
     rays = solution.network.rays
     laser = bool(np.any(solution.network.points.classes[rays.point] == PointClass.LASER))
     return {
-        "map": drawn([map_sheet(solution), connectivity_sheet(solution, connected)]),
+        "map": drawn([map_sheet(solution), connectivity_sheet(solution, connected), *minima_sheets(solution)]),
         "registration": drawn(registration_sheets(solution)) if laser else [],
         "orientation": drawn(orientation_sheets(solution)),
         "residuals": [*drawn(residual_sheets(solution)), *drawn(correction_sheets(solution))],

@@ -99,9 +99,9 @@ def _costs(registration: ReliefRegistration, chosen: Sequence[int], name: str) -
             panel = grid[row, c]
             shown = _draw_cost(panel, state.cost, top, 1.0 if row == 0 else _NEAR) or shown
             if state.cost.minima and row == 0:
-                _draw_ellipse(panel, np.zeros(2), np.eye(2) * prior**2, "--")
+                draw_ellipse(panel, np.zeros(2), np.eye(2) * prior**2, "--")
             elif state.cost.minima:
-                _draw_ellipse(panel, state.cost.minima[0].shift, state.cost.minima[0].covariance, "-")
+                draw_ellipse(panel, state.cost.minima[0].shift, state.cost.minima[0].covariance, "-")
             panel.set_title(f"{short(one.name, 24)}, {_STATES[row]}")
             panel.set(xlabel="shift east (m)", ylabel="shift north (m)" if c == 0 else "")
     if shown is not None:
@@ -155,7 +155,7 @@ def _draw_cost(panel: Axes, cost: CostSurface, top: float, share: float = 1.0) -
     return shown
 
 
-def _draw_ellipse(panel: Axes, middle: Array, covariance: Array, stroke: str, colour: str = BEFORE) -> None:
+def draw_ellipse(panel: Axes, middle: Array, covariance: Array, stroke: str, colour: str = BEFORE) -> None:
     """One standard deviation about a position, in the units of the panel."""
     values, ways = np.linalg.eigh(covariance)
     width, height = 2.0 * np.sqrt(np.maximum(values, 0.0))
@@ -391,7 +391,7 @@ def _draw_arrows(panel: Axes, profiles: Sequence[ReliefProfile], tracks: Sequenc
     for one, start in zip(profiles, starts, strict=True):
         if one.after.cost.tied:
             covariance = one.after.misplacement_covariance / metres_per_km**2
-            _draw_ellipse(panel, start + one.after.misplacement / metres_per_km, covariance, "-", AFTER)
+            draw_ellipse(panel, start + one.after.misplacement / metres_per_km, covariance, "-", AFTER)
         if len(profiles) <= _LARGE:
             panel.annotate(short(one.name, 16), start, (8.0, 4.0), textcoords="offset points", size=7.5, zorder=8)
 

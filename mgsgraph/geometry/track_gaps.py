@@ -86,9 +86,10 @@ def _misfit(radii: Array, shots: Mask, steps: tuple[float, float], source: str) 
             source, "hardly any posts with shots in line", "tracks that make posts beside each other",
             "say counts = false, and a vertical_sigma_m that holds between the tracks",
         )  # fmt: skip
-    logarithms, weights = np.log(np.stack([distances, variances])), np.sqrt(np.array(numbers, dtype=np.float64))
-    power = float(np.clip(np.polyfit(*logarithms, 1, w=weights)[0], _FLATTEST, _STEEPEST))
-    return float(np.exp(np.average(logarithms[1] - power * logarithms[0], weights=weights**2))), power
+    distance, variance = np.log(np.stack([distances, variances]))
+    power = float(np.polyfit(distance, variance, 1, w=np.sqrt(numbers))[0])
+    power = min(max(power, _FLATTEST), _STEEPEST)
+    return float(np.exp(np.average(variance - power * distance, weights=numbers))), power
 
 
 def _tracks(shots: Mask, east: Array, south: float) -> Iterator[tuple[Array, Array, Array]]:

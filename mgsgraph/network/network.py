@@ -299,6 +299,11 @@ class Network:
         return self.surface.shift_sigma
 
     @property
+    def on_relief(self) -> bool:
+        """Whether points lie on a terrain model or on the surfaces of stereo pairs."""
+        return self.surface is not None or self.stereo is not None
+
+    @property
     def terrain_moves(self) -> bool:
         """Whether the terrain model has an unknown shift or tilt of its own."""
         return self.surface is not None and bool(self.surface.terms)

@@ -53,7 +53,7 @@ TABLES = (
 FIGURES = (
     "residuals", "orientation", "strips", "registration", "map", "connectivity", "height_map",
     "overlay", "closeups", "discrepancy", "plan", "sigma_map", "quantiles", "unexplained", "spacings", "spectrum",
-    "course", "matches", "dem", "costs", "profiles", "shifts", "story",
+    "course", "matches", "dem", "costs", "profiles", "shifts", "story", "minima",
 )  # fmt: skip
 """Kinds of figures, .png and .svg, numbered where there are several (residuals_1)."""
 _INPUTS = "inputs"

@@ -6,7 +6,8 @@ from typing import Any
 
 import msgspec
 
-from mgsgraph.case.schema import CaseInput, OrientationInput, Sigma, SolverInput, SpiceInput, decode
+from mgsgraph.case.numbers import Sigma
+from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.io.decoding import read_table, validated
 

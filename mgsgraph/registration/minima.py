@@ -23,6 +23,8 @@ _AS_STATED = 10.0
 """Shots by whose weight stated sigmas are believed beforehand: the papers state ten times too much for MOLA."""
 _MOST_CORRELATED = 0.9
 """Correlation of successive heights that is taken at its word."""
+_ALIKE = 5.0
+"""m, up to which two fits are the same."""
 FITTED = 4
 """Level, slope and two shifts, which misfits have lost."""
 _NONE = np.zeros(2)
@@ -104,6 +106,35 @@ def weighted(
         for one, weight in zip(bowls, weights, strict=True)
     ]
     return tuple(sorted(every, key=lambda one: -one.weight))
+
+
+def merged(shifts: Array, covariances: Array, misfits: Array, owner: Index, scale: float) -> Array:
+    """(s, 2, 2) m^2, covariances of minima; of each that stands for others its mean square over the mixture of them.
+
+    Parameters
+    ----------
+    shifts : (s, 2)
+        m.
+    covariances : (s, 2, 2)
+        m^2, by the sigmas that are stated.
+    misfits : (s,)
+        chi^2 over as many shots each.
+    owner : (s,)
+        Number of the minimum that stands for each, -1 for none.
+    scale : float
+        By which chi^2 is too large.
+    """
+    found = covariances.copy()
+    for k in np.unique(owner[owner >= 0]).tolist():
+        mine = [k]
+        for other in np.flatnonzero(owner == k).tolist():  # fits that ended at the same place count once
+            if np.linalg.norm(shifts[other] - shifts[mine], axis=1).min() > _ALIKE:
+                mine.append(other)
+        logs = 0.5 * np.linalg.slogdet(covariances[mine])[1] - 0.5 * (misfits[mine] - misfits[k]) / scale
+        weights, off = np.exp(logs - logs.max()), shifts[mine] - shifts[k]
+        every = covariances[mine] + off[:, :, None] * off[:, None] / scale
+        found[k] = np.einsum("k,kij->ij", weights / weights.sum(), every)
+    return found
 
 
 def shots_alike(left: Array) -> float:

@@ -26,7 +26,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import StereoSurface
-from mgsgraph.registration.minima import FITTED, Bowl, Minimum, local_minima, shots_alike, weighted
+from mgsgraph.registration.minima import FITTED, Bowl, Minimum, local_minima, merged, shots_alike, weighted
 from mgsgraph.registration.trials import left_of_lines, misfits_of_shifts, robust_weights
 
 REACH = 1500.0
@@ -312,14 +312,17 @@ def _compared(
     each = (misfits + fitted.penalty) / np.maximum(counts, 1)
     away = np.abs(fitted.shifts).max(axis=1) > reach + step
     each[away | (counts < _LEAST_SHARE * counts[~away].max(initial=0))] = np.inf
-    apart = _apart(fitted, each, step)
+    owner = _places(fitted, each, step)
+    apart = np.flatnonzero(owner == np.arange(owner.size))
     if not apart.size:
         return ()
-    fitted = fitted._replace(
-        shifts=fitted.shifts[apart], changes=fitted.changes[apart], covariances=fitted.covariances[apart]
-    )
-    heights, weights, left = heights[apart], weights[apart], left[apart]
-    first = int(np.argmin(each[apart]))
+    lone, first = int(np.argmin(each)), int(np.argmin(each[apart]))
+    alike = shots_alike(left[lone][weights[lone] > 0.0])
+    if expected is not None:  # posts are alike in two directions, and have neighbours in one of them
+        alike = alike**2
+    spreads = merged(fitted.shifts, fitted.covariances, each * counts[lone], owner, float(each[lone]) * alike)
+    fitted = fitted._replace(shifts=fitted.shifts[apart], changes=fitted.changes[apart], covariances=spreads[apart])
+    heights, weights = heights[apart], weights[apart]
     both = (weights > 0.0) & (weights[first] > 0.0)
     misfits, lowest = (
         left_of_lines(np.ascontiguousarray(np.broadcast_to(some, both.shape)), weight * both, moved.along)[0] + penalty
@@ -330,10 +333,7 @@ def _compared(
     )
     logs = np.log(np.where(both, weights, 1.0))
     variances = np.sum(np.where(both, logs[first] - logs, 0.0), axis=1)
-    alike = shots_alike(left[first][both[first]])
-    known = np.zeros(len(both))
-    if expected is not None:  # posts are alike in two directions, and have neighbours in one of them
-        alike, known = alike**2, expected.misfits(fitted.shifts)
+    known = np.zeros(len(both)) if expected is None else expected.misfits(fitted.shifts)
     found = [
         Bowl(shift, float(misfit), covariance, change)
         for shift, misfit, covariance, change in zip(
@@ -393,16 +393,17 @@ def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float, chan
     return found
 
 
-def _apart(fitted: _Bent, misfits: Array, step: float) -> Index:
-    """Minima that are places of their own: further from a lower one than `step` m and than the sigmas of both allow.
-
-    Misfits (s,) are per shot, infinite for fits that have left the surface.
+def _places(fitted: _Bent, misfits: Array, step: float) -> Index:
+    """(s,) of each minimum the one that stands for its place: itself where it is further from any lower one than `step`
+    m and than the sigmas of both allow; -1 for a fit that has left the surface (its misfit per shot is infinite).
     """
-    apart = list[int]()
+    apart, owner = list[int](), np.full(misfits.size, -1, dtype=np.int64)
     for k in np.argsort(misfits)[: np.count_nonzero(np.isfinite(misfits))].tolist():
         off = fitted.shifts[k] - fitted.shifts[apart]
         both = misfits[k] * (fitted.covariances[k] + fitted.covariances[apart])
         ratio = np.einsum("si,si->s", off, np.linalg.solve(both, off[:, :, None])[:, :, 0])
-        if np.all((np.linalg.norm(off, axis=1) > step) & (ratio > _ONE_PLACE)):
+        near = np.flatnonzero((np.linalg.norm(off, axis=1) <= step) | (ratio <= _ONE_PLACE))
+        owner[k] = apart[near[0]] if near.size else k
+        if not near.size:
             apart.append(k)
-    return np.array(apart, dtype=np.int64)
+    return owner

@@ -1,5 +1,6 @@
 """Variance components: Helmert's matrix against R itself, planted factors found, and what can't be judged named."""
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -25,7 +26,7 @@ from mgsgraph.analysis.components import (
     judge_groups,
 )
 from mgsgraph.analysis.grouping import Grouping, group_rows, scaled
-from mgsgraph.analysis.helmert import Redundancy, group_redundancy
+from mgsgraph.analysis.helmert import CORRELATED, Redundancy, group_redundancy
 from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.residual_tests import (
     PROMISED,
@@ -220,6 +221,13 @@ def test_planted_factors_are_found_within_their_uncertainty(truth: dict[str, flo
     found = iterated_components(net, SETTINGS)
     assert found.converged
     for one, factor in zip(found.components.groups[:4], factors, strict=False):
+        if one.judgement is Judgement.ENTANGLED:  # vague, and correlated with that of the laser's image points
+            assert one.name == "ground priors"
+            assert abs(one.correlation) > CORRELATED
+            assert one.factor == pytest.approx(factor, rel=0.6)
+            assert math.isnan(one.sigma)
+            assert one.consistent is None
+            continue
         assert one.judgement is Judgement.JUDGED
         assert abs(one.deviation(factor)) < 2.6
         assert one.sigma < 0.25 * one.factor

@@ -15,6 +15,9 @@ import rasterio
 from full_disk import files_of_at_most
 from rasterio.warp import transform
 
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.graph.shared import footprint_shifts
+from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.case.schema import decode
 from mgsgraph.dem import production
@@ -186,6 +189,29 @@ def test_another_file_is_read_with_what_the_case_says_of_its_own(tmp_path: Path)
         check_profiles(dem_site.posterior(), decode(dem_site.case_path()), dem_site.case_path(), (tmp_path / "none.b",))
 
 
+def test_shots_that_were_kept_out_move_as_their_neighbours_do() -> None:
+    """With their profile's beam and drift: as far as the used shots before and after."""
+    path = dem_site.case_path().with_name("beams.toml")
+    text = dem_site.case_path().read_text(encoding="utf-8")
+    unknown = "beam_sigma_mrad = 0.25\ndrift_sigma_m = 30.0"
+    path.write_text(text.replace("beam_sigma_mrad = 0.0", unknown), encoding="utf-8")
+    case = read_case(path)
+    network = case.network
+    values = tuple(one.sigmas for one in network.shared)  # as if each were found one sigma off
+    moved = footprint_shifts(network, values)
+    posterior = Posterior.of(adjust_network(network, case.settings))
+    for p, one in enumerate(check_profiles(posterior, decode(path), path)):
+        assert one.ways.shape[1:] == (7, 3)
+        names = [shared.name for shared in network.shared if one.name in shared.name]
+        own = np.concatenate([values[[other.name for other in network.shared].index(name)] for name in names])
+        used = np.flatnonzero(network.shifts.profile == p)
+        times = network.ranges.times[np.isin(network.ranges.point, used)]
+        inside = (one.shots.times > times.min()) & (one.shots.times < times.max())
+        expected = np.stack([np.interp(one.shots.times, times, column) for column in moved[used].T], axis=1)[inside]
+        np.testing.assert_allclose(np.einsum("w,nwj->nj", own, one.ways[:, 2:])[inside], expected, atol=0.5)
+        assert np.linalg.norm(expected, axis=1).max() > 50.0
+
+
 def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     """Many draws of shots on the true ground, off by what is stated, shift and all."""
     model, rng = made().model, np.random.default_rng(5)
@@ -198,15 +224,15 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     given = true + rng.normal(0.0, 1.0, true.shape) - np.einsum("k,nkj->nj", shift, east_north(true))
     one = replace(
         own, shots=own.shots.moved(given, own.shots.spacecraft), sigma=1.0, height_sigma=1.0,
-        shift=shift, shift_covariance=np.eye(2) * 1e-6,
+        values=shift, covariance=np.eye(2) * 1e-6,
     )
     found = checked(model, [one])
     assert len(found) > 0.9 * len(true)
     assert np.sqrt(np.mean((found.differences / found.independent) ** 2)) == pytest.approx(1.0, abs=0.25)
     assert np.all(found.sigmas > found.independent)
-    moved = checked(model, [replace(one, shift=np.zeros(2))])  # the shift matters
+    moved = checked(model, [replace(one, values=np.zeros(2))])  # the shift matters
     assert np.std(moved.differences) > 1.2 * np.std(found.differences)
-    wide = checked(model, [replace(one, shift_covariance=np.eye(2) * 1e4)])
+    wide = checked(model, [replace(one, covariance=np.eye(2) * 1e4)])
     assert np.all(wide.sigmas >= found.sigmas)
     assert np.median(wide.sigmas / found.sigmas) > 1.05
 

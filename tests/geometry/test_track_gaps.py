@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.common_errors import common_variances, overlap_variances
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.track_gaps import track_gaps
 from mgsgraph.units import DEG
@@ -17,7 +17,7 @@ RADIUS = 3_390_000.0
 SIDE = RADIUS * STEP
 
 
-def grids(radii: Array, shots: Array) -> tuple[TerrainGrid, TerrainGrid]:
+def grids(radii: Array, shots: Array | Mask) -> tuple[TerrainGrid, TerrainGrid]:
     return (
         TerrainGrid("megr", radii, 0.3, 0.0, STEP, STEP),
         TerrainGrid("megc", np.where(shots, 3.0, 0.0), 0.3, 0.0, STEP, STEP, kind="counts"),

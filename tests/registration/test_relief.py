@@ -12,7 +12,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.stereo_surface import averaged_surface
-from mgsgraph.registration.minima import Minimum, local_minima, weighted
+from mgsgraph.registration.minima import Minimum, local_minima, merged, weighted
 from mgsgraph.registration.relief_records import ReliefSettings
 from mgsgraph.registration.search import CostSurface, Expected, StereoPair, search
 
@@ -253,6 +253,18 @@ def test_weights_are_probabilities_of_the_minima(scale: float) -> None:
     shifts, misfits = bowls((56.0, 56.001), (30.0, 60.0))
     wide, narrow = alone(misfits, shifts, 60)
     assert wide.weight / narrow.weight == pytest.approx(4.0, rel=1e-3)
+
+
+def test_a_place_of_several_minima_is_as_wide_as_they_are() -> None:
+    """Of two equally good ones 60 m apart the mean square about the first; one that ended at the same place counts
+    once; what fits much worse hardly counts, and what is a place of its own not at all.
+    """
+    shifts = np.array([[0.0, 0.0], [60.0, 0.0], [60.5, 0.0], [0.0, 90.0], [500.0, 0.0]])
+    covariances = np.tile(np.diag([4.0, 9.0]), (5, 1, 1))
+    misfits, owner = np.array([100.0, 100.0, 100.0, 200.0, 300.0]), np.array([0, 0, 0, 0, 4])
+    found = merged(shifts, covariances, misfits, owner, 2.0)
+    np.testing.assert_allclose(found[0], np.diag([4.0 + 0.5 * 60.0**2 / 2.0, 9.0]), rtol=1e-6)
+    np.testing.assert_array_equal(found[4], covariances[4])
 
 
 def test_weights_of_shots_that_count_as_one() -> None:

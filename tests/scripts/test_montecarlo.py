@@ -117,8 +117,9 @@ def test_without_noise_the_answers_are_the_truth(monkeypatch: pytest.MonkeyPatch
             return getattr(real(1), name)
 
     draw.prepared("block")
-    monkeypatch.setattr(np.random, "default_rng", lambda seed: Silent())
-    found = draw.one_seed(draw.Order("block", 0))
+    # the adjustment's own draws, of seed 0, are about its linearity
+    monkeypatch.setattr(np.random, "default_rng", lambda seed: real(0) if seed == 0 else Silent())
+    found = draw.one_seed(draw.Order("block", 1))
     assert found.errors.keys() == draw.KINDS.keys()
     for kind, errors in found.errors.items():
         assert np.abs(errors).max() < 1e-3, kind
