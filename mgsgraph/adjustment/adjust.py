@@ -244,7 +244,7 @@ def _posterior(
     """Covariances, residuals and the record of it all; with several minima the joint covariance is their mixture's."""
     layout, rows, orientation = solved.layout, solved.rows, solved.orientation
     network = layout.network
-    without_laser = _sigmas_without_laser(layout, solved, sweeper)
+    without_laser = (None, None) if mixture is not None else _sigmas_without_laser(layout, solved, sweeper)
     clock.stop("without laser")
     determined = layout.network_order(determined_points(rows))
     found = residuals(layout, orientation, solved.points, sweeper)

@@ -73,7 +73,7 @@ class Solution:
     """(r,) m, the same before."""
     sigmas_without_laser: Array | None
     """(3,) m, mean sigma of the tie points in x, y, z that the same network without its laser rows would have; None
-    where there is no laser or no tie point."""
+    where there is no laser or no tie point, and of a mixture of minima: its sigmas are not those of one adjustment."""
     seconds: Mapping[str, float]
     """Wall time by stage."""
     versions: Mapping[str, str]

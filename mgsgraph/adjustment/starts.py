@@ -37,6 +37,7 @@ from mgsgraph.kernel.reduction import Reduction
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, OUT
 from mgsgraph.kernel.sweep import SYSTEM
 from mgsgraph.network import TERRAIN, Network
+from mgsgraph.ties import PointKind
 
 STARTS = 16
 """Where none is said: some 220 m apart for an a-priori sigma of 200 m, half of MEGDR's spacing."""
@@ -51,7 +52,7 @@ _STEPS = 4
 """In which other unknowns settle, and after which it is seen whether a start ends in a known minimum."""
 _ROUGH = SolverSettings(cost_tolerance=1e-7, step_tolerance=1e-2, max_iterations=_STEPS)
 """How exactly starts are followed until they are seen to end in a new minimum."""
-_TURNS = 50
+_TURNS = 25
 """Times so many steps, within which a start is to end."""
 _ROUNDS = 3
 """Times that blunders are sought anew about a lower minimum."""
@@ -115,13 +116,15 @@ class _End:
     """(columns, columns)"""
     logarithm: float
     """Of its weight, with some constant."""
+    unit: float
+    """Squared sigma that the fit has, 1 or more."""
     starts: int = 1
 
     def holds(self, state: Array, cost: float) -> bool:
         """Whether shared unknowns (columns,) are in the same minimum: not far, and not much lower or higher."""
         apart = state - self.solved.orientation
-        near = float(apart @ np.linalg.solve(self.covariance, apart)) < _SAME**2
-        return near and abs(cost - self.solved.outcome.cost_final) < _SAME**2
+        near = float(apart @ np.linalg.solve(self.covariance, apart)) < _SAME**2 * self.unit
+        return near and abs(cost - self.solved.outcome.cost_final) < _SAME**2 * self.unit
 
 
 def starts_wanted(network: Network, settings: SolverSettings, layout: Layout) -> int:
@@ -205,8 +208,9 @@ def _descended(ends: Sequence[_End], begin: Array, sweeper: Sweeper) -> tuple[Ar
     """Where a start leads, roughly, until it is seen to be in a known minimum: shared unknowns, and cost."""
     first = ends[0].solved
     problem = BundleProblem(BundleGraph(first.layout, first.rows, sweeper))
+    rough = replace(_ROUGH, step_tolerance=min(_ROUGH.step_tolerance * math.sqrt(ends[0].unit), 0.5))
     for _ in range(_TURNS):
-        found = levenberg_marquardt(problem, begin, _ROUGH, _quietly)
+        found = levenberg_marquardt(problem, begin, rough, _quietly)
         begin = found.state
         if found.converged or _home(ends, begin, found.cost_final) is not None:
             break
@@ -257,7 +261,19 @@ def _end(solved: Solved, sweeper: Sweeper) -> _End:
     free = (rows.kind != FIXED) & (rows.kind != OUT)
     scaled = covariance / layout.scales / layout.scales[:, None]
     logarithm = np.linalg.slogdet(scaled)[1] + np.sum(np.linalg.slogdet(own[free])[1])
-    return _End(solved, covariance, 0.5 * float(logarithm) - solved.outcome.cost_final)
+    return _End(solved, covariance, 0.5 * float(logarithm) - solved.outcome.cost_final, _unit(solved))
+
+
+def _unit(solved: Solved) -> float:
+    """Squared sigma of the fit, 1 or more: where blunders are in, minima are as much wider. Priors count as many rows
+    as unknowns; what they leave are rays, ranges and heights less what free points take of them.
+    """
+    network, left = solved.layout.network, solved.selection
+    surface = network.surface
+    heights = 0 if surface is None else np.count_nonzero(np.isfinite(surface.sigmas) & ~left.out)
+    free = np.count_nonzero((network.points.kinds == PointKind.FREE) & ~left.out)
+    rows = 2 * np.count_nonzero(left.rays & ~left.out[network.rays.point]) + np.count_nonzero(left.ranges) + heights
+    return max(1.0, 2.0 * solved.outcome.cost_final / max(int(rows) - 3 * int(free), 1))
 
 
 def _weighted(ends: Sequence[_End], best: _End) -> list[tuple[_End, float]]:
