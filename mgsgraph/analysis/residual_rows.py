@@ -110,7 +110,8 @@ class ResidualRows:
 
     def variance(self, rows: Index, columns: Array) -> Array:
         """G' C G (k, k) of effects whose columns (q, k) stand in some rows (q,)."""
-        own, right = self.own[rows].T @ columns, self.through[rows].T @ columns
+        kept = self.own[rows]
+        own, right = kept[:, np.unique(kept.indices)].T @ columns, self.through[rows].T @ columns
         brought = self.considered[rows].T @ columns
         found = columns.T @ columns - own.T @ own - right.T @ self._spread(right) + brought.T @ brought
         return np.asarray(0.5 * (found + found.T))
