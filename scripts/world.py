@@ -120,7 +120,7 @@ def words(seeds: range) -> str:
     )  # fmt: skip
 
 
-BLOCK_SETTINGS = BlockSettings(strips=2, points=1200, length=400e3, spacing=15.0)
+BLOCK_SETTINGS = BlockSettings(strips=2, points=400, length=250e3, spacing=15.0)
 STRIP_SETTINGS = {"images": 6, "ties": 150, "shots": 30}
 
 

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.graph import BundleGraph, explicit_graph
 from mgsgraph.adjustment.graph.bundle import shared_vector, variable_key
 from mgsgraph.adjustment.graph.explicit import all_points
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.adjustment.settling import settled
+from mgsgraph.adjustment.settling import settled_minimum
 from mgsgraph.adjustment.sparse_cholesky import Factor, NotDefinite
 from mgsgraph.adjustment.square_root import is_indeterminate
 from mgsgraph.geometry.records import Array
@@ -152,9 +152,10 @@ def solve_bundle(
     """Solve the bundle form from an orientation vector (columns,); the reduction at the optimum comes with it."""
     problem = BundleProblem(graph, known)
     if settings.method == "levenberg-marquardt":
-        outcome = levenberg_marquardt(problem, start, settings, progress)
         if graph.layout.network.on_relief:
-            outcome = settled(problem, outcome, graph.layout.scales, settings, progress)
+            outcome = settled_minimum(problem, start, graph.layout.scales, settings, progress)
+        else:
+            outcome = levenberg_marquardt(problem, start, settings, progress)
     else:
         found = by_gtsam(graph.graph, graph.values(start), settings, progress, graph.constant_cost)
         state = shared_vector(graph.layout, found.state)

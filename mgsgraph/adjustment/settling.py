@@ -12,17 +12,39 @@ from dataclasses import replace
 
 import numpy as np
 
-from mgsgraph.adjustment.batch import LEAST_DAMPING, Iteration, Outcome, Problem, step_length
+from mgsgraph.adjustment.batch import LEAST_DAMPING, Iteration, Outcome, Problem, levenberg_marquardt, step_length
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.sweep import SYSTEM
 
+_EARLY = 1e-7
+"""Share of the cost: a step that gains less is some thousandths of a sigma long, near enough to settle."""
 _DEPTH = 5
 """Differences of steps that are taken together."""
 _MOST = 60
 """Steps after which it counts as not at rest."""
 _FARTHEST = 30.0
 """Times the first step's length, or posterior sigmas where that is less than one, that a later one may be."""
+
+
+def settled_minimum(
+    problem: Problem[Array],
+    start: Array,
+    scales: Array,
+    settings: SolverSettings,
+    progress: Callable[[Iteration], None],
+) -> Outcome[Array]:
+    """Minimise a problem's cost and settle (`settled`): from where the cost hardly falls any more, or should steps not
+    settle from there, from where it doesn't.
+    """
+    early = replace(settings, cost_tolerance=max(settings.cost_tolerance, _EARLY))
+    found = levenberg_marquardt(problem, start, early, progress)
+    outcome = settled(problem, found, scales, settings, progress)
+    if outcome.converged or not found.converged:
+        return outcome
+    tried = levenberg_marquardt(problem, found.state, settings, progress)
+    tried = replace(tried, cost_initial=found.cost_initial, history=found.history + tried.history)
+    return settled(problem, tried, scales, settings, progress)
 
 
 def settled(
