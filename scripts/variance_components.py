@@ -170,8 +170,8 @@ def null_page(network: Network, grouping: Grouping, seeds: range) -> str:
     for g, name in enumerate(grouping.names):
         one, p = found[0].groups[g], np.array(p_values)[:, g]
         z = np.array([c.groups[g].deviation(1.0) for c in found if c.groups[g].judgement is Judgement.JUDGED])
-        z = z if z.size else np.array([np.nan])
-        page += f"| {name} | {one.rows} | {one.redundancy:.1f} | {z.mean():.2f} | {root_mean_square(z):.2f} | "
+        judged = f"{z.mean():.2f} | {root_mean_square(z):.2f}" if z.size else "- | -"
+        page += f"| {name} | {one.rows} | {one.redundancy:.1f} | {judged} | "
         page += f"{100 * np.mean(p < 0.05):.0f}% |\n" if np.all(np.isfinite(p)) else "- |\n"
     return page
 

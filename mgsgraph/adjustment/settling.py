@@ -6,6 +6,7 @@ acceleration of Anderson (1965) takes the last few steps together: x + f - sum_j
 |f - sum_j g_j df_j|, for steps f at states x and their differences; with one column that is the secant method.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -52,12 +53,12 @@ def settled(
     if not found.converged or not problem.adjusts:
         return found
     state, cost, history = found.state, found.cost_final, list(found.history)
-    states, steps, farthest = list[Array](), list[Array](), np.inf
+    states, steps, farthest = list[Array](), list[Array](), math.inf
     for _ in range(_MOST):
         linear = problem.linear(state)
-        step = linear.step(LEAST_DAMPING)
-        length = np.inf if step is None else step_length(linear, step)
-        if length > farthest:
+        step: Array | None = linear.step(LEAST_DAMPING)
+        length = math.inf if step is None else step_length(linear, step)
+        if step is None or length > farthest:
             break
         farthest = min(farthest, _FARTHEST * max(length, settings.step_tolerance))
         now = Iteration(len(history) + 1, cost, 0.0, linear.gain(step), length, LEAST_DAMPING, True)

@@ -152,7 +152,7 @@ def _motion(network: Network, shared: SharedUnknown, used: AltimeterShots, left:
     if shared.kind.of_profile:
         ends = used.times.min(), used.times.max()
         along = (2.0 * left.times - sum(ends)) / (ends[1] - ends[0])
-        return along[:, None, None] * east_north(left.footprints)
+        return np.asarray(along[:, None, None] * east_north(left.footprints))
     for j in shared.images.tolist():
         trajectory = network.images[j].trajectory
         since, (start, stop) = left.times - trajectory.epoch, trajectory.coverage

@@ -36,7 +36,7 @@ def _sheet(solution: Solution, found: Minima) -> Sheet:
     for k, one in enumerate(shown):
         draw_ellipse(panel, one.shift[:2], one.spread[:2, :2], "-", AFTER if k == 0 else BEFORE)
         panel.plot(*one.shift[:2], "X" if k == 0 else "o", ms=7, mfc="white", mec=INK, mew=0.9, zorder=8)
-        place = one.shift[0], one.shift[1]
+        place = float(one.shift[0]), float(one.shift[1])
         panel.annotate(f"{one.weight:.0%}", place, (7, 5), textcoords="offset points", size=9.0, zorder=9)
     draw_ellipse(panel, found.mean[:2], found.covariance[:2, :2], "--", INK)
     panel.plot(*found.mean[:2], "+", ms=9, color=INK, zorder=8)

@@ -182,7 +182,7 @@ class TerrainGrid:
             if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"{where}, {name}", f"{value} m", "a positive number")
         if self.gaps is not None:
-            gaps = Gaps(*(np.array(one, dtype=np.float32) for one in self.gaps))
+            gaps = Gaps(*(np.array(one, dtype=np.float64) for one in self.gaps))
             for one in gaps:
                 if one.shape != radii.shape or not np.all(one[np.isfinite(radii)] >= 0.0):
                     found, expected = f"an array of shape {one.shape}", f"a number >= 0 for each of {radii.shape}"

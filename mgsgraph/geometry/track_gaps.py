@@ -45,7 +45,7 @@ def track_gaps(grid: TerrainGrid, counts: TerrainGrid) -> Gaps:
     ]
     if grid.radii.shape != counts.radii.shape or not np.allclose(places[0], places[1], rtol=0.0, atol=1e-9):
         raise InputError(f"terrain {counts.source}", "other posts", f"those of {grid.source}", "give its counts")
-    shots = (np.nan_to_num(counts.radii) > 0.0) & np.isfinite(grid.radii)
+    shots = (np.nan_to_num(np.asarray(counts.radii, dtype=np.float64)) > 0.0) & np.isfinite(grid.radii)
     if np.all(shots | np.isnan(grid.radii)):
         return Gaps(np.zeros(shots.shape), np.zeros(shots.shape))
     radius = float(np.nanmean(grid.radii))

@@ -13,6 +13,7 @@ from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.site import SimulatedSite
 from mgsgraph.simulation.sites import SHIFT_SIGMA, SiteSettings
 from mgsgraph.simulation.three_sites import BRIDGE_PRIOR, SimulatedThreeSites
+from mgsgraph.simulation.world import World
 from mgsgraph.units import ARCMIN, MRAD
 
 _PAPERS_SIGMAS: dict[str, float] = {"range_sigma_m": 10.0, "ground_sigma_m": 10.0}
@@ -31,16 +32,16 @@ Tables = list[str]
 """Lines of a case file."""
 
 
-def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSettings) -> str:
+def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSettings, world: World) -> str:
     """Case of simulated images beside network.pvl and lidar.json, with the sigmas of the simulation."""
     lines = [line for image in images for line in _table("[[images]]", name=image.name, isd=image_file(image))]
     lines += _table("[orientation]", degree=noise.prior.degree, **_orientation(noise))
-    lines += _table("[ties]", network="network.pvl", sigma_px=float(noise.tie))
+    lines += _ties(world, noise.tie)
     lines += _table(
         "[laser]", file="lidar.json", image_sigma_px=float(noise.shot_image), range_sigma_m=float(noise.range),
         ground_sigma_m=float(noise.ground),
     )  # fmt: skip
-    return _case(name, lines)
+    return _case(name, lines + _orbit(world))
 
 
 def site_case(simulated: SimulatedSite) -> str:
@@ -48,18 +49,20 @@ def site_case(simulated: SimulatedSite) -> str:
     of which the errors are drawn.
     """
     settings, grid = simulated.settings, simulated.grid
-    lines = _images(simulated, settings) + _ties(simulated) + _profiles(simulated, "", **_drawn_sigmas(simulated))
+    world, sigma = simulated.options.world, simulated.options.tie_noise
+    lines = _images(simulated, settings) + _ties(world, sigma) + _profiles(simulated, "", **_drawn_sigmas(simulated))
     radius, topography = (f"{grid_file(simulated, kind)}.lbl" for kind in ("r", "t"))
     sigmas = {"vertical_sigma_m": grid.vertical_sigma or 0.0, "planimetric_sigma_m": grid.planimetric_sigma or 0.0}
     lines += _table("[terrain]", radius=radius, topography=topography, **sigmas)
-    return _case(settings.title, lines + _orbit(simulated))
+    return _case(settings.title, lines + _orbit(world))
 
 
 def papers_case(simulated: SimulatedSite) -> str:
     """The observations and weights of Yoon & Shan (2005), for reproduction: back-projected footprints, no shifts."""
     settings = simulated.settings
     trend = _EOS_TREND if settings.name == "eos" else _TREND
-    lines = _images(simulated, replace(settings, angle_sigmas=(ARCMIN,) * 3, trend=trend)) + _ties(simulated)
+    lines = _images(simulated, replace(settings, angle_sigmas=(ARCMIN,) * 3, trend=trend))
+    lines += _ties(simulated.options.world, simulated.options.tie_noise)
     sigmas = {**_PAPERS_SIGMAS, "image_sigma_px": _IMAGE_SIGMA[settings.name]}
     lines += _profiles(simulated, "", image_rows="back-projected", **sigmas)
     return _case(f"{settings.title}, papers", lines + _table("[solver]", line="measured", angles="opk-paper"))
@@ -86,17 +89,15 @@ def _images(simulated: SimulatedSite, settings: SiteSettings, folder: str = "") 
     return lines
 
 
-def _ties(simulated: SimulatedSite) -> Tables:
+def _ties(world: World, sigma: float) -> Tables:
     """Ties, whose errors are as much in common as those of windows that overlap: as the world's are correlated."""
-    world, sigma = simulated.options.world, simulated.options.tie_noise
     window = round(world.window * float(np.sqrt(np.pi * world.matching)), 1)
-    return _table("[ties]", network="network.pvl", sigma_px=sigma, window_px=window)
+    return _table("[ties]", network="network.pvl", sigma_px=float(sigma), **({"window_px": window} if window else {}))
 
 
-def _orbit(simulated: SimulatedSite) -> Tables:
+def _orbit(world: World) -> Tables:
     """What the world's orbits have in common, where it is anything."""
-    sigma = simulated.options.world.orbit
-    return _table("[[shared]]", kind="orbit position", sigma_m=sigma) if sigma else []
+    return _table("[[shared]]", kind="orbit position", sigma_m=world.orbit) if world.orbit else []
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:

@@ -37,6 +37,7 @@ from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
 from mgsgraph.simulation.spice_files import write_kernels
 from mgsgraph.simulation.strip import SimulatedStrip
 from mgsgraph.simulation.three_sites import SimulatedThreeSites
+from mgsgraph.simulation.world import World
 
 Weighting = Literal["rigorous", "papers"]
 """Which observations and sigmas a site's case has: this project's, or Yoon & Shan's (2005) for comparison."""
@@ -68,7 +69,7 @@ def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
 
 def write_pair(pair: SimulatedPair, folder: Path) -> Path:
     """Write a simulated pair, its case file and its truth; returns the path of ``case.toml``."""
-    texts = _campaign(pair, "simulated pair", (pair.laser,), (pair.true_footprints,))
+    texts = _campaign(pair, "simulated pair", (pair.laser,), (pair.true_footprints,), World())
     write_texts(folder, texts | {"network.pvl": tie_network_text(pair.ties)})
     return folder / "case.toml"
 
@@ -81,7 +82,7 @@ def write_strip(strip: SimulatedStrip, folder: Path, steps: bool = False) -> Pat
     measure in the new image and without a simultaneous one. A network of a hundred thousand points takes seconds to
     write and to read, one of a million some minutes.
     """
-    texts = _campaign(strip, "simulated strip", strip.lasers, strip.true_footprints)
+    texts = _campaign(strip, "simulated strip", strip.lasers, strip.true_footprints, strip.settings.world)
     texts["network.pvl"] = tie_network_text(strip.ties, *_STRIP_NETWORK)
     for k in range(len(strip.images)) if steps else ():
         _, ties, laser = strip.addition(k)
@@ -152,11 +153,16 @@ def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "r
 
 
 def _campaign(
-    made: SimulatedPair | SimulatedStrip, name: str, lasers: Sequence[LaserProfile], footprints: Sequence[Array]
+    made: SimulatedPair | SimulatedStrip,
+    name: str,
+    lasers: Sequence[LaserProfile],
+    footprints: Sequence[Array],
+    world: World,
 ) -> dict[str, str]:
     """Files but for the network; `footprints` are the true ones (m, 3) of each profile."""
     truth = {
         "seed": made.seed,
+        "world": list(world.effects),
         "coefficients": {
             image.name: true.coefficients.tolist()
             for image, true in zip(made.images, made.true_corrections, strict=True)
@@ -171,7 +177,7 @@ def _campaign(
     return {image_file(image): json_text(support_data(image)) for image in made.images} | {
         "lidar.json": laser_text(lasers),
         "truth.json": json_text(truth),
-        "case.toml": campaign_case(name, made.images, made.settings.noise),
+        "case.toml": campaign_case(name, made.images, made.settings.noise, world),
     }
 
 

@@ -316,7 +316,8 @@ def _surface(
     grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
     if world.tracks:
         sides = grid.latitude_step * relief.metres_per_radian[1], grid.longitude_step * relief.metres_per_radian[0]
-        radii, measured = of_tracks(grid.radii, sides, world.tracks, world.stream("tracks", seed))
+        given, stream = np.asarray(grid.radii, dtype=np.float64), world.stream("tracks", seed)
+        radii, measured = of_tracks(given, sides, world.tracks, stream)
         grid = replace(grid, radii=radii)
         counts = replace(grid, radii=measured.astype(np.float64), kind="counts", vertical_sigma=None)
         grid = replace(grid, gaps=track_gaps(grid, counts))

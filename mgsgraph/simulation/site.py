@@ -220,10 +220,7 @@ def simulate_site(
     drawn = streams[2].uniform(MARGIN, np.array([true[0].lines, true[0].samples]) - MARGIN, (8 * settings.ties, 2))
     ground = terrain.intersect(*true[0].rays(drawn[:, 0], drawn[:, 1])[:2])
     ties, points = shared_ties(SOURCE, true, (None, None), ground, settings.ties, options.tie_noise, streams[2])
-    if world.matching:
-        exact = project(true, (None, None), points)[0].reshape(-1, 2)
-        image, rng = np.arange(len(exact)) % 2, world.stream("matching", *mine)
-        ties = replace(ties, measures=exact + common_errors(world, ties.measures - exact, image, exact, rng))
+    ties = _matched_together(ties, true, points, world, world.stream("matching", *mine))
     images = []
     for k, (image, (_, errors, _, count)) in enumerate(zip(settings.images, flights, strict=True)):
         sun = sun_direction(true[k].trajectory.epoch)
@@ -232,12 +229,37 @@ def simulate_site(
             pixels = render(true[k], terrain, None, sun, streams[3 + k])
         profile = _profile(k, true, image, terrain, options, (*mine, k), streams[5 + k])
         images.append(SimulatedImage(image, errors, count, true[k], pairs[k][1], sun, pixels, profile, vibrations[k]))
-    grid, counts = terrain_grid(terrain, options.resolution, _GRID_REACH), None
-    if world.tracks:
-        sides = grid.latitude_step * terrain.metres_per_radian[1], grid.longitude_step * terrain.metres_per_radian[0]
-        radii, measured = of_tracks(grid.radii, sides, world.tracks, world.stream("tracks", *mine))
-        grid, counts = replace(grid, radii=radii), np.where(measured, max(1, round(sides[0] / _SHOT_SPACING)), 0)
+    grid = terrain_grid(terrain, options.resolution, _GRID_REACH)
+    grid, counts = _between_tracks(grid, terrain, world, world.stream("tracks", *mine))
     return SimulatedSite(settings, options, seed, terrain, grid, counts, (images[0], images[1]), ties, points)
+
+
+def _matched_together(
+    ties: TiePoints,
+    images: tuple[PushbroomImage, PushbroomImage],
+    points: Array,
+    world: World,
+    rng: np.random.Generator,
+) -> TiePoints:
+    """Tie points at true places (n, 3) in m, each measured in both images, with errors in common as the world has
+    them.
+    """
+    if not world.matching:
+        return ties
+    exact = project(images, (None, None), points)[0].reshape(-1, 2)
+    errors = common_errors(world, ties.measures - exact, np.arange(len(exact)) % 2, exact, rng)
+    return replace(ties, measures=exact + errors)
+
+
+def _between_tracks(
+    grid: TerrainGrid, terrain: SiteTerrain, world: World, rng: np.random.Generator
+) -> tuple[TerrainGrid, Array | None]:
+    """A grid that is interpolated between the world's tracks, and its shots in each cell; as it is without tracks."""
+    if not world.tracks:
+        return grid, None
+    sides = grid.latitude_step * terrain.metres_per_radian[1], grid.longitude_step * terrain.metres_per_radian[0]
+    radii, measured = of_tracks(np.asarray(grid.radii, dtype=np.float64), sides, world.tracks, rng)
+    return replace(grid, radii=radii), np.where(measured, float(max(1, round(sides[0] / _SHOT_SPACING))), 0.0)
 
 
 def _flight(

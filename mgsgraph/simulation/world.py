@@ -55,7 +55,7 @@ class World:
     """Pixels, amplitude in line and in sample of each image's vibration; its period and phases are drawn."""
     matching: float = 0.0
     """Share of the variance of tie points' measures that measures within `window` have in common."""
-    window: float = 200.0
+    window: float = 60.0
     """Pixels, distance in an image at which matching errors are correlated by 1/e."""
 
     def __post_init__(self) -> None:
