@@ -315,6 +315,8 @@ def _term(network: Network, where: str, hypothesis: Hypothesis) -> str:
     image = where.removeprefix("image ")
     j = next((k for k, one in enumerate(network.images) if one.name == image), -1)
     if hypothesis.kind in (EffectKind.JITTER, EffectKind.TREND):
+        if j >= 0 and network.held[j] and hypothesis.kind is EffectKind.TREND:
+            return f"[[images]] {image!r}: held = false"
         if j >= 0 and network.strip_of[j] >= 0:
             spacing = f"{hypothesis.period / 4.0:.2g}" if math.isfinite(hypothesis.period) else "less"
             return f"[[strips]] {network.strips[network.strip_of[j]].name!r}: nodes = {{ spacing_s = {spacing} }}"
