@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from mgsgraph.case.reading import read_case
+from mgsgraph.demo.simulate import simulation_options
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
-from mgsgraph.simulation.world import EFFECTS, World, common_errors, of_tracks
+from mgsgraph.simulation.world import EFFECTS, STRIP_EFFECTS, World, common_errors, of_tracks
 from mgsgraph.units import MRAD
 
 SEED = 11
@@ -138,6 +139,19 @@ def test_files_tell_of_the_world(tmp_path: Path) -> None:
     for image in truth["images"].values():
         assert image["vibration"]["period_s"] > 0.0
         assert np.linalg.norm(image["profile"]["beam_x_y_rad"]) < 5.0 * 0.25 * MRAD
+
+
+@pytest.mark.parametrize(
+    ("where", "effects"), [("pair", "beam"), ("strip", "tracks,jitter"), ("eos", "jitter,"), ("three-sites", "orbit")]
+)
+def test_an_effect_that_a_simulation_cannot_have_is_refused(where: str, effects: str) -> None:
+    with pytest.raises(InputError, match="world"):
+        simulation_options(where, effects=effects)
+
+
+def test_all_effects_are_those_that_a_simulation_can_have() -> None:
+    assert simulation_options("strip", effects="all").world == World.of(STRIP_EFFECTS)
+    assert simulation_options("gusev", effects="all").world == World.of(EFFECTS)
 
 
 @pytest.mark.parametrize("effects", [("jiter",), ("beam", "")])
