@@ -55,14 +55,20 @@ NAMED = 0.9
 """Share of the draws in which an effect has to be named, if its errors are out of their bands."""
 WORDS = """# Sigmas when the world is not as modelled
 
-Made by `scripts/world.py` ({machine}), seeds {first} to {last}. Each draw is a simulated site (or a strip of {images}
-images, {ties} ties with each) whose world does what no model has by itself (`mgsgraph simulate --world`): {sizes}
-Its default case, as `simulate` writes it, is adjusted (`mgsgraph adjust`) and held against the truth.
+Made by `scripts/world.py` ({machine}), seeds {first} to {last}. Each draw is a simulated study site, a strip of
+{images} images with {ties} ties to each, or a block of {strips} HRSC strips of {points} points (without laser), whose
+world does what no model has by itself (`mgsgraph simulate --world`):
+
+{sizes}
+
+Its default case, as `simulate` writes it, is adjusted (`mgsgraph adjust`) and held against the truth. The case states
+what can be known by a sigma; of vibrations it says nothing. *none*: a world as modelled; *all*: all of them together.
+
 NEES per degree of freedom, 1 if the sigmas are honest, mean over the draws with its 99 % band in brackets (Student's
 quantile times the scatter over the draws; *terrain*, of the terrain model's shift east and north: chi-square), bold
 where it lies outside: *ties*, *laser*, *heights* (of laser footprints), *profiles* (their shifts), *position* and
 *pointing* of each image at {lines} lines. *named*: per cent of the draws in which `mgsgraph analyze` names anything,
-and what it names most often.
+and what it names most often. Errors of ties and laser points are rms, m.
 """
 SIZES = {
     "beam": "beams point {beam:g} mrad elsewhere",
@@ -112,11 +118,11 @@ def words(seeds: range) -> str:
     usual = World.of(EFFECTS)
     sizes = {name: getattr(usual, name) for name in EFFECTS}
     sizes |= {"beam": usual.beam / 1e-3, "tracks": usual.tracks / 1e3, "window": usual.window}
-    text = "; ".join(f"*{name}*: {SIZES[name].format(**sizes)}" for name in EFFECTS) + "."
+    text = "\n".join(f"* *{name}*: {SIZES[name].format(**sizes)}." for name in EFFECTS)
     settings = STRIP_SETTINGS
     return WORDS.format(
         machine=machine(), first=seeds[0], last=seeds[-1], sizes=text, lines=LINES, images=settings["images"],
-        ties=settings["ties"],
+        ties=settings["ties"], strips=BLOCK_SETTINGS.strips, points=BLOCK_SETTINGS.points,
     )  # fmt: skip
 
 
