@@ -43,7 +43,8 @@ def settled_minimum(
     if outcome.converged or not found.converged:
         return outcome
     tried = levenberg_marquardt(problem, found.state, settings, progress)
-    tried = replace(tried, cost_initial=found.cost_initial, history=found.history + tried.history)
+    later = tuple(replace(one, number=one.number + len(found.history)) for one in tried.history)
+    tried = replace(tried, cost_initial=found.cost_initial, history=found.history + later)
     return settled(problem, tried, scales, settings, progress)
 
 
@@ -80,19 +81,23 @@ def settled(
         linear = problem.linear(state)
         step: Array | None = linear.step(LEAST_DAMPING)
         length = math.inf if step is None else step_length(linear, step)
-        if step is None or length > farthest:
+        if step is None or not length <= farthest:
             break
         farthest = min(farthest, _FARTHEST * max(length, settings.step_tolerance))
         now = Iteration(len(history) + 1, cost, 0.0, linear.gain(step), length, LEAST_DAMPING, True)
         history.append(now)
         progress(now)
         if length < settings.step_tolerance:
+            if cost > found.cost_final * (1.0 + _EARLY):  # another stationary point than the minimum
+                break
             message = f"Converged: the last step was {length:.1e} posterior sigmas long."
             return replace(found, state=state, cost_final=cost, message=message, history=tuple(history))
         states, steps = [*states[-_DEPTH:], state], [*steps[-_DEPTH:], step]
         state = accelerated(states, steps, scales)
         cost = problem.cost(state, SYSTEM)
-    message = f"Stopped: near the optimum steps stay {length:.1e} posterior sigmas long; look for blunders (reject)."
+        if not math.isfinite(cost):
+            break
+    message = "Stopped: near the optimum steps do not become short enough; look for blunders (reject)."
     return replace(found, converged=False, message=message, history=tuple(history))
 
 

@@ -16,6 +16,7 @@ d_k = x_k - x.
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +42,8 @@ from mgsgraph.ties import PointKind
 
 STARTS = 16
 """Where none is said: some 220 m apart for an a-priori sigma of 200 m, half of MEGDR's spacing."""
+_WIDER = 1.1
+"""Times that minima besides the lowest one make a variance of the shift larger, from which on they count."""
 WORTH = 0.01
 """Weight from which a second minimum is worth a warning."""
 _REACH = 2.5
@@ -87,8 +90,10 @@ class Minima:
 
     @property
     def several(self) -> bool:
-        """Whether there is another that is worth a word."""
-        return any(one.weight > WORTH for one in self.each[1:])
+        """Whether there is another that is worth a word: by its probability, or by what it does to the sigmas."""
+        first = self.each[0]
+        wider = np.diag(self.spread(first.shift))[:2] > _WIDER * np.diag(first.spread)[:2]
+        return bool(np.any(wider)) or any(one.weight > WORTH for one in self.each[1:])
 
     @property
     def mean(self) -> Array:
@@ -162,20 +167,22 @@ def best_of_starts(
         The lowest, all of them, and the joint covariance of the shared unknowns about the lowest; None where there is
         one minimum alone.
     """
-    for _ in range(_ROUNDS):
+    initial = solved.cost_initial
+    for turn in range(_ROUNDS):
         ends, lost = _ends(solved, settings, before, count, sweeper)
         best = min(ends, key=lambda one: one.solved.outcome.cost_final)
-        if best.solved is solved or settings.reject == 0.0:
+        if best.solved is solved or settings.reject == 0.0 or turn == _ROUNDS - 1:
             break
-        begin = best.solved.orientation
+        begin, history = best.solved.orientation, best.solved.history
         solved = solve_in_passes(best.solved.layout, settings, solved.selection, before, _quietly, sweeper, begin)
+        solved = replace(solved, history=history + solved.history)
     found = _weighted(ends, best)
     minima = Minima(count, lost, tuple(_record(end, weight) for end, weight in found))
     lowest = replace(
-        best.solved, cost_initial=solved.cost_initial, passes=solved.passes, circling=solved.circling,
+        best.solved, cost_initial=initial, passes=solved.passes, circling=solved.circling,
         dimensions=solved.dimensions,
     )  # fmt: skip
-    return lowest, minima, _mixture(found) if len(found) > 1 else None
+    return lowest, minima, _mixture(found) if minima.several else None
 
 
 def _ends(
@@ -192,14 +199,13 @@ def _ends(
                     solved.layout, replace(settings, reject=0.0), solved.selection, before, _quietly, sweeper, state
                 )
                 home = _home(ends, one.orientation, one.outcome.cost_final)
-        except MgsgraphError:  # no finite cost there
-            lost += 1
-            continue
-        if home is not None:
-            ends[home] = replace(ends[home], starts=ends[home].starts + 1)
-        elif one.outcome.converged:
-            ends.append(_end(replace(one, history=solved.history + one.history), sweeper))
-        else:
+            if home is not None:
+                ends[home] = replace(ends[home], starts=ends[home].starts + 1)
+            elif one.outcome.converged and math.isfinite((end := _end(one, sweeper)).logarithm):
+                ends.append(replace(end, solved=replace(one, history=solved.history + one.history)))
+            else:
+                lost += 1
+        except MgsgraphError:  # no finite cost there, or a network that is too weak there
             lost += 1
     return ends, lost
 
@@ -244,11 +250,12 @@ def _begins(end: _End, count: int, sweeper: Sweeper) -> Iterator[Array]:
     graph, held = BundleGraph(layout, solved.rows, sweeper), np.eye(layout.columns)[:, mine]
     for move in (wanted - solved.orientation[mine]) @ follows:
         known = graph.reduction(solved.orientation + move, SYSTEM, solved.points)
+        begin = known.orientation
         if math.isfinite(known.cost):
-            problem = HeldProblem(graph, held, known)
-            yield levenberg_marquardt(problem, known.orientation, _ROUGH, _quietly).state
-        else:
-            yield known.orientation
+            # what can't be settled so begins where it is
+            with suppress(MgsgraphError):
+                begin = levenberg_marquardt(HeldProblem(graph, held, known), begin, _ROUGH, _quietly).state
+        yield begin
 
 
 def _end(solved: Solved, sweeper: Sweeper) -> _End:

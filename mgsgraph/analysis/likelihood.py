@@ -92,13 +92,17 @@ class Likelihood:
     Raises
     ------
     InputError
-        Where unknowns are considered: the cost says nothing of them.
+        Where unknowns are considered: the cost says nothing of them; and where a robust loss is no likelihood of
+        normal errors.
     """
 
     def __init__(self, at: Linearised) -> None:
         for name in at.network.considered[:1]:
             found = "a considered unknown, of which the cost says nothing"
             raise InputError(f"likelihood, {name!r}", found, "an estimated one", "take it out of `considered`")
+        if at.settings.loss != "none":
+            found = f"the loss {at.settings.loss}, which is no likelihood of normal errors"
+            raise InputError("likelihood", found, "an adjustment by least squares", "adjust with --loss none")
         at = at.of_estimator()
         self._at, self._frames, self._joint = at, Frames(at.layout), at.joint
         self._begin = BundleGraph(at.layout, at.rows).reduction(at.orientation, SYSTEM, at.points)

@@ -37,7 +37,7 @@ def at_solution(solution: Solution) -> Linearised:
     layout, points = exactly(layout, orientation, points)
     rays = solution.rays_used | out[network.rays.point]
     rows = layout.active(rays, solution.ranges_used, out, solution.stereo_used)
-    mixed = solution.minima is not None and len(solution.minima.each) > 1
+    mixed = solution.minima is not None and solution.minima.several
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance, mixed)
 
 

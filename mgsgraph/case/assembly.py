@@ -157,10 +157,17 @@ class Parts:
             off = off_nadir(image, taken.times - image.trajectory.epoch, taken.footprints)
             sigma = _BEAM_SIGMA if np.median(off) > _OFF_NADIR and image.name not in pointed else 0.0
         other, known = self._beams.setdefault(owner, (name, sigma))
+        if wanted.beam_sigma_mrad is None:  # the beam is known by the profile before
+            sigma = known
         if known != sigma:
             found = f"beam_sigma_mrad of {known:g} and {sigma:g} mrad for {other} and {name}, both along {image.name}"
             raise InputError(taken.source, found, "one number: they have one beam")
-        if sigma and other == name:
+        if other == name:
+            self._beam_of(name, sigma, owner)
+
+    def _beam_of(self, name: str, sigma: float, owner: int) -> None:
+        """The unknown, where its sigma in mrad is not zero."""
+        if sigma:
             sigmas, along = np.full(3, sigma * MRAD), np.array([owner])
             self.shared.append(SharedUnknown(f"beam of {name}", SharedKind.ALTIMETER_BORESIGHT, along, sigmas))
 

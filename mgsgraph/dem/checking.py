@@ -28,7 +28,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north, east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.network import Network, SharedUnknown
+from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import beam_motion
 from mgsgraph.wording import root_mean_square
 
@@ -149,9 +149,9 @@ def _motion(network: Network, shared: SharedUnknown, used: AltimeterShots, left:
     image was taken along with them.
     """
     found = np.zeros((left.times.size, shared.kind.width, 3))
-    if shared.kind.of_profile:
+    if shared.kind is SharedKind.PROFILE_DRIFT:
         ends = used.times.min(), used.times.max()
-        along = (2.0 * left.times - sum(ends)) / (ends[1] - ends[0])
+        along = (2.0 * left.times - sum(ends)) / max(ends[1] - ends[0], 1e-9) * float(ends[1] > ends[0])
         return np.asarray(along[:, None, None] * east_north(left.footprints))
     for j in shared.images.tolist():
         trajectory = network.images[j].trajectory

@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -198,7 +199,7 @@ class IncrementalAdjustment:
         """
         network, stored = self._everything()
         places = Sweep(network, self.settings, stored).places(self._engine.value)
-        solution = adjust_network(network, self.settings, name, progress)
+        solution = adjust_network(network, replace(self.settings, starts=0), name, progress)
         found = closing(solution, self._engine.value, places)
         if found.adopted:
             self.adopt(solution)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.case.images import read_images
+from mgsgraph.case.laser import MolaInput
 from mgsgraph.case.reading import picture_of, read_case, read_shots
 from mgsgraph.case.schema import ImageInput, decode
 from mgsgraph.errors import InputError
@@ -280,7 +281,7 @@ def _profile(
     taken = shots.chosen(seen.shots_with(owner) & usable)
     return taken.profile(
         sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[owner].name, path.stem,
-        sigmas.shot_height_sigma_m,
+        sigmas.shot_height_sigma_m, pulse_share=MolaInput(path.name).pulse_share,
     )  # fmt: skip
 
 

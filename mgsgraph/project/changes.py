@@ -116,7 +116,7 @@ def solve(project: Project, figures: bool = True, progress: Progress = lambda _:
     if is_solved(project):
         closing, solution = _incremental(project).close(name, progress)
     else:
-        solution = adjust_network(store.network(), settings, name, progress)
+        solution = adjust_network(store.network(), replace(settings, starts=0), name, progress)
         _incremental(project).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)

@@ -53,7 +53,10 @@ def linearity_section(posterior: Posterior) -> Section:
 def likelihood_section(posterior: Posterior, names: Sequence[str]) -> Section:
     """Intervals of the numbers of images, shifts and shared unknowns by the likelihood."""
     table = likelihood_table([one for name in dict.fromkeys(names) for one in posterior.likelihood.profiles(name)])
-    text = "\n".join([f"{table.title} (68, 95 and 99 %)", *table.text()])
+    title = f"{table.title} (68, 95 and 99 %)"
+    if posterior.linearised.mixed:
+        title += ", within the lowest of several minima: the others are not in them"
+    text = "\n".join([title, *table.text()])
     return Section("likelihood", text, table.records(), {"likelihood.csv": table.write_csv})
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from mgsgraph.adjustment.datum.frames import FLIGHT
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.flight import strip_turns
+from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.network import NodePrior, Strip
@@ -89,7 +90,7 @@ def correction_series(solution: Solution, strip: int, factor: float | None = Non
         found = f"{count} nodes, whose joint covariance would be too large"
         raise InputError(f"strip {one.name!r}", found, f"{_MOST} at the most")
     first, end = solution.network.first_of_strips[strip : strip + 2].tolist()
-    joint, prior = solution.joint_covariance.of(range(first, end)), _prior_information(one)
+    joint, prior = at_solution(solution).of_estimator().joint.of(range(first, end)), _prior_information(one)
     through = joint @ prior
     own = slice(0, 6 * count)
     noise = (joint - through @ joint)[own, own]

@@ -92,6 +92,24 @@ def test_steps_that_do_not_settle_are_said() -> None:
     np.testing.assert_array_equal(found.state, start)
 
 
+def test_a_saddle_is_not_taken_for_the_minimum() -> None:
+    """Gauss-Newton's matrix is positive there, too."""
+
+    class Saddle(Relief):
+        def cost(self, state: np.ndarray, task: int = 0) -> float:
+            x, y = state
+            return float(100.0 + 0.5 * x**2 - 0.5 * y**2 + 0.25 * y**4)
+
+        def linear(self, state: np.ndarray, kept: object = None) -> Equations:
+            x, y = state
+            return Equations(np.array([x, y**3 - y]), np.eye(2))
+
+    problem, start = Saddle([1.0, 1.0]), np.array([0.01, 0.2])
+    found = settled(problem, at(problem, start), np.ones(2), SolverSettings(), quiet)
+    assert not found.converged or abs(found.state[1]) > 0.9
+    assert found.cost_final <= problem.cost(start)
+
+
 def test_two_states_are_the_secant_method() -> None:
     """Of one unknown: the next state is where the line through the last two steps is zero."""
     states, steps = [np.array([2.0]), np.array([1.0])], [np.array([-0.8]), np.array([-0.3])]
