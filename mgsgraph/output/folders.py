@@ -7,7 +7,7 @@ import re
 import shutil
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mgsgraph.errors import InputError
@@ -142,8 +142,11 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
 def _require_writable(folder: Path) -> None:
     """Raise OSError unless a folder can be made in it, which alone shows permissions, quotas and full disks."""
     trial = beside(folder / "trial")
-    trial.mkdir()
-    trial.rmdir()
+    try:
+        trial.mkdir()
+    finally:  # an interrupt may come between the two
+        with suppress(OSError):
+            trial.rmdir()
 
 
 def _warn_of_unrelated_files(folder: Path, record: str) -> None:
