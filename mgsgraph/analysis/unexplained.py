@@ -26,6 +26,7 @@ from mgsgraph.analysis.systematic import EffectKind, Hypothesis, families
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network
+from mgsgraph.units import MRAD
 
 LEVEL = 0.01
 """Probability that a run on good data names anything."""
@@ -269,8 +270,9 @@ class _Search:
         amplitude = float(estimate[0]) if estimate.size == 1 else float(np.hypot(estimate[::2], estimate[1::2]).max())
         return Effect(
             hypothesis.kind, where, min(1.0, test.p_value * count), amplitude, hypothesis.unit,
-            _term(self._rows.at.network, where, hypothesis), float(np.sqrt(np.mean(np.diagonal(covariance)))),
-            hypothesis.quantity, hypothesis.period, test.statistic, test.degrees, alternatives,
+            _term(self._rows.at.network, where, hypothesis, amplitude),
+            float(np.sqrt(np.mean(np.diagonal(covariance)))), hypothesis.quantity, hypothesis.period, test.statistic,
+            test.degrees, alternatives,
         )  # fmt: skip
 
     def _shown(self, rows: Index, columns: Array) -> Array:
@@ -310,7 +312,7 @@ def _chosen(network: Network) -> Index:
     return np.unique(np.concatenate(every))
 
 
-def _term(network: Network, where: str, hypothesis: Hypothesis) -> str:
+def _term(network: Network, where: str, hypothesis: Hypothesis, amplitude: float) -> str:
     """What to add to the case file."""
     image = where.removeprefix("image ")
     j = next((k for k, one in enumerate(network.images) if one.name == image), -1)
@@ -318,17 +320,33 @@ def _term(network: Network, where: str, hypothesis: Hypothesis) -> str:
         if j >= 0 and network.held[j] and hypothesis.kind is EffectKind.TREND:
             return f"[[images]] {image!r}: held = false"
         if j >= 0 and network.strip_of[j] >= 0:
-            spacing = f"{hypothesis.period / 4.0:.2g}" if math.isfinite(hypothesis.period) else "less"
-            return f"[[strips]] {network.strips[network.strip_of[j]].name!r}: nodes = {{ spacing_s = {spacing} }}"
+            strip = network.strips[network.strip_of[j]].name
+            return f"[[strips]] {strip!r}: {_nodes(network, j, hypothesis, amplitude)}"
         if hypothesis.kind is EffectKind.TREND:
             degree = network.priors[j].degree + 1 if j >= 0 else 3
             return f"[[images]] {image!r}: orientation = {{ degree = {degree} }}, or a wider trend"
-        return f"[[strips]] images = [{image!r}], nodes = {{ spacing_s = {hypothesis.period / 4.0:.2g} }}"
+        return (
+            f"[[strips]] with the keys name, images = [{image!r}], {_nodes(network, j, hypothesis, amplitude)}; the "
+            "image then has nominal = 'trajectory' and no orientation sigmas of its own"
+        )
     if hypothesis.kind is EffectKind.FOCAL_LENGTH:
         return '[[shared]] kind = "focal length"' + (f", images = [{image!r}]" if j >= 0 else "")
     if hypothesis.kind is EffectKind.DISTORTION:
         return "the camera's distortion (support data optical_distortion, or the instrument kernel)"
     return _TERMS[hypothesis.kind, where.split()[0]]
+
+
+def _nodes(network: Network, image: int, hypothesis: Hypothesis, amplitude: float) -> str:
+    """Keys of a strip whose nodes can follow: as close as a quarter of the period, free by the vibration's size."""
+    if not math.isfinite(hypothesis.period):
+        return "nodes closer to each other (spacing_s)"
+    picture, step = network.images[image], f"{hypothesis.period / 4.0:.2g}"
+    places = np.full(2, 0.5 * picture.lines), 0.5 * picture.samples + np.array([0.0, 1.0])
+    looks = picture.sightlines(*places)[1]
+    angle = float(np.linalg.norm(np.cross(*looks)) / np.linalg.norm(looks[0]) ** 2) * amplitude / MRAD
+    return (
+        f"nodes = {{ spacing_s = {step} }}, prior = {{ correlation_time_s = {step}, angle_sigma_mrad = {angle:.2g} }}"
+    )
 
 
 _TERMS = {

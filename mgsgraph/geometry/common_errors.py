@@ -5,7 +5,8 @@ independent, no stated sigma of what is estimated from them is too small: D - C 
 D >= C. The sigma of their mean is right where all have as many neighbours; one without neighbours keeps its own.
 """
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,13 +16,18 @@ _CHUNK = 1024
 """Places whose neighbours are looked for at once."""
 
 
-class Gaps(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaps:
     """What a terrain model's interpolation between tracks adds to the errors of its posts."""
 
     sigmas: Array
     """(rows, columns) m, of each post's height; 0 for a post that shots made."""
     reaches: Array
     """(rows, columns) m, within which these errors are one: half the distance between the tracks."""
+
+    def __iter__(self) -> Iterator[Array]:
+        """Sigmas, then reaches."""
+        yield from (self.sigmas, self.reaches)
 
 
 def common_variances(places: Array, sigmas: Array, reaches: Array) -> Array:

@@ -21,10 +21,13 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.common_errors import Gaps
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import ImageRays
 from mgsgraph.reports.archive import read_solution, write_archive
+from mgsgraph.reports.archive_arrays import pack, unpack
 from mgsgraph.reports.results import solution_json
 from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -155,6 +158,19 @@ def test_fields_with_defaults_may_be_missing(solution: Solution, archive: Path, 
 def test_real_solution_comes_back(shared_data: Path, tmp_path: Path) -> None:
     solved = adjust(read_case(LRO))
     assert differences(solved, there_and_back(solved, tmp_path)) == []
+
+
+def test_gaps_between_tracks_come_back() -> None:
+    """What a terrain model's counts of shots say of its posts."""
+    surface = with_shift_and_surface(network(pair(20, 12, 1))).surface
+    assert surface is not None
+    shape = surface.grid.radii.shape
+    gaps = Gaps(np.arange(np.prod(shape), dtype=float).reshape(shape), np.full(shape, 900.0))
+    grid = replace(surface.grid, gaps=gaps)
+    found = unpack(pack(grid), TerrainGrid, "grid")
+    assert found.gaps is not None
+    for one, other in zip(found.gaps, gaps, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_arrays_are_read_only(archive: Path) -> None:
