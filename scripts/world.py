@@ -71,12 +71,12 @@ where it lies outside: *ties*, *laser*, *heights* (of laser footprints), *profil
 and what it names most often. Errors of ties and laser points are rms, m.
 """
 READING = """
-In the world as modelled, and with each effect that a case can state, ties, laser points, heights, profiles and poses are
-in their bands, or their sigmas are a little too large: at Eos those of ties (also in the world as modelled), and in the
-strip those of single ties whose matching windows overlap (the sigmas of what many of them say are right). The terrain
-model's shift is surer than it says nowhere, and less sure at Gusev, with tracks at Isidis: its posts are means over
-cells, and what tie points see between them ([](cells.md)). Jitter, of which the case knows nothing, is named; least
-often at Isidis, which has 41 ties. It makes ties and shifts less sure than said.
+In the world as modelled, and with each effect that a case can state, ties, laser points, heights, profiles and poses
+lie in their bands, or their sigmas are too large: those of ties at Eos (also in the world as modelled), and in the strip
+those of single ties whose matching windows overlap. The terrain model's shift is less certain than stated at Gusev, and
+with tracks at Isidis: its posts are means over cells, and tie points lie between them ([](cells.md)). Jitter, of which
+the case knows nothing, makes ties and shifts less certain than stated; `analyze` names it, least often at Isidis, which
+has 41 ties.
 """
 SIZES = {
     "beam": "beams point {beam:g} mrad elsewhere",
