@@ -73,10 +73,10 @@ and what it names most often. Errors of ties and laser points are rms, m.
 READING = """
 In the world as modelled, and with each effect that a case can state, ties, laser points, heights, profiles and poses
 lie in their bands, or their sigmas are too large: those of ties at Eos (also in the world as modelled), and in the
-strip those of single ties whose matching windows overlap. The terrain model's shift is less certain than stated at Gusev, and
-with tracks at Isidis: its posts are means over cells, and tie points lie between them ([](cells.md)). Jitter, of which
-the case knows nothing, makes ties and shifts less certain than stated; `analyze` names it, least often at Isidis, which
-has 41 ties.
+strip those of single ties whose matching windows overlap. The terrain model's shift is less certain than stated at
+Gusev, and with tracks at Isidis: its posts are means over cells, and tie points lie between them ([](cells.md)).
+Jitter, of which the case knows nothing, makes ties and shifts less certain than stated; `analyze` names it, least
+often at Isidis, which has 41 ties.
 """
 SIZES = {
     "beam": "beams point {beam:g} mrad elsewhere",
