@@ -149,6 +149,7 @@ def test_a_profile_may_drift(rolled: Path) -> None:
         mgsgraph.read_case(rolled)
 
 
+@pytest.mark.slow
 def test_a_rolled_profiles_heights_are_as_good_as_its_beam(rolled: Path) -> None:
     """Adjusted without the beam from which they are drawn, they are off by many times what is stated."""
     case = mgsgraph.read_case(rolled)

@@ -36,7 +36,9 @@ def test_without_noise_the_truth_fits_exactly() -> None:
         assert 0.6 < np.sqrt(np.mean(error**2)) < 1.4
 
 
-@pytest.mark.parametrize("extended", ["", "shift and surface", "all that images share"])
+@pytest.mark.parametrize(
+    "extended", ["", "shift and surface", pytest.param("all that images share", marks=pytest.mark.slow)]
+)
 def test_normalised_errors_average_to_one(extended: str) -> None:
     net = network(pair(ties=30, shots=12))
     net = with_shift_and_surface(net) if extended else net
