@@ -138,6 +138,8 @@ READING = (
 *What is drawn.* Only what has a stated sigma, and from that sigma; tie points, which have none, stay where the
 nominal rays meet. The papers' weighting is left out: its back-projected image rows are no measures (see
 [nees.md](nees.md)). A new place lies half-way between two tie points and takes part in no surface row.
+Projections and new places are asked for where points were measured within their images, ten pixels from the edges: by
+the orientation drawn, others lie beside them, at Eos above all.
 """,
     ),
     (
