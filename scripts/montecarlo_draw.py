@@ -16,6 +16,7 @@ import numpy as np
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.estimates import PoseEstimate
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.case.reading import read_case
 from mgsgraph.demo.truth import nees
@@ -23,6 +24,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.files import write_site, write_strip
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
@@ -217,11 +219,17 @@ def poses(posterior: Posterior, draw: Draw) -> tuple[Answers, Answers]:
         lines = np.linspace(0.0, float(image.lines), LINES)
         truth = image.pose(lines, draw.corrections[j])
         for k, found in enumerate(posterior.poses(image.name, lines)):
-            axes = flight_axes(found.position, found.velocity)
-            turned = -rotation.logarithm((found.matrix @ truth.matrix[k].T)[None])[0]
-            positions.append((axes @ (found.position - truth.position[k]), found.flight[:3, :3]))
-            pointings.append((camera_axes(found.matrix @ axes[0]) @ turned, found.flight[3:, 3:]))
+            moved, turned = pose_errors(found, truth, k)
+            positions.append((moved, found.flight[:3, :3]))
+            pointings.append((turned, found.flight[3:, 3:]))
     return positions, pointings
+
+
+def pose_errors(found: PoseEstimate, truth: Pose, k: int) -> tuple[Array, Array]:
+    """Errors of a pose against the k-th true one: (3,) m along, across, radial; (3,) rad of roll, pitch, yaw."""
+    axes = flight_axes(found.position, found.velocity)
+    turned = -rotation.logarithm((found.matrix @ truth.matrix[k].T)[None])[0]
+    return axes @ (found.position - truth.position[k]), camera_axes(found.matrix @ axes[0]) @ turned
 
 
 def new_places(

@@ -21,10 +21,10 @@ from pathlib import Path
 
 import numpy as np
 from cells import Truth, model_shift
+from montecarlo_draw import pose_errors
 from study import Draw, at_least, cases, chi_square_band, command, draws, machine, number, student, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.datum.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
@@ -32,7 +32,6 @@ from mgsgraph.analysis.unexplained import named_effects
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.demo.truth import nees
 from mgsgraph.errors import InputError
-from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -229,10 +228,7 @@ def of_poses(
         lines = np.linspace(0.0, float(image.lines), LINES)
         truth = image.pose(lines, corrections[j] if corrections else None)
         for k, found in enumerate(posterior.poses(image.name, lines)):
-            axes = flight_axes(found.position, found.velocity)
-            moved = axes @ (found.position - truth.position[k])
-            turned = -rotation.logarithm((found.matrix @ truth.matrix[k].T)[None])[0]
-            turned = camera_axes(found.matrix @ axes[0]) @ turned
+            moved, turned = pose_errors(found, truth, k)
             for kind, error, spread in (
                 ("position", moved, found.flight[:3, :3]), ("pointing", turned, found.flight[3:, 3:]),
             ):  # fmt: skip

@@ -45,14 +45,12 @@ def simulation_options(
         raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
     if site not in SITE_NAMES and attitude_time_bias is not None:
         raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
-    world = World.of(EFFECTS if effects == "all" else effects.split(",") if effects is not None else ())
     able = STRIP_EFFECTS if site == STRIP else EFFECTS if site in SITE_NAMES else ()
     expected = f"one of {', '.join(able)}" if able else "a site or a strip"
-    for name in world.effects if effects != "all" else ():
+    world = World.of(able if effects == "all" else effects.split(",") if effects is not None else ())
+    for name in world.effects:
         if name not in able:
             raise InputError("world", f"{name!r} for {site}", expected, "leave it out")
-    if effects == "all":
-        world = World.of(able)
     return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures, world=world)
 
 

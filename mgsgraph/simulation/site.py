@@ -12,13 +12,11 @@ from typing import Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.geometry.trajectory import Pose
-from mgsgraph.simulation.camera import moc_image
+from mgsgraph.simulation.camera import InstrumentErrors, displaced_footprints, moc_image
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.imagery import Picture, render
 from mgsgraph.simulation.laser_spot import ranges_over_spots
@@ -335,7 +333,10 @@ def _profile(
     common = SHIFT_SIGMA * rng.standard_normal(2)
     beam = world.beam * world.stream("beam", *seed).standard_normal(2)
     drift = world.drift * world.stream("drift", *seed).standard_normal(2)
-    believed = _believed(met, broad, pose, beam)
+    rays = met - pose.position
+    farther = met + (broad / np.linalg.norm(rays, axis=1))[:, None] * rays
+    turned = InstrumentErrors(altimeter_boresight=np.append(beam, 0.0))
+    believed = displaced_footprints(image, times - epoch, farther, turned)
     off = common + np.linspace(-1.0, 1.0, count)[:, None] * drift - jitter
     given = _displaced(believed, np.column_stack([off, options.height_noise * rng.standard_normal(count)]))
     longitude, latitude, _ = planetocentric(given).T
@@ -356,17 +357,6 @@ def _profile(
         ranges=np.linalg.norm(met - pose.position, axis=1) + broad + options.range_noise * rng.standard_normal(count),
         areoid_radii=terrain.areoid_radius(longitude, latitude),
     )
-
-
-def _believed(met: Array, longer: Array, pose: Pose, beam: Array) -> Array:
-    """(n, 3) m, where shots that met the ground at (n, 3) are believed to have met it: by ranges longer by (n,) m, and
-    along beams without their rotation (2,) in rad about the camera's axes x and y.
-    """
-    rays = met - pose.position
-    rays = rays * (1.0 + longer / np.linalg.norm(rays, axis=1))[:, None]
-    back = rotation.exponential(np.append(beam, 0.0)).T
-    seen = np.einsum("nij,nj->ni", pose.matrix, rays) @ back.T
-    return np.asarray(pose.position + np.einsum("nji,nj->ni", pose.matrix, seen))
 
 
 def _ground_returns(pixels: Array, image: PushbroomImage, settings: ImageSettings, rng: np.random.Generator) -> Mask:
