@@ -14,7 +14,7 @@ from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.decoding import read_table, validated
+from mgsgraph.io.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.io.isd import Observer
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
@@ -324,7 +324,7 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 def decode(path: Path) -> CaseInput:
     """A case file's tables, validated; InputError with the path of what is wrong."""
-    wanted = validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")
+    wanted = validated(read_toml(path, CASE_FILE), CaseInput, path, "all keys: mgsgraph help case")
     first = dict[str, int]()
     for k, image in enumerate(wanted.images):
         if first.setdefault(image.name, k) != k:
