@@ -13,7 +13,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
