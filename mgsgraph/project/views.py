@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mgsgraph.analysis.places import View
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_images
 from mgsgraph.case.reading import terrain_shots
-from mgsgraph.case.schema import CaseInput, TerrainInput, decode
+from mgsgraph.case.schema import CaseInput, TerrainInput
 from mgsgraph.case.strips import members
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError
