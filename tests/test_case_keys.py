@@ -52,10 +52,10 @@ def test_help_of_verbs_and_of_the_case(tmp_path: Path) -> None:
 
 
 WRONG = {
-    "in a table of several": ('isd = "image_B.isd"', 'isdd = "image_B.isd"', r"images\[1\] .*'isdd'; did you mean 'isd'"),
+    "in a table of several": ('isd = "image_B', 'isdd = "image_B', r"images\[1\] .*'isdd'; did you mean 'isd'"),
     "in an inline table": ("trend = [", "sub = {a = 1}\ntrend = [", "orientation: .*'sub'"),
     "of the wrong kind": ("degree = 2", 'degree = "two"', "orientation.degree: 'two'"),
-    "missing": ('name = "SIM/B"\n', "", r"images\[1\]: no key 'name'"),
+    "missing": ('network = "network.pvl"\n', "", "ties: no key 'network'"),
 }
 
 

@@ -9,6 +9,7 @@ from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceI
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_polynomials
+from mgsgraph.geometry.twins import require_distinct
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.isd import Aberration, read_isd
 
@@ -39,7 +40,9 @@ def read_images(
         if orientation.nominal == "polynomial":
             found[j], fit = fit_polynomials(found[j], orientation.nominal_order)
             fits.append(fit)
-    return tuple(found[j] for j in range(len(wanted.images))), tuple(fits)
+    images = tuple(found[j] for j in range(len(wanted.images)))
+    require_distinct(images, f"{path}, images")
+    return images, tuple(fits)
 
 
 def _require_of_strip(

@@ -20,7 +20,7 @@ from mgsgraph.io.pedr_text import plain_name
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""
 _MEGDR = re.compile(r"meg([acrt])\d\d[ns]\d{3}[c-h]\w\.img", re.IGNORECASE)
-_GCP = re.compile(r"\s*\S+(\s+[-+.\deE]+){6}(\s+\S+\s+[-+.\deE]+\s+[-+.\deE]+)+")
+_GCP = re.compile(r"\s*\S+(\s+[-+.\deE]+){6}(\s+\S+(\s+[-+.\deE]+){4})+\s*")
 _GEO_KEYS = 34735
 """TIFF tag of a raster that lies on a map (OGC GeoTIFF)."""
 
