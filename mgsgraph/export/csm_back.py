@@ -158,9 +158,9 @@ def _radial(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Number
 
 
 def _transverse(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Numbers, Numbers]:
-    terms = [1.0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3]
-    first, last = (sum(c * term for c, term in zip(own, terms, strict=True)) for own in (said[:10], said[10:]))
-    return np.asarray(first), np.asarray(last)
+    terms = np.array([np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+    first, last = np.array([said[:10], said[10:]]) @ terms
+    return first, last
 
 
 def _kaguya(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Numbers, Numbers]:

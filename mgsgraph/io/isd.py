@@ -20,6 +20,7 @@ from mgsgraph.io.files import read_json
 from mgsgraph.io.isd_layout import MODEL, UNITS, RotationTable, SupportData
 from mgsgraph.io.isd_positions import positions, require_j2000
 from mgsgraph.io.isd_repairs import repaired
+from mgsgraph.io.isis_cube import is_cube_json
 from mgsgraph.io.optics import distortion_of_support
 from mgsgraph.units import ISIS_OFFSET, KM, MM
 
@@ -49,10 +50,10 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
             "ALE's layout (instrument_position, instrument_pointing, body_rotation)",
             "write it with ale.loads/isd_generate",
         )
-    if "isis_camera_version" in content and "image_lines" not in content:
+    if is_cube_json(content):
         raise InputError(
             source, "the tables of an ISIS cube, without its camera", "support data of an image",
-            "name it as a cube, with the cube's label beside it",
+            "name it as image = ..., with the cube's label beside it",
         )  # fmt: skip
     if (model := content.get("name_model", MODEL)) != MODEL:
         raise InputError(f"{source}, name_model", repr(model)[:60], f"{MODEL} (a line scanner)")
