@@ -13,7 +13,7 @@ from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.isd import Observer
+from mgsgraph.io.aberration import Observer
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
 from mgsgraph.wording import listed
