@@ -13,7 +13,6 @@ import numpy as np
 
 from mgsgraph.case.images import read_image
 from mgsgraph.case.numbers import Positive, Sigma
-from mgsgraph.case.reading import read_shots
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
@@ -22,6 +21,7 @@ from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.decoding import read_table, validated
 from mgsgraph.io.lidar import read_lidar
+from mgsgraph.io.shots import read_shots
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.planning.candidates import (
     Candidate,

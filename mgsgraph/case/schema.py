@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
-from mgsgraph.case.laser import AltimetryInput, LaserInput, MolaInput
+from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput, of_today
 from mgsgraph.case.numbers import Positive, Sigma
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
@@ -122,7 +122,7 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     radius: str | tuple[str, ...] = ()
     """MEGDR grid of radii (.img, .lbl) or GeoTIFF in any map projection; several: tiles of one grid."""
     tracks: str | tuple[str, ...] = ()
-    """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[mola]]."""
+    """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[shots]]."""
     topography: str | None = None
     """MEGDR grid of topography with the same posts: radius minus topography is the areoid."""
     areoid: str | None = None
@@ -265,8 +265,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Ground control points."""
     laser: LaserInput | tuple[LaserInput, ...] | bool = False
     """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false: none."""
-    mola: tuple[MolaInput, ...] = ()
-    """Laser profiles of MOLA."""
+    shots: tuple[ShotsInput, ...] = ()
+    """Laser profiles of an altimeter."""
     altimetry: tuple[AltimetryInput, ...] = ()
     """Laser altimetry that lies on the relief."""
     terrain: TerrainInput | tuple[TerrainInput, ...] = ()
@@ -311,7 +311,7 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     @property
     def measured(self) -> bool:
         """Whether it names points measured in images; else tie points are still to be found."""
-        back_projected = any(profile.image_rows != "none" for profile in self.mola)
+        back_projected = any(profile.image_rows != "none" for profile in self.shots)
         return bool(self.tie_groups or self.ground_control or self.laser_groups or back_projected)
 
     @property
@@ -324,7 +324,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 def decode(path: Path) -> CaseInput:
     """A case file's tables, validated; InputError with the path of what is wrong."""
-    wanted = validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")
+    table = of_today(read_table(path, "case file"))
+    wanted = validated(table, CaseInput, path, "see the case files in scripts/cases, and docs")
     first = dict[str, int]()
     for k, image in enumerate(wanted.images):
         if first.setdefault(image.name, k) != k:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.case.images import read_images
-from mgsgraph.case.laser import MolaInput
-from mgsgraph.case.reading import picture_of, read_case, read_shots
+from mgsgraph.case.laser import ShotsInput
+from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.case.schema import ImageInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
@@ -19,6 +19,7 @@ from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
+from mgsgraph.io.shots import read_shots
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
@@ -193,7 +194,7 @@ def _files(entry: ImageInput, path: Path) -> tuple[Path, ...]:
 def _of_case(path: Path) -> tuple[list[NewImage], Network | None]:
     """All that a case names; of one without ties and laser, the images alone."""
     wanted = decode(path)
-    if not wanted.measured and not wanted.mola:
+    if not wanted.measured and not wanted.shots:
         return images_alone(path)[0], None
     new, network, _ = images_of_case(path)
     return new, network
@@ -273,7 +274,7 @@ def _profile(
     pictures = images or [store.image(name).image for name in store.image_names()]
     seen = footprints_in_images(tuple(pictures), shots)
     usable = shots.ground & np.isfinite(shots.ranges)
-    remedy = "use [[mola]] of a case file"
+    remedy = "use [[shots]] of a case file"
     owner = seen.simultaneous_image(seen.inside & seen.simultaneous & usable, remedy)
     if owner is None:
         found = "no shot that was taken along with one of the images and falls in it"
@@ -281,7 +282,7 @@ def _profile(
     taken = shots.chosen(seen.shots_with(owner) & usable)
     return taken.profile(
         sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[owner].name, path.stem,
-        sigmas.shot_height_sigma_m, pulse_share=MolaInput(path.name).pulse_share,
+        sigmas.shot_height_sigma_m, pulse_share=ShotsInput(path.name).pulse_share,
     )  # fmt: skip
 
 
