@@ -24,7 +24,8 @@ from mgsgraph.adjustment.settings import Line, SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory

@@ -8,8 +8,8 @@ import pytest
 from profiles import with_profile
 
 import mgsgraph
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.laser import ShotsInput
-from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import LOLA, MLA, MOLA
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.camera import Distortion, NoDistortion
+from mgsgraph.geometry.distortion import Distortion, NoDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.isd import distortion_fields

@@ -1,66 +1,12 @@
 """Interior orientation of a line camera: from a sample on the detector to the undistorted focal plane."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.distortion import Distortion
 from mgsgraph.geometry.records import Array, assign, frozen
-
-
-class Distortion(Protocol):
-    """How the optics bend: measured (distorted) focal-plane place to the ideal one."""
-
-    def undistort(self, place: Array) -> tuple[Array, Array]:
-        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class NoDistortion:
-    """Ideal optics."""
-
-    def undistort(self, place: Array) -> tuple[Array, Array]:
-        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2): the same places."""
-        return place, np.broadcast_to(np.eye(2), (place.shape[0], 2, 2))
-
-
-@dataclass(frozen=True, slots=True)
-class LrocNacDistortion:
-    """LROC narrow angle: y = y_d / (1 + k y_d^2) along the detector (ISIS LroNarrowAngleDistortionMap)."""
-
-    k: float
-    """1/m^2."""
-
-    def undistort(self, place: Array) -> tuple[Array, Array]:
-        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
-        y = place[:, 1]
-        denominator = 1.0 + self.k * y * y
-        jacobian = np.zeros((place.shape[0], 2, 2))
-        jacobian[:, 0, 0] = 1.0
-        jacobian[:, 1, 1] = (1.0 - self.k * y * y) / denominator**2
-        return np.stack([place[:, 0], y / denominator], axis=1), jacobian
-
-
-@dataclass(frozen=True, slots=True)
-class RadialDistortion:
-    """Radial polynomial (x, y) = (x_d, y_d) (1 - k0 - k1 r^2 - k2 r^4), r the distorted radius (usgscsm RADIAL)."""
-
-    k0: float
-    """no unit."""
-    k1: float
-    """1/m^2."""
-    k2: float
-    """1/m^4."""
-
-    def undistort(self, place: Array) -> tuple[Array, Array]:
-        """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
-        square = np.einsum("ni,ni->n", place, place)
-        scale = 1.0 - self.k0 - square * (self.k1 + square * self.k2)
-        slope = -2.0 * (self.k1 + 2.0 * square * self.k2)
-        jacobian = scale[:, None, None] * np.eye(2) + slope[:, None, None] * place[:, :, None] * place[:, None, :]
-        return place * scale[:, None], jacobian
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,8 @@ import numpy as np
 import spiceypy
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import NoDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.hrsc_label import DETECTORS, Detector, HrscLabel, read_hrsc_label

@@ -14,13 +14,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.camera import (
-    Distortion,
-    InteriorOrientation,
-    LrocNacDistortion,
-    NoDistortion,
-    RadialDistortion,
-)
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory

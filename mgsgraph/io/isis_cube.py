@@ -1,71 +1,54 @@
-"""ISIS cubes after spiceinit: their own tables of position, attitude and body rotation, in place of kernels.
+"""ISIS cubes after spiceinit: label, NaifKeywords and the tables of position, attitude and body rotation, as they are.
 
-MOC's narrow angle. A map-projected cube gives the geometry of the image it was made of (its AlphaCube), whole.
-What the tables hold, by ISIS's SpicePosition, SpiceRotation and MocNarrowAngleCamera: positions of the spacecraft as
-seen from the body ("LT+S"), made geometric here; attitude whose times have the bias of -1.15 s in them already; all
-against J2000, from the first line's edge to the last one's.
+The same content as JSON ("isis_camera_version" 1, which ISIS makes of cubes for its tests, and 2) is read with the
+label beside it. What tables hold, by ISIS's SpicePosition and SpiceRotation: positions of the spacecraft, apparent
+("LT+S", seen from the body) unless a keyword says otherwise, made geometric here; attitude whose times have the
+camera's time bias in them already; all against J2000. jigsaw puts polynomials in place of what it has adjusted.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
+from mgsgraph.geometry.body import Ellipsoid, may_be
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
+from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.io.aberration import geometric
-from mgsgraph.io.image_label import cube_size, read_label
-from mgsgraph.io.moc_label import EXPOSURE_UNITS
+from mgsgraph.io.cameras.camera import LineScanLabel
+from mgsgraph.io.cameras.keywords import NaifKeywords, keywords_of, number
+from mgsgraph.io.cameras.label import is_map_projected, label_of
+from mgsgraph.io.cube_tables import CubeTable, attitude_table, position_table, tables_of_json, tables_of_label
+from mgsgraph.io.files import read_json
+from mgsgraph.io.image_label import read_label
+from mgsgraph.io.isd import Aberration, Observer
 from mgsgraph.io.pvl import Block
-from mgsgraph.units import ISIS_OFFSET, KM, MM
+from mgsgraph.units import KM
 
-_MARS = Ellipsoid(3_396_190.0, 3_376_200.0)
-"""m, IAU 2000, as in the PCK that spiceinit takes."""
-_FOCAL_LENGTH, _PITCH, _CENTRE = 3500.0 * MM, 0.0131240578522949 * MM, 1024.5
-"""m, m, and ISIS's detector pixel of the boresight: mocAddendum004.ti, which the tables' own label doesn't hold."""
-_TABLES = ("InstrumentPosition", "InstrumentPointing", "BodyRotation", "SunPosition")
-_QUATERNION = ("J2000Q0", "J2000Q1", "J2000Q2", "J2000Q3")
-_POSITION, _VELOCITY = ("J2000X", "J2000Y", "J2000Z"), ("J2000XV", "J2000YV", "J2000ZV")
+_TABLES = ("InstrumentPosition", "InstrumentPointing", "BodyRotation")
+_SUN = "SunPosition"
+_JSON = (".isd", ".json")
+_LABELS = (".pvl", ".lbl", ".cub", ".LBL")
+_NO_TABLES = "run spiceinit on the cube (attach=yes), or name the label and its kernels"
 _TIME_SLACK = 1e-4
-"""s, a tenth of the shortest line, by which the position table may be longer or shorter than the image."""
-_REMEDY = "run spiceinit on the cube before it is adjusted, with its tables attached"
+"""s, a tenth of the shortest line, by which the table of positions may begin before or after the first line."""
 
 
-@dataclass(frozen=True, slots=True)
-class _CubeTable:
-    """A binary table of a cube: where it is said, its label, and its numbers by field."""
-
-    where: str
-    label: Block
-    columns: dict[str, Array]
-    """(records,) by field, as the file has them: km, km/s, s TDB past J2000."""
-
-    def stack(self, names: tuple[str, ...]) -> Array:
-        """(records, k) of some fields."""
-        for name in names:
-            if name not in self.columns:
-                raise InputError(self.where, f"the fields {', '.join(self.columns)}", ", ".join(names), _REMEDY)
-        return np.stack([self.columns[name] for name in names], axis=1)
-
-    @property
-    def times(self) -> Array:
-        """(records,) s TDB past J2000."""
-        return self.stack(("ET",))[:, 0]
-
-
-def read_isis_cube(path: Path, name: str | None = None, apparent: bool = False) -> PushbroomImage:
-    """Read a narrow-angle image's geometry out of a cube that spiceinit has been run on.
+def read_isis_cube(
+    path: Path, name: str | None = None, aberration: Aberration | None = None, apparent: bool = False
+) -> PushbroomImage:
+    """Read an image's geometry out of a cube that spiceinit has been run on.
 
     Parameters
     ----------
     path : Path
-        Cube in camera geometry, whole; or map-projected, whose camera image is then the one it came from, or any part.
+        Cube in camera geometry, whole or cut out by ISIS crop; or map-projected, whose camera image is then the one it
+        came from, or any part. Or a label whose tables are JSON beside it (``.isd``, ``.json``); or that JSON.
     name : str, optional
-        By which networks call the image; the product id when absent.
+        By which networks call the image; ISIS's serial number when absent.
+    aberration : Aberration, optional
+        Overrules what keywords and camera say of the position table.
     apparent : bool
         Positions as ISIS takes them, some 100 m off; for maps that ISIS has made of the image, and for nothing else.
 
@@ -77,129 +60,153 @@ def read_isis_cube(path: Path, name: str | None = None, apparent: bool = False) 
     Raises
     ------
     InputError
-        No cube, another instrument or body, no tables, tables that jigsaw has replaced by polynomials, or that are cut
-        short.
+        No cube, a camera that is not known here, no tables (spiceinit wasn't run), or tables that are cut short or of
+        another image.
     """
-    cube = _moc_cube(path)
-    tables = {table: _table(path, cube, table) for table in _TABLES}
-    instrument = cube.inner("IsisCube").inner("Instrument")
-    lines, samples = _camera_size(cube.inner("IsisCube"))
-    period = _line_period(instrument)
-    start = _start(tables["InstrumentPosition"], lines * period)
-    epoch = start + 0.5 * lines * period
-    with errors_from(str(path)):
-        return PushbroomImage(
-            name=name or cube.inner("IsisCube").inner("Archive").text("ProductId"),
-            lines=lines,
-            samples=samples,
-            interior=_interior(instrument),
-            timing=LineTiming(np.zeros(1), np.array([start - epoch]), np.array([period])),
-            trajectory=_trajectory(tables, epoch, apparent),
-            body=_MARS,
-        )
-
-
-def is_map_projected(path: Path) -> bool:
-    """Whether a cube's pixels are those of a map, not of the camera."""
-    return any(block.name == "mapping" for block in read_label(path).inner("IsisCube").blocks)
-
-
-def _moc_cube(path: Path) -> Block:
-    """The label of a cube of MOC's narrow angle at Mars."""
-    root = read_label(path)
+    label_path, json_path = _files(path)
+    root = read_label(label_path)
     if "PDS_VERSION_ID" in root:
-        raise InputError(str(path), "a PDS3 label", "an ISIS cube", "give its label and kernels instead")
-    instrument = root.inner("IsisCube").inner("Instrument")
-    for key, wanted in (("InstrumentId", "MOC-NA"), ("TargetName", "MARS")):
-        if instrument.text(key).upper() != wanted:
-            raise InputError(instrument.where(key), repr(instrument.text(key)), f"{wanted}, the one known here")
-    return root
+        raise InputError(str(path), "a PDS3 label", "an ISIS cube", "name its kernels: label = ..., kernels = [...]")
+    content = read_json(json_path) if json_path else None
+    tables = tables_of_json(content, str(json_path)) if content else tables_of_label(label_path, root)
+    for table in _TABLES:
+        if table not in tables:
+            raise InputError(str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
+    label = label_of(label_path, root)
+    with errors_from(str(path)):
+        keywords = _keywords(root, content, str(json_path or label_path), label)
+        stated = Aberration("NONE") if apparent else aberration or _stated_aberration(keywords, label)
+        return _image(label, keywords, tables, stated, name)
 
 
-def _camera_size(cube: Block) -> tuple[int, int]:
-    """Lines and samples of the whole image in camera geometry."""
-    if not any(block.name == "mapping" for block in cube.blocks):
-        return cube_size(cube)
-    alpha = cube.inner("AlphaCube")
-    return alpha.count("AlphaLines"), alpha.count("AlphaSamples")
-
-
-def _line_period(instrument: Block) -> float:
-    exposure = instrument.number("LineExposureDuration", EXPOSURE_UNITS)
-    if exposure <= 0.0:
-        raise InputError(instrument.where("LineExposureDuration"), f"{exposure} s", "a positive line exposure")
-    return exposure * instrument.count("DowntrackSumming")
-
-
-def _interior(instrument: Block) -> InteriorOrientation:
-    """As `read_moc` has it from the kernels: detector pixel = sample * summing + first."""
-    to_pixel = np.array([[0.0, 1.0 / _PITCH, 0.0], [0.0, 0.0, 1.0 / _PITCH]])
-    first = instrument.count("FirstLineSample") - 1.0
-    return InteriorOrientation(
-        focal_length=_FOCAL_LENGTH,
-        to_pixel=to_pixel,
-        centre=np.array([0.0, _CENTRE - ISIS_OFFSET]),
-        first=np.array([0.0, first]),
-        sample_summing=float(instrument.count("CrosstrackSumming")),
-        distortion=NoDistortion(),
+def _image(
+    label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeTable], stated: Aberration, name: str | None
+) -> PushbroomImage:
+    start, period = label.camera.line_times(keywords, label, _start(label, keywords, tables))
+    start += label.first_line * period
+    epoch = start + 0.5 * label.lines * period
+    return PushbroomImage(
+        name=name or label.serial,
+        lines=label.lines,
+        samples=label.samples,
+        interior=label.camera.interior(keywords, label),
+        timing=LineTiming(np.zeros(1), np.array([start - epoch]), np.array([period])),
+        trajectory=_trajectory(tables, epoch, stated),
+        body=_body(keywords, label),
     )
 
 
-def _start(position: _CubeTable, duration: float) -> float:
-    """Time of the first line's edge, s TDB past J2000: StartTime is rounded, but positions are sampled from there."""
-    times = position.times
-    if abs(times[-1] - times[0] - duration) > _TIME_SLACK:
+def _files(path: Path) -> tuple[Path, Path | None]:
+    """The label, and the JSON that has its tables; None where the file itself has them."""
+    if path.suffix.lower() in _JSON:
+        label = next((path.with_suffix(end) for end in _LABELS if path.with_suffix(end).is_file()), None)
+        if label is None:
+            raise InputError(str(path), "the tables of a cube without its label", f"{path.stem}.pvl or .lbl beside it")
+        return label, path
+    if path.suffix.lower() == ".cub":
+        return path, None
+    return path, next((path.with_suffix(end) for end in _JSON if path.with_suffix(end).is_file()), None)
+
+
+def has_tables(path: Path, root: Block) -> bool:
+    """Whether a cube (or the JSON beside its label) has the tables of spiceinit."""
+    _, beside = _files(path)
+    if beside is not None:
+        return True
+    tables = [block for block in root.blocks if block.name == "table" and block.text("Name") in _TABLES]
+    size = path.stat().st_size
+    return len(tables) == len(_TABLES) and all(one.count("StartByte") <= size for one in tables)
+
+
+def has_pixels(path: Path) -> bool:
+    """Whether a cube holds the pixels of an image in camera geometry; a label, JSON and a map don't."""
+    if path.suffix.lower() != ".cub":
+        return False
+    root = read_label(path)
+    core = root.inner("IsisCube").inner("Core")
+    return not is_map_projected(root) and core.count("StartByte") <= path.stat().st_size
+
+
+def is_cube_json(content: dict[str, Any]) -> bool:
+    """Whether JSON holds a cube's tables alone: label and camera model are to be had from elsewhere."""
+    return "isis_camera_version" in content and "image_lines" not in content
+
+
+def serial_number(path: Path) -> str:
+    """ISIS's serial number of a cube, by its label; see `read_isis_cube` for the files."""
+    label_path, _ = _files(path)
+    return label_of(label_path, read_label(label_path)).serial
+
+
+def _keywords(root: Block, content: dict[str, Any] | None, source: str, label: LineScanLabel) -> NaifKeywords:
+    """Those of the cube; the addendum's, as the camera's record has them, for cubes of before there were any."""
+    if content is not None:
+        return NaifKeywords(source, content.get("naif_keywords", {}))
+    for block in root.blocks:
+        if block.name == "naifkeywords":
+            return keywords_of(block)
+    if not label.camera.constants or label.target != label.camera.constants_target:
+        raise InputError(source, "no NaifKeywords", "the camera's and the body's constants", "run spiceinit again")
+    return NaifKeywords(source, label.camera.constants)
+
+
+def _start(label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeTable]) -> float:
+    """Time in s TDB past J2000 of the label's start: what ISIS computed when spiceinit was run; in older cubes, the
+    position table's first time, from which on it is sampled.
+    """
+    camera, key = label.camera, f"CLOCK_ET_{label.camera.clock or label.camera.spacecraft}_{label.start}_COMPUTED"
+    if not camera.start_is_utc and key in keywords:
+        return keywords.time(key)
+    position = tables["InstrumentPosition"]
+    duration, covered = label.lines * label.period, position.stop - position.start
+    if label.first_line == 0.0 and abs(covered - duration) > _TIME_SLACK:
         raise InputError(
-            f"{position.where}, ET", f"{times[-1] - times[0]:.6f} s from first to last",
-            f"the image's {duration:.6f} s", "the table is not of this image, or of a part: run spiceinit again",
-        )
-    return float(times[0])
+            position.where, f"{covered:.6f} s from first to last", f"the image's {duration:.6f} s",
+            "the table is not of this image, or of a part: run spiceinit again",
+        )  # fmt: skip
+    return position.start
 
 
-def _trajectory(tables: dict[str, _CubeTable], epoch: float, apparent: bool) -> Trajectory:
-    seen = tables["InstrumentPosition"]
-    position = PositionTable(seen.times - epoch, seen.stack(_POSITION) * KM, seen.stack(_VELOCITY) * KM)
-    if not apparent:
-        sun_velocity = tables["SunPosition"].stack(_VELOCITY).mean(axis=0) * KM
-        position = geometric(position, -sun_velocity, body_observes=True)
+def _trajectory(tables: dict[str, CubeTable], epoch: float, stated: Aberration) -> Trajectory:
+    position = position_table(tables["InstrumentPosition"], epoch)
+    if stated.correction == "LT+S":
+        position = geometric(position, _body_velocity(tables), stated.observer == "body")
     return Trajectory(
-        epoch,
-        position,
-        _attitude(tables["InstrumentPointing"], epoch),
-        _attitude(tables["BodyRotation"], epoch),
-    )
+        epoch, position, attitude_table(tables["InstrumentPointing"], epoch),
+        attitude_table(tables["BodyRotation"], epoch),
+    )  # fmt: skip
 
 
-def _attitude(table: _CubeTable, epoch: float) -> AttitudeTable:
-    constant = np.eye(3)
-    if "ConstantRotation" in table.label:
-        constant = np.array(table.label.numbers("ConstantRotation", 9)).reshape(3, 3)
-    with errors_from(table.where):
-        return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), constant)
+def _stated_aberration(keywords: NaifKeywords, label: LineScanLabel) -> Aberration:
+    """By the addendum's keywords, or else as ISIS does it for this camera. ISIS asks for the spacecraft as the body
+    sees it, unless told to swap observer and target (SpicePosition, m_swapObserverTarget).
+    """
+    name = f"INS{label.camera.instrument}"
+    correction = str(keywords.values.get(f"{name}_LIGHTTIME_CORRECTION", label.camera.aberration)).upper()
+    if correction not in ("NONE", "LT+S"):
+        raise InputError(f"{keywords.source}, {name}_LIGHTTIME_CORRECTION", repr(correction), "'NONE' or 'LT+S'")
+    swapped = str(keywords.values.get(f"{name}_SWAP_OBSERVER_TARGET", False)).upper() == "TRUE"
+    observer: Observer = "spacecraft" if swapped else "body"
+    return Aberration("NONE", observer) if correction == "NONE" else Aberration("LT+S", observer)
 
 
-def _table(path: Path, root: Block, name: str) -> _CubeTable:
-    """Read a table (ISIS TableField: fields of doubles, record after record)."""
-    for label in root.blocks:
-        if label.name == "table" and label.text("Name").lower() == name.lower():
-            break
-    else:
-        raise InputError(str(path), f"no table {name}", "the tables of spiceinit", _REMEDY)
-    where = f"{path}, table {name}"
-    fields = [block for block in label.blocks if block.name == "field"]
-    for block in fields:
-        if block.text("Type").lower() != "double" or block.count("Size") != 1:
-            raise InputError(block.where(), f"a field of {block.count('Size')} {block.text('Type')}", "one Double")
-    records, start, size = label.count("Records"), label.count("StartByte") - 1, label.count("Bytes")
-    if size != records * len(fields) * 8:
-        raise InputError(where, f"{size} bytes", f"{records} records of {len(fields)} doubles")
-    order = ">" if label.text("ByteOrder").lower() == "msb" else "<"
-    with path.open("rb") as file:
-        file.seek(start)
-        raw = file.read(size)
-    if len(raw) < size:
-        raise InputError(where, f"{len(raw)} bytes from byte {start + 1} on", f"{size}", "the cube is cut short")
-    numbers = np.frombuffer(raw, f"{order}f8").astype(np.float64).reshape(records, len(fields))
-    if not np.isfinite(numbers).all():
-        raise InputError(where, "values that are no numbers", "finite ones")
-    return _CubeTable(where, label, {block.text("Name"): numbers[:, k] for k, block in enumerate(fields)})
+def _body_velocity(tables: dict[str, CubeTable]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """m/s, (3,), of the body about the Sun: minus the Sun's about the body."""
+    if _SUN not in tables:
+        where = tables["InstrumentPosition"].where
+        raise InputError(where, f"no table {_SUN}", "the Sun's velocity, to undo the stellar aberration", _NO_TABLES)
+    velocities = tables[_SUN].velocities
+    return np.asarray(-velocities.mean(axis=0) * KM)
+
+
+def _body(keywords: NaifKeywords, label: LineScanLabel) -> Ellipsoid:
+    code = int(number(keywords, "BODY_CODE")) if "BODY_CODE" in keywords else None
+    names = [key for key in keywords.values if key.upper().startswith("BODY") and key.upper().endswith("_RADII")]
+    key = f"BODY{code}_RADII" if code is not None else names[0] if len(names) == 1 else "BODY..._RADII"
+    a, b, c = keywords.numbers(key, 3) * KM
+    if abs(a - b) > 1e-9 * a:
+        raise InputError(f"{keywords.source}, {key}", f"{a} and {b} m on the equator", "a body of revolution")
+    body = Ellipsoid(float(a), float(c))
+    if not may_be(body, label.target):
+        raise InputError(f"{keywords.source}, {key}", f"{a / KM:g} km on the equator", f"the radii of {label.target}")
+    return body

@@ -12,6 +12,12 @@ from typing import NamedTuple, TypeVar
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import finite_number
+from mgsgraph.units import KM
+
+LENGTHS = dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), 1.0) | dict.fromkeys(
+    ("km", "kilometer", "kilometers", "kilometre", "kilometres"), KM
+)
+"""m, of the units of lengths, in lower case; without one it is m."""
 
 _BEGIN = {"object": "object", "begin_object": "object", "group": "group", "begin_group": "group"}
 _CLOSE = {"end_object": "object", "end_group": "group"}
@@ -24,8 +30,8 @@ _PLAIN = re.compile(
     r"\s*([A-Za-z_]\w*)(?:[ \t]*=[ \t]*([^\s\"'(){}<>#,=]+)(?<!-)(?:[ \t]*<([^<>\n]*)>)?)?[ \t]*(?:\n|\Z)"
 )
 _BLANK = re.compile(r"(?:\s+|/\*.*?\*/|#[^\n]*)*", re.DOTALL)
-_KEYWORD = re.compile(r"([A-Za-z_^](?:[\w:^-]|/(?!\*))*)\s*(=?)")
-"""SPICE's, which cubes keep, are such as INS-41210_F/RATIO."""
+_KEYWORD = re.compile(r"([A-Za-z_^](?:[\w:^.-]|/(?!\*))*)\s*(=?)")
+"""SPICE's, which cubes keep, are such as INS-41210_F/RATIO and CLOCK_ET_-131_922997380.174174_COMPUTED."""
 _QUOTED = re.compile(r"\"([^\"]*)\"|'([^']*)'")
 _CHARACTER = r"(?:(?!/\*)[^\s,(){}\"'<>=])"
 _WORD = re.compile(rf"{_CHARACTER}+(?:(?<=-)\n\s*{_CHARACTER}+)*")

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, NoDistortion, RadialDistortion
+from mgsgraph.geometry.distortion import MODELS, Distortion
 from mgsgraph.geometry.image import ExteriorOrientation
 from mgsgraph.geometry.packed_surface import PackedSurface, packed
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
@@ -38,7 +38,7 @@ Kind = TypeVar("Kind")
 _KINDS: dict[Any, dict[str, Any]] = {
     protocol: {kind.__name__: kind for kind in kinds}
     for protocol, kinds in (
-        (Distortion, (NoDistortion, LrocNacDistortion, RadialDistortion)),
+        (Distortion, MODELS),
         (ExteriorOrientation, (Trajectory, PolynomialTrajectory)),
     )
 }

@@ -25,7 +25,7 @@ from mgsgraph.export.csm_tables import refined_tables
 from mgsgraph.export.round_trip import Reprojection, reprojection
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.distortion import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array

@@ -22,7 +22,7 @@ from mgsgraph.export.round_trip import Reprojection, reprojection
 from mgsgraph.export.spice import MissionClock, NaifIds, SpiceNaming, write_spice
 from mgsgraph.export.spice_back import spice_differences
 from mgsgraph.export.spice_nodes import TOLERANCE, AdjustedNodes, adjusted_nodes
-from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.distortion import Distortion, LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.orientation_images import evenly_spaced

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import spiceypy
 
-from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.distortion import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.io.control.network_file import read_control_network

@@ -26,8 +26,8 @@ MLA_HEADER = (  # of ODE, as USGS's ode_csv2shapefile.py has it
 
 def mla_row(channel: int, time: float, radius: float = 2438.9, flight: float = 5.0e6) -> str:
     return (
-        f"221.5, 63.25, -0.5, {radius}, {time}, 209501234, 3, {channel}, 12.5, 0.1, 3, {flight * LIGHT / 2e12}, 0.01, 18.2,"
-        f"2011-03-29T19:40:10.5, {flight}, 221.4, 63.2, 750.1, 0.4, 90.1, 80.0, 1.0, 17, MLASCIRDR1103291940"
+        f"221.5, 63.25, -0.5, {radius}, {time}, 209501234, 3, {channel}, 12.5, 0.1, 3, {flight * LIGHT / 2e12}, 0.01,"
+        f"18.2,2011-03-29T19:40:10.5, {flight}, 221.4, 63.2, 750.1, 0.4, 90.1, 80.0, 1.0, 17, MLASCIRDR1103291940"
     )
 
 

@@ -20,8 +20,8 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.camera import LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.common_errors import Gaps
+from mgsgraph.geometry.distortion import CahvorDistortion, KaguyaDistortion, LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.terrain import TerrainGrid
@@ -135,7 +135,11 @@ def test_every_kind_of_solution_comes_back(case: Case, tmp_path: Path) -> None:
 
 def test_every_distortion_comes_back(solution: Solution, tmp_path: Path) -> None:
     network = solution.network
-    for distortion in (LrocNacDistortion(1.81e-5), RadialDistortion(1e-4, -2.0, 0.1)):
+    optics = (
+        LrocNacDistortion(1.81e-5), CahvorDistortion(RadialDistortion(1e-4, -2.0, 0.1), 1e-3, -2e-3),
+        KaguyaDistortion((1e-6, 2e-4, 0.3, 4.0), (-1e-6, 0.0, 1.0, 2.0)),
+    )  # fmt: skip
+    for distortion in optics:
         images = tuple(
             replace(image, interior=replace(image.interior, distortion=distortion)) for image in network.images
         )

@@ -1,0 +1,226 @@
+"""What there is to know of a line-scan camera, and what the label of one of its images says.
+
+Formulas: ISIS CameraDetectorMap, LineScanCameraDetectorMap, CameraFocalPlaneMap.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import Distortion
+from mgsgraph.io.cameras.keywords import Keywords, number
+from mgsgraph.io.pvl import Block
+from mgsgraph.units import ISIS_OFFSET, MM
+
+Correction = Literal["NONE", "LT+S"]
+LabelKind = Literal["isis", "pds3"]
+
+
+@dataclass(frozen=True, slots=True)
+class LabelKeys:
+    """Under which keywords a label has what the geometry needs; those of nested blocks are found, too."""
+
+    identity: Mapping[str, str]
+    """Values (in capitals, without blanks) of some keywords, by which the camera is known."""
+    start: str
+    """Spacecraft clock count, or UTC, of the first line's top edge."""
+    period: str
+    """Time from line to line, ms where the label states no unit."""
+    product: str
+    """Product id; the file's name where a label has none."""
+    target: str
+    """Body."""
+    serial: tuple[str, ...]
+    """Keywords whose values make up ISIS's serial number behind the mission's name, in their order; those that a label
+    doesn't have are left out, as ISIS does."""
+    line_summing: str = ""
+    """Periods per image line; 1 where there is no such keyword."""
+    sample_summing: str = ""
+    """Detector pixels per image sample; 1 where there is no such keyword."""
+    first_sample: str = ""
+    """Detector pixel at which the image begins; the first one where there is no such keyword."""
+    first_pixel: int = 0
+    """The number by which that keyword calls the detector's first pixel."""
+    serial_end: str = ""
+    """The serial number's last part, where no keyword of the label has it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LineScanLabel:
+    """What the label of an image says of its geometry."""
+
+    path: Path
+    """File that was read."""
+    camera: "Camera"
+    """Which took it."""
+    product: str
+    """Product id."""
+    serial: str
+    """ISIS's serial number, by which control networks call the image."""
+    target: str
+    """Body, in capitals."""
+    lines: int
+    """Number of lines."""
+    samples: int
+    """Number of samples."""
+    start: str
+    """Spacecraft clock count, or UTC where the camera's labels have no exact one, of the first line's top edge."""
+    period: float
+    """s from one image line to the next, as the label has it."""
+    sample_summing: float
+    """Detector pixels per image sample."""
+    first_sample: float
+    """Detector pixels before the image's first one."""
+    first_line: float = 0.0
+    """Lines that were cut off before the image's first one (ISIS crop)."""
+    line_offset: float = 0.0
+    """Detector lines by which the place of the exposure is off the detector's origin (time delay integration)."""
+
+
+Interior = Callable[[Keywords, LineScanLabel], InteriorOrientation]
+LineTimes = Callable[[Keywords, LineScanLabel, float], tuple[float, float]]
+
+
+def times_of_label(keywords: Keywords, label: LineScanLabel, start: float) -> tuple[float, float]:
+    """Time in s TDB past J2000 of the first line's top edge, and s per line: those of the label as they are."""
+    return start, label.period
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """One camera: its codes, where its labels say what, its constants."""
+
+    name: str
+    """By which messages call it."""
+    mission: str
+    """Before the serial number's other parts, as in ISIS: MGS, MRO, LRO."""
+    spacecraft: int
+    """NAIF id."""
+    instrument: int
+    """NAIF id by which kernels call its constants and its frame."""
+    structure: int
+    """Class id of the frame that the CK orients."""
+    isis: LabelKeys
+    """Labels of ISIS cubes."""
+    pds3: LabelKeys | None
+    """Labels of the archive; None where none is read here."""
+    interior: Interior
+    """Interior orientation of an image."""
+    source: str
+    """Where formulas and constants come from."""
+    line_times: LineTimes = times_of_label
+    """Line times, where the label's are not the true ones; of keywords, label and the time of its `start`."""
+    start_is_utc: bool = False
+    """Whether `LabelKeys.start` is UTC, not a clock count."""
+    clock: int = 0
+    """NAIF id of the clock; the spacecraft's when 0."""
+    attitude_bias: float = 0.0
+    """s; attitude(t) := CK(t + bias). Tables of cubes have it in them."""
+    aberration: Correction = "LT+S"
+    """Of the positions in ISIS's tables, where the keywords do not say: ISIS's own default, the body as observer."""
+    constants: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Of the addendum, for cubes of older versions of ISIS, which hold no keywords."""
+    constants_target: str = ""
+    """The body whose radii are among these constants."""
+    label_facts: Callable[["LabelBlock", LineScanLabel], LineScanLabel] | None = None
+    """What else is in the label and no keyword alone says."""
+
+    def keys(self, kind: LabelKind) -> LabelKeys | None:
+        """Where a label of a kind has what."""
+        return self.isis if kind == "isis" else self.pds3
+
+
+@dataclass(frozen=True, slots=True)
+class LabelBlock:
+    """A label in which keywords are found whichever block they stand in."""
+
+    root: Block
+    """The whole label."""
+    kind: LabelKind
+    """Of an ISIS cube, or of the archive."""
+
+    def holder(self, key: str) -> Block:
+        """The block that has a keyword; the outermost one where none has."""
+        for block in self._blocks():
+            if key in block:
+                return block
+        return self._blocks()[0]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.holder(key)
+
+    def text(self, key: str) -> str:
+        """A word or string; InputError where there is none."""
+        return self.holder(key).text(key)
+
+    def number(self, key: str, units: Mapping[str, float] | None = None) -> float:
+        """A finite number, in the unit of the label times its factor; InputError where there is none."""
+        return self.holder(key).number(key, units)
+
+    def where(self, key: str) -> str:
+        """File, line and keyword."""
+        return self.holder(key).where(key)
+
+    def _blocks(self) -> list[Block]:
+        if self.kind == "pds3":
+            return [self.root, *(block for block in self.root.blocks if block.name == "image")]
+        cube = self.root.inner("IsisCube")
+        names = ("instrument", "bandbin", "archive", "kernels")
+        return [block for name in names for block in cube.blocks if block.name == name] or [cube]
+
+
+def interior_by_addendum(
+    keywords: Keywords,
+    label: LineScanLabel,
+    distortion: Distortion,
+    centre: tuple[float, float] | None = None,
+    detector: int | None = None,
+) -> InteriorOrientation:
+    """Interior orientation by ISIS's keywords ITRANSL, ITRANSS, FOCAL_LENGTH, BORESIGHT_LINE and BORESIGHT_SAMPLE.
+
+    Parameters
+    ----------
+    keywords : Keywords
+        mm, first detector pixel 1.
+    label : LineScanLabel
+        Of the image.
+    distortion : Distortion
+        Of the optics.
+    centre : (float, float), optional
+        ISIS's detector line and sample of the principal point, where its camera model has them by itself.
+    detector : int, optional
+        NAIF id of the detector's ITRANS keywords; the instrument's when absent.
+    """
+    code = label.camera.instrument
+    axes = [keywords.numbers(f"INS{code if detector is None else detector}_ITRANS{axis}", 3) for axis in "LS"]
+    to_pixel = np.stack(axes)
+    to_pixel[:, 1:] /= MM
+    line, sample = centre or (number(keywords, f"INS{code}_BORESIGHT_{axis}") for axis in ("LINE", "SAMPLE"))
+    return InteriorOrientation(
+        focal_length=number(keywords, f"INS{code}_FOCAL_LENGTH") * MM,
+        to_pixel=to_pixel,
+        # a line detector has no half pixel along track: ISIS takes the line's own place, not its edge
+        centre=np.array([line - label.line_offset, sample - ISIS_OFFSET]),
+        first=np.array([0.0, label.first_sample]),
+        sample_summing=label.sample_summing,
+        distortion=distortion,
+    )
+
+
+def require_summing(label: LineScanLabel, highest: int, pixels: int) -> None:
+    """Raise InputError unless the summing is one that the camera has and the image lies on its detector."""
+    summing = label.sample_summing
+    if not (1.0 <= summing <= highest and summing % 1.0 == 0.0):
+        raise InputError(str(label.path), f"crosstrack summing {summing:g}", f"1 .. {highest} for {label.camera.name}")
+    last = label.first_sample + label.samples * summing
+    if last > pixels:
+        raise InputError(
+            str(label.path),
+            f"{label.samples} samples of {summing:g} pixels from {label.first_sample + 1.0:g} on end at {last:g}",
+            f"an end on the detector of {pixels} pixels", "mend the summing, the samples or the first sample",
+        )  # fmt: skip

@@ -1,0 +1,65 @@
+"""Context Camera (CTX) of Mars Reconnaissance Orbiter.
+
+Formulas and sources: ISIS CTXCamera (line times as the label has them), CameraDistortionMap; numbers of masked pixels
+around those that see the ground: ISIS mroctx2isis. Constants: the addendum mroctxAddendum005.ti, which cubes hold in
+their keywords; NAIF's instrument kernel mro_ctx_v11.ti has other names for them (`INS-74021_...`).
+"""
+
+from dataclasses import replace
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import RadialDistortion
+from mgsgraph.io.cameras.camera import (
+    Camera,
+    LabelBlock,
+    LabelKeys,
+    LineScanLabel,
+    interior_by_addendum,
+    require_summing,
+)
+from mgsgraph.io.cameras.keywords import Keywords
+from mgsgraph.units import MM
+
+MRO_CTX = -74021
+_PIXELS, _HIGHEST_SUMMING = 5000, 2
+_MASKED = {1: (38, 18), 2: (19, 9)}
+"""Samples before and after those that see the ground in the archive's files, by summing; none in a part of the line."""
+
+
+def _interior(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
+    require_summing(label, _HIGHEST_SUMMING, _PIXELS)
+    k0, k1, k2 = keywords.numbers(f"INS{MRO_CTX}_OD_K", 3)
+    return interior_by_addendum(keywords, label, RadialDistortion(k0, k1 / MM**2, k2 / MM**4))
+
+
+def _without_masked(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
+    """Samples of the archive's files begin and end with masked pixels, which SAMPLE_FIRST_PIXEL doesn't count."""
+    if block.kind == "isis":
+        return label
+    if label.sample_summing not in _MASKED:
+        raise InputError(str(label.path), f"summing {label.sample_summing:g}", "1 or 2")
+    before, after = _MASKED[int(label.sample_summing)] if label.first_sample == 0.0 else (16, 0)
+    return replace(label, samples=label.samples - before - after)
+
+
+CTX = Camera(
+    name="MRO CTX",
+    mission="MRO",
+    spacecraft=-74,
+    instrument=MRO_CTX,
+    structure=-74000,
+    isis=LabelKeys(
+        identity={"InstrumentId": "CTX"}, start="SpacecraftClockCount", period="LineExposureDuration",
+        product="ProductId", target="TargetName", serial=("InstrumentId", "SpacecraftClockCount"),
+        sample_summing="SpatialSumming", first_sample="SampleFirstPixel",
+    ),
+    pds3=LabelKeys(
+        identity={"INSTRUMENT_ID": "CTX"}, start="SPACECRAFT_CLOCK_START_COUNT", period="LINE_EXPOSURE_DURATION",
+        product="PRODUCT_ID", target="TARGET_NAME", serial=("INSTRUMENT_ID", "SPACECRAFT_CLOCK_START_COUNT"),
+        sample_summing="SAMPLING_FACTOR", first_sample="SAMPLE_FIRST_PIXEL",
+    ),
+    interior=_interior,
+    source="ISIS CTXCamera, mroctxAddendum005.ti",
+    label_facts=_without_masked,
+)  # fmt: skip

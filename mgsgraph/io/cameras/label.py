@@ -1,0 +1,135 @@
+"""Labels of line-scan images, of ISIS cubes and of the archives, read by what their camera's record says."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from mgsgraph.errors import InputError
+from mgsgraph.io.cameras.camera import Camera, LabelBlock, LabelKeys, LineScanLabel
+from mgsgraph.io.cameras.table import CAMERAS
+from mgsgraph.io.image_label import read_label
+from mgsgraph.io.pvl import Block
+from mgsgraph.units import MILLISECOND
+
+_PERIOD_UNITS = {
+    "milliseconds": MILLISECOND, "ms": MILLISECOND, "msec": MILLISECOND, "seconds": 1.0, "s": 1.0, "": MILLISECOND,
+}  # fmt: skip
+"""Of line periods and exposures, s; milliseconds where none is stated."""
+
+
+def read_line_scan_label(path: Path) -> LineScanLabel:
+    """Read the label of an image of any camera that is known here.
+
+    Parameters
+    ----------
+    path : Path
+        PDS3 image or its label, ISIS cube, or the label of one.
+
+    Raises
+    ------
+    InputError
+        Missing file, no label, a camera that is not known here (with those that are), a keyword missing or out of
+        range, a map, or an image that was reduced.
+    """
+    return label_of(path, read_label(path))
+
+
+def label_of(path: Path, root: Block) -> LineScanLabel:
+    """The same of a label that was read already; `path` is its file."""
+    block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
+    camera, keys = _recognised(path, block)
+    lines, samples, first_line, first_sample = _extent(block)
+    summing = block.number(keys.sample_summing) if keys.sample_summing else 1.0
+    first = block.number(keys.first_sample) - keys.first_pixel if keys.first_sample else 0.0
+    periods = block.number(keys.line_summing) if keys.line_summing else 1.0
+    period = block.number(keys.period, _PERIOD_UNITS) * periods
+    if period <= 0.0:
+        raise InputError(block.where(keys.period), f"{period} s", "a positive line period")
+    said = LineScanLabel(
+        path=path,
+        camera=camera,
+        product=block.text(keys.product) if keys.product in block else path.stem,
+        serial=_serial_number(camera, keys, block),
+        target=block.text(keys.target).upper(),
+        lines=lines,
+        samples=samples,
+        start=block.text(keys.start),
+        period=period,
+        sample_summing=summing,
+        first_sample=first + first_sample * summing,
+        first_line=first_line,
+    )
+    return camera.label_facts(block, said) if camera.label_facts else said
+
+
+def instrument_name(root: Block) -> str:
+    """What a label calls its instrument, for messages."""
+    block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
+    key = "INSTRUMENT_ID" if block.kind == "pds3" else "InstrumentId"
+    return block.text(key) if key in block else "no instrument"
+
+
+def _recognised(path: Path, block: LabelBlock) -> tuple[Camera, LabelKeys]:
+    for camera in CAMERAS:
+        keys = camera.keys(block.kind)
+        if keys is not None and all(_word(block, key) == wanted for key, wanted in keys.identity.items()):
+            return camera, keys
+    known = ", ".join(camera.name for camera in CAMERAS if camera.keys(block.kind) is not None)
+    kind = "ISIS cubes" if block.kind == "isis" else "PDS3 labels"
+    found, expected = f"the camera {instrument_name(block.root)!r}", f"one of those known by {kind}: {known}"
+    raise InputError(str(path), found, expected, "give its image support data (ALE's isd_generate) instead")
+
+
+def _word(block: LabelBlock, key: str) -> str:
+    return block.text(key).upper().replace(" ", "") if key in block else ""
+
+
+def _serial_number(camera: Camera, keys: LabelKeys, block: LabelBlock) -> str:
+    """ISIS's: appdata/serialnumbers."""
+    parts = [block.text(key) for key in keys.serial if key in block]
+    return "/".join([camera.mission, *parts, *filter(None, [keys.serial_end])])
+
+
+def _extent(block: LabelBlock) -> tuple[int, int, float, float]:
+    """Lines and samples of the image in camera geometry, and how many were cut off before its first ones.
+
+    A map-projected cube gives the image that it was made of (its AlphaCube), whole.
+    """
+    if block.kind == "pds3":
+        image = block.root.inner("IMAGE")
+        return image.count("LINES"), image.count("LINE_SAMPLES"), 0.0, 0.0
+    cube = block.root.inner("IsisCube")
+    size = cube.inner("Core").inner("Dimensions")
+    lines, samples = size.count("Lines"), size.count("Samples")
+    alpha = next((one for one in cube.blocks if one.name == "alphacube"), None)
+    if alpha is None:
+        return lines, samples, 0.0, 0.0
+    if any(one.name == "mapping" for one in cube.blocks):
+        return alpha.count("AlphaLines"), alpha.count("AlphaSamples"), 0.0, 0.0
+    return lines, samples, *(_cut(alpha, axis, count) for axis, count in (("Line", lines), ("Sample", samples)))
+
+
+def _cut(alpha: Block, axis: str, count: int) -> float:
+    """Lines or samples before the first one of a cube that ISIS crop has cut out of a larger one."""
+    if f"AlphaStarting{axis}" not in alpha:
+        whole = alpha.count(f"Alpha{axis}s")
+        if whole != count:
+            found = f"{count} of {whole} {axis.lower()}s"
+            raise InputError(alpha.where(), found, "the whole image, or where it begins")
+        return 0.0
+    start, end = alpha.number(f"AlphaStarting{axis}"), alpha.number(f"AlphaEnding{axis}")
+    if abs(end - start - count) > 1e-6:
+        raise InputError(
+            alpha.where(f"AlphaEnding{axis}"), f"{count} {axis.lower()}s made of {end - start:g}", "as many",
+            "take the image before it was reduced or enlarged",
+        )  # fmt: skip
+    return start - 0.5
+
+
+def is_map_projected(root: Block) -> bool:
+    """Whether a cube's pixels are those of a map, not of the camera."""
+    return "PDS_VERSION_ID" not in root and any(one.name == "mapping" for one in root.inner("IsisCube").blocks)
+
+
+def with_samples(label: LineScanLabel, samples: int, before: int = 0) -> LineScanLabel:
+    """The label of the image without pixels that are no ground (masked, prefix, suffix)."""
+    return replace(label, samples=samples, first_sample=label.first_sample + before * label.sample_summing)

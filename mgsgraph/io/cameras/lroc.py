@@ -1,0 +1,58 @@
+"""Narrow angles (NAC-L, NAC-R) of the Lunar Reconnaissance Orbiter's camera.
+
+Formulas: ISIS LroNarrowAngleCamera, LroNarrowAngleDistortionMap. The clock counts the preroll, not the first line, and
+the lines take longer than the label says: the addendum (lro_instrumentAddendum_v04.ti) has both corrections.
+"""
+
+from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.distortion import LrocNacDistortion
+from mgsgraph.io.cameras.camera import Camera, LabelKeys, LineScanLabel, interior_by_addendum, require_summing
+from mgsgraph.io.cameras.keywords import Keywords, number
+from mgsgraph.units import MM
+
+_PIXELS, _HIGHEST_SUMMING = 5064, 2
+
+
+def _interior(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
+    require_summing(label, _HIGHEST_SUMMING, _PIXELS)
+    k = number(keywords, f"INS{label.camera.instrument}_OD_K")
+    return interior_by_addendum(keywords, label, LrocNacDistortion(k / MM**2))
+
+
+def corrected_line_times(keywords: Keywords, label: LineScanLabel, start: float) -> tuple[float, float]:
+    """Time of the first line's edge and s per line: 1,024 lines after the preroll's clock count, each 0.45 % longer."""
+    code = label.camera.instrument
+    offset, preroll, addend, factor = (
+        number(keywords, f"INS{code}_{name}")
+        for name in ("CONSTANT_TIME_OFFSET", "ADDITIONAL_PREROLL", "ADDITIVE_LINE_ERROR", "MULTIPLI_LINE_ERROR")
+    )
+    period = label.period * (1.0 + factor) + addend
+    return start + preroll * period + offset, period
+
+
+def _camera(name: str, instrument: int, identity: str, side: str) -> Camera:
+    return Camera(
+        name=f"LRO {name}",
+        mission="LRO",
+        spacecraft=-85,
+        instrument=instrument,
+        structure=instrument,  # each has a CK of its own, relative to the bus
+        isis=LabelKeys(
+            identity={"InstrumentId": identity}, start="SpacecraftClockPrerollCount", period="LineExposureDuration",
+            product="ProductId", target="TargetName", serial=("SpacecraftClockStartCount", "InstrumentId"),
+            sample_summing="SpatialSumming", first_sample="SampleFirstPixel",
+        ),
+        pds3=LabelKeys(
+            identity={"INSTRUMENT_ID": "LROC", "FRAME_ID": side}, start="LRO:SPACECRAFT_CLOCK_PREROLL_COUNT",
+            period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID", target="TARGET_NAME",
+            serial=("SPACECRAFT_CLOCK_START_COUNT",), serial_end=identity, sample_summing="CROSSTRACK_SUMMING",
+        ),
+        interior=_interior,
+        source="ISIS LroNarrowAngleCamera, lro_instrumentAddendum_v04.ti",
+        line_times=corrected_line_times,
+        aberration="NONE",
+    )  # fmt: skip
+
+
+NAC_LEFT = _camera("LROC NAC-L", -85600, "NACL", "LEFT")
+NAC_RIGHT = _camera("LROC NAC-R", -85610, "NACR", "RIGHT")
