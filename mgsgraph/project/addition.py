@@ -13,7 +13,6 @@ from mgsgraph.case.schema import ImageInput, decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
@@ -210,8 +209,7 @@ def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> New
         expected = f"an image as {', '.join(_ISDS + _LABELS)}, or a case file (.toml)"
         raise InputError(str(wanted.path), f"a file of kind {kind or '(none)'!r}", expected)
     orientation = settings.orientation
-    if orientation.nominal == "polynomial":
-        image, _ = fit_polynomials(image, orientation.nominal_order)
+    image, _ = orientation.nominal_of(image)
     prior = orientation.prior(f"{where}, settings, orientation")
     picture = wanted.path if kind in _LABELS else None
     return NewImage(KnownImage(image, prior), (wanted.path,), picture)
