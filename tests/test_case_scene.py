@@ -10,9 +10,9 @@ import pytest
 from sites import plain_site
 from strip_files import write_block
 
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of
 from mgsgraph.case.scene import read_scene
-from mgsgraph.case.schema import decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.simulation.files import write_site

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
-from mgsgraph.case.schema import CaseInput, decode
+from mgsgraph.case.case_file import decode
+from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.terrain import count_files
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import sha256_of
@@ -15,8 +16,8 @@ SUFFIX = ".toml"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
 _JOINT = "-"
-_BESIDE = (".lbl", ".img", ".imq", ".cub")
-"""Endings of files that belong together: a label, and the pixels or posts that it describes."""
+_BESIDE = (".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json")
+"""Endings of files that belong together: a label, and the pixels, posts or tables that it describes."""
 
 
 def find_cases(given: Iterable[Path], out: Path) -> tuple[Path, ...]:

@@ -106,17 +106,13 @@ def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path,
 
 
 def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
-    """From image support data, or from a label and SPICE kernels; `where` names the table in errors."""
-    given = [key for key in ("isd", "label", "cube") if getattr(entry, key) is not None]
-    if len(given) != 1:
-        found = f"both {given[0]} and {given[1]}" if given else "neither isd nor label nor cube"
-        raise InputError(where, found, "one of them")
+    """By an image's plain entry (`case_file.plain_image`); `where` names the table in errors."""
+    stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
     if entry.cube is not None:
         from mgsgraph.io.isis_cube import read_isis_cube
 
-        return read_isis_cube(folder / entry.cube, entry.name)
+        return read_isis_cube(folder / entry.cube, entry.name, stated)
     if entry.isd is not None:
-        stated = Aberration(entry.aberration, entry.observer) if entry.aberration else None
         return read_isd(folder / entry.isd, entry.name, stated)
     from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load: those who need it wait
 

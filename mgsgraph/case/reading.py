@@ -15,11 +15,12 @@ from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.assembly import Parts
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.groups import merged, window_beside, with_sigmas
 from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
 from mgsgraph.case.laser import AltimetryInput, MolaInput
-from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput, decode
+from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput
 from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, errors_from
@@ -211,9 +212,9 @@ def picture_of(entry: ImageInput, folder: Path) -> Path | None:
     if entry.pixels is not None:
         return folder / entry.pixels
     if entry.cube is not None:
-        from mgsgraph.io.isis_cube import is_map_projected
+        from mgsgraph.io.isis_cube import has_pixels
 
-        return None if is_map_projected(folder / entry.cube) else folder / entry.cube
+        return folder / entry.cube if has_pixels(folder / entry.cube) else None
     if entry.label is None or not instrument_of(folder / entry.label).startswith("MOC"):
         return None
     return folder / entry.label

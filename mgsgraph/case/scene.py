@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_images
 from mgsgraph.case.reading import picture_of, read_mola, terrain_shots
-from mgsgraph.case.schema import CaseInput, decode
+from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.strips import members
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError

@@ -1,7 +1,6 @@
 """What a case file may say: tables and keys, units in their names. Unknown keys are refused with their path."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
@@ -16,7 +15,6 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_attitude, fit_polynomials
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.decoding import read_table, validated
 from mgsgraph.io.isd import Observer
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
@@ -71,14 +69,19 @@ def _three_sigmas(value: float | list[float], where: str) -> Array:
 class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """One image of the case: its geometry, its pixels, and what is known of its orientation."""
 
-    name: Annotated[str, msgspec.Meta(min_length=1)]
-    """By which networks and shots refer to it (ISIS serial number)."""
+    name: str = ""
+    """By which networks and shots refer to it; when absent, ISIS's serial number (of a cube or label), or what support
+    data call it (`image_identifier`), or the file's name without its ending."""
+    image: str | None = None
+    """The image, by a file of any of the kinds below; which it is, is told by what is in it."""
+    list: str | None = None
+    """Several images: an ISIS list, one file in every line, relative to the list; what stands beside is for each."""
     isd: str | None = None
-    """CSM image support data, JSON; or, instead of it, a label and kernels."""
-    label: str | None = None
-    """Label of MOC or HRSC: PDS3 image, detached label or ISIS cube; its instrument is the label's."""
+    """CSM image support data, JSON, of ALE or ISIS."""
     cube: str | None = None
-    """Or an ISIS cube of MOC that spiceinit has been run on, without kernels."""
+    """ISIS cube that spiceinit has been run on, or its label with the cube's tables beside it as JSON; no kernels."""
+    label: str | None = None
+    """PDS3 image or its label, or ISIS cube, with kernels; its instrument is the label's."""
     kernels: tuple[str, ...] = ()
     """SPICE kernels or meta-kernels of this image; those of [spice] when absent."""
     pixels: str | None = None
@@ -329,14 +332,3 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if isinstance(self.laser, LaserInput):
             return (self.laser,)
         return self.laser if isinstance(self.laser, tuple) else ()
-
-
-def decode(path: Path) -> CaseInput:
-    """A case file's tables, validated; InputError with the path of what is wrong."""
-    wanted = validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")
-    first = dict[str, int]()
-    for k, image in enumerate(wanted.images):
-        if first.setdefault(image.name, k) != k:
-            found = f"the name {image.name!r}, which images[{first[image.name]}] has, too"
-            raise InputError(f"{path}, images[{k}]", found, "each image once", "rename one of the two, or take it out")
-    return wanted

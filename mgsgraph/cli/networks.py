@@ -97,7 +97,7 @@ def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | No
 
     support = None
     if case is not None:
-        from mgsgraph.case.schema import decode
+        from mgsgraph.case.case_file import decode
         from mgsgraph.errors import InputError
 
         support = {image.name: case.parent / image.isd for image in decode(case).images if image.isd is not None}

@@ -9,8 +9,9 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.scene import read_scene
-from mgsgraph.case.schema import CaseInput, decode
+from mgsgraph.case.schema import CaseInput
 from mgsgraph.dem.checking import check_profiles
 from mgsgraph.dem.files import write_dem
 from mgsgraph.dem.model import Dem, DemSettings, dem_of, require_reference

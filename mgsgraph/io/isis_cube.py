@@ -18,7 +18,7 @@ from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.io.aberration import geometric
 from mgsgraph.io.cameras.camera import LineScanLabel
 from mgsgraph.io.cameras.keywords import NaifKeywords, keywords_of, number
-from mgsgraph.io.cameras.label import label_of
+from mgsgraph.io.cameras.label import is_map_projected, label_of
 from mgsgraph.io.cube_tables import CubeTable, attitude_table, position_table, tables_of_json, tables_of_label
 from mgsgraph.io.files import read_json
 from mgsgraph.io.image_label import read_label
@@ -106,6 +106,25 @@ def _files(path: Path) -> tuple[Path, Path | None]:
     if path.suffix.lower() == ".cub":
         return path, None
     return path, next((path.with_suffix(end) for end in _JSON if path.with_suffix(end).is_file()), None)
+
+
+def has_tables(path: Path, root: Block) -> bool:
+    """Whether a cube (or the JSON beside its label) has the tables of spiceinit."""
+    _, beside = _files(path)
+    if beside is not None:
+        return True
+    tables = [block for block in root.blocks if block.name == "table" and block.text("Name") in _TABLES]
+    size = path.stat().st_size
+    return len(tables) == len(_TABLES) and all(one.count("StartByte") <= size for one in tables)
+
+
+def has_pixels(path: Path) -> bool:
+    """Whether a cube holds the pixels of an image in camera geometry; a label, JSON and a map don't."""
+    if path.suffix.lower() != ".cub":
+        return False
+    root = read_label(path)
+    core = root.inner("IsisCube").inner("Core")
+    return not is_map_projected(root) and core.count("StartByte") <= path.stat().st_size
 
 
 def is_cube_json(content: dict[str, Any]) -> bool:

@@ -12,6 +12,12 @@ from typing import NamedTuple, TypeVar
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import finite_number
+from mgsgraph.units import KM
+
+LENGTHS = dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), 1.0) | dict.fromkeys(
+    ("km", "kilometer", "kilometers", "kilometre", "kilometres"), KM
+)
+"""m, of the units of lengths, in lower case; without one it is m."""
 
 _BEGIN = {"object": "object", "begin_object": "object", "group": "group", "begin_group": "group"}
 _CLOSE = {"end_object": "object", "end_group": "group"}

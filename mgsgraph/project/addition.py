@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsgraph.case.images import read_images
+from mgsgraph.case.case_file import decode, plain_image
+from mgsgraph.case.images import read_image, read_images
 from mgsgraph.case.laser import MolaInput
 from mgsgraph.case.reading import picture_of, read_case, read_shots
-from mgsgraph.case.schema import ImageInput, decode
+from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
-from mgsgraph.io.isd import read_isd
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.observations import observed
@@ -27,7 +27,7 @@ from mgsgraph.project.store import ProjectStore
 from mgsgraph.registration.footprints import footprints_in_images
 from mgsgraph.ties import PointKind, TiePoints
 
-_ISDS, _LABELS, _CASES = (".json", ".isd"), (".img", ".lbl", ".cub", ".imq"), (".toml",)
+_CASES = (".toml",)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,30 +199,14 @@ def _of_case(path: Path) -> tuple[list[NewImage], Network | None]:
 
 
 def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:
-    """From image support data, or from a label and the project's kernels."""
-    name, kind = wanted.name or wanted.path.stem, wanted.path.suffix.lower()
-    if kind in _ISDS:
-        image = read_isd(wanted.path, name)
-    elif kind in _LABELS:
-        image = _from_label(wanted.path, name, settings, where)
-    else:
-        expected = f"an image as {', '.join(_ISDS + _LABELS)}, or a case file (.toml)"
-        raise InputError(str(wanted.path), f"a file of kind {kind or '(none)'!r}", expected)
+    """From a file of any kind that a case file takes, a label with the project's kernels."""
+    stated = ImageInput(name=wanted.name or wanted.path.stem, image=str(wanted.path.absolute()))
+    entry = plain_image(stated, settings.spice, Path(), where)
+    image = read_image(entry, settings.spice, Path(), f"{where}, {wanted.path}")
     orientation = settings.orientation
     image, _ = orientation.nominal_of(image)
     prior = orientation.prior(f"{where}, settings, orientation")
-    picture = wanted.path if kind in _LABELS else None
-    return NewImage(KnownImage(image, prior), (wanted.path,), picture)
-
-
-def _from_label(path: Path, name: str, settings: ProjectSettings, where: str) -> PushbroomImage:
-    from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load; only who needs it waits
-
-    if settings.spice is None:
-        found, remedy = "a label, and the project has no kernels", "add it with a case file that names them"
-        raise InputError(f"{where}, {path}", found, "kernels in [spice] of its settings", remedy)
-    kernels = [Path(kernel) for kernel in settings.spice.kernels]
-    return read_labelled_image(path, kernels, name, interval=settings.spice.sampling_s)
+    return NewImage(KnownImage(image, prior), (wanted.path,), picture_of(entry, Path()))
 
 
 def _named(images: Sequence[ImageArgument], ties: Sequence[TiePoints], known: Sequence[str]) -> list[ImageArgument]:

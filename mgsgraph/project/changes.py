@@ -11,7 +11,7 @@ import numpy as np
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.passes import Progress
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.case.schema import decode
+from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.incremental.closing import Closing
 from mgsgraph.incremental.impact import Impact

@@ -11,7 +11,7 @@ from mgsgraph.adjustment.passes import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.case.schema import decode
+from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.incremental.incremental import IncrementalAdjustment

@@ -6,8 +6,9 @@ from typing import Any
 
 import msgspec
 
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.numbers import Sigma
-from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput, decode
+from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.io.decoding import read_table, validated
 

@@ -22,9 +22,9 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.statistics import local_sigmas
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import Case
 from mgsgraph.case.scene import picture_file
-from mgsgraph.case.schema import decode
 from mgsgraph.compiled import in_threads
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mgsgraph.case.schema import decode
+from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
 from mgsgraph.geometry.records import Index

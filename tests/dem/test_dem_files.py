@@ -18,8 +18,8 @@ from rasterio.warp import transform
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph.shared import footprint_shifts
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import read_case
-from mgsgraph.case.schema import decode
 from mgsgraph.dem import production
 from mgsgraph.dem.checking import check_profiles, checked
 from mgsgraph.dem.files import dem_statements, write_dem

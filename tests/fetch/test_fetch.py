@@ -15,7 +15,7 @@ import pytest
 from flaky_archive import Flaky, cut, status, web_page
 
 import mgsgraph
-from mgsgraph.case.schema import decode
+from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.archives import Archives
 from mgsgraph.fetch.case_file import camera_focal_length

@@ -233,10 +233,10 @@ FAULTS = {
     ),
     "points beyond": (WHOLE.replace(b"PointsBytes     = ", b"PointsBytes     =9"), "expected points up to byte"),
     "odd byte": (WHOLE.replace(b"= 65536", b"= 6.5e4"), "line 3, HeaderStartByte: '6.5e4'; expected a number of bytes"),
-    "version 1": (labelled(1, HEADER, b""), "line 19, Version: version 1; expected 5"),
+    "version 3": (labelled(3, HEADER, b""), "line 19, Version: version 3; expected 5"),
     "version 6": (labelled(6, HEADER, b""), "version 6; expected 5"),
     "version ten": (labelled("ten", HEADER, b""), "version ten; expected 5"),
-    "no version": (labelled("Null", HEADER, b""), "version 1 (none is stated)"),
+    "no version": (labelled("Null", HEADER, b""), "no StartByte"),
     "no Core": (WHOLE.replace(b"= Core", b"= Kern"), "no Core; expected"),
     "no Info": (WHOLE.replace(b"= ControlNetworkInfo", b"= MatchNetworkInfo__"), "line 1: no ControlNetworkInfo"),
 }  # fmt: skip

@@ -1,25 +1,28 @@
-"""ISIS's binary control networks, version 5 written and read, version 2 read.
+"""ISIS's binary control networks, version 5 written and read, versions 1 and 2 read (there are no others).
 
 A label in PVL, padded with NUL to 65536 bytes; ProtoBuffer/Core in it says where the messages are (HeaderStartByte,
 HeaderBytes, PointsStartByte, PointsBytes), ProtoBuffer/ControlNetworkInfo the version, and the rest for human eyes.
 Then the header, and the points: in version 5 each behind its size (uint32, little endian), in version 2 one upon the
-other, with their sizes in the header. Points begin where the header ends, and in version 5 end after PointsBytes.
+other, with their sizes in the header. Points begin where the header ends, and in version 5 end after PointsBytes. In
+version 1 (that of a label without one) there are two messages, at StartByte, Bytes of Core and of LogData.
 Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVersioner.cpp (write, writeFirstPoint,
-readProtobufV0005, readProtobufV0002); the same in DOI-USGS/plio, plio/io/io_controlnetwork.py (IsisStore.read).
-Messages: `control.messages`.
+readProtobufV0005, readProtobufV0002, readProtobufV0001); 2 and 5 in DOI-USGS/plio, plio/io/io_controlnetwork.py, too
+(IsisStore.read). Messages: `control.messages`.
 """
 
 import re
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.io.control.first_version import second_versions
 from mgsgraph.io.control.messages import messages
 from mgsgraph.io.control.point_messages import Texts, encoded, finite, point_message, read_point
 from mgsgraph.io.control.pvl_writing import Value, keyword_lines, text_value
-from mgsgraph.io.control.record import ControlNetwork
+from mgsgraph.io.control.record import ControlNetwork, of_mars
 from mgsgraph.io.files import write_file
 from mgsgraph.io.pvl import Block, Document, whole_label
 
@@ -60,29 +63,51 @@ def parse_binary_network(data: bytes, source: str) -> ControlNetwork:
         cut short; a message that is none; an unknown type, a number that is not finite, text that is not UTF-8;
         a point without id or type, an id twice, a place or covariance in part; no point at all.
     """
-    label = data[: data.find(b"\0")] if b"\0" in data else data
-    version, start, header_size, points_size = _layout(Document(source, label.decode("latin-1")))
-    end = start + header_size
-    if end > len(data):
-        raise _cut_short(source, f"{len(data)} bytes", f"a header up to byte {end}")
-    kinds = messages()
-    kind = kinds.header if version == 5 else kinds.old_header
-    head = _parsed(kind(), data[start:end], f"{source}, header")
+    label = (data[: data.find(b"\0")] if b"\0" in data else data).decode("latin-1")
+    version, buffer = _version(Document(source, label.replace("\r\n", "\n").replace("\r", "\n")))
+    head, messages_of_points = (_first if version == "1" else _later)(data, version, buffer, source)
     texts = Texts()
     with errors_from(f"{source}, header"):
         values = {attribute: texts[getattr(head, name)] for attribute, name in _HEAD}
-        radii = _radii(head.targetRadii) if version == 5 else ()
-    if version == 5:
-        parts = _points_behind_sizes(data, end, points_size, source)
-    else:
-        parts = _points_by_sizes(data, end, head.pointMessageSizes, source)
+        values["target_name"] = of_mars(values["target_name"])
+        radii = _radii(head.targetRadii) if version == "5" else ()
     points = tuple(
-        read_point(_parsed(kinds.point(), part, f"{source}, point {number}"), f"{source}, point {number}", texts)
-        for number, part in enumerate(parts, start=1)
+        read_point(message, f"{source}, point {number}", texts)
+        for number, message in enumerate(messages_of_points, start=1)
     )
     if not points:
         raise InputError(source, "no control point", "an ISIS control network that has some")
     return ControlNetwork(points=points, source=source, target_radii=radii, **values)
+
+
+def _first(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, Iterator[Any]]:
+    """Head of a network of version 1, and messages of its points as of version 2."""
+    kinds, parts = messages(), []
+    for name, kind in (("Core", kinds.first_network), ("LogData", kinds.first_log)):
+        with _anew():
+            start, size = (_bytes(buffer.inner(name), key) for key in ("StartByte", "Bytes"))
+        if start + size > len(data):
+            raise _cut_short(f"{source}, {name}", f"{len(data)} bytes", f"its end at byte {start + size}")
+        parts.append(_parsed(kind(), data[start : start + size], f"{source}, {name}"))
+    return parts[0], second_versions(parts[0], parts[1], source)
+
+
+def _later(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, Iterator[Any]]:
+    """Head of a network of version 2 or 5, and messages of its points."""
+    start, header_size, points_size = _layout(buffer)
+    end = start + header_size
+    if end > len(data):
+        raise _cut_short(source, f"{len(data)} bytes", f"a header up to byte {end}")
+    kinds = messages()
+    kind = kinds.header if version == "5" else kinds.old_header
+    head = _parsed(kind(), data[start:end], f"{source}, header")
+    if version == "5":
+        parts = _points_behind_sizes(data, end, points_size, source)
+    else:
+        parts = _points_by_sizes(data, end, head.pointMessageSizes, source)
+    return head, (
+        _parsed(kinds.point(), part, f"{source}, point {number}") for number, part in enumerate(parts, start=1)
+    )
 
 
 def _radii(values: Sequence[float]) -> tuple[float, ...]:
@@ -91,24 +116,37 @@ def _radii(values: Sequence[float]) -> tuple[float, ...]:
     return tuple(finite(value, "TargetRadii") for value in values)
 
 
-def _layout(document: Document) -> tuple[int, int, int, int]:
-    """Version, the header's first byte and size, and the size of all points."""
-    try:
+def _version(document: Document) -> tuple[str, Block]:
+    """Version, and what the label says of the messages."""
+    with _anew():
         buffer = whole_label(document).inner("ProtoBuffer")
+        info = buffer.inner("ControlNetworkInfo")
+        version = info.text("Version") if "Version" in info else "1"
+        if version not in ("1", "2", "5"):
+            raise InputError(info.where("Version"), f"version {version}", "5 (1 and 2 are understood too)")
+    return version, buffer
+
+
+def _layout(buffer: Block) -> tuple[int, int, int]:
+    """The header's first byte and size, and the size of all points."""
+    with _anew():
         core = buffer.inner("Core")
         start, header, points_start, points = (
             _bytes(core, key) for key in ("HeaderStartByte", "HeaderBytes", "PointsStartByte", "PointsBytes")
         )
-        info = buffer.inner("ControlNetworkInfo")
-        version = info.text("Version") if "Version" in info else "1 (none is stated)"
-        if version not in ("2", "5"):
-            raise InputError(info.where("Version"), f"version {version}", "5 (2 is understood too)")
         if points_start != start + header:
             found = f"points from byte {points_start}, and a header that ends at {start + header}"
             raise InputError(core.where("PointsStartByte"), found, "one behind the other")
+    return start, header, points
+
+
+@contextmanager
+def _anew() -> Iterator[None]:
+    """What is wrong with a label has one remedy."""
+    try:
+        yield
     except InputError as error:
         raise InputError(error.where, error.found, error.expected, f"binary network: {_ANEW}") from None
-    return int(version), start, header, points
 
 
 def _bytes(core: Block, key: str) -> int:

@@ -3,9 +3,12 @@
 Names and numbers of the fields: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/, from which these are
 ControlPointFileEntryV0002.proto (points of version 2 and of version 5 alike), ControlNetFileHeaderV0005.proto and
 ControlNetFileHeaderV0002.proto; the same in DOI-USGS/plio, plio/io/ControlPointFileEntryV0005.proto,
-ControlNetFileHeaderV0005.proto and ControlNetFileV0002.proto. On the wire nothing differs from ISIS's own; to protobuf
-all fields are optional here, enumerations are whole numbers and texts are bytes, so that what is wrong with them is
-found, and said, by `control.point_messages`; what is not there reads as UNSET or NULL. Left out: log entries of points
+ControlNetFileHeaderV0005.proto and ControlNetFileV0002.proto. Version 1, whose network is one message and whose figures
+of merit are another: ControlNetFileProtoV0001.proto and ControlNetLogDataProtoV0001.proto beside the former.
+
+On the wire nothing differs from ISIS's own; to protobuf all fields are optional here, enumerations are whole numbers
+and texts are bytes, so that what is wrong with them is found, and said, by `control.point_messages`; what is not there
+reads as UNSET or NULL. Fields that version 1 has elsewhere are called as in version 2. Left out: log entries of points
 and the truth values of log entries, which ISIS neither writes nor reads, and the header's numPoints, which it doesn't
 write.
 """
@@ -84,7 +87,49 @@ _HEADER = (
     Field("targetRadii", 10, _NUMBER, many=True),
 )
 _OLD_HEADER = (*_HEADER[:-1], Field("pointMessageSizes", 7, _WHOLE, many=True, packed=True))
-_MESSAGES = {"Log": _LOG, "Measure": _MEASURE, "Point": _POINT, "Header": _HEADER, "OldHeader": _OLD_HEADER}
+_FIRST_NUMBERS = {
+    "Point": {
+        "id": 1, "type": 2, "chooserName": 3, "datetime": 4, "editLock": 5, "ignore": 6, "jigsawRejected": 7,
+        "aprioriSurfPointSource": 8, "aprioriSurfPointSourceFile": 9, "aprioriRadiusSource": 10,
+        "aprioriRadiusSourceFile": 11, "aprioriX": 12, "aprioriY": 13, "aprioriZ": 14, "aprioriCovar": 15,
+        "adjustedX": 16, "adjustedY": 17, "adjustedZ": 18, "adjustedCovar": 19, "measures": 20, "referenceIndex": 21,
+        "latitudeConstrained": 22, "longitudeConstrained": 23, "radiusConstrained": 24,
+    },
+    "Measure": {
+        "serialnumber": 1, "type": 2, "choosername": 3, "datetime": 4, "editLock": 5, "ignore": 6, "jigsawRejected": 7,
+        "diameter": 9, "apriorisample": 10, "aprioriline": 11, "samplesigma": 12, "linesigma": 13,
+    },
+    "Place": {"sample": 1, "line": 2, "sampleResidual": 3, "lineResidual": 4},
+}  # fmt: skip
+"""Of fields in version 1; a measure's place is a message in it."""
+
+
+def _of_version_one(message: str, fields: tuple[Field, ...]) -> tuple[Field, ...]:
+    """Those of these fields that a message of version 1 has, by their numbers there."""
+    numbers = _FIRST_NUMBERS[message]
+    return tuple(
+        field._replace(number=numbers[field.name], of=f"First{field.of}" if field.of else "")
+        for field in fields
+        if field.name in numbers
+    )
+
+
+_FIRST = {
+    "FirstPlace": _of_version_one("Place", _MEASURE),
+    "FirstMeasure": (
+        *_of_version_one("Measure", _MEASURE), Field("measurement", 8, _MESSAGE, of="FirstPlace"),
+    ),
+    "FirstPoint": _of_version_one("Point", _POINT),
+    "FirstNetwork": (
+        *(field._replace(number=field.number + 1) for field in _HEADER[:-1]),
+        Field("points", 8, _MESSAGE, many=True, of="FirstPoint"),
+    ),
+    "FirstLog": (Field("doubleDataType", 2, _WHOLE), Field("doubleDataValue", 3, _NUMBER)),
+    "FirstMeasureLog": (Field("log", 2, _MESSAGE, many=True, of="FirstLog"),),
+    "FirstPointLog": (Field("measures", 2, _MESSAGE, many=True, of="FirstMeasureLog"),),
+    "FirstNetworkLog": (Field("points", 1, _MESSAGE, many=True, of="FirstPointLog"),),
+}  # fmt: skip
+_MESSAGES = {"Log": _LOG, "Measure": _MEASURE, "Point": _POINT, "Header": _HEADER, "OldHeader": _OLD_HEADER} | _FIRST
 
 UNSET = -1
 """What a whole number reads as that is not there."""
@@ -103,6 +148,10 @@ class Messages(NamedTuple):
     """Of version 5."""
     old_header: Any
     """Of version 2."""
+    first_network: Any
+    """All of a network of version 1 but its figures of merit."""
+    first_log: Any
+    """These."""
 
 
 @cache
@@ -130,4 +179,5 @@ def messages() -> Messages:
     made = {
         name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"Isis.{name}")) for name in _MESSAGES
     }
-    return Messages(made["Point"], made["Measure"], made["Log"], made["Header"], made["OldHeader"])
+    names = ("Point", "Measure", "Log", "Header", "OldHeader", "FirstNetwork", "FirstNetworkLog")
+    return Messages(*(made[name] for name in names))

@@ -18,7 +18,7 @@ def read_network(path: Path) -> ControlNetwork:
     Parameters
     ----------
     path : Path
-        PVL text of version 3, 4 or 5, or ISIS's binary form of version 2 or 5, whatever its name.
+        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, whatever its name.
 
     Returns
     -------
@@ -40,7 +40,7 @@ def read_control_network(path: Path) -> TiePoints:
     Parameters
     ----------
     path : Path
-        PVL text of version 3, 4 or 5, or ISIS's binary form of version 2 or 5, told apart by what is in the file.
+        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, told apart by what is in the file.
 
     Returns
     -------

@@ -1,9 +1,10 @@
-"""ISIS control networks as PVL text: versions 3, 4 and 5 read, version 5 written.
+"""ISIS control networks as PVL text: versions 1 to 5 read, version 5 written.
 
 ISIS takes the points of versions 3, 4 and 5 with one and the same code: only the names of point types changed, Ground
-to Fixed and Tie to Free. Keywords, their order and names: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/
-ControlNetVersioner.cpp (toPvl) and ControlPointV0003.cpp, and what ISIS wrote, ControlNetVersioner.truth beside them;
-figures of merit: ControlMeasureLogData/ControlMeasureLogData.cpp and .h.
+to Fixed and Tie to Free; what 1 and 2 have of their own is in `control.pvl_old`. Keywords, their order and names:
+DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVersioner.cpp (toPvl) and ControlPointV0003.cpp, and
+what ISIS wrote, ControlNetVersioner.truth beside them; figures of merit:
+ControlMeasureLogData/ControlMeasureLogData.cpp and .h.
 """
 
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.io.control.pvl_old import renew_keywords, renewed_point
 from mgsgraph.io.control.record import (
     AprioriSource,
     ControlMeasure,
@@ -23,14 +25,13 @@ from mgsgraph.io.control.record import (
     MeasureType,
     PointType,
     Where,
+    of_mars,
 )
-from mgsgraph.io.pvl import Block, Document, inner_blocks
-from mgsgraph.units import DEG, KM
+from mgsgraph.io.pvl import LENGTHS, Block, Document, inner_blocks
+from mgsgraph.units import DEG
 
-_VERSIONS = ("3", "4", "5")
-_LENGTHS = dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), 1.0) | dict.fromkeys(
-    ("km", "kilometer", "kilometers", "kilometre", "kilometres"), KM
-)
+_VERSIONS = ("1", "2", "3", "4", "5")
+_OLD = ("1", "2")
 _ANGLES = dict.fromkeys(("", "deg", "degree", "degrees"), DEG) | dict.fromkeys(("rad", "radian", "radians"), 1.0)
 _PIXELS = dict.fromkeys(("", "pixel", "pixels"), 1.0)
 
@@ -99,15 +100,18 @@ def parse_pvl_network(document: Document) -> ControlNetwork:
         PointId or PointType, or an id twice; a measure without SerialNumber, or with a keyword that ISIS does not know;
         a number, choice or truth value that is none.
     """
-    network, points = None, list[ControlPoint]()
+    network, version, points = None, "", list[ControlPoint]()
     positions: dict[str, int] = {}
     for outer, block in inner_blocks(document):
         if outer is not network:
-            _require_network(outer, network)
-            network = outer
+            network, version = outer, _version(outer, network)
         if block.name != "controlpoint":
             raise InputError(block.where(), f"{block.kind} {block.name}", "Object = ControlPoint")
+        if version == "1":
+            renew_keywords(block)
         point = _point(block)
+        if version in _OLD:
+            point = renewed_point(point, block, version)
         if point.id in positions:
             first = document.where(positions[point.id])
             raise InputError(block.where("PointId"), f"the id twice, first at {first}", "each id once")
@@ -117,8 +121,9 @@ def parse_pvl_network(document: Document) -> ControlNetwork:
         raise InputError(
             document.source, "no control point", "an ISIS control network in PVL text (Object = ControlNetwork)"
         )
+    texts = {attribute: _text(network, key) for key, attribute in HEAD_TEXTS.items()}
     return ControlNetwork(
-        **{attribute: _text(network, key) for key, attribute in HEAD_TEXTS.items()},
+        **texts | {"target_name": of_mars(texts["target_name"])},
         points=tuple(points),
         source=document.source,
         target_radii=_numbers(network, "TargetRadii", 3),
@@ -139,18 +144,17 @@ def where_in(document: Document) -> Where:
     return where
 
 
-def _require_network(outer: Block, earlier: Block | None) -> None:
-    """Raise InputError unless this is the file's one control network, in a version that is understood."""
+def _version(outer: Block, earlier: Block | None) -> str:
+    """The version; InputError unless this is the file's one control network, in one that is understood."""
     if outer.name != "controlnetwork":
         raise InputError(outer.where(), f"{outer.kind} {outer.name}", "Object = ControlNetwork")
     if earlier is not None:
         raise InputError(outer.where(), "a second network", "one in a file", "put it into a file of its own")
-    version = outer.text("Version") if "Version" in outer else "1 (none is stated)"
+    version = outer.text("Version") if "Version" in outer else "1"
     if version not in _VERSIONS:
-        raise InputError(
-            outer.where("Version"), f"version {version}", "5 (3 and 4 are understood too)",
-            "let ISIS write it anew: cnetpvl2bin, then cnetbin2pvl",
-        )
+        remedy = "let ISIS write it anew: cnetpvl2bin, then cnetbin2pvl"
+        raise InputError(outer.where("Version"), f"version {version}", "1 to 5", remedy)
+    return version
 
 
 def _label(point: Block) -> str:
@@ -244,12 +248,12 @@ def _numbers(block: Block, key: str, count: int) -> tuple[float, ...]:
 def _place(block: Block, stage: str) -> tuple[float, float, float] | None:
     """A-priori or adjusted place, m body-fixed."""
     if any(stage + axis in block for axis in "XYZ"):
-        x, y, z = (block.number(stage + axis, _LENGTHS) for axis in "XYZ")
+        x, y, z = (block.number(stage + axis, LENGTHS) for axis in "XYZ")
         return x, y, z
     if not any(stage + part in block for part in ("Latitude", "Longitude", "Radius")):
         return None
     longitude, latitude = block.number(f"{stage}Longitude", _ANGLES), block.number(f"{stage}Latitude", _ANGLES)
-    radius = block.number(f"{stage}Radius", _LENGTHS)
+    radius = block.number(f"{stage}Radius", LENGTHS)
     if abs(latitude) > 90.0 * DEG or radius <= 0.0:
         found = f"latitude {latitude / DEG:g} degrees, radius {radius:g} m"
         raise InputError(block.where(f"{stage}Latitude"), found, "-90 .. 90 degrees and a positive radius")

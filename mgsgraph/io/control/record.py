@@ -15,6 +15,11 @@ Where = Callable[[int, int | None, str], str]
 """Where something is in a file, in words: by index of the point, index of the measure or None, and keyword."""
 
 
+def of_mars(target: str) -> str:
+    """The body's name, which some old networks of MRO give as MRO/...: so does ISIS."""
+    return "Mars" if target.startswith("MRO/") else target
+
+
 class PointType(IntEnum):
     """How a point enters jigsaw; numbers as in the file."""
 

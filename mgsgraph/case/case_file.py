@@ -1,0 +1,76 @@
+"""A case file read: its tables, and each image by what its file is, one by one or in an ISIS list, and by what name."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+from mgsgraph.case.schema import CaseInput, ImageInput, SpiceInput
+from mgsgraph.errors import InputError, errors_from
+from mgsgraph.io.decoding import read_table, validated
+from mgsgraph.io.files import read_text
+from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
+
+_FILES: tuple[ImageKind, ...] = ("isd", "label", "cube")
+
+
+def decode(path: Path) -> CaseInput:
+    """A case file's tables, validated; `image` and `list` replaced by the key of each file's kind, all images named.
+
+    Raises
+    ------
+    InputError
+        With the place of what is wrong: an unknown key, a value out of range; an image given in two ways or none, a
+        list without files, files that are no images, or one name for two.
+    """
+    wanted = validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")
+    images = list[ImageInput]()
+    for k, entry in enumerate(wanted.images):
+        where = f"{path}, images[{k}]"
+        with errors_from(where):
+            images += [plain_image(one, wanted.spice, path.parent, where) for one in _listed(entry, path.parent, where)]
+    first = dict[str, ImageInput]()
+    for image in images:
+        if (twin := first.setdefault(image.name, image)) is not image:
+            found = f"the name {image.name!r} for {_file(twin)} and for {_file(image)}"
+            raise InputError(f"{path}, images", found, "each image once", "rename one of the two, or take it out")
+    return msgspec.structs.replace(wanted, images=tuple(images))
+
+
+def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> ImageInput:
+    """An image whose file stands under the key of its kind (`isd`, `label`, `cube`), with a name."""
+    given = [key for key in ("image", *_FILES) if getattr(entry, key) is not None]
+    if len(given) != 1:
+        found = f"both {given[0]} and {given[1]}" if given else "no file of the image"
+        raise InputError(where, found, "one of image, list, isd, label and cube")
+    if entry.image is not None:
+        kernels = entry.kernels or (spice.kernels if spice else ())
+        kind = image_kind(folder / entry.image, bool(entry.kernels), bool(kernels))
+        entry = msgspec.structs.replace(entry, image=None, **{kind: entry.image})
+    if entry.name:
+        return entry
+    kind = next(key for key in _FILES if getattr(entry, key) is not None)
+    return msgspec.structs.replace(entry, name=image_name(folder / _file(entry), kind))
+
+
+def _file(entry: ImageInput) -> str:
+    return next(getattr(entry, key) for key in _FILES if getattr(entry, key) is not None)
+
+
+def _listed(entry: ImageInput, folder: Path, where: str) -> Iterator[ImageInput]:
+    """An entry for each file of its ISIS list (one file in every line), or itself."""
+    if entry.list is None:
+        yield entry
+        return
+    if entry.name or any(getattr(entry, key) is not None for key in ("image", *_FILES, "pixels")):
+        raise InputError(where, "a list beside the name or the file of one image", "the list alone")
+    place = folder / entry.list
+    lines = [line.split("#", 1)[0].strip() for line in read_text(place).splitlines()]
+    if not any(lines):
+        raise InputError(str(place), "no file", "the name of an image file in every line")
+    for number, name in enumerate(lines, start=1):
+        if name and not (place.parent / name).is_file():
+            expected = "a file, relative to the list's folder"
+            raise InputError(f"{place}, line {number}", f"{name!r}, which is not there", expected)
+    for name in filter(None, lines):
+        yield msgspec.structs.replace(entry, list=None, image=str(Path(entry.list).parent / name))

@@ -1,0 +1,65 @@
+"""What kind of file an image is given by, told by what is in the file, and what the file calls the image."""
+
+from pathlib import Path
+from typing import Literal
+
+from mgsgraph.errors import InputError
+from mgsgraph.io.cameras.label import label_of
+from mgsgraph.io.files import read_json
+from mgsgraph.io.image_label import read_label
+from mgsgraph.io.isis_cube import has_tables, is_cube_json, serial_number
+
+ImageKind = Literal["isd", "label", "cube"]
+
+_HEAD = 512
+
+
+def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = False) -> ImageKind:
+    """The kind of an image's file.
+
+    Parameters
+    ----------
+    path : Path
+        Image support data (JSON), ISIS cube or its label, tables of a cube as JSON, or PDS3 label.
+    kernels_of_its_own : bool
+        Whether kernels are named for this very image, which go before the tables of its cube.
+    kernels : bool
+        Whether there are any kernels that a label could be read with.
+
+    Raises
+    ------
+    InputError
+        Missing file, or none of these.
+    """
+    head = _head(path)
+    if head.startswith(b"{"):
+        return "cube" if is_cube_json(read_json(path)) else "isd"
+    if not head.lower().startswith((b"pds_version_id", b"object = isiscube", b"object=isiscube", b"ccsd")):
+        raise InputError(
+            str(path), "no image, label or support data", "an ISIS cube, a PDS3 label, or JSON of ALE or ISIS",
+        )  # fmt: skip
+    root = read_label(path)
+    if "PDS_VERSION_ID" in root:
+        return "label"
+    with_tables = has_tables(path, root)
+    return "label" if kernels_of_its_own or (kernels and not with_tables) else "cube"
+
+
+def image_name(path: Path, kind: ImageKind) -> str:
+    """By which control networks call the image: ISIS's serial number, or what support data call it, or the file."""
+    if kind == "cube":
+        return serial_number(path)
+    if kind == "label":
+        return label_of(path, read_label(path)).serial
+    stated = read_json(path).get("image_identifier")
+    return stated if isinstance(stated, str) and stated else path.stem
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(_HEAD).lstrip()
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file", "an image: ISIS cube, label, or support data") from None
+    except OSError as error:
+        raise InputError(str(path), f"can't be read ({error.strerror})", "a file") from None
