@@ -212,9 +212,8 @@ def _unwrapped(pose: Pose) -> Array:
 
 def _fit(image: "PushbroomImage", exchanged: "PushbroomImage", order: int, times: Array) -> PolynomialFit:
     """The record of a fit to the trajectory at times (n,), of which those beyond the image count at its edges."""
-    span, _ = image.timing.at(np.array([0.0, float(image.lines)]))
-    dense = np.linspace(*span, _DENSE * (times.size - 1) + 1)
-    within = np.clip(times, *span)
+    (start, stop), _ = image.timing.at(np.array([0.0, float(image.lines)]))
+    dense, within = np.linspace(start, stop, _DENSE * (times.size - 1) + 1), np.clip(times, start, stop)
     return PolynomialFit(order, times.size, _misfit(image, exchanged, within), _misfit(image, exchanged, dense))
 
 
