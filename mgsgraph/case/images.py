@@ -9,8 +9,9 @@ from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceI
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
+from mgsgraph.io.aberration import Aberration
 from mgsgraph.io.image_label import instrument_of
-from mgsgraph.io.isd import Aberration, read_isd
+from mgsgraph.io.isd import read_isd
 
 
 def read_images(

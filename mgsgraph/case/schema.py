@@ -15,7 +15,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_attitude, fit_polynomials
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.isd import Observer
+from mgsgraph.io.aberration import Observer
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
 from mgsgraph.wording import listed
