@@ -83,12 +83,13 @@ def _image(
 ) -> PushbroomImage:
     start, period = label.camera.line_times(keywords, label, _start(label, keywords, tables))
     start += label.first_line * period
-    epoch, body = start + 0.5 * label.lines * period, _body(keywords, label)
+    epoch = start + 0.5 * label.lines * period
+    interior, body = label.camera.interior(keywords, label), _body(keywords, label)
     return PushbroomImage(
         name=name or label.serial,
         lines=label.lines,
         samples=label.samples,
-        interior=label.camera.interior(keywords, label),
+        interior=interior,
         timing=LineTiming(np.zeros(1), np.array([start - epoch]), np.array([period])),
         trajectory=_trajectory(tables, epoch, stated, body),
         body=body,
