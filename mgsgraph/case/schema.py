@@ -11,9 +11,11 @@ from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.numbers import Positive, Sigma
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_attitude, fit_polynomials
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.isd import Observer
+from mgsgraph.io.aberration import Observer
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
 from mgsgraph.wording import listed
@@ -24,8 +26,9 @@ _DEFAULTS = SolverSettings()
 class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A-priori knowledge of an image's orientation corrections, and the nominal orientation that they correct."""
 
-    nominal: Literal["trajectory", "polynomial"] = "trajectory"
-    """The trajectory as read, or polynomials of the line fitted to 31 samples of it (Yoon & Shan 2005, Eq. 2)."""
+    nominal: Literal["trajectory", "polynomial", "attitude polynomial"] = "trajectory"
+    """The trajectory as read; or polynomials of the line fitted to 31 samples of it (Yoon & Shan 2005, Eq. 2); or
+    positions as read and polynomials of time fitted to the records of the attitude (jigsaw's CKDEGREE)."""
     nominal_order: Annotated[int, msgspec.Meta(ge=0, le=12)] = 2
     """Order of these polynomials."""
     degree: Annotated[int, msgspec.Meta(ge=0, le=8)] = 2
@@ -36,6 +39,12 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of the constant term about the camera axes (1 arcmin by default); inf for unknown."""
     trend: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)] | None = None
     """Factor of the constant term's sigma for each power of u, at u = 1; 1, 0.1, then 0.01 when absent."""
+
+    def nominal_of(self, image: PushbroomImage) -> tuple[PushbroomImage, PolynomialFit | None]:
+        """An image with the nominal orientation that is said here, and what polynomials cost, where these are used."""
+        if self.nominal == "trajectory":
+            return image, None
+        return (fit_polynomials if self.nominal == "polynomial" else fit_attitude)(image, self.nominal_order)
 
     def prior(self, where: str) -> OrientationPrior:
         """The sigmas, (degree + 1, 6), in m and rad; `where` names this table in errors."""

@@ -14,7 +14,6 @@ from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
@@ -206,8 +205,7 @@ def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> New
     entry = plain_image(stated, settings.spice, Path(), where)
     image = read_image(entry, settings.spice, Path(), f"{where}, {wanted.path}")
     orientation = settings.orientation
-    if orientation.nominal == "polynomial":
-        image, _ = fit_polynomials(image, orientation.nominal_order)
+    image, _ = orientation.nominal_of(image)
     prior = orientation.prior(f"{where}, settings, orientation")
     return NewImage(KnownImage(image, prior), (wanted.path,), picture_of(entry, Path()))
 

@@ -10,7 +10,7 @@ from mgs import kernels
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.rotation import exponential
-from mgsgraph.io.aberration import geometric
+from mgsgraph.io.aberration import Aberration, geometric
 from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.io.kernels import clock_time, loaded
 from mgsgraph.io.moc import read_moc
@@ -44,7 +44,7 @@ def test_positions_are_made_geometric(tmp_path: Path) -> None:
     path = written(tmp_path)
     apparent, image = read_isis_cube(path, apparent=True), read_isis_cube(path)
     velocity = KM * np.array([15.0, -15.0, -8.0])  # the body's about the Sun, opposite to the Sun's about it
-    want = geometric(apparent.trajectory.position, velocity, True)
+    want = geometric(apparent.trajectory.position, velocity, Aberration("LT+S"))
     np.testing.assert_array_equal(image.trajectory.position.positions, want.positions)
     assert np.linalg.norm(want.positions - apparent.trajectory.position.positions, axis=1).min() > 100.0
 
