@@ -5,20 +5,27 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
 from mgsgraph.case.laser import AltimetryInput
 from mgsgraph.case.reading import read_altimetry, read_case, read_shots
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.case.terrain import read_terrain_model
 from mgsgraph.errors import InputError, require
+from mgsgraph.geometry.altimeters import MOLA
 from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.records import Array
 from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.files import beside, write_file
 from mgsgraph.io.kinds import Kind, kind_of
 from mgsgraph.io.lidar import read_lidar
+from mgsgraph.io.shots import read_shots
 from mgsgraph.wording import many, some
 
+_SAME_SHOT = 1e-3
+"""s between the times of one shot in two files."""
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 """Endings in the order of loading: leap seconds, clock, body, frames, instrument, attitude, positions."""
 _HEAD = """\
@@ -208,7 +215,7 @@ def _images(images: Sequence[DraftImage], out: Path) -> str:
 def _parts(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> tuple[list[_Part], list[str]]:
     """Tables of all that is no image, each looked at by itself; and what can't be used, with the reason."""
     parts, refused = list[_Part](), list[str]()
-    for make in (_ties, _control, _lidar, _mola, _altimetry, _terrain):
+    for make in (_ties, _control, _lidar, _shots, _altimetry, _terrain):
         of_kind = list(make(kinds, images, out))
         several = len(of_kind) > 1
         for path, text, read, measured in of_kind:
@@ -247,19 +254,59 @@ def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> 
         yield path, text, lambda path=path: read_lidar(path), True
 
 
-def _mola(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
-    for path in _of(kinds, Kind.MOLA):
-        text = f"[[mola]]\npedr = {_place(path, out)}\n"
-        text += _said("shift_sigma_m = 100.0", "a common horizontal error of the profile, as an unknown")
-        yield path, text, lambda path=path: read_shots(path), False
+def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+    """A profile taken along with an image has ranges from its trajectory, MOLA's a shift; others are altimetry."""
+    known = [read_lidar(path).times for path in _of(kinds, Kind.LIDAR)]
+    for path in _of(kinds, Kind.SHOTS):
+        try:
+            shots = read_shots(path)
+        except InputError as error:
+            yield path, "", _raising(error), False
+            continue
+        if any(np.mean(np.abs(_nearest(shots.times, times) - times) < _SAME_SHOT) > 0.5 for times in known):
+            yield path, "", _raising(InputError(path.name, "the same shots as the laser shots of ISIS")), False
+            continue
+        along = any(np.any((shots.times > start) & (shots.times < stop)) for start, stop in map(_span, images))
+        if along or shots.altimeter is MOLA:
+            text = f"[[shots]]\nfile = {_place(path, out)}\n"
+            text += _said("shift_sigma_m = 100.0", "a common horizontal error of the profile, as an unknown")
+            yield path, text, lambda: None, False
+        else:
+            yield from _of_relief(path, images, out)
+
+
+def _raising(error: InputError) -> Callable[[], object]:
+    def read() -> object:
+        raise error
+
+    return read
+
+
+def _nearest(sorted_or_not: Array, times: Array) -> Array:
+    """Of each time the nearest one of others."""
+    known = np.sort(sorted_or_not)
+    after = np.clip(np.searchsorted(known, times), 1, known.size - 1)
+    before = after - 1
+    return np.asarray(np.where(times - known[before] < known[after] - times, known[before], known[after]))
+
+
+def _span(one: DraftImage) -> tuple[float, float]:
+    """s TDB past J2000 of an image's first and last edge."""
+    edges, _ = one.image.timing.at(np.array([0.0, float(one.image.lines)]))
+    start, stop = (edges + one.image.trajectory.epoch).tolist()
+    return start, stop
 
 
 def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.ALTIMETRY):
-        text = f"[[altimetry]]\nfile = {_place(path, out)}\n"
-        text += _said("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/coregister.md")
-        wanted = AltimetryInput(file=str(path.absolute()))
-        yield path, text, lambda wanted=wanted: read_altimetry(wanted, Path(), images[0].image.body), False
+        yield from _of_relief(path, images, out)
+
+
+def _of_relief(path: Path, images: Sequence[DraftImage], out: Path) -> _Made:
+    text = f"[[altimetry]]\nfile = {_place(path, out)}\n"
+    text += _said("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/coregister.md")
+    wanted = AltimetryInput(file=str(path.absolute()))
+    yield path, text, lambda: read_altimetry(wanted, Path(), images[0].image.body), False
 
 
 def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:

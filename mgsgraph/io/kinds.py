@@ -15,7 +15,8 @@ from pathlib import Path
 from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
 from mgsgraph.io.lola import RECORD, is_lola_rdr
 from mgsgraph.io.pedr import FRAME
-from mgsgraph.io.pedr_text import plain_name
+from mgsgraph.io.shot_tables import table_of
+from mgsgraph.io.shots import is_archive_table
 
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""
@@ -39,7 +40,7 @@ class Kind(StrEnum):
     TIE_TABLE = "a table of tie points"
     GROUND_CONTROL = "ground control points"
     LIDAR = "laser shots of ISIS"
-    MOLA = "shots of MOLA (PEDR)"
+    SHOTS = "laser shots"
     ALTIMETRY = "laser altimetry"
     RADII = "a terrain model of radii"
     TOPOGRAPHY = "a terrain model of heights above the areoid"
@@ -84,7 +85,7 @@ def _told(head: bytes, path: Path) -> Iterator[Kind | None]:
         yield _shots(path)
         return
     yield Kind.CASE if re.search(r"^format\s*=\s*\d+\s*(#.*)?$", text, re.MULTILINE) else None
-    yield from _rows(text)
+    yield from _rows(text, path)
 
 
 def _tiff(head: bytes) -> Kind | None:
@@ -111,7 +112,10 @@ def _kernel(head: bytes) -> Kind | None:
 def _label(text: str, path: Path, size: int) -> Kind | None:
     begin = re.match(r"object\s*=\s*(\w+)", text, re.IGNORECASE)
     if begin is None:
-        return Kind.PDS3 if text[:20].upper().startswith("PDS_VERSION_ID") else None
+        if not text[:20].upper().startswith("PDS_VERSION_ID"):
+            return None
+        of_table = re.search(r"^\s*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
+        return Kind.SHOTS if of_table and not re.search(r"^\s*\^IMAGE\s*=", text, re.MULTILINE) else Kind.PDS3
     if begin[1].lower() in ("controlnetwork", "protobuffer"):
         return Kind.NETWORK
     if begin[1].lower() != "isiscube":
@@ -145,13 +149,13 @@ def _shots(path: Path) -> Kind | None:
     """Binary records, which have no header: sizes, and what stands at places of the first ones."""
     size = path.stat().st_size
     if path.suffix.lower() == ".b" and size % FRAME.itemsize == 0:
-        return Kind.MOLA
+        return Kind.SHOTS
     if size % RECORD.itemsize == 0 and is_lola_rdr(path.read_bytes()):
-        return Kind.ALTIMETRY
+        return Kind.SHOTS
     return None
 
 
-def _rows(text: str) -> Iterator[Kind | None]:
+def _rows(text: str, path: Path) -> Iterator[Kind | None]:
     """By the header of a table, or the first row of one that has none."""
     lines = [line for line in text.splitlines()[:100] if line.strip() and not line.lstrip().startswith("#")]
     first = lines[0] if lines else ""
@@ -159,13 +163,10 @@ def _rows(text: str) -> Iterator[Kind | None]:
         names = [name.strip().lower() for name in next(csv.reader([first], strict=True), [])]
     except csv.Error:
         return
-    plain = {plain_name(name) for name in names} | {plain_name(name) for name in first.split()}
-    if plain & {"planetrad", "planetradius", "planetaryradius"}:
-        yield Kind.MOLA
     if {"id"} <= set(names) and {"image", "product", "serial_number"} & set(names):
         yield Kind.TIE_TABLE
-    if {"ptlongitude", "ptlatitude", "ptradius"} <= plain:
-        yield Kind.ALTIMETRY
+    if first and is_archive_table(table_of("\n".join(lines).encode(), path)):
+        yield Kind.SHOTS
     placed = set(CARTESIAN) <= set(names) or {*PLANETOCENTRIC[:2]} <= set(names)
     yield Kind.ALTIMETRY if placed and GEODETIC[1] not in names else None
     yield Kind.GROUND_CONTROL if _GCP.fullmatch(first) else None

@@ -26,6 +26,7 @@ from mgsgraph.network.connectivity_words import (
     weakest_joints,
 )
 from mgsgraph.network.terrain_control import coverage
+from mgsgraph.reports.readings import reading_statements
 from mgsgraph.reports.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
@@ -154,6 +155,7 @@ def _images(network: Network) -> str:
     for j, image in enumerate(network.images):
         lines += _image(image, ", held" if network.held[j] else "")
         lines.append(f"    {_orientation(network, j)}")
+    lines += [f"  {sentence}" for sentence in reading_statements(network)]
     return "\n".join(lines)
 
 

@@ -16,9 +16,10 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.io.aberration import Aberration
 from mgsgraph.io.hrsc import DETECTOR_IDS, read_hrsc, read_hrsc_strip
 from mgsgraph.io.hrsc_label import DETECTORS
-from mgsgraph.io.isd import Aberration, read_isd
+from mgsgraph.io.isd import read_isd
 from mgsgraph.io.kernels import loaded, pool_numbers
 
 MM, DEG = 1e-3, np.pi / 180.0
