@@ -9,7 +9,7 @@ import numpy as np
 
 from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
 from mgsgraph.case.laser import AltimetryInput
-from mgsgraph.case.reading import read_altimetry, read_case, read_shots
+from mgsgraph.case.reading import read_altimetry, read_case
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.case.terrain import read_terrain_model
 from mgsgraph.errors import InputError, require
@@ -109,15 +109,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     said += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
     said += [f"- Left out: {line}" for line in left_out]
     said += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
-    return Draft(text, tuple(said), _next(out, measured, len(images)))
-
-
-def _next(out: Path, measured: bool, count: int) -> str:
-    if measured:
-        return f"mgsgraph check {out}"
-    if count > 1:
-        return f"mgsgraph match {out} --out MATCHES; then mgsgraph adjust {out} --ties MATCHES/network.pvl --out RESULT"
-    return f"mgsgraph check {out}; for a second image that overlaps: mgsgraph new FILES... --out {out} --replace"
+    return Draft(text, tuple(said), f"mgsgraph check {out}")
 
 
 def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], list[Path]]:
@@ -291,7 +283,7 @@ def _nearest(sorted_or_not: Array, times: Array) -> Array:
 
 
 def _span(one: DraftImage) -> tuple[float, float]:
-    """s TDB past J2000 of an image's first and last edge."""
+    """S TDB past J2000 of an image's first and last edge."""
     edges, _ = one.image.timing.at(np.array([0.0, float(one.image.lines)]))
     start, stop = (edges + one.image.trajectory.epoch).tolist()
     return start, stop

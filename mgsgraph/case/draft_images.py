@@ -1,6 +1,7 @@
 """Which images some files are of, each once, by what file it is best read, and what networks call it."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -11,11 +12,13 @@ from mgsgraph.case.case_file import plain_image
 from mgsgraph.case.images import read_image
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.twins import twins
 from mgsgraph.io.cameras.label import read_line_scan_label
 from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.kinds import IMAGES, Kind
+from mgsgraph.units import KM
 
 _ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind.MAPPED_CUBE, Kind.PDS3,
           Kind.CUBE_LABEL)  # fmt: skip
@@ -68,10 +71,15 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
         except InputError as error:
             left_out[path] = str(error)
             continue
-        if (known := _twin(made, found)) is not None:
-            left_out[path] = f"the same image as {found[known].path.name}"
+        if (known := _twin(made, found)) is None:
+            found.append(made)
             continue
-        found.append(made)
+        kept, other = found[known], made
+        if made.image.lines * made.image.samples > kept.image.lines * kept.image.samples:  # a cube cut to a stub
+            found[known], kept, other = made, made, kept
+        left_out[other.path] = f"the same image as {kept.path.name}"
+    found, others = _on_one_body(found)
+    left_out |= others
     taken = tuple(sorted(found, key=lambda one: _start(one.image)))
     stems = [one.path.stem for one in taken]
     said = [
@@ -79,6 +87,21 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
         if not any(path.stem.startswith(stem) for stem in stems)  # labels beside what was taken
     ]
     return DraftImages(taken, tuple(said))
+
+
+def _on_one_body(found: Sequence[DraftImage]) -> tuple[list[DraftImage], dict[Path, str]]:
+    """Images on the ellipsoid that most of them have, and why the others on the same body are left out."""
+    counts = Counter(one.image.body for one in found)
+    kept, left_out = list[DraftImage](), dict[Path, str]()
+    for one in found:
+        alike = [body for body in counts if target_name(body) == target_name(one.image.body)]
+        usual = max(alike, key=counts.__getitem__)
+        if one.image.body == usual:
+            kept.append(one)
+            continue
+        radii = [f"{body.equatorial / KM:.3f} and {body.polar / KM:.3f} km" for body in (one.image.body, usual)]
+        left_out[one.path] = f"an ellipsoid of {radii[0]}; that of the others has {radii[1]}"
+    return kept, left_out
 
 
 def without_place(reason: str, path: Path) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from mgsgraph.adjustment.adjust import Prediction, predict
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_images
-from mgsgraph.case.reading import Case
+from mgsgraph.case.reading import Case, picture_of
 from mgsgraph.case.strips import members as members_of_strips
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.body import planetocentric
@@ -88,7 +88,9 @@ def images_inventory(path: Path) -> str | None:
         f"  {images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"
         for (i, j), area, share in zip(found.pairs.tolist(), found.areas.tolist(), found.shares.tolist(), strict=True)
     ]
-    what = f"mgsgraph match {path}" if pairs else "an image that overlaps, as well"
+    bare = [entry.name for entry in wanted.images if picture_of(entry, path.parent) is None]
+    what = f"mgsgraph match {path} --out MATCHES" if pairs else "an image that overlaps, as well (mgsgraph new)"
+    what = f'pixels = "FILE" in [[images]] for {some(bare, len(bare))}, then {what}' if bare and pairs else what
     return "\n".join([
         f"{wanted.name}: {many(len(images), 'image')}, no measures in them\n", "Images",
         *(line for image in images for line in _image(image)), "", "Overlaps", *(pairs or ["  none"]), "",

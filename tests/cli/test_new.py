@@ -53,10 +53,11 @@ def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> 
     files, out = sorted(case_file.parent.glob("*.isd")), tmp_path / "case.toml"
     done = run("new", *files, "--out", out)
     assert done.returncode == 0, done.stderr
-    assert f"Next: mgsgraph match {out}" in done.stdout
+    assert f"Next: mgsgraph check {out}" in done.stdout
     checked = run("check", out)
     assert checked.returncode == 0, checked.stderr
     assert "overlap by" in checked.stdout
+    assert f"mgsgraph match {out}" in checked.stdout
 
 
 def test_what_does_not_go_with_the_rest_is_left_out_with_the_reason(case_file: Path, tmp_path: Path) -> None:
