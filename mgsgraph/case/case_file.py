@@ -56,7 +56,7 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
 
 
 def _file(entry: ImageInput) -> str:
-    return next(getattr(entry, key) for key in _FILES if getattr(entry, key) is not None)
+    return next(str(getattr(entry, key)) for key in _FILES if getattr(entry, key) is not None)
 
 
 def _listed(entry: ImageInput, folder: Path, where: str) -> Iterator[ImageInput]:

@@ -18,6 +18,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
+from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.observations import observed
@@ -201,7 +202,7 @@ def _of_case(path: Path) -> tuple[list[NewImage], Network | None]:
 
 def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:
     """From a file of any kind that a case file takes, a label with the project's kernels."""
-    stated = ImageInput(name=wanted.name or wanted.path.stem, image=str(wanted.path.absolute()))
+    stated = ImageInput(name=wanted.name, image=str(wanted.path.absolute()))
     entry = plain_image(stated, settings.spice, Path(), where)
     image = read_image(entry, settings.spice, Path(), f"{where}, {wanted.path}")
     orientation = settings.orientation
@@ -211,14 +212,14 @@ def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> New
 
 
 def _named(images: Sequence[ImageArgument], ties: Sequence[TiePoints], known: Sequence[str]) -> list[ImageArgument]:
-    """Each image with a name: given, or the only one that ties use and nobody has, or that of its file."""
+    """Each image with a name: given, or the only one that ties use and nobody has, or what its file calls it."""
     taken = {*known, *(wanted.name for wanted in images if wanted.name)}
     used = {name for one in ties for name in one.measure_image} - taken
     nameless = [wanted for wanted in images if not wanted.name]
     if len(nameless) == 1 and len(used) == 1:
         nameless = [ImageArgument(nameless[0].path, used.pop())]
     else:
-        nameless = [ImageArgument(wanted.path, wanted.path.stem) for wanted in nameless]
+        nameless = [ImageArgument(one.path, image_name(one.path, image_kind(one.path))) for one in nameless]
     return [wanted for wanted in images if wanted.name] + nameless
 
 
