@@ -13,7 +13,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.distortion import Distortion, NoDistortion
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.isd import distortion_fields
+from mgsgraph.io.optics import state_optics
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.units import KM, MM
 
@@ -26,6 +26,8 @@ NAMES = ("adjusted.tsc", "adjusted.tf", "adjusted.ti", "adjusted.tpc", "body.bc"
 META_KERNEL = "adjusted.tm"
 
 _LONGEST_TEXT = 80
+_OPTICS = {"lrolrocnac": "LROC_NAC", "radial": "RADIAL"}
+"""Models of distortion that the kernel describes, by usgscsm's names."""
 """Characters of a string in a text kernel."""
 _SECONDS = 1_000_000_000
 """Of the clock's only partition: 31 years; ticks stay whole numbers in float64."""
@@ -277,8 +279,11 @@ def _distortion(distortion: Distortion, name: str) -> tuple[str, list[float]]:
     """Model and coefficients, in powers of mm."""
     if isinstance(distortion, NoDistortion):
         return "NONE", [0.0]
-    model, coefficients = distortion_fields(distortion, f"image {name}")
-    return {"lrolrocnac": "LROC_NAC", "radial": "RADIAL"}[model], coefficients
+    model, coefficients = state_optics(distortion, f"image {name}")
+    if model not in _OPTICS:
+        found = f"the model {type(distortion).__name__}"
+        raise InputError(f"image {name}, distortion", found, "none, radial, or that of LROC NAC", "export csm instead")
+    return _OPTICS[model], coefficients
 
 
 def _text(text: str, where: str) -> str:

@@ -15,14 +15,13 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import Ellipsoid, may_be
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io.aberration import geometric
+from mgsgraph.io.aberration import Aberration, Observer, geometric
 from mgsgraph.io.cameras.camera import LineScanLabel
 from mgsgraph.io.cameras.keywords import NaifKeywords, number
 from mgsgraph.io.cameras.label import is_map_projected, label_of
 from mgsgraph.io.cube_tables import CubeTable, attitude_table, position_table, tables_of_json, tables_of_label
 from mgsgraph.io.files import read_json
 from mgsgraph.io.image_label import read_label
-from mgsgraph.io.isd import Aberration, Observer
 from mgsgraph.io.pvl import Block
 from mgsgraph.units import KM
 
@@ -85,14 +84,15 @@ def _image(
     stop = tables["InstrumentPosition"].stop
     times = label.camera.line_times(keywords, label, _start(label, keywords, tables), stop)
     epoch = 0.5 * (times.start + times.stop)
+    interior, body = label.camera.interior(keywords, label), _body(keywords, label)
     return PushbroomImage(
         name=name or label.serial,
         lines=label.lines,
         samples=label.samples,
-        interior=label.camera.interior(keywords, label),
+        interior=interior,
         timing=times.timing(epoch),
-        trajectory=_trajectory(tables, epoch, stated),
-        body=_body(keywords, label),
+        trajectory=_trajectory(tables, epoch, stated, body),
+        body=body,
     )
 
 
@@ -166,10 +166,10 @@ def _start(label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeT
     return position.start
 
 
-def _trajectory(tables: dict[str, CubeTable], epoch: float, stated: Aberration) -> Trajectory:
+def _trajectory(tables: dict[str, CubeTable], epoch: float, stated: Aberration, body: Ellipsoid) -> Trajectory:
     position = position_table(tables["InstrumentPosition"], epoch)
     if stated.correction == "LT+S":
-        position = geometric(position, _body_velocity(tables), stated.observer == "body")
+        position = geometric(position, _body_velocity(tables), stated, 0.5 * (body.equatorial + body.polar))
     return Trajectory(
         epoch, position, attitude_table(tables["InstrumentPointing"], epoch),
         attitude_table(tables["BodyRotation"], epoch),
@@ -184,9 +184,12 @@ def _stated_aberration(keywords: NaifKeywords, label: LineScanLabel) -> Aberrati
     correction = str(keywords.values.get(f"{name}_LIGHTTIME_CORRECTION", label.camera.aberration)).upper()
     if correction not in ("NONE", "LT+S"):
         raise InputError(f"{keywords.source}, {name}_LIGHTTIME_CORRECTION", repr(correction), "'NONE' or 'LT+S'")
-    swapped = str(keywords.values.get(f"{name}_SWAP_OBSERVER_TARGET", False)).upper() == "TRUE"
+    swapped, to_surface = (
+        str(keywords.values.get(f"{name}_{key}", False)).upper() == "TRUE"
+        for key in ("SWAP_OBSERVER_TARGET", "LT_SURFACE_CORRECT")
+    )
     observer: Observer = "spacecraft" if swapped else "body"
-    return Aberration("NONE", observer) if correction == "NONE" else Aberration("LT+S", observer)
+    return Aberration("NONE") if correction == "NONE" else Aberration("LT+S", observer, to_surface)
 
 
 def _body_velocity(tables: dict[str, CubeTable]) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -92,7 +92,7 @@ def test_another_image_shares_what_it_can(archive: Flaky, tmp_path: Path) -> Non
     assert set(both.brought) == {"images/m0402856.imq"}
     case = decode(both.case)
     assert [image.name for image in case.images] == ["M04-02852", "M04-02856"]
-    assert [(profile.pedr, profile.image) for profile in case.mola] == [
+    assert [(profile.file, profile.image) for profile in case.shots] == [
         ("pedr/ap12058l.b", "M04-02852"), ("pedr/ap12058l.b", "M04-02856"),
     ]  # fmt: skip
     assert len(both.commands()) == 4
@@ -107,7 +107,7 @@ def test_an_image_after_the_last_range(archive: Flaky, tmp_path: Path) -> None:
     assert fetched.images[0].kernels == ("spk/mgs_ext12.bsp", "ck/mgs_sc_ext12.bc")
     assert "R10/00002: no laser profile, MOLA's ranging ended on 2001-06-30" in fetched.notes
     case = decode(fetched.case)
-    assert not case.mola
+    assert not case.shots
     assert case.terrain == ()
     assert not [name for name in files(tmp_path / "d") if name.startswith(("pedr", "megdr"))]
 
@@ -119,7 +119,7 @@ def test_profiles_of_no_such_day(archive: Flaky, tmp_path: Path, listed: bool) -
         archive.stays["pedr/ap12xxx/"] = status(404)
     fetched = fetch(archive, tmp_path / "d", terrain="none")
     assert any("ap12046l.b ends at 1999-08-24T04:23:08 before it" in note for note in fetched.notes)
-    assert not decode(fetched.case).mola
+    assert not decode(fetched.case).shots
     del archive.files["pedr/ap12xxx/ap12046l.b"]
     fetched = fetch(archive, tmp_path / "e", terrain="none")
     assert any("has no file of its day" in note for note in fetched.notes)

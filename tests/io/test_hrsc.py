@@ -16,8 +16,9 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.io.aberration import Aberration
 from mgsgraph.io.cameras.hrsc import DETECTORS, HRSC_HEAD
-from mgsgraph.io.isd import Aberration, read_isd
+from mgsgraph.io.isd import read_isd
 from mgsgraph.io.kernels import loaded, pool_numbers
 from mgsgraph.io.labelled_image import read_labelled_image, read_strip
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from sites import PLAIN, plain_site
 
+from mgsgraph.altimetry.pedr import read_pedr
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
@@ -17,7 +18,6 @@ from mgsgraph.io.control.network_file import read_control_network
 from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.io.megdr import read_megdr
 from mgsgraph.io.moc_label import read_moc_label
-from mgsgraph.io.pedr import read_pedr
 from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.mgs_files import shot_names

@@ -117,7 +117,7 @@ def _extent(block: LabelBlock) -> tuple[int, int, float, float]:
         return lines, samples, 0.0, 0.0
     if is_map_projected(block.root):
         return alpha.count("AlphaLines"), alpha.count("AlphaSamples"), 0.0, 0.0
-    return lines, samples, *(_cut(alpha, axis, count) for axis, count in (("Line", lines), ("Sample", samples)))
+    return lines, samples, _cut(alpha, "Line", lines), _cut(alpha, "Sample", samples)
 
 
 def _cut(alpha: Block, axis: str, count: int) -> float:
