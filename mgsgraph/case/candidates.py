@@ -11,6 +11,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.images import read_image
 from mgsgraph.case.numbers import Positive, Sigma
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
@@ -20,7 +21,6 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.decoding import read_toml, validated
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.io.shots import read_shots
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.planning.candidates import (
     Candidate,

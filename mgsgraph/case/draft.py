@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.draft_images import DraftImage, draft_images, named_as, without_place
 from mgsgraph.case.laser import AltimetryInput
 from mgsgraph.case.reading import read_altimetry, read_case
@@ -21,7 +22,6 @@ from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.files import beside, write_file
 from mgsgraph.io.kinds import Kind, kind_of
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.io.shots import read_shots
 from mgsgraph.wording import many, some
 
 _SAME_SHOT = 1e-3

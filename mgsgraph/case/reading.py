@@ -14,6 +14,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.groups import merged, window_beside, with_sigmas
@@ -34,7 +35,6 @@ from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.io.shots import read_shots
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedUnknown
 from mgsgraph.network.posts import TerrainModel
 from mgsgraph.ties import TiePoints
@@ -257,7 +257,7 @@ def read_profile(entry: ShotsInput, folder: Path) -> AltimeterShots:
 
 def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> AltimetryCloud:
     """Ground returns of all profiles of a file as a case states it, in the images or not."""
-    from mgsgraph.io.altimetry_cloud import read_altimetry_cloud
+    from mgsgraph.altimetry.cloud import read_altimetry_cloud
 
     path = folder / entry.file
     leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None

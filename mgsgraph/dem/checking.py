@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.laser import ShotsInput
 from mgsgraph.case.reading import read_profile
@@ -28,7 +29,6 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import east_north, east_north_up
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.io.shots import read_shots
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import beam_motion
 from mgsgraph.wording import root_mean_square

@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 
+from mgsgraph.altimetry.lola import RECORD, is_lola_rdr
+from mgsgraph.altimetry.pedr import FRAME
+from mgsgraph.altimetry.shots import is_archive_table
+from mgsgraph.altimetry.tables import table_of
 from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
-from mgsgraph.io.lola import RECORD, is_lola_rdr
-from mgsgraph.io.pedr import FRAME
-from mgsgraph.io.shot_tables import table_of
-from mgsgraph.io.shots import is_archive_table
 
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.case_file import decode, plain_image
 from mgsgraph.case.images import read_image, read_images
 from mgsgraph.case.laser import ShotsInput
@@ -20,7 +21,6 @@ from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.io.shots import read_shots
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images

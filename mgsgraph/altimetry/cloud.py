@@ -1,4 +1,4 @@
-"""Any laser altimetry as control, to an AltimetryCloud: what `io.shots` reads of altimeters' archives, and plain CSV.
+"""Any laser altimetry as control, to an AltimetryCloud: what `shots` reads of altimeters' archives, and plain CSV.
 
 A plain CSV names its columns, with their units, in its first line: longitude_deg and latitude_deg (east,
 planetocentric) with radius_m, radius_km or height_m (above the body's ellipsoid), or x_m, y_m, z_m (body-fixed); it may
@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mgsgraph.altimetry.csv_table import CsvTable
+from mgsgraph.altimetry.places import by_pauses, positions, require_radii, unit_of_radii
+from mgsgraph.altimetry.shots import is_archive_table, read_shots, unpacked
+from mgsgraph.altimetry.tables import table_of
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, geodetic
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.csv_table import CsvTable
 from mgsgraph.io.files import read_bytes
-from mgsgraph.io.shot_places import by_pauses, positions, require_radii, unit_of_radii
-from mgsgraph.io.shot_tables import table_of
-from mgsgraph.io.shots import is_archive_table, read_shots, unpacked
 from mgsgraph.units import KM
 
 _EXPECTED = (

@@ -15,15 +15,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mgsgraph.altimetry.csv_table import CsvTable
+from mgsgraph.altimetry.lola import INVALID
+from mgsgraph.altimetry.places import crossings, positions, unit_of_radii
+from mgsgraph.altimetry.time_scales import tdb_of_tt, tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, LOLA, MLA, Altimeter
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.io.csv_table import CsvTable
-from mgsgraph.io.lola import INVALID
-from mgsgraph.io.shot_places import crossings, positions, unit_of_radii
-from mgsgraph.io.time_scales import tdb_of_tt, tdb_of_utc
 from mgsgraph.units import DEG, KM
 
 _HALF_LIGHT = 0.5e-9 * 299_792_458.0

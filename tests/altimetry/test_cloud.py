@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mgsgraph.altimetry.cloud import read_altimetry_cloud
+from mgsgraph.altimetry.pedr import FRAME
+from mgsgraph.altimetry.time_scales import tdb_of_tt
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import LOLA, MOLA
 from mgsgraph.geometry.altimetry import AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic, planetocentric
-from mgsgraph.io.altimetry_cloud import read_altimetry_cloud
 from mgsgraph.io.isd import read_isd
-from mgsgraph.io.pedr import FRAME
-from mgsgraph.io.time_scales import tdb_of_tt
 from mgsgraph.registration.footprints import points_in_images
 from mgsgraph.units import DEG
 

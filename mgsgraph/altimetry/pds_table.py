@@ -12,16 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsgraph.altimetry.csv_table import plain_name
+from mgsgraph.altimetry.lola import lola_shots
+from mgsgraph.altimetry.places import crossings, positions, require_radii
+from mgsgraph.altimetry.time_scales import tdb_of_utc
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, Altimeter
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.csv_table import plain_name
 from mgsgraph.io.files import number_of, read_bytes
-from mgsgraph.io.lola import lola_shots
 from mgsgraph.io.pvl import Block, Document, whole_label
-from mgsgraph.io.shot_places import crossings, positions, require_radii
-from mgsgraph.io.time_scales import tdb_of_utc
 from mgsgraph.units import DEG, KM
 
 _GROUND = r"(foot(print)?|spot|pt|point|topo(graphic)?|ground|surface|geoc(entric)?|east|planetocentric)*"

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.altimetry.csv_table import plain_name
+from mgsgraph.altimetry.pedr import IAU2000_VERSION, in_iau2000, pedr_version
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.csv_table import plain_name
 from mgsgraph.io.files import read_text
-from mgsgraph.io.pedr import IAU2000_VERSION, in_iau2000, pedr_version
 from mgsgraph.units import DEG
 
 _COLUMNS = {
@@ -239,9 +239,8 @@ def _from_utc(table: _ShotTable, leap_seconds: Path | None) -> Array:
             f"{table.path}, header", "times in UTC alone", "a column EphemerisTime, or a leap seconds kernel",
             "give the kernel (naif0012.tls), or ask ODE for a file with the ephemeris time",
         )
-    import spiceypy  # half a second, which files with ephemeris times need not wait for
+    from mgsgraph.io.kernels import (
+        times_of_utc,  # SPICE: half a second, which files with ephemeris times need not wait for
+    )
 
-    from mgsgraph.io.kernels import loaded, spice_words
-
-    with loaded([leap_seconds]), spice_words(f"{table.path}, UTC", "UTC is written as in 1999-04-08T09:50:04.631"):
-        return np.asarray(spiceypy.str2et(table.columns["utc"].tolist()), dtype=np.float64)
+    return times_of_utc(table.columns["utc"].tolist(), [leap_seconds], f"{table.path}, UTC")

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from outside import require
 
+from mgsgraph.altimetry.shots import read_shots
+from mgsgraph.altimetry.time_scales import tdb_of_tt, tdb_of_utc, utc_of_tdb
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import ALTIMETERS, LALT, LOLA, MLA, MOLA
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.io.lidar import read_lidar
-from mgsgraph.io.shots import read_shots
-from mgsgraph.io.time_scales import tdb_of_tt, tdb_of_utc, utc_of_tdb
 from mgsgraph.units import DEG
 
 LIGHT = 299_792_458.0

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from mgsgraph.altimetry.time_scales import utc_of_tdb
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.io.time_scales import utc_of_tdb
 from mgsgraph.units import DEG, KM
 
 _PAUSE = 1800.0

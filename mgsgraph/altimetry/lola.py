@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.altimetry.places import crossings, positions
+from mgsgraph.altimetry.time_scales import tdb_of_tt
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimeters import LOLA
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.shot_places import crossings, positions
-from mgsgraph.io.time_scales import tdb_of_tt
 from mgsgraph.units import DEG
 
 SPOTS = 5

@@ -9,15 +9,15 @@ import gzip
 import zlib
 from pathlib import Path
 
+from mgsgraph.altimetry.csv_table import CsvTable
+from mgsgraph.altimetry.lola import is_lola_rdr, lola_shots
+from mgsgraph.altimetry.pds_table import is_label, read_labelled_shots
+from mgsgraph.altimetry.pedr import FRAME, read_pedr
+from mgsgraph.altimetry.pedr_text import PEDR_RADII, read_pedr_text
+from mgsgraph.altimetry.tables import is_selection, layout_of, read_selection, shots_of_table, table_of
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.io.csv_table import CsvTable
 from mgsgraph.io.files import read_bytes
-from mgsgraph.io.lola import is_lola_rdr, lola_shots
-from mgsgraph.io.pds_table import is_label, read_labelled_shots
-from mgsgraph.io.pedr import FRAME, read_pedr
-from mgsgraph.io.pedr_text import PEDR_RADII, read_pedr_text
-from mgsgraph.io.shot_tables import is_selection, layout_of, read_selection, shots_of_table, table_of
 
 
 def read_shots(
