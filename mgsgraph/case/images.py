@@ -75,15 +75,15 @@ def _together(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, P
 
 
 def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
-    from mgsgraph.io.hrsc import read_hrsc_strip
+    from mgsgraph.io.labelled_image import read_strip
 
     folder, first = path.parent, entries[0]
-    images = read_hrsc_strip(
+    images = read_strip(
         [folder / entry.label for entry in entries if entry.label is not None],
         _required_kernels(first, spice, folder, f"{path}, image {first.name}"),
         [entry.name for entry in entries],
         constants=first.constants,
-        attitude_bias=first.attitude_bias_s or 0.0,
+        attitude_bias=first.attitude_bias_s,
         position_bias=first.position_bias_s,
         interval=spice.sampling_s if spice else 0.1,
         line_times=[_line_times(entry, folder) for entry in entries],
