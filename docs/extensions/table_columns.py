@@ -30,6 +30,8 @@ from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.registration.relief_files import costs_table, profiles_table, relief_shots_table
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
+from mgsgraph.registration.crossing_tables import selection_table
+from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.registration.tables import discrepancy_table, registration_table
 from mgsgraph.reports.analysis import components_table
 from mgsgraph.reports.likelihood import likelihood_table
@@ -93,6 +95,8 @@ def _tables() -> Iterator[tuple[str, Table]]:
     registration = _registration()
     yield "registration.csv", registration_table(registration)
     yield "discrepancy.csv", discrepancy_table(registration)
+    over = shots_over_images(registration.images, registration.before[0].found.shots)
+    yield "what mgsgraph shots writes", selection_table(over)
     yield from _without_rows()
 
 
