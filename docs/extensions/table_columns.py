@@ -27,11 +27,11 @@ from mgsgraph.matching.files import matches_table
 from mgsgraph.network import PointClass
 from mgsgraph.output.table import Column, Table
 from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.registration.crossing_tables import selection_table
+from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.registration.relief_files import costs_table, profiles_table, relief_shots_table
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
-from mgsgraph.registration.crossing_tables import selection_table
-from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.registration.tables import discrepancy_table, registration_table
 from mgsgraph.reports.analysis import components_table
 from mgsgraph.reports.likelihood import likelihood_table

@@ -24,7 +24,7 @@ from mgsgraph.fetch.folder import Fetched, fetch_images, survey
 from mgsgraph.fetch.lock import Lock, verify
 from mgsgraph.io.files import claimed
 from mgsgraph.io.kernels import times_of_utc
-from mgsgraph.io.moc import read_moc
+from mgsgraph.io.labelled_image import read_labelled_image
 
 QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
 ONE, OTHER, LATE = "M04/02852", "m0402856", "R10-00002"
@@ -390,11 +390,11 @@ def test_real_kernels_give_the_geometry_that_isis_has(archive: Flaky, shared_dat
     image = case.images[0]
     assert case.spice is not None
     kernels = [folder / name for name in case.spice.kernels]
-    taken = read_moc(
+    taken = read_labelled_image(
         folder / str(image.label), kernels, constants=image.constants, focal_length=image.focal_length_m
     )
     assert taken.trajectory.epoch == pytest.approx(mgs.START, abs=1.0)
-    by_isis = read_moc(folder / str(image.label), mgs.kernels(shared_data), constants="iak")
+    by_isis = read_labelled_image(folder / str(image.label), mgs.kernels(shared_data), constants="iak")
     lines, samples = np.array([0.0, 3.0, 6.0]), np.array([0.0, 128.0, 256.0])
     one, _ = taken.image_to_ground(lines, samples)
     other, _ = by_isis.image_to_ground(lines, samples)
