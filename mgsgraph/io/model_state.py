@@ -171,7 +171,7 @@ def _trajectory(state: _State, interior: InteriorOrientation, timing: LineTiming
 
     def misturned(table: AttitudeTable, times: Array) -> Array:
         off = table.at(times)[0] - rotation.to_matrix(_to_camera(turns.at(times)))
-        return np.linalg.norm(off, axis=(1, 2)) / angle
+        return np.asarray(np.linalg.norm(off, axis=(1, 2)) / angle)
 
     corners = places.times(np.arange(len(places.nodes) - 1)[:, None] + [_CORNER, 1.0 - _CORNER]).ravel()
     samples = turns.times(np.arange(len(turns.nodes)))
@@ -197,7 +197,7 @@ class _EvenTable:
 
     def times(self, at: Array | Index) -> Array:
         """Times of places, in steps from the first sample."""
-        return self.first + np.asarray(at) * self.step
+        return np.asarray(self.first + at * self.step, dtype=np.float64)
 
     def at(self, times: Array, moved: float = 0.0) -> Array:
         """Values (n, k) at times (n,); those `moved` by a part of a step along the very polynomials of these times."""
@@ -248,12 +248,6 @@ def _table(values: list[float], width: int, where: str) -> Array:
     if len(values) % width or len(values) < 2 * width:
         raise InputError(where, f"{len(values)} numbers", f"{width} for each of two samples or more")
     return np.array(values).reshape(-1, width)
-
-
-def _between(times: Array, edges: Array) -> Array:
-    """Times between samples, of those intervals that the image has a part in."""
-    within = (times[1:] > edges[0]) & (times[:-1] < edges[1])
-    return (times[:-1, None] + np.diff(times)[:, None] * _BETWEEN)[within].ravel()
 
 
 def _to_camera(quaternions: Array) -> Array:
