@@ -8,7 +8,7 @@ import msgspec
 from mgsgraph.case.laser import of_today
 from mgsgraph.case.schema import CaseInput, ImageInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.io.decoding import read_table, validated
+from mgsgraph.io.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.io.files import read_text
 from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
 
@@ -24,8 +24,9 @@ def decode(path: Path) -> CaseInput:
         With the place of what is wrong: an unknown key, a value out of range; an image given in two ways or none, a
         list without files, files that are no images, or one name for two.
     """
-    table = of_today(read_table(path, "case file"))
-    wanted = validated(table, CaseInput, path, "see the case files in scripts/cases, and docs")
+    toml = read_toml(path, CASE_FILE)
+    toml = toml._replace(tables=of_today(toml.tables))
+    wanted = validated(toml, CaseInput, path, "all keys: mgsgraph help case")
     images = list[ImageInput]()
     for k, entry in enumerate(wanted.images):
         where = f"{path}, images[{k}]"
