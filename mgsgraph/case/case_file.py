@@ -12,7 +12,7 @@ from mgsgraph.io.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.io.files import read_text
 from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
 
-_FILES: tuple[ImageKind, ...] = ("isd", "label", "cube")
+_FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
 
 
 def decode(path: Path) -> CaseInput:
@@ -41,11 +41,11 @@ def decode(path: Path) -> CaseInput:
 
 
 def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> ImageInput:
-    """An image whose file stands under the key of its kind (`isd`, `label`, `cube`), with a name."""
+    """An image whose file stands under the key of its kind (`isd`, `state`, `label`, `cube`), with a name."""
     given = [key for key in ("image", *_FILES) if getattr(entry, key) is not None]
     if len(given) != 1:
         found = f"both {given[0]} and {given[1]}" if given else "no file of the image"
-        raise InputError(where, found, "one of image, list, isd, label and cube")
+        raise InputError(where, found, "one of image, list, isd, state, label and cube")
     if entry.image is not None:
         kernels = entry.kernels or (spice.kernels if spice else ())
         kind = image_kind(folder / entry.image, bool(entry.kernels), bool(kernels))

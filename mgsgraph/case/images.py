@@ -118,6 +118,10 @@ def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where:
         return read_isis_cube(folder / entry.cube, entry.name, stated)
     if entry.isd is not None:
         return read_isd(folder / entry.isd, entry.name, stated)
+    if entry.state is not None:
+        from mgsgraph.io.model_state import read_model_state
+
+        return read_model_state(folder / entry.state, entry.name)
     from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load: those who need it wait
 
     assert entry.label is not None
