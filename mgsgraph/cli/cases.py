@@ -87,6 +87,7 @@ def adjust(
     if cluster is not None:
         parse_cluster(cluster)
     read = read_case(case, overrides.laser, ties)
+    print_sentences(read.notes)
     settings = overrides.over(read.settings)
     if relief:
         ctx.exit(0 if _coregistered(replace(read, settings=settings), out, overrides.figures) else 1)

@@ -177,6 +177,8 @@ def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> 
 
     network = reviewed_network(case) if ties is None else ties
     setting = case_setting(case) if network.suffix.lower() == ".csv" else None
-    ignored, total = write_kept(network, read_verdicts(verdicts), out, setting)
+    ignored, total = write_kept(
+        network, read_verdicts(verdicts), out, setting, lambda: tuple(case_setting(case).sizes)
+    )
     click.echo(f"- {ignored} of {total} points of {network} are ignored now.")
     click.echo(f"The network is {out}")

@@ -142,14 +142,16 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
 
 
 def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints:
-    """Tie points of a table (by the ending .csv) or of an ISIS control network; see `read_table`, `tie_points`."""
+    """Tie points of a table (by the ending .csv) or of an ISIS control network, on this body; see `read_table`,
+    `read_control_network`.
+    """
     ending = path.suffix.lower()
     if ending == ".csv":
         return tie_points(read_table(path, ellipsoid))
     if ending in _OF_OTHERS:
         expected = "a control network (.pvl, .net) or a table (.csv)"
         raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {path.name} network.net")
-    return read_control_network(path)
+    return read_control_network(path, ellipsoid)
 
 
 def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
