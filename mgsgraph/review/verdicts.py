@@ -22,10 +22,9 @@ from mgsgraph.case.groups import in_images
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
 from mgsgraph.io.control.binary import write_binary_network
-from mgsgraph.io.control.network_file import read_network
 from mgsgraph.io.control.pvl_writing import write_pvl_network
 from mgsgraph.io.control.record import ControlNetwork
-from mgsgraph.io.control.table import read_table, table_text
+from mgsgraph.io.control.table import read_whole, table_text
 from mgsgraph.io.control.ties import tie_points
 from mgsgraph.io.files import read_text, write_file
 from mgsgraph.ties import TiePoints
@@ -201,7 +200,7 @@ def write_kept(
         raise InputError(str(out), f"a table, of a network in another form ({network})", ".pvl or .net",
                          "a table can't hold all of it: `mgsgraph convert` says what it can't")  # fmt: skip
     setting = setting or ExchangeSetting()
-    record = read_table(network, setting.ellipsoid) if table[0] else read_network(network)
+    record = read_whole(network, setting.ellipsoid)
     ties = tie_points(record)
     if verdicts.network not in ("", network_digest(ties)) and (names := images()):
         ties, _ = in_images(ties, names)

@@ -17,7 +17,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.control.network_file import read_control_network
+from mgsgraph.io.control.network_file import read_control_network, read_network
 from mgsgraph.io.control.pvl import MEASURE_TYPES
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.io.control.table_columns import (
@@ -139,6 +139,11 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
     place, uncertainty = whole(names, PLACES), whole(names, UNCERTAINTIES)
     made = tuple(_point(name, point, place, uncertainty, ellipsoid) for name, point in points.items())
     return ControlNetwork("", "", made, source=str(path))
+
+
+def read_whole(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork:
+    """All of a table (by the ending .csv) or of an ISIS control network; see `read_table`, `read_network`."""
+    return read_table(path, ellipsoid) if path.suffix.lower() == ".csv" else read_network(path)
 
 
 def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints:
