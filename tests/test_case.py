@@ -87,6 +87,18 @@ def test_settings_and_overrides(case_file: Path) -> None:
     assert (case.settings.loss, case.settings.reject, case.settings.line) == ("huber", 5.0, "measured")
 
 
+@pytest.mark.parametrize("nominal", ["polynomial", "attitude polynomial"])
+def test_the_nominal_orientation_is_the_one_that_is_said(case_file: Path, nominal: str) -> None:
+    """jigsaw's polynomials leave the positions alone, the papers' do not; both have a record of what they cost."""
+    lines = np.linspace(10.0, 50.0, 5)
+    before = mgsgraph.read_case(case_file).network.images[0].pose(lines)
+    case = mgsgraph.read_case(edited(case_file, swap("[orientation]", f'[orientation]\nnominal = "{nominal}"')))
+    after = case.network.images[0].pose(lines)
+    assert [fit.order for fit in case.fits] == [2, 2]
+    assert np.array_equal(before.position, after.position) is (nominal == "attitude polynomial")
+    assert 0.0 < np.abs(before.matrix - after.matrix).max() < 1e-4
+
+
 def test_files_own_sigmas_where_the_case_is_silent(case_file: Path) -> None:
     case = mgsgraph.read_case(edited(case_file, lambda text: re.sub(r"(range|ground)_sigma_m = .*\n", "", text)))
     assert np.all(case.network.ranges.sigmas == 1.0)

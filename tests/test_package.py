@@ -37,7 +37,7 @@ STOREYS = [
     ("mgsgraph.adjustment",),
     ("mgsgraph.simulation",),
     ("mgsgraph.matching", "mgsgraph.output"),
-    ("mgsgraph.network", "mgsgraph.registration", "mgsgraph.io", "mgsgraph.fetch"),
+    ("mgsgraph.network", "mgsgraph.registration", "mgsgraph.altimetry", "mgsgraph.io", "mgsgraph.fetch"),
     ("mgsgraph.ties",),
     ("mgsgraph.geometry", "mgsgraph.kernel"),
     ("mgsgraph.factors",),

@@ -11,14 +11,13 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.images import read_image
 from mgsgraph.case.numbers import Positive, Sigma
-from mgsgraph.case.reading import read_shots
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.io.decoding import read_table, validated
 from mgsgraph.io.lidar import read_lidar
@@ -194,8 +193,7 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInp
         if _same_exposure(image, known):
             found = f"image {entry.name!r}, which is {known.name!r} of the network under another name"
             raise InputError(where, found, "a new image", "take it out of the candidates")
-    if orientation.nominal == "polynomial":
-        image, _ = fit_polynomials(image, orientation.nominal_order)
+    image, _ = orientation.nominal_of(image)
     return planned_image(coverage, KnownImage(image, prior, entry.held), ties)
 
 

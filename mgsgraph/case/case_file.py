@@ -5,6 +5,7 @@ from pathlib import Path
 
 import msgspec
 
+from mgsgraph.case.laser import of_today
 from mgsgraph.case.schema import CaseInput, ImageInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.io.decoding import read_table, validated
@@ -23,7 +24,8 @@ def decode(path: Path) -> CaseInput:
         With the place of what is wrong: an unknown key, a value out of range; an image given in two ways or none, a
         list without files, files that are no images, or one name for two.
     """
-    wanted = validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")
+    table = of_today(read_table(path, "case file"))
+    wanted = validated(table, CaseInput, path, "see the case files in scripts/cases, and docs")
     images = list[ImageInput]()
     for k, entry in enumerate(wanted.images):
         where = f"{path}, images[{k}]"
@@ -54,7 +56,7 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
 
 
 def _file(entry: ImageInput) -> str:
-    return next(getattr(entry, key) for key in _FILES if getattr(entry, key) is not None)
+    return next(str(getattr(entry, key)) for key in _FILES if getattr(entry, key) is not None)
 
 
 def _listed(entry: ImageInput, folder: Path, where: str) -> Iterator[ImageInput]:

@@ -8,9 +8,10 @@ from typing import Literal
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_polynomials
+from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
+from mgsgraph.io.aberration import Aberration
 from mgsgraph.io.image_label import instrument_of
-from mgsgraph.io.isd import Aberration, read_isd
+from mgsgraph.io.isd import read_isd
 
 
 def read_images(
@@ -29,17 +30,16 @@ def read_images(
     path : Path
         Where the case file is.
     """
-    found, fits = dict[int, PushbroomImage](), list[PolynomialFit]()
+    found, fits = dict[int, PushbroomImage](), list[PolynomialFit | None]()
     for k, mine in enumerate(of_strips):
         _require_of_strip(wanted, orientations, mine, f"{path}, strips[{k}] ({wanted.strips[k].name})")
         found |= _together(wanted, mine, path)
     for j, (entry, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
         if j not in found:
             found[j] = read_image(entry, wanted.spice, path.parent, f"{path}, images[{j}]")
-        if orientation.nominal == "polynomial":
-            found[j], fit = fit_polynomials(found[j], orientation.nominal_order)
-            fits.append(fit)
-    return tuple(found[j] for j in range(len(wanted.images))), tuple(fits)
+        found[j], fit = orientation.nominal_of(found[j])
+        fits.append(fit)
+    return tuple(found[j] for j in range(len(wanted.images))), tuple(fit for fit in fits if fit is not None)
 
 
 def _require_of_strip(
@@ -53,8 +53,8 @@ def _require_of_strip(
         if entry.orientation is not None:
             found = f"image {entry.name}, which has an orientation table of its own"
             raise InputError(where, found, "images that the strip's prior is for", "take one of the two out")
-        if orientations[j].nominal == "polynomial":
-            found = f"image {entry.name} with nominal = 'polynomial'"
+        if (nominal := orientations[j].nominal) != "trajectory":
+            found = f"image {entry.name} with nominal = {nominal!r}"
             raise InputError(where, found, "the trajectory itself, which all images share", "nominal = 'trajectory'")
 
 
@@ -75,15 +75,15 @@ def _together(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, P
 
 
 def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
-    from mgsgraph.io.hrsc import read_hrsc_strip
+    from mgsgraph.io.labelled_image import read_strip
 
     folder, first = path.parent, entries[0]
-    images = read_hrsc_strip(
+    images = read_strip(
         [folder / entry.label for entry in entries if entry.label is not None],
         _required_kernels(first, spice, folder, f"{path}, image {first.name}"),
         [entry.name for entry in entries],
         constants=first.constants,
-        attitude_bias=first.attitude_bias_s or 0.0,
+        attitude_bias=first.attitude_bias_s,
         position_bias=first.position_bias_s,
         interval=spice.sampling_s if spice else 0.1,
         line_times=[_line_times(entry, folder) for entry in entries],

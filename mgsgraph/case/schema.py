@@ -7,13 +7,15 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
-from mgsgraph.case.laser import AltimetryInput, LaserInput, MolaInput
+from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.numbers import Positive, Sigma
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.polynomial_trajectory import PolynomialFit, fit_attitude, fit_polynomials
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.isd import Observer
+from mgsgraph.io.aberration import Observer
 from mgsgraph.network import SharedKind, SharedUnknown
 from mgsgraph.units import MRAD
 from mgsgraph.wording import listed
@@ -24,8 +26,9 @@ _DEFAULTS = SolverSettings()
 class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """A-priori knowledge of an image's orientation corrections, and the nominal orientation that they correct."""
 
-    nominal: Literal["trajectory", "polynomial"] = "trajectory"
-    """The trajectory as read, or polynomials of the line fitted to 31 samples of it (Yoon & Shan 2005, Eq. 2)."""
+    nominal: Literal["trajectory", "polynomial", "attitude polynomial"] = "trajectory"
+    """The trajectory as read; or polynomials of the line fitted to 31 samples of it (Yoon & Shan 2005, Eq. 2); or
+    positions as read and polynomials of time fitted to the records of the attitude (jigsaw's CKDEGREE)."""
     nominal_order: Annotated[int, msgspec.Meta(ge=0, le=12)] = 2
     """Order of these polynomials."""
     degree: Annotated[int, msgspec.Meta(ge=0, le=8)] = 2
@@ -36,6 +39,12 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Sigma of the constant term about the camera axes (1 arcmin by default); inf for unknown."""
     trend: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)] | None = None
     """Factor of the constant term's sigma for each power of u, at u = 1; 1, 0.1, then 0.01 when absent."""
+
+    def nominal_of(self, image: PushbroomImage) -> tuple[PushbroomImage, PolynomialFit | None]:
+        """An image with the nominal orientation that is said here, and what polynomials cost, where these are used."""
+        if self.nominal == "trajectory":
+            return image, None
+        return (fit_polynomials if self.nominal == "polynomial" else fit_attitude)(image, self.nominal_order)
 
     def prior(self, where: str) -> OrientationPrior:
         """The sigmas, (degree + 1, 6), in m and rad; `where` names this table in errors."""
@@ -87,7 +96,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     position_bias_s: float = 0.0
     """Position of time t is the SPK's of t + this."""
     line_times: Annotated[str, msgspec.Meta(min_length=1)] | None = None
-    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (io.hrsc_lines)."""
+    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (io.cameras.hrsc_lines)."""
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None
@@ -125,7 +134,7 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     radius: str | tuple[str, ...] = ()
     """MEGDR grid of radii (.img, .lbl) or GeoTIFF in any map projection; several: tiles of one grid."""
     tracks: str | tuple[str, ...] = ()
-    """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[mola]]."""
+    """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[shots]]."""
     topography: str | None = None
     """MEGDR grid of topography with the same posts: radius minus topography is the areoid."""
     areoid: str | None = None
@@ -268,8 +277,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Ground control points."""
     laser: LaserInput | tuple[LaserInput, ...] | bool = False
     """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false: none."""
-    mola: tuple[MolaInput, ...] = ()
-    """Laser profiles of MOLA."""
+    shots: tuple[ShotsInput, ...] = ()
+    """Laser profiles of an altimeter."""
     altimetry: tuple[AltimetryInput, ...] = ()
     """Laser altimetry that lies on the relief."""
     terrain: TerrainInput | tuple[TerrainInput, ...] = ()
@@ -314,7 +323,7 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     @property
     def measured(self) -> bool:
         """Whether it names points measured in images; else tie points are still to be found."""
-        back_projected = any(profile.image_rows != "none" for profile in self.mola)
+        back_projected = any(profile.image_rows != "none" for profile in self.shots)
         return bool(self.tie_groups or self.ground_control or self.laser_groups or back_projected)
 
     @property

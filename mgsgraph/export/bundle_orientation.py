@@ -12,6 +12,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import PLACES
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
@@ -74,11 +75,8 @@ def orientation_polynomials(solution: Solution, image: int, degree: int) -> Orie
 
 def right_ascension_declination_twist(matrix: Array) -> Array:
     """(n, 3) rad, of matrices (n, 3, 3) M = R3(twist) R1(90 deg - declination) R3(90 deg + ascension), passive."""
-    axis, across = matrix[:, 2], np.hypot(matrix[:, 2, 0], matrix[:, 2, 1])
-    ascension = np.arctan2(axis[:, 1], axis[:, 0])
-    node = np.stack([-np.sin(ascension), np.cos(ascension), np.zeros(ascension.size)], axis=1)
-    along = np.einsum("nij,nj->ni", matrix, node)
-    return np.stack([ascension, np.arctan2(axis[:, 2], across), np.arctan2(-along[:, 1], along[:, 0])], axis=1)
+    turned, lack, twist = rotation.angles_313(matrix).T
+    return np.stack([in_turn(turned - 0.5 * np.pi), 0.5 * np.pi - lack, twist], axis=1)
 
 
 def _axes(matrix: Array, angles: Array) -> Array:

@@ -139,21 +139,82 @@ def _view(state: State, times: Numbers, points: Numbers) -> tuple[Numbers, Numbe
 def _distort(state: State, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
     """Measured focal-plane places of ideal ones (Distortion.cpp, applyDistortion); mm."""
     kind, said = state["m_distortionType"], state["m_opticalDistCoeffs"]
-    if kind == 0:
-        radius = np.hypot(x, y)
-        share = said[0] + radius**2 * (said[1] + radius**2 * said[2])
-        bent = radius * (1.0 + share)
-        for _ in range(20):
-            share = said[0] + bent**2 * (said[1] + bent**2 * said[2])
-            bent = radius + share * bent
-        return x / (1.0 - share), y / (1.0 - share)
-    if kind == 4:
-        (k,) = said
-        bent = y
-        for _ in range(50):
-            bent = np.where(np.abs(y) > 40.0, y, y * (1.0 + k * bent**2))
-        return x, bent
+    if kind in _APPLIED:
+        return _APPLIED[kind](said, x, y, state["m_focalLength"])
     raise ValueError(f"distortion {kind}, which is not read back")
+
+
+# --- Distortion.cpp, applyDistortion: the cases of its switch
+
+
+def _radial(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Numbers, Numbers]:
+    radius = np.hypot(x, y)
+    share = said[0] + radius**2 * (said[1] + radius**2 * said[2])
+    bent = radius * (1.0 + share)
+    for _again in range(20):
+        share = said[0] + bent**2 * (said[1] + bent**2 * said[2])
+        bent = radius + share * bent
+    return x / (1.0 - share), y / (1.0 - share)
+
+
+def _transverse(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Numbers, Numbers]:
+    terms = np.array([np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+    first, last = np.array([said[:10], said[10:]]) @ terms
+    return first, last
+
+
+def _kaguya(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Numbers, Numbers]:
+    xt, yt = x - said[0], y - said[5]
+    for _again in range(50):
+        r = np.hypot(xt, yt)
+        xt, yt = (
+            ideal - own[0] - (own[1] + own[2] * r + own[3] * r**2 + own[4] * r**3)
+            for ideal, own in ((x, said[:5]), (y, said[5:]))
+        )
+    return xt, yt
+
+
+def _dawn(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Numbers, Numbers]:
+    share = 1.0 + said[0] * (x * x + y * y)
+    return x * share, y * share
+
+
+def _lroc(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Numbers, Numbers]:
+    bent = y
+    for _again in range(50):
+        bent = np.where(np.abs(y) > 40.0, y, y * (1.0 + said[0] * bent**2))
+    return x, bent
+
+
+def _cahvor(said: list[float], x: Numbers, y: Numbers, focal: float) -> tuple[Numbers, Numbers]:
+    moved = _radial(said, x - said[3], y - said[4], focal)
+    return moved[0] + said[3], moved[1] + said[4]
+
+
+def _radtan(said: list[float], x: Numbers, y: Numbers, focal: float) -> tuple[Numbers, Numbers]:
+    (k1, k2, p1, p2, k3), u, v = said, x / focal, y / focal
+    r2 = u * u + v * v
+    share = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    return (
+        focal * (u * share + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)),
+        focal * (v * share + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v),
+    )
+
+
+def _shadowcam(said: list[float], x: Numbers, y: Numbers, _: float) -> tuple[Numbers, Numbers]:
+    bent = y
+    for _again in range(50):
+        bent = y / (1.0 + said[0] * bent**2)
+    return x, bent
+
+
+_APPLIED = {0: _radial, 1: _transverse, 2: _kaguya, 3: _dawn, 4: _lroc, 5: _cahvor, 7: _radtan, 8: _shadowcam}
+"""By DistortionType (include/usgscsm/Distortion.h)."""
+_NAMED = {
+    "radial": 0, "transverse": 1, "kaguyalism": 2, "dawnfc": 3, "lrolrocnac": 4, "cahvor": 5, "radtan": 7,
+    "kplo_shadowcam": 8,
+}  # fmt: skip
+"""Types by the names in support data (ALE, src/Util.cpp, getDistortionModel)."""
 
 
 # --- Utilities.cpp
@@ -201,11 +262,14 @@ def state_of_support_data(isd: dict[str, Any]) -> State:
     centre = isd["center_ephemeris_time"]
     rates = np.array(isd["line_scan_rate"])
     ((kind, said),) = isd["optical_distortion"].items()
+    said = [said["coefficients"]] if "coefficients" in said else [
+        [said[f"boresight_{axis}"], *said[axis]] if kind == "kaguyalism" else said[axis] for axis in ("x", "y")
+    ]  # fmt: skip
     return {
         "m_nLines": isd["image_lines"], "m_platformFlag": 1, "m_currentParameterValue": [0.0] * 16,
         "m_intTimeLines": rates[:, 0], "m_intTimeStartTimes": rates[:, 1], "m_intTimes": rates[:, 2],
         "m_focalLength": isd["focal_length_model"]["focal_length"],
-        "m_distortionType": {"radial": 0, "lrolrocnac": 4}[kind], "m_opticalDistCoeffs": said["coefficients"],
+        "m_distortionType": _NAMED[kind], "m_opticalDistCoeffs": np.hstack(said).tolist(),
         "m_iTransL": isd["focal2pixel_lines"], "m_iTransS": isd["focal2pixel_samples"],
         "m_detectorLineOrigin": isd["detector_center"]["line"],
         "m_detectorSampleOrigin": isd["detector_center"]["sample"],

@@ -15,6 +15,7 @@ from mgsgraph.export.csm_tables import RefinedTables, Turning
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
+from mgsgraph.io.optics import NUMBERS, state_optics
 from mgsgraph.units import KM
 
 PARAMETERS = 16
@@ -22,8 +23,6 @@ PARAMETERS = 16
 scaled to m; focal length."""
 _REAL = 2
 """csm::param::REAL."""
-_DISTORTIONS = {"radial": 0, "lrolrocnac": 4}
-"""DistortionType of usgscsm (include/usgscsm/Distortion.h)."""
 _PLACES = 31
 """Lines at which the model's parameters are fitted to the corrections, at least."""
 
@@ -64,7 +63,7 @@ def model_state(
         "m_nLines": picture.lines,
         "m_nSamples": picture.samples,
         "m_platformFlag": 1,
-        **_camera(support),
+        **_camera(picture, support),
         **_times(picture.timing, tables, support),
         **_tables(tables),
         "m_majorAxis": picture.body.equatorial,
@@ -79,14 +78,14 @@ def model_state(
     }
 
 
-def _camera(support: dict[str, Any]) -> dict[str, Any]:
-    ((model, said),) = support["optical_distortion"].items()
+def _camera(image: PushbroomImage, support: dict[str, Any]) -> dict[str, Any]:
+    model, coefficients = state_optics(image.interior.distortion, f"image {image.name}")
     return {
         "m_ikCode": 0,
         "m_zDirection": 1.0,
         "m_focalLength": support["focal_length_model"]["focal_length"],
-        "m_distortionType": _DISTORTIONS[model],
-        "m_opticalDistCoeffs": said["coefficients"],
+        "m_distortionType": NUMBERS[model],
+        "m_opticalDistCoeffs": coefficients,
         "m_iTransS": support["focal2pixel_samples"],
         "m_iTransL": support["focal2pixel_lines"],
         "m_detectorSampleOrigin": support["detector_center"]["sample"],

@@ -93,8 +93,8 @@ def read_networks(
     Raises
     ------
     InputError
-        As the readers do; and for a file twice, an id in two files that is to be refused, networks of two bodies, or a new name for an image
-        that is none.
+        As the readers do; and for a file twice, an id in two files that is to be refused, networks of two bodies, or a
+        new name for an image that is none.
     """
     setting = setting or ExchangeSetting()
     forms = [(path, format_of(path, named)) for path in _listed(paths)]

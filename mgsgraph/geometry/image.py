@@ -109,6 +109,8 @@ class PushbroomImage:
     """Nominal exterior orientation."""
     body: Ellipsoid
     """Reference ellipsoid of the body it shows."""
+    remarks: tuple[str, ...] = ()
+    """What its reader decided or put right, in phrases."""
 
     def __post_init__(self) -> None:
         if not self.name:

@@ -1,6 +1,8 @@
-"""The papers' nominal orientation: polynomials of time in X, Y, Z, omega, phi, kappa, fitted to a sampled trajectory.
+"""Nominal orientation in polynomials of time, fitted to a sampled trajectory: the papers', and ISIS jigsaw's.
 
-Yoon & Shan 2005, eq. 2; order 2 fitted to 31 samples of the SPICE orientation over the image is theirs.
+The papers' are of X, Y, Z, omega, phi, kappa: Yoon & Shan 2005, eq. 2; order 2 fitted to 31 samples of the SPICE
+orientation over the image is theirs. jigsaw's (CKDEGREE, without OVEREXISTING) are of the camera's three angles against
+J2000, fitted to the records of its attitude table (ISIS SpiceRotation::SetPolynomial); positions stay as they are.
 """
 
 from dataclasses import dataclass, replace
@@ -12,13 +14,15 @@ from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn
 from mgsgraph.geometry.records import Array, assign, frozen
-from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory
 from mgsgraph.units import ARCSEC
 from mgsgraph.wording import root_mean_square
 
 if TYPE_CHECKING:
     from mgsgraph.geometry.image import PushbroomImage
 
+_NODES = 2049
+"""Records at which polynomials of the attitude are laid out again; the great arc between two is then on the curve."""
 _DENSE = 10
 """The dense grid has this many intervals in one between two samples."""
 
@@ -144,7 +148,8 @@ def fit_polynomials(
         raise InputError(f"image {image.name}, polynomials", f"order {order} through {samples} samples", "more samples")
     (start, stop), _ = image.timing.at(np.array([0.0, float(image.lines)]))
     s = np.linspace(-1.0, 1.0, samples)
-    pose = image.trajectory.pose(start + 0.5 * (s + 1.0) * (stop - start))
+    times = start + 0.5 * (s + 1.0) * (stop - start)
+    pose = image.trajectory.pose(times)
     # Legendre's basis keeps the equations well conditioned; the record holds plain powers of s
     basis = np.polynomial.legendre.legvander(s, order)
     values = np.hstack([pose.position, _unwrapped(pose)])
@@ -158,9 +163,46 @@ def fit_polynomials(
         image.trajectory.spin,
     )  # fmt: skip
     exchanged = replace(image, trajectory=trajectory)
-    dense = np.linspace(-1.0, 1.0, _DENSE * (samples - 1) + 1)
-    fit = PolynomialFit(order, samples, _misfit(image, exchanged, s), _misfit(image, exchanged, dense))
-    return exchanged, fit
+    return exchanged, _fit(image, exchanged, order, times)
+
+
+def fit_attitude(image: "PushbroomImage", order: int = 2) -> tuple["PushbroomImage", PolynomialFit]:
+    """The same image with polynomials in place of its attitude, as jigsaw's CKDEGREE fits them.
+
+    Parameters
+    ----------
+    image : PushbroomImage
+        With its trajectory as read.
+    order : int
+        Of the polynomials, at least 0, and below the number of records of the attitude table.
+
+    Returns
+    -------
+    image : PushbroomImage
+        Its trajectory's attitude table is of the polynomials; over the table's own times, not the image's.
+    fit : PolynomialFit
+        What the exchange costs; `samples` is the number of records.
+
+    Raises
+    ------
+    InputError
+        A trajectory that is no table, or with too few records.
+    """
+    where, trajectory = f"image {image.name}, polynomials of its attitude", image.trajectory
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(where, "an orientation in polynomials already", "the tables of support data, cubes or kernels")
+    table = trajectory.camera
+    if not 0 <= order < table.times.size:
+        raise InputError(where, f"order {order} through {table.times.size} records", "more records than the order")
+    middle, half = 0.5 * (table.times[0] + table.times[-1]), 0.5 * (table.times[-1] - table.times[0])
+    angles = np.unwrap(rotation.angles_313(rotation.to_matrix(table.quaternions)), axis=0)
+    legendre = np.polynomial.legendre
+    fitted = np.linalg.lstsq(legendre.legvander((table.times - middle) / half, order), angles, rcond=None)[0]
+    s = np.linspace(-1.0, 1.0, _NODES)
+    quaternions = rotation.from_matrix(rotation.from_angles_313(legendre.legvander(s, order) @ fitted))
+    smooth = AttitudeTable(middle + half * s, rotation.continuous(quaternions), table.constant)
+    exchanged = replace(image, trajectory=replace(trajectory, camera=smooth))
+    return exchanged, _fit(image, exchanged, order, table.times)
 
 
 def _unwrapped(pose: Pose) -> Array:
@@ -168,15 +210,20 @@ def _unwrapped(pose: Pose) -> Array:
     return np.unwrap(rotation.omega_phi_kappa(pose.matrix), axis=0)
 
 
-def _misfit(image: "PushbroomImage", exchanged: "PushbroomImage", s: Array) -> Misfit:
-    """Polynomials against the trajectory at normalised times s (n,), in the image at its edges and its middle."""
-    start, stop = exchanged.trajectory.coverage
-    times = start + 0.5 * (s + 1.0) * (stop - start)
+def _fit(image: "PushbroomImage", exchanged: "PushbroomImage", order: int, times: Array) -> PolynomialFit:
+    """The record of a fit to the trajectory at times (n,), of which those beyond the image count at its edges."""
+    (start, stop), _ = image.timing.at(np.array([0.0, float(image.lines)]))
+    dense, within = np.linspace(start, stop, _DENSE * (times.size - 1) + 1), np.clip(times, start, stop)
+    return PolynomialFit(order, times.size, _misfit(image, exchanged, within), _misfit(image, exchanged, dense))
+
+
+def _misfit(image: "PushbroomImage", exchanged: "PushbroomImage", times: Array) -> Misfit:
+    """Polynomials against the trajectory at times (n,), in the image at its edges and its middle."""
     before, after = image.trajectory.pose(times), exchanged.trajectory.pose(times)
     turned = rotation.omega_phi_kappa(after.matrix) - rotation.omega_phi_kappa(before.matrix)
     turned = in_turn(turned)
     lines = np.repeat(image.timing.lines(times), 3)
-    columns = np.tile([0.0, 0.5 * image.samples, float(image.samples)], s.size)
+    columns = np.tile([0.0, 0.5 * image.samples, float(image.samples)], times.size)
     ground, _ = image.image_to_ground(lines, columns)
     seen, _ = exchanged.ground_to_image(ground, start=lines)
     moved = (seen - np.column_stack([lines, columns]))[np.isfinite(ground).all(axis=1)]

@@ -101,6 +101,26 @@ def from_omega_phi_kappa(angles: Array) -> Array:
     return matrices(transpose(equations.opk_rotation(components(angles))))
 
 
+def angles_313(matrix: Array) -> Array:
+    """Angles (..., 3) a, b, c in rad of matrices (..., 3, 3) M = R3(c) R1(b) R3(a), passive, b from 0 to pi.
+
+    ISIS's angles of a camera (SpiceRotation, SetPolynomial): a is 90 deg more than the optical axis's right ascension,
+    b what its declination lacks to 90 deg, c its twist.
+    """
+    a = np.arctan2(matrix[..., 2, 0], -matrix[..., 2, 1])
+    b = np.arctan2(np.hypot(matrix[..., 2, 0], matrix[..., 2, 1]), matrix[..., 2, 2])
+    node = np.stack([np.cos(a), np.sin(a), np.zeros_like(a)], axis=-1)
+    along = np.einsum("...ij,...j->...i", matrix, node)
+    return np.stack([a, b, np.arctan2(-along[..., 1], along[..., 0])], axis=-1)
+
+
+def from_angles_313(angles: Array) -> Array:
+    """Matrices (..., 3, 3) of angles a, b, c (..., 3) in rad; inverse of `angles_313`."""
+    axes = np.zeros((*angles.shape, 3))
+    axes[..., 0, 2], axes[..., 1, 0], axes[..., 2, 2] = np.moveaxis(-angles, -1, 0)
+    return np.asarray(exponential(axes[..., 2, :]) @ exponential(axes[..., 1, :]) @ exponential(axes[..., 0, :]))
+
+
 def angle_axes(angles: Array, camera_to_body: bool) -> Array:
     """Axes about which omega, phi, kappa (..., 3) turn the camera: columns of T in d(M d) = [M d]x T da; (..., 3, 3).
 

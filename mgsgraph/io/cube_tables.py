@@ -103,8 +103,8 @@ def attitude_table(table: CubeTable, epoch: float) -> AttitudeTable:
         if table.sampled:
             return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), table.constant)
         times, angles, _ = _laid_out(table, _ANGLES)
-        matrices = _turn(angles[:, 2], 2) @ _turn(angles[:, 1], 0) @ _turn(angles[:, 0], 2)
-        return AttitudeTable(times - epoch, rotation.continuous(rotation.from_matrix(matrices)), table.constant)
+        quaternions = rotation.from_matrix(rotation.from_angles_313(angles))
+        return AttitudeTable(times - epoch, rotation.continuous(quaternions), table.constant)
 
 
 def _laid_out(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, Array]:
@@ -122,13 +122,6 @@ def _laid_out(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, A
     scaled = (times - base) / scale
     values = np.stack([axis(scaled) for axis in of_axes], axis=1)
     return times, values, np.stack([axis.deriv()(scaled) / scale for axis in of_axes], axis=1)
-
-
-def _turn(angles: Array, axis: int) -> Array:
-    """(n, 3, 3) NAIF's [angle] about an axis: components in the turned frame."""
-    vectors = np.zeros((angles.size, 3))
-    vectors[:, axis] = -angles
-    return rotation.exponential(vectors)
 
 
 # --- as JSON

@@ -13,16 +13,15 @@ import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import Ellipsoid, may_be
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.io.aberration import geometric
+from mgsgraph.io.aberration import Aberration, Observer, geometric
 from mgsgraph.io.cameras.camera import LineScanLabel
-from mgsgraph.io.cameras.keywords import NaifKeywords, keywords_of, number
+from mgsgraph.io.cameras.keywords import NaifKeywords, number
 from mgsgraph.io.cameras.label import is_map_projected, label_of
 from mgsgraph.io.cube_tables import CubeTable, attitude_table, position_table, tables_of_json, tables_of_label
 from mgsgraph.io.files import read_json
 from mgsgraph.io.image_label import read_label
-from mgsgraph.io.isd import Aberration, Observer
 from mgsgraph.io.pvl import Block
 from mgsgraph.units import KM
 
@@ -74,7 +73,7 @@ def read_isis_cube(
             raise InputError(str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
     label = label_of(label_path, root)
     with errors_from(str(path)):
-        keywords = _keywords(root, content, str(json_path or label_path), label)
+        keywords = _keywords(content, str(json_path or label_path), label)
         stated = Aberration("NONE") if apparent else aberration or _stated_aberration(keywords, label)
         return _image(label, keywords, tables, stated, name)
 
@@ -82,17 +81,18 @@ def read_isis_cube(
 def _image(
     label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeTable], stated: Aberration, name: str | None
 ) -> PushbroomImage:
-    start, period = label.camera.line_times(keywords, label, _start(label, keywords, tables))
-    start += label.first_line * period
-    epoch = start + 0.5 * label.lines * period
+    stop = tables["InstrumentPosition"].stop
+    times = label.camera.line_times(keywords, label, _start(label, keywords, tables), stop)
+    epoch = 0.5 * (times.start + times.stop)
+    interior, body = label.camera.interior(keywords, label), _body(keywords, label)
     return PushbroomImage(
         name=name or label.serial,
         lines=label.lines,
         samples=label.samples,
-        interior=label.camera.interior(keywords, label),
-        timing=LineTiming(np.zeros(1), np.array([start - epoch]), np.array([period])),
-        trajectory=_trajectory(tables, epoch, stated),
-        body=_body(keywords, label),
+        interior=interior,
+        timing=times.timing(epoch),
+        trajectory=_trajectory(tables, epoch, stated, body),
+        body=body,
     )
 
 
@@ -138,13 +138,12 @@ def serial_number(path: Path) -> str:
     return label_of(label_path, read_label(label_path)).serial
 
 
-def _keywords(root: Block, content: dict[str, Any] | None, source: str, label: LineScanLabel) -> NaifKeywords:
+def _keywords(content: dict[str, Any] | None, source: str, label: LineScanLabel) -> NaifKeywords:
     """Those of the cube; the addendum's, as the camera's record has them, for cubes of before there were any."""
     if content is not None:
         return NaifKeywords(source, content.get("naif_keywords", {}))
-    for block in root.blocks:
-        if block.name == "naifkeywords":
-            return keywords_of(block)
+    if label.keywords is not None:
+        return label.keywords
     if not label.camera.constants or label.target != label.camera.constants_target:
         raise InputError(source, "no NaifKeywords", "the camera's and the body's constants", "run spiceinit again")
     return NaifKeywords(source, label.camera.constants)
@@ -159,7 +158,7 @@ def _start(label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeT
         return keywords.time(key)
     position = tables["InstrumentPosition"]
     duration, covered = label.lines * label.period, position.stop - position.start
-    if label.first_line == 0.0 and abs(covered - duration) > _TIME_SLACK:
+    if label.period > 0.0 and label.first_line == 0.0 and abs(covered - duration) > _TIME_SLACK:
         raise InputError(
             position.where, f"{covered:.6f} s from first to last", f"the image's {duration:.6f} s",
             "the table is not of this image, or of a part: run spiceinit again",
@@ -167,10 +166,10 @@ def _start(label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeT
     return position.start
 
 
-def _trajectory(tables: dict[str, CubeTable], epoch: float, stated: Aberration) -> Trajectory:
+def _trajectory(tables: dict[str, CubeTable], epoch: float, stated: Aberration, body: Ellipsoid) -> Trajectory:
     position = position_table(tables["InstrumentPosition"], epoch)
     if stated.correction == "LT+S":
-        position = geometric(position, _body_velocity(tables), stated.observer == "body")
+        position = geometric(position, _body_velocity(tables), stated, 0.5 * (body.equatorial + body.polar))
     return Trajectory(
         epoch, position, attitude_table(tables["InstrumentPointing"], epoch),
         attitude_table(tables["BodyRotation"], epoch),
@@ -185,9 +184,12 @@ def _stated_aberration(keywords: NaifKeywords, label: LineScanLabel) -> Aberrati
     correction = str(keywords.values.get(f"{name}_LIGHTTIME_CORRECTION", label.camera.aberration)).upper()
     if correction not in ("NONE", "LT+S"):
         raise InputError(f"{keywords.source}, {name}_LIGHTTIME_CORRECTION", repr(correction), "'NONE' or 'LT+S'")
-    swapped = str(keywords.values.get(f"{name}_SWAP_OBSERVER_TARGET", False)).upper() == "TRUE"
+    swapped, to_surface = (
+        str(keywords.values.get(f"{name}_{key}", False)).upper() == "TRUE"
+        for key in ("SWAP_OBSERVER_TARGET", "LT_SURFACE_CORRECT")
+    )
     observer: Observer = "spacecraft" if swapped else "body"
-    return Aberration("NONE", observer) if correction == "NONE" else Aberration("LT+S", observer)
+    return Aberration("NONE") if correction == "NONE" else Aberration("LT+S", observer, to_surface)
 
 
 def _body_velocity(tables: dict[str, CubeTable]) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -68,9 +68,9 @@ def settings_of_case(path: Path) -> ProjectSettings:
     measures = MeasuresInput(
         next((group.sigma_px for group in case.tie_groups), usual.tie_sigma_px),
         next((group.image_sigma_px for group in case.laser_groups), usual.shot_image_sigma_px),
-        next((profile.range_sigma_m for profile in case.mola), usual.shot_range_sigma_m),
-        next((profile.ground_sigma_m for profile in case.mola), usual.shot_ground_sigma_m),
-        next((profile.height_sigma_m for profile in case.mola), usual.shot_height_sigma_m),
+        next((one for profile in case.shots if (one := profile.range_sigma_m) is not None), usual.shot_range_sigma_m),
+        next((one for profile in case.shots if (one := profile.ground_sigma_m) is not None), usual.shot_ground_sigma_m),
+        next((profile.height_sigma_m for profile in case.shots), usual.shot_height_sigma_m),
     )
     return ProjectSettings(case.orientation, _absolute(case.spice, path.parent), measures, case.solver)
 

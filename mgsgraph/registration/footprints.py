@@ -176,7 +176,8 @@ def footprints_in_images(
         near = _visible(image, ground, correction)
         if near.size:
             places[j, near], _ = image.ground_to_image(ground[near], correction)
-            linear[j, near] = five_steps(image, ground[near], correction)
+            with np.errstate(all="ignore"):  # far beside the detector the distortion has no bounds: NaN is right there
+                linear[j, near] = five_steps(image, ground[near], correction)
         inside[j] = _within(image, places[j])
         first, last = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
         simultaneous[j] = (shots.times >= first) & (shots.times <= last)

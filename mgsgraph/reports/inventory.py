@@ -22,6 +22,7 @@ from mgsgraph.network.connectivity_words import (
     weakest_joints,
 )
 from mgsgraph.network.terrain_control import coverage
+from mgsgraph.reports.readings import reading_statements
 from mgsgraph.reports.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
@@ -143,6 +144,7 @@ def _images(network: Network) -> str:
             f"latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg"
         )
         lines.append(f"    {_orientation(network, j)}")
+    lines += [f"  {sentence}" for sentence in reading_statements(network)]
     return "\n".join(lines)
 
 

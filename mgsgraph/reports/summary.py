@@ -24,6 +24,7 @@ from mgsgraph.network.connectivity_words import connectivity_statements
 from mgsgraph.reports.control import control_statements
 from mgsgraph.reports.likelihood import linearity_statements
 from mgsgraph.reports.minima import minima_statements
+from mgsgraph.reports.readings import reading_statements
 from mgsgraph.reports.shared import IN_TEXT, shared_statements, shared_table
 from mgsgraph.reports.strips import strips_statements, strips_table
 from mgsgraph.reports.tables import classes_table, images_table
@@ -58,6 +59,7 @@ def statements(solution: Solution, connected: Connectivity | None = None) -> lis
         *strips_statements(solution),
         *_constant_residuals(solution, rays),
         *_left_out(solution),
+        *reading_statements(solution.network),
         *connectivity_statements(connected or solution_connectivity(solution)),
     ]
 

@@ -13,7 +13,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.control import pvl_writing
 from mgsgraph.io.control.ties import control_network
-from mgsgraph.io.isd import J2000, RotationTable, SunTable, rotation_table, state_table, support_fields
+from mgsgraph.io.isd_layout import J2000, RotationTable, SunTable
+from mgsgraph.io.isd_writing import rotation_table, state_table, support_fields
 from mgsgraph.io.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import DEG, ISIS_OFFSET, KM

@@ -25,12 +25,12 @@ from mgsgraph.export.csm_tables import refined_tables
 from mgsgraph.export.round_trip import Reprojection, reprojection
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import geodetic
-from mgsgraph.geometry.distortion import LrocNacDistortion, RadialDistortion
+from mgsgraph.geometry.distortion import RadialDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
-from mgsgraph.io.isd import distortion_fields, read_isd
+from mgsgraph.io.isd import read_isd
 from mgsgraph.simulation.isis_files import json_text, support_data
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
@@ -141,15 +141,6 @@ def test_near_the_ends_fewer_nodes_do(place: float, degree: int) -> None:
     for power, close in ((degree, True), (degree + 1, False)):
         found = csm_back.lagrange((np.arange(16.0) ** power).tolist(), 1, 0.0, 1.0, np.array([place]), 8)
         assert np.isclose(found[0, 0], place**power, rtol=1e-12, atol=0.0) == close
-
-
-@pytest.mark.parametrize("optics", [RadialDistortion(1e-4, 3.0, 40.0), LrocNacDistortion(18.1)])
-def test_distortion_of_reader_back_inverts_ours(optics: RadialDistortion | LrocNacDistortion) -> None:
-    name, coefficients = distortion_fields(optics, "image")
-    bent = np.column_stack([np.full(9, 0.3e-3), np.linspace(-17e-3, 17e-3, 9)])
-    ideal = 1e3 * optics.undistort(bent)[0].T
-    state = {"m_distortionType": {"radial": 0, "lrolrocnac": 4}[name], "m_opticalDistCoeffs": coefficients}
-    assert np.column_stack(csm_back._distort(state, *ideal)) == pytest.approx(1e3 * bent, abs=1e-9)
 
 
 # --- the round trip

@@ -13,8 +13,9 @@ from strategies import along
 
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_polynomials
-from mgsgraph.io.moc import read_moc
+from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_attitude, fit_polynomials
+from mgsgraph.geometry.trajectory import AttitudeTable
+from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.simulation.pair import simulate_pair
 
 ARCSEC = np.pi / 180.0 / 3600.0
@@ -87,7 +88,7 @@ def test_the_misfit_in_pixels_is_that_on_the_ground() -> None:
 def test_the_real_image(shared_data: Path) -> None:
     """M04/02852: a second order follows the CK's records every 4 s to about an arc second, a fifth of a pixel."""
     folder = shared_data / "mgs_moc_m0402852"
-    image = read_moc(folder / "m0402852_isis.lbl", kernels(shared_data))
+    image = read_labelled_image(folder / "m0402852_isis.lbl", kernels(shared_data))
     exchanged, fit = fit_polynomials(image)
     assert (fit.order, fit.samples) == (2, 31)
     assert fit.between.position_max.max() < 0.01
@@ -97,6 +98,39 @@ def test_the_real_image(shared_data: Path) -> None:
     text = str(fit.between)
     assert "arcsec" in text
     assert "px" in text
+
+
+@pytest.mark.parametrize("turn", [0.5, np.pi - 1e-4])
+def test_polynomials_of_the_attitude_are_those_of_its_records(turn: float) -> None:
+    """Exact where the three angles are polynomials of the order, also through half a turn; positions stay, and so does
+    the mount on the sampled frame.
+    """
+    image = simulate_pair().images[0]
+    table, polynomial = image.trajectory.camera, np.polynomial.polynomial.polyval  # type: ignore[attr-defined]
+    coefficients = np.array([[2.1, 1.8, turn], [-0.01, 0.02, 1e-3], [2e-4, 1e-4, 3e-4]])
+    times = np.linspace(table.times[0], table.times[-1], 2001)
+    middle, half = 0.5 * (times[0] + times[-1]), 0.5 * (times[-1] - times[0])
+    quaternions = rotation.from_matrix(rotation.from_angles_313(polynomial((times - middle) / half, coefficients).T))
+    mount = rotation.exponential(np.array([0.3, -0.2, 0.1]))
+    planted = replace(image.trajectory, camera=AttitudeTable(times, rotation.continuous(quaternions), mount))
+    exchanged, fit = fit_attitude(replace(image, trajectory=planted), 2)
+    at = np.linspace(0.0, image.lines, 9)
+    seconds, pose = image.timing.at(at)[0], exchanged.pose(at)
+    want = mount @ rotation.from_angles_313(polynomial((seconds - middle) / half, coefficients).T)
+    np.testing.assert_allclose(pose.matrix @ planted.body.at(seconds)[0], want, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(pose.position, image.pose(at).position)
+    assert (fit.order, fit.samples) == (2, 2001)
+    assert fit.between.angle_max.max() < 1e-9
+    assert fit_attitude(replace(image, trajectory=planted), 1)[1].between.angle_max.max() > 1e-5
+
+
+def test_an_attitude_needs_records() -> None:
+    image = simulate_pair().images[0]
+    few = image.trajectory.camera.times.size  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match=f"order {few} through {few} records"):
+        fit_attitude(image, few)
+    with pytest.raises(InputError, match="polynomials already"):
+        fit_attitude(fit_polynomials(image)[0])
 
 
 def test_times_outside_are_refused() -> None:

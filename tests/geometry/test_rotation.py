@@ -141,3 +141,11 @@ def test_differences_would_notice_a_wrong_sign(vector: np.ndarray, axis: np.ndar
     slope = along(lambda t: rotation.exponential(t * axis) @ vector, 1e-3)
 
     np.testing.assert_allclose(slope, np.cross(axis, vector), atol=1e-11)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(1e-6, np.pi - 1e-6), st.floats(-3.0, 3.0))
+def test_angles_about_3_1_3_are_those_of_spice(a: float, b: float, c: float) -> None:
+    """NAIF eul2m, as ISIS calls it (SpiceRotation)."""
+    matrix = rotation.from_angles_313(np.array([a, b, c]))
+    np.testing.assert_allclose(matrix, spiceypy.eul2m(c, b, a, 3, 1, 3), rtol=0, atol=2e-15)
+    np.testing.assert_allclose(rotation.angles_313(matrix), [a, b, c], rtol=0, atol=1e-9)

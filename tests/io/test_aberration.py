@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from strategies import directions
 
 from mgsgraph.geometry.trajectory import PositionTable
-from mgsgraph.io.aberration import aberrated, geometric, without_aberration
+from mgsgraph.io.aberration import Aberration, aberrated, geometric, without_aberration
 from mgsgraph.units import KM, MM, SPEED_OF_LIGHT
 
 _KERNELS = ("naif0012.tls", "pck00009.tpc", "m0402852.ale_1.bsp")
@@ -39,6 +39,26 @@ def apparent(et: float, times: np.ndarray, body_observes: bool) -> PositionTable
     return PositionTable(times, table[:, :3], table[:, 3:])
 
 
+def lt_s(body_observes: bool, to_surface: bool = False) -> Aberration:
+    return Aberration("LT+S", "body" if body_observes else "spacecraft", to_surface)
+
+
+@pytest.mark.parametrize("body_observes", [True, False], ids=["body observes", "spacecraft observes"])
+def test_light_time_to_the_surface_is_undone(et: float, body_observes: bool) -> None:
+    """Tables as ISIS and ALE make them: both about the barycentre, the target's so long before as light takes."""
+    craft, mars = ("MGS", "MARS") if body_observes else ("MARS", "MGS")
+    radius, times = 3386195.0, TIMES["1 s"]
+    light = [spiceypy.spkezr(craft, et + t, "J2000", "LT+S", mars)[1] - radius / SPEED_OF_LIGHT for t in times]
+    seen = states(craft, et + times - light, "NONE", "SSB") - states(mars, et + times, "NONE", "SSB")
+    table = seen if body_observes else -seen
+    velocity = states("MARS", np.array([et]), "NONE", "SUN")[0, 3:]
+    found = geometric(PositionTable(times, table[:, :3], table[:, 3:]), velocity, lt_s(body_observes, True), radius)
+
+    true = states("MGS", et + times, "NONE", "MARS")[:, :3]
+    assert np.linalg.norm(table[:, :3] - true, axis=1).min() > 20.0
+    assert np.linalg.norm(found.positions - true, axis=1).max() < 0.1
+
+
 @pytest.mark.parametrize("spacing", TIMES)
 @pytest.mark.parametrize("body_observes", [True, False], ids=["body observes", "spacecraft observes"])
 def test_apparent_tables_of_mgs_become_geometric(et: float, spacing: str, body_observes: bool) -> None:
@@ -50,7 +70,7 @@ def test_apparent_tables_of_mgs_become_geometric(et: float, spacing: str, body_o
 
     for origin, limit, rate_limit in (("SUN", 0.3, MM), ("SSB", 2 * MM, 0.1 * MM)):
         velocity = states("MARS", np.array([et]), "NONE", origin)[0, 3:]
-        found = geometric(table, velocity, body_observes)
+        found = geometric(table, velocity, lt_s(body_observes))
         assert np.linalg.norm(found.positions - true[:, :3], axis=1).max() < limit
         assert np.linalg.norm(found.velocities - true[:, 3:], axis=1).max() < rate_limit
         np.testing.assert_array_equal(found.times, times)
@@ -60,7 +80,7 @@ def test_the_observer_matters(et: float) -> None:
     """To take one for the other is no small mistake."""
     times = TIMES["1 s"]
     velocity = states("MARS", np.array([et]), "NONE", "SUN")[0, 3:]
-    wrong = geometric(apparent(et, times, True), velocity, False)
+    wrong = geometric(apparent(et, times, True), velocity, lt_s(False))
 
     off = np.linalg.norm(wrong.positions - states("MGS", et + times, "NONE", "MARS")[:, :3], axis=1)
     assert np.all(off > 10.0)
@@ -99,7 +119,7 @@ def test_a_body_at_rest_still_has_a_light_time(body_observes: bool) -> None:
     times = np.linspace(-1.0, 1.0, 5)
     velocity = np.array([0.0, 3400.0, 0.0])
     place = np.array([3.8e6, 0.0, 0.0]) + times[:, None] * velocity
-    found = geometric(PositionTable(times, place, np.tile(velocity, (5, 1))), np.zeros(3), body_observes)
+    found = geometric(PositionTable(times, place, np.tile(velocity, (5, 1))), np.zeros(3), lt_s(body_observes))
 
     moved = found.positions[2] - place[2]
     np.testing.assert_allclose(moved, [0.0, 3400.0 * 3.8e6 / SPEED_OF_LIGHT, 0.0], atol=1e-3)

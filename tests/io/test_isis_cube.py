@@ -5,80 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cubes import LINES, MAPPED, PERIOD, START, tables, written
 from mgs import kernels
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.rotation import exponential, from_matrix
-from mgsgraph.io.aberration import geometric
+from mgsgraph.geometry.rotation import exponential
+from mgsgraph.io.aberration import Aberration, geometric
 from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.io.kernels import clock_time, loaded
-from mgsgraph.io.moc import read_moc
+from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.units import KM
-
-LINES, PERIOD, START = 100, 2 * 4.821e-4, 1000.0
-QUATERNION = ("J2000Q0", "J2000Q1", "J2000Q2", "J2000Q3", "AV1", "AV2", "AV3", "ET")
-STATE = ("J2000X", "J2000Y", "J2000Z", "J2000XV", "J2000YV", "J2000ZV", "ET")
-LABEL = """Object = IsisCube
-  Object = Core
-    Group = Dimensions
-      Samples = 64
-      Lines = 100
-      Bands = 1
-    End_Group
-  End_Object
-  Group = Instrument
-    InstrumentId = MOC-NA
-    TargetName = Mars
-    CrosstrackSumming = 3
-    SpacecraftClockCount = 100:0
-    DowntrackSumming = 2
-    LineExposureDuration = 0.482100 <milliseconds>
-    FirstLineSample = 17
-  End_Group
-  Group = Archive
-    ProductId = X00/00001
-  End_Group
-End_Object
-"""
-MAPPED = ("  Group = Archive", "  Group = Mapping\n  End_Group\n  Group = AlphaCube\n    AlphaSamples = 64\n"
-          "    AlphaLines = 100\n  End_Group\n  Group = Archive")  # fmt: skip
-
-
-def tables() -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Of a camera 3800 km from Mars's centre that looks at it, in km and s."""
-    times = np.linspace(START, START + LINES * PERIOD, 3)
-    along = 3.4 * (times - START)
-    places = np.column_stack([np.full(3, 3800.0), np.zeros(3), along])
-    position = np.column_stack([places, np.tile([0.0, 0.0, 3.4], (3, 1)), times])
-    nadir = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
-    turned = exponential(np.outer([0.0, 1e-5, 2e-5], [1.0, 0.0, 0.0])) @ nadir
-    wide = np.array([START - 2.0, START + 1.0, START + 4.0])
-    pointing = np.column_stack([from_matrix(turned), np.zeros((3, 3)), wide])
-    spin = exponential(np.outer([0.0, -7.1e-5 * 6.0], [0.0, 0.0, 1.0]))
-    rotation = np.column_stack([from_matrix(spin), np.zeros((2, 3)), wide[[0, 2]]])
-    sun = np.column_stack([np.full((2, 3), 1e8), np.tile([-15.0, 15.0, 8.0], (2, 1)), wide[[0, 2]]])
-    return {
-        "InstrumentPointing": (QUATERNION, pointing), "InstrumentPosition": (STATE, position),
-        "BodyRotation": (QUATERNION, rotation), "SunPosition": (STATE, sun),
-    }  # fmt: skip
-
-
-def written(folder: Path, *changes: tuple[str, str], order: str = "Lsb") -> Path:
-    label, data, begin = LABEL, b"", 65537
-    for name, (fields, rows) in tables().items():
-        part = rows.astype(">f8" if order == "Msb" else "<f8").tobytes()
-        label += f"Object = Table\n  Name = {name}\n  StartByte = {begin + len(data)}\n  Bytes = {len(part)}\n"
-        label += f"  Records = {len(rows)}\n  ByteOrder = {order}\n"
-        for field in fields:
-            label += f"  Group = Field\n    Name = {field}\n    Type = Double\n    Size = 1\n  End_Group\n"
-        label, data = label + "End_Object\n", data + part
-    label += "End\n"
-    for old, new in changes:
-        assert old in label
-        label = label.replace(old, new)
-    path = folder / "image.cub"
-    path.write_bytes(label.encode().ljust(65536, b"\0") + data)
-    return path
 
 
 @pytest.mark.parametrize("order", ["Lsb", "Msb"])
@@ -108,7 +44,7 @@ def test_positions_are_made_geometric(tmp_path: Path) -> None:
     path = written(tmp_path)
     apparent, image = read_isis_cube(path, apparent=True), read_isis_cube(path)
     velocity = KM * np.array([15.0, -15.0, -8.0])  # the body's about the Sun, opposite to the Sun's about it
-    want = geometric(apparent.trajectory.position, velocity, True)
+    want = geometric(apparent.trajectory.position, velocity, Aberration("LT+S"))
     np.testing.assert_array_equal(image.trajectory.position.positions, want.positions)
     assert np.linalg.norm(want.positions - apparent.trajectory.position.positions, axis=1).min() > 100.0
 
@@ -194,7 +130,8 @@ def test_the_first_line_is_when_the_clock_says(cube: Path, shared_data: Path) ->
 def test_camera_constants_are_those_of_the_kernels(cube: Path, shared_data: Path) -> None:
     """Line of observation of a detector pixel: image of the cube, summed 2, against one by kernels, summed 8."""
     by_tables = read_isis_cube(cube).interior
-    by_kernels = read_moc(shared_data / "mgs_moc_m0402852" / "m0402852_isis.lbl", kernels(shared_data)).interior
+    label = shared_data / "mgs_moc_m0402852" / "m0402852_isis.lbl"
+    by_kernels = read_labelled_image(label, kernels(shared_data)).interior
     pixels = np.linspace(0.0, 2048.0, 9)
     for got, want in zip(by_tables.focal_plane(pixels / 2), by_kernels.focal_plane(pixels / 8), strict=True):
         scale = 4.0 if np.abs(want).max() < 1e-3 else 1.0  # slopes are per sample

@@ -1,0 +1,147 @@
+"""What programs are known to write wrongly into support data: put right where the file itself betrays it, and said."""
+
+import numpy as np
+from msgspec import structs
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array
+from mgsgraph.io.isd_layout import UNITS, SupportData
+from mgsgraph.units import KM
+
+_LONGEST = 1e5
+"""s, longer than any image takes."""
+_FASTEST = 1e5
+"""m/s, faster than anything that takes images."""
+_MOC_PITCH = 0.0131240578522949
+"""mm, of MOC's narrow angle (mocAddendum004.ti)."""
+_MOC_BIAS = 1.15
+"""s, by which ISIS looks MOC's attitude up earlier."""
+_SAME = 1e-3
+_MOC = "MGS_MOC_"
+_ANOTHER_ROAD = "read its cube after spiceinit, or its label and kernels"
+
+
+def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+    """Support data as they were meant, and what was put right, in sentences.
+
+    Raises
+    ------
+    InputError
+        Where something is known to be wrong, but not what would be right.
+    """
+    _require_units(isd, source)
+    said = list[str]()
+    for repair in (_line_times_past_epoch, _line_times_of_lroc, _moc):
+        isd, words = repair(isd, source)
+        said += words
+    return isd, said
+
+
+def _require_units(isd: SupportData, source: str) -> None:
+    """Refuse metres that are called kilometres, and the other way round."""
+    table, where = isd.instrument_position, f"{source}, instrument_position"
+    if table.velocities:
+        speed = np.linalg.norm(np.array(table.velocities), axis=1).max() * UNITS[table.unit]
+        if speed > _FASTEST:
+            found = f"a camera that moves at {speed / KM:g} km/s"
+            raise InputError(where, found, "kilometres", "divide positions and velocities by 1000, or write unit 'm'")
+    equator = isd.radii.semimajor * UNITS[isd.radii.unit]
+    for key, value in isd.naif_keywords.items():
+        if key.startswith("BODY") and key.endswith("_RADII") and isinstance(value, list) and value:
+            stated = value[0] * KM if isinstance(value[0], int | float) else equator
+            if stated > 0.0 and not 0.1 < equator / stated < 10.0:
+                found = f"a body of {equator / KM:g} km, where {key} says {stated / KM:g} km"
+                raise InputError(f"{source}, radii", found, "lengths in their unit", f"mend radii.unit or {key}")
+
+
+def _line_times_past_epoch(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
+    """Older ALE wrote HRSC's line times as ephemeris times; those of all programs count from the centre time."""
+    table = np.array(isd.line_scan_rate)
+    late = np.abs(table[:, 1] - isd.center_ephemeris_time) < _LONGEST
+    if not (np.any(np.abs(table[:, 1]) > _LONGEST) and np.all(late)):
+        return isd, []
+    table[:, 1] -= isd.center_ephemeris_time
+    return _with_rates(isd, table), ["line times past J2000 counted from center_ephemeris_time"]
+
+
+def _line_times_of_lroc(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
+    """Line times with the corrections that ISIS's camera of LROC-NAC makes, where the file lacks them.
+
+    ISIS's own support data have the times of the label, while its keywords state a preroll in lines and an error of
+    the line period (ISIS LroNarrowAngleCamera). Its tables begin with the corrected first line, and so betray that the
+    correction is still to be made; ALE's times hold it.
+    """
+    stated = [
+        [value for key, value in isd.naif_keywords.items() if key.endswith(name) and isinstance(value, int | float)]
+        for name in ("_ADDITIONAL_PREROLL", "_MULTIPLI_LINE_ERROR", "_ADDITIVE_LINE_ERROR")
+    ]
+    if len(isd.line_scan_rate) != 1 or any(len(values) != 1 for values in stated):
+        return isd, []
+    (preroll,), (factor,), (addend,) = stated
+    line, start, period = isd.line_scan_rate[0]
+    period = period * (1.0 + factor) + addend
+    start += preroll * period
+    first = isd.instrument_pointing.ephemeris_times[0] - isd.center_ephemeris_time
+    if abs(first - start) >= period:
+        return isd, []
+    words = f"line times of the label corrected as ISIS does: {preroll:g} lines of preroll, {100.0 * factor:g} %"
+    return _with_rates(isd, np.array([[line, start, period]])), [words]
+
+
+def _moc(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+    """What ALE's mgs_drivers write of MOC: line periods without the summing, a pixel pitch as distortion, FORTRAN's
+    counting of the first sample and the centre, and attitudes whose labels it moves by 1.15 s.
+    """
+    if not isd.name_sensor.startswith(_MOC):
+        return isd, []
+    isd, of_lines = _moc_line_period(isd)
+    isd, of_optics = _moc_optics(isd, source)
+    _require_moc_attitude(isd, source)
+    return isd, of_lines + of_optics
+
+
+def _moc_line_period(isd: SupportData) -> tuple[SupportData, list[str]]:
+    (line, start, period), *others = isd.line_scan_rate
+    summing, lasts = isd.detector_line_summing, -2.0 * start  # center_ephemeris_time is the middle
+    for times, unit in ((summing, ""), (summing / 1000.0, ", and milliseconds were called seconds")):
+        if not others and abs(times - 1.0) > _SAME and abs(isd.image_lines * period * times / lasts - 1.0) < _SAME:
+            words = f"line period multiplied by the summing of {summing:g} (ALE leaves it out{unit})"
+            return _with_rates(isd, np.array([[line, start, period * times]])), [words]
+    return isd, []
+
+
+def _moc_optics(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+    coefficients = isd.optical_distortion.get("radial", {}).get("coefficients")
+    if not isinstance(coefficients, list) or len(coefficients) != 3 or not any(coefficients):
+        return isd, []
+    if isd.name_sensor != f"{_MOC}NA" or np.abs(np.array(coefficients[1:]) - _MOC_PITCH).max() > 1e-9:
+        raise InputError(
+            f"{source}, optical_distortion", f"a radial one of {coefficients} for {isd.name_sensor}",
+            "that of ISIS's camera: these are pixel sizes, given for coefficients by ALE's mgs_drivers", _ANOTHER_ROAD,
+        )  # fmt: skip
+    centre = structs.replace(isd.detector_center, sample=isd.detector_center.sample - 0.5)
+    isd = structs.replace(
+        isd, optical_distortion={}, detector_center=centre, starting_detector_sample=isd.starting_detector_sample - 1.0
+    )
+    words = "no distortion (ALE gives the pixel pitch for coefficients); first sample and centre counted from 0, not 1"
+    return isd, [words]
+
+
+def _require_moc_attitude(isd: SupportData, source: str) -> None:
+    """ISIS's attitude at time t is the C-kernel's of t - 1.15 s. Where ALE has sampled the C-kernel at the times of
+    lines, it lacks either that (older versions) or the first 1.15 s (newer ones, which move the labels only).
+    """
+    table, where = np.array(isd.instrument_pointing.ephemeris_times), f"{source}, instrument_pointing"
+    first = isd.center_ephemeris_time + isd.line_scan_rate[0][1]
+    after, dense = table[0] - first, table.size > 2 and (table[-1] - table[0]) / (table.size - 1) < 0.1
+    if dense and abs(after - _MOC_BIAS) < _SAME:
+        found = f"attitudes from {_MOC_BIAS} s after the first line on (labels moved by MOC's bias, not the window)"
+        raise InputError(where, found, "attitudes for every line", _ANOTHER_ROAD)
+    if dense and abs(after) < _SAME:
+        found = "attitudes of the C-kernel at the lines' own times"
+        raise InputError(where, found, f"those of {_MOC_BIAS} s before, as ISIS takes them for MOC", _ANOTHER_ROAD)
+
+
+def _with_rates(isd: SupportData, table: Array) -> SupportData:
+    rows = [(float(line), float(start), float(period)) for line, start, period in table]
+    return structs.replace(isd, line_scan_rate=rows)

@@ -1,0 +1,207 @@
+"""Tables of cubes in all their forms: polynomials of jigsaw, JSON, parts of images; and real ones."""
+
+import json
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import spiceypy
+from cubes import LINES, PERIOD, START, tables, written
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.io.control.network_file import read_control_network
+from mgsgraph.io.image_kinds import image_kind, image_name
+from mgsgraph.io.isd import read_isd
+from mgsgraph.io.isis_cube import read_isis_cube
+from mgsgraph.units import KM
+
+STOP = START + LINES * PERIOD
+BASE, SCALE = START + 0.3 * LINES * PERIOD, 0.37 * LINES * PERIOD
+ANGLES = np.array([[2.16, 1.83, -0.4], [-0.026, -0.024, 0.31], [0.0047, -0.0046, 0.02], [0.021, 0.0064, -0.01]])
+PLACES = np.array([[3800.0, 10.0, -20.0], [0.1, -0.2, 0.15], [0.003, 0.001, -0.002]])
+
+
+def pixels(image: PushbroomImage) -> np.ndarray:
+    """(25, 2) lines and samples over the image."""
+    lines, samples = np.linspace(0.5, image.lines - 0.5, 5), np.linspace(0.5, image.samples - 0.5, 5)
+    return np.stack(np.meshgrid(lines, samples), axis=-1).reshape(-1, 2)
+
+
+def apart(seen: PushbroomImage, other: PushbroomImage) -> float:
+    """Largest distance in pixels between where two images see the ground of 25 pixels of the first."""
+    places = pixels(seen)
+    ground, _ = seen.image_to_ground(places[:, 0], places[:, 1], 0.0)
+    line, sample = other.ground_to_image(ground)[0].T
+    return float(np.hypot(line - places[:, 0], sample - places[:, 1]).max())
+
+
+def of_polynomials(name: str, fields: tuple[str, ...], coefficients: np.ndarray) -> dict:
+    last = [BASE, SCALE, len(coefficients) - 1.0]
+    return {name: (fields, np.vstack([coefficients, last]))}
+
+
+def test_angles_of_jigsaw_are_those_of_naif(tmp_path: Path) -> None:
+    """SPICE's eul2m about the axes 3, 1, 3, last angle first, at times between nodes."""
+    other = of_polynomials("InstrumentPointing", ("J2000Ang1", "J2000Ang2", "J2000Ang3"), ANGLES)
+    said = "  Name = InstrumentPointing"
+    ends = f"{said}\n  CkTableStartTime = {START!r}\n  CkTableEndTime = {STOP!r}"
+    image = read_isis_cube(written(tmp_path, (said, ends), other=other))
+    times = np.linspace(START, STOP, 17)[1:-1] + 1e-4
+    got, _ = image.trajectory.camera.at(times - image.trajectory.epoch)
+    for time, matrix in zip(times, got, strict=True):
+        first, second, third = np.polynomial.polynomial.polyval((time - BASE) / SCALE, ANGLES)
+        np.testing.assert_allclose(matrix, spiceypy.eul2m(third, second, first, 3, 1, 3), atol=5e-8)
+
+
+def test_positions_of_jigsaw(tmp_path: Path) -> None:
+    other = of_polynomials("InstrumentPosition", ("J2000SVX", "J2000SVY", "J2000SVZ"), PLACES)
+    said = "  Name = InstrumentPosition"
+    ends = f"{said}\n  CacheType = PolyFunction\n  SpkTableStartTime = {START!r}\n  SpkTableEndTime = {STOP!r}"
+    image = read_isis_cube(written(tmp_path, (said, ends), other=other), apparent=True)
+    times = np.linspace(START, STOP, 17)[1:-1] + 1e-4
+    got, rate = image.trajectory.position.at(times - image.trajectory.epoch)
+    want = np.polynomial.polynomial.polyval((times - BASE) / SCALE, PLACES).T * KM
+    later = np.polynomial.polynomial.polyval((times + 1e-3 - BASE) / SCALE, PLACES).T * KM
+    np.testing.assert_allclose(got, want, atol=1e-6)
+    np.testing.assert_allclose(rate, (later - want) / 1e-3, rtol=1e-3, atol=1.0)
+
+
+@pytest.mark.parametrize("last", [[BASE, 0.0, 3.0], [BASE, SCALE, 2.0]])
+def test_polynomials_that_contradict_themselves(tmp_path: Path, last: list[float]) -> None:
+    fields = ("J2000Ang1", "J2000Ang2", "J2000Ang3")
+    with pytest.raises(InputError, match="table InstrumentPointing: 4 coefficients of degree"):
+        read_isis_cube(written(tmp_path, other={"InstrumentPointing": (fields, np.vstack([ANGLES, last]))}))
+
+
+def test_a_part_of_an_image_sees_the_same_ground(tmp_path: Path) -> None:
+    """ISIS crop: line 31, sample 11 of the whole image is the first pixel of the part."""
+    whole = read_isis_cube(written(tmp_path))
+    cut = ("  Group = Archive", "  Group = AlphaCube\n    AlphaSamples = 64\n    AlphaLines = 100\n"
+           "    AlphaStartingSample = 10.5\n    AlphaEndingSample = 30.5\n    AlphaStartingLine = 30.5\n"
+           "    AlphaEndingLine = 70.5\n  End_Group\n  Group = Archive")  # fmt: skip
+    smaller = (("      Samples = 64", "      Samples = 20"), ("      Lines = 100", "      Lines = 40"))
+    keys = struct.pack("<d", START).hex()
+    known = ("End\n", f"Object = NaifKeywords\n BODY499_RADII = (3396.19, 3396.19, 3376.2)\n"
+             f" CLOCK_ET_-94_100:0_COMPUTED = {keys}\n INS-94031_FOCAL_LENGTH = 3500.0\n"
+             " INS-94031_ITRANSS = (0, 0, 76.1959457398412)\n INS-94031_ITRANSL = (0, 76.1959457398412, 0)\n"
+             "End_Object\nEnd\n")  # fmt: skip
+    part = read_isis_cube(written(tmp_path, cut, *smaller, ("End_Object\nEnd\n", "End_Object\n" + known[1])))
+    assert (part.lines, part.samples) == (40, 20)
+    places = pixels(part)
+    ours, _ = part.image_to_ground(places[:, 0], places[:, 1], 0.0)
+    same, _ = whole.image_to_ground(places[:, 0] + 30.0, places[:, 1] + 10.0, 0.0)
+    np.testing.assert_allclose(ours, same, atol=1e-4)
+
+
+def as_json() -> dict:
+    found: dict = {"isis_camera_version": 1, "naif_keywords": {"BODY499_RADII": [3396.19, 3396.19, 3376.2]}}
+    found["naif_keywords"] |= {
+        "INS-94031_FOCAL_LENGTH": 3500.0, "INS-94031_ITRANSS": [0.0, 0.0, 76.1959457398412],
+        "INS-94031_ITRANSL": [0.0, 76.1959457398412, 0.0],
+    }  # fmt: skip
+    for name, key in (("InstrumentPointing", "instrument_pointing"), ("BodyRotation", "body_rotation")):
+        rows = tables()[name][1]
+        found[key] = {"quaternions": rows[:, :4].tolist(), "ephemeris_times": rows[:, 7].tolist()}
+    for name, key in (("InstrumentPosition", "instrument_position"), ("SunPosition", "sun_position")):
+        rows = tables()[name][1]
+        found[key] = {"positions": rows[:, :3].tolist(), "velocities": rows[:, 3:6].tolist(),
+                      "ephemeris_times": rows[:, 6].tolist()}  # fmt: skip
+    return found
+
+
+def test_json_beside_a_label_is_the_cube(tmp_path: Path) -> None:
+    cube = written(tmp_path)
+    label = tmp_path / "image.pvl"
+    label.write_bytes(cube.read_bytes().split(b"Object = Table")[0] + b"End\n")
+    tables_file = tmp_path / "image.isd"
+    tables_file.write_text(json.dumps(as_json()))
+    whole = read_isis_cube(cube)
+    for path in (label, tables_file):
+        assert image_kind(path) == "cube"
+        assert image_name(path, "cube") == whole.name == "MGS/100:0/MOC-NA"
+        assert apart(whole, read_isis_cube(path)) < 1e-9
+    label.unlink()
+    cube.unlink()
+    with pytest.raises(InputError, match=r"without its label; expected image.pvl"):
+        read_isis_cube(tables_file)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("instrument_position", 3, "instrument_position: 3; expected a table"),
+        ("instrument_position", {"positions": [[1, 2]]}, "instrument_position, positions: numbers of shape"),
+        ("instrument_position", {"ephemeris_times": []}, "0 of ET; expected as many of each"),
+        ("body_rotation", {"quaternions": "x"}, "what is not a table of numbers"),
+        ("naif_keywords", {}, "no INS-94031_ITRANSL"),
+    ],
+)
+def test_json_that_is_no_table(tmp_path: Path, key: str, value: object, said: str) -> None:
+    (tmp_path / "image.pvl").write_bytes(written(tmp_path).read_bytes().split(b"Object = Table")[0] + b"End\n")
+    path = tmp_path / "image.isd"
+    path.write_text(json.dumps(as_json() | {key: value}))
+    with pytest.raises(InputError) as caught:
+        read_isis_cube(path)
+    assert said in str(caught.value)
+
+
+def test_the_clock_is_eight_bytes(tmp_path: Path) -> None:
+    """Time of the label's start as ISIS keeps it: it goes before the table's first time."""
+    later = struct.pack("<d", START + 0.0005).hex()
+    content = as_json()
+    content["naif_keywords"]["CLOCK_ET_-94_100:0_COMPUTED"] = later
+    (tmp_path / "image.pvl").write_bytes(written(tmp_path).read_bytes().split(b"Object = Table")[0] + b"End\n")
+    (tmp_path / "image.isd").write_text(json.dumps(content))
+    image = read_isis_cube(tmp_path / "image.isd")
+    assert image.trajectory.epoch + image.timing.start_times[0] == pytest.approx(START + 0.0005, abs=1e-9)
+    content["naif_keywords"]["CLOCK_ET_-94_100:0_COMPUTED"] = "1db0"
+    (tmp_path / "image.isd").write_text(json.dumps(content))
+    with pytest.raises(InputError, match="expected 16 hexadecimal digits"):
+        read_isis_cube(tmp_path / "image.isd")
+
+
+# --- real ones
+
+
+def test_wide_angles_see_the_ground_as_isis_does(shared_data: Path) -> None:
+    """Measures of this network are candidates: ISIS projected seeded points into the cubes with its own camera, so that
+    ours must let them intersect, far from the ellipsoid or not.
+    """
+    folder = shared_data / "mgs_moc_wa_three"
+    images = {image.name: image for image in (read_isis_cube(folder / f"cube{k}.isd") for k in (1, 2, 3))}
+    ties = read_control_network(folder / "controlnetwork.net")
+    assert set(ties.measure_image) == set(images)
+    for i in range(len(ties.ids)):
+        mine = np.flatnonzero(ties.measure_point == i)
+        seeing = [images[ties.measure_image[k]] for k in mine]
+        rays = [image.sightlines(*ties.measures[k, :, None]) for image, k in zip(seeing, mine, strict=True)]
+        place = nearest_to([np.concatenate(ray) for ray in rays])
+        seen = np.vstack([image.ground_to_image(place[None])[0] for image in seeing])
+        assert np.abs(seen - ties.measures[mine]).max() < 0.05
+
+
+def nearest_to(rays: list[np.ndarray]) -> np.ndarray:
+    """(3,) place nearest to some rays, each (2, 3): a point on it and its direction."""
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    for start, direction in rays:
+        across = np.eye(3) - np.outer(direction, direction) / (direction @ direction)
+        normal, right = normal + across, right + across @ start
+    return np.linalg.solve(normal, right)
+
+
+@pytest.mark.parametrize("side", ["L", "R"])
+def test_label_and_tables_of_lroc_are_the_support_data_of_isis(shared_data: Path, side: str) -> None:
+    """Preroll and line error: of the label by the camera's record, of ISIS's support data by its own reader.
+
+    The centre of these support data is BORESIGHT_SAMPLE as it stands, half a pixel off ISIS's own camera (whose first
+    pixel's centre is 1); ALE's present drivers take that half off.
+    """
+    place = shared_data / "lro_nac_hadley" / f"observationImage{side}"
+    by_label = read_isis_cube(place.with_suffix(".pvl"))
+    assert by_label.name == f"LRO/1/269182000:51104/NAC{side}"
+    other = read_isd(place.with_suffix(".isd"), "x")
+    interior = replace(other.interior, centre=other.interior.centre - [0.0, 0.5])
+    assert apart(by_label, replace(other, interior=interior)) < 1e-3
