@@ -21,7 +21,7 @@ def help(ctx: click.Context, words: tuple[str, ...]) -> None:
     if words[:1] == (_CASE,) and len(words) <= 2:
         from mgsgraph.case.keys import keys_text
 
-        click.echo(keys_text(*words[1:]))
+        click.echo(keys_text(words[1] if len(words) > 1 else None))
         return
     if len(words) > 1:
         raise click.UsageError(f"{' '.join(words)}: a verb, or case and one of its tables")
