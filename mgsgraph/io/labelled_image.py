@@ -179,35 +179,24 @@ class _Constants:
         if which == "ik" and camera.instrument_kernel is None:
             found, expected = f"constants = 'ik' for {camera.name}", f"'iak': those of the addendum ({camera.addendum})"
             raise InputError(str(label.path), found, expected)
-        own = which == "iak" and f"INS{label.detector or camera.instrument}_ITRANSL" not in _Pool()
+        own = which == "iak" and not spiceypy.expool(f"INS{label.detector or camera.instrument}_ITRANSL")
         return cls(camera, which, label.keywords if own else None)
 
     def __contains__(self, name: str) -> bool:
-        return name in (self.of_label or _Pool())
+        return name in self.of_label if self.of_label is not None else bool(spiceypy.expool(name))
 
     def numbers(self, name: str, count: int) -> Array:
-        """The `count` numbers of a keyword; InputError where it is missing, a text, or of another length."""
+        """See `Keywords.numbers`."""
         if self.of_label is not None:
             return self.of_label.numbers(name, count)
         kernel = f"the camera's addendum, {self.camera.addendum}" if self.which == "iak" else "the instrument kernel"
-        return pool_numbers(name, count, f"load {kernel}")
+        return pool_numbers(name, count, f"load {kernel}", more=True)
 
     def interior(self, label: LineScanLabel) -> InteriorOrientation:
         """Interior orientation by them."""
         by = self.camera.interior if self.which == "iak" else self.camera.instrument_kernel
         assert by is not None
         return by(self, label)
-
-
-class _Pool:
-    """Names of SPICE's kernel pool."""
-
-    def __contains__(self, name: str) -> bool:
-        return bool(spiceypy.expool(name))
-
-    def numbers(self, name: str, count: int) -> Array:
-        """As `pool_numbers`."""
-        return pool_numbers(name, count)
 
 
 def _with_focal_length(interior: InteriorOrientation, focal_length: float | None) -> InteriorOrientation:
