@@ -78,6 +78,8 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Several images: an ISIS list, one file in every line, relative to the list; what stands beside is for each."""
     isd: str | None = None
     """CSM image support data, JSON, of ALE or ISIS."""
+    state: str | None = None
+    """Line-scanner model state of usgscsm (*.adjusted_state.json of Ames Stereo Pipeline)."""
     cube: str | None = None
     """ISIS cube that spiceinit has been run on, or its label with the cube's tables beside it as JSON; no kernels."""
     label: str | None = None

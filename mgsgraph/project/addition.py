@@ -16,6 +16,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index, Mask
+from mgsgraph.geometry.twins import require_distinct
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.image_kinds import image_kind, image_name
@@ -119,6 +120,8 @@ def read_addition(
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
     new += [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
     _require_new(_names(new), there, where)
+    if new:
+        require_distinct([*(store.image(name).image for name in there), *(one.known.image for one in new)], where)
     known = [*there, *_names(new)]
     _require_known(tie_points, known)
     mapping = ImagesByName(store, [one.known for one in new])

@@ -10,7 +10,7 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.case.numbers import Sigma
 from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError
-from mgsgraph.io.decoding import read_table, validated
+from mgsgraph.io.decoding import read_toml, validated
 
 
 class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -52,10 +52,10 @@ def read_settings(path: Path) -> tuple[str, ProjectSettings]:
     """Name ("" where it has none) and settings of a TOML file: a case file's [orientation], [spice], [solver], and
     [measures]; InputError with the place of what is wrong.
     """
-    table = read_table(path, "settings")
-    if "images" in table:
+    toml = read_toml(path, "settings")
+    if "images" in toml.tables:
         raise InputError(str(path), "a case with images", "settings alone", "give it as --case, which takes them too")
-    read = validated(table, _File, path, "see docs/incremental.md")
+    read = validated(toml, _File, path, "see docs/incremental.md")
     read.orientation.prior(f"{path}, orientation")  # complains where its sigmas make no sense
     spice = _absolute(read.spice, path.parent)
     return read.name, ProjectSettings(read.orientation, spice, read.measures, read.solver)
