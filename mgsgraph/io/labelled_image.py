@@ -24,6 +24,8 @@ from mgsgraph.io.kernels import (
     INTERVAL,
     Constants,
     Correction,
+    body_code,
+    body_frame,
     clock_time,
     ellipsoid,
     fixed_rotation,
@@ -135,6 +137,7 @@ def read_strip(
                 timing=when.timing(trajectory.epoch),
                 trajectory=trajectory,
                 body=body,
+                remarks=_remarks(one, said_by),
             )
             for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
         )
@@ -159,6 +162,20 @@ def _require_alike(first: LineScanLabel, other: LineScanLabel) -> None:
 
 def _frame(camera: Camera) -> int:
     return camera.frame or camera.instrument
+
+
+def _remarks(label: LineScanLabel, constants: "_Constants") -> tuple[str, ...]:
+    """What was decided that the user may not have meant."""
+    remarks = []
+    if constants.of_label is not None:
+        remarks.append("camera constants of the cube's label, for there is no addendum among the kernels")
+    if label.target == "MOON":
+        frame = body_frame(body_code(label.target))
+        better = "" if frame == "MOON_ME" else (
+            ", 80 m or so from MOON_ME, as ISIS has it (moon_assoc_me.tf, moon_080317.tf, moon_pa_de421_1900-2050.bpc)"
+        )  # fmt: skip
+        remarks.append(f"the Moon turns as {frame}, which the kernels associate with it{better}")
+    return tuple(remarks)
 
 
 # --- camera constants
