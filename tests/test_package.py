@@ -22,7 +22,7 @@ STOREYS = [
         "mgsgraph.reports", "mgsgraph.registration.relief", "mgsgraph.registration.relief_surfaces",
         "mgsgraph.dem.production",
         "mgsgraph.dem.files", "mgsgraph.matching.files",
-        "mgsgraph.registration.tables", "mgsgraph.registration.relief_files",
+        "mgsgraph.registration.tables", "mgsgraph.registration.relief_files", "mgsgraph.registration.crossing_tables",
     ),
     ("mgsgraph.figures",),
     (

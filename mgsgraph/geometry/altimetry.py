@@ -1,5 +1,6 @@
 """Laser altimetry: shots with their ranges, footprints and, where there are any, measures in images."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -22,6 +23,8 @@ _HALF_LIGHT = 0.5 * 299_792_458.0
 """m/s, by which a range is longer for an echo that comes a second later."""
 _FAR_OFF = 3.0
 """Times by which lengths may be longer or shorter than expected, before their unit is doubted."""
+_SAME_TIME, _SAME_PLACE = 1e-5, 1e-2
+"""s and m, to which shots of two files are alike that are the same one."""
 _FIRST_MINUTE = 10**11
 """Numbers of crossings from which on they are a year to a minute."""
 SPOT_WIDTHS = 4.0
@@ -265,6 +268,29 @@ class AltimeterShots:
         orbits = np.unique(self.orbits).size
         count = f"{self.times.size} shots, {int(self.ground.sum())} on the ground, {orbits} orbits"
         return f"AltimeterShots({self.altimeter.name}: {count})"
+
+
+def joined_shots(parts: Sequence[AltimeterShots]) -> AltimeterShots:
+    """Shots of several files of one altimeter, in the order of time; those that several files have are there once.
+
+    Where files number other shots alike (lines of tables), frames are numbered anew.
+    """
+    names = {one.altimeter.name: one.source for one in parts}
+    if len(names) > 1:
+        found = " and ".join(f"{source} ({name})" for name, source in names.items())
+        raise InputError(found, "shots of several altimeters", "files of one", "select them one after the other")
+    values = {
+        one.name: np.concatenate([getattr(part, one.name) for part in parts])
+        for one in fields(AltimeterShots) if one.name not in ("source", "altimeter")
+    }  # fmt: skip
+    places = np.round(values["footprints"] / _SAME_PLACE).astype(np.int64)
+    keys = np.column_stack([np.round(values["times"] / _SAME_TIME).astype(np.int64), places])
+    _, first = np.unique(keys, axis=0, return_index=True)
+    values = {name: value[first] for name, value in values.items()}
+    numbers = np.column_stack([values[name] for name in ("orbits", "frames", "shots")])
+    if len(np.unique(numbers, axis=0)) < len(numbers):
+        values["frames"] = np.arange(1, len(numbers) + 1)
+    return AltimeterShots(source=parts[0].source, altimeter=parts[0].altimeter, **values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
