@@ -22,9 +22,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
     "annotations",
-    "case_keys",
     "table_columns",
-    "commands",
     "mathml",
 ]
 root_doc = "index"

@@ -92,7 +92,7 @@ def one(name: str, seed: int) -> tuple[str, ...]:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         case = write_site(site, folder / "site")
-        text = case.read_text(encoding="utf-8").replace("[[mola]]", f"[[mola]]\ncheck_every = {CHECK_EVERY}")
+        text = case.read_text(encoding="utf-8").replace("[[shots]]", f"[[shots]]\ncheck_every = {CHECK_EVERY}")
         case.write_text(text, encoding="utf-8")
         match_into(*read_scene(case), folder / "matches", MatchSettings(), figures=False)
         read = read_case(case, ties=folder / "matches" / "network.pvl")

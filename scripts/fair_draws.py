@@ -80,7 +80,7 @@ def _normalised(site: SimulatedSite) -> Iterator[tuple[str, Array]]:
     stated = tomllib.loads(site_case(site))
     for k, image in enumerate(site.images):
         yield from _of_kernels(image, stated["images"][k]["orientation"])
-        yield from _of_profile(image, stated["mola"][k])
+        yield from _of_profile(image, stated["shots"][k])
     true = np.stack([image.true.ground_to_image(site.true_ties)[0] for image in site.images], axis=1).reshape(-1, 2)
     yield "tie point, line and sample", (site.ties.measures - true) / stated["ties"]["sigma_px"]
     grid, shift = site.grid, grid_shift(site.terrain)

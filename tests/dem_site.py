@@ -54,7 +54,7 @@ def case_path() -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     path = write_site(site(), folder / "site")
     text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("[[mola]]\n", f"[[mola]]\ncheck_every = {CHECK_EVERY}\n"), encoding="utf-8")
+    path.write_text(text.replace("[[shots]]\n", f"[[shots]]\ncheck_every = {CHECK_EVERY}\n"), encoding="utf-8")
     return path
 
 

@@ -18,7 +18,7 @@ def with_profile(case_file: Path) -> Path:
     write_profile(case_file.with_name("profile.csv"))
     head, _, rest = case_file.read_text(encoding="utf-8").partition("[laser]")
     _, bracket, after = rest.partition("\n[")
-    mola = '[[mola]]\npedr = "profile.csv"\nshift_sigma_m = 50.0\n'
+    mola = '[[shots]]\nfile = "profile.csv"\nshift_sigma_m = 50.0\n'
     case_file.write_text(head + mola + (bracket + after if bracket else ""), encoding="utf-8")
     return case_file
 

@@ -58,7 +58,7 @@ def test_pixels_are_the_cubes_own_unless_it_is_a_map(tmp_path: Path) -> None:
 
 
 FAULTS = {
-    "nothing": (("held = true",), "images[0]: no file of the image; expected one of image, list, isd, label"),
+    "nothing": (("held = true",), "images[0]: no file of the image; expected one of image, list, isd, state, label"),
     "two": (('image = "image.cub"\nisd = "a.isd"',), "images[0]: both image and isd"),
     "a list of one": (('list = "empty.lis"\nname = "x"',), "a list beside the name or the file of one image"),
     "an empty list": (('list = "empty.lis"',), "empty.lis: no file; expected the name of an image file in every line"),

@@ -129,7 +129,7 @@ def test_the_beam_of_a_rolled_profile_is_an_unknown(rolled: Path) -> None:
     assert beams(rolled, laser=False) == {}
     assert beams(rolled, "beam_sigma_mrad = 0.5") == {"beam of ap19043l": (1, 0.5)}
     assert beams(rolled, "beam_sigma_mrad = 0") == beams(rolled, "ranges = false") == {}
-    (nadir,) = set(re.findall(r'pedr = "(.*)"', rolled.read_text(encoding="utf-8"))) - {"ap19043l.b"}
+    (nadir,) = set(re.findall(r'file = "(ap.*)"', rolled.read_text(encoding="utf-8"))) - {"ap19043l.b"}
     assert len(beams(rolled, "beam_sigma_mrad = 0.1", nadir)) == 2
     with pytest.raises(InputError, match="without ranges"):
         beams(rolled, "ranges = false\nbeam_sigma_mrad = 0.5")

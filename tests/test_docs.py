@@ -4,6 +4,7 @@ No block is left out: one in a language, or a page, that nothing here knows, fai
 """
 
 import ast
+import importlib.util
 import re
 import shlex
 import textwrap
@@ -352,6 +353,16 @@ def test_pages_that_are_named_are_there() -> None:
 def test_the_api_page_has_every_public_name() -> None:
     named = re.findall(r"\.\. auto\w+:: mgsgraph\.(\w+)$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert sorted(named) == mgsgraph.__all__
+
+
+def test_pages_about_the_program_are_as_the_program_is() -> None:
+    written = importlib.util.spec_from_file_location("pages", ROOT / "scripts" / "pages.py")
+    assert written is not None
+    assert written.loader is not None
+    pages = importlib.util.module_from_spec(written)
+    written.loader.exec_module(pages)
+    for path, text in pages.pages().items():
+        assert path.read_text(encoding="utf-8") == text, "write it anew: python scripts/pages.py"
 
 
 def test_modules_that_the_theory_names_are_there() -> None:

@@ -22,7 +22,7 @@ STOREYS = [
         "mgsgraph.reports", "mgsgraph.registration.relief", "mgsgraph.registration.relief_surfaces",
         "mgsgraph.dem.production",
         "mgsgraph.dem.files", "mgsgraph.matching.files",
-        "mgsgraph.registration.tables", "mgsgraph.registration.relief_files",
+        "mgsgraph.registration.tables", "mgsgraph.registration.relief_files", "mgsgraph.registration.crossing_tables",
     ),
     ("mgsgraph.figures",),
     (
@@ -37,7 +37,7 @@ STOREYS = [
     ("mgsgraph.adjustment",),
     ("mgsgraph.simulation",),
     ("mgsgraph.matching", "mgsgraph.output"),
-    ("mgsgraph.network", "mgsgraph.registration", "mgsgraph.io", "mgsgraph.fetch"),
+    ("mgsgraph.network", "mgsgraph.registration", "mgsgraph.altimetry", "mgsgraph.io", "mgsgraph.fetch"),
     ("mgsgraph.ties",),
     ("mgsgraph.geometry", "mgsgraph.kernel"),
     ("mgsgraph.factors",),

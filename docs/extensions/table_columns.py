@@ -27,6 +27,8 @@ from mgsgraph.matching.files import matches_table
 from mgsgraph.network import PointClass
 from mgsgraph.output.table import Column, Table
 from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.registration.crossing_tables import selection_table
+from mgsgraph.registration.crossings import shots_over_images
 from mgsgraph.registration.relief_files import costs_table, profiles_table, relief_shots_table
 from mgsgraph.registration.relief_records import ProfileState, ReliefProfile
 from mgsgraph.registration.search import CostSurface
@@ -93,6 +95,8 @@ def _tables() -> Iterator[tuple[str, Table]]:
     registration = _registration()
     yield "registration.csv", registration_table(registration)
     yield "discrepancy.csv", discrepancy_table(registration)
+    over = shots_over_images(registration.images, registration.before[0].found.shots)
+    yield "what mgsgraph shots writes", selection_table(over)
     yield from _without_rows()
 
 

@@ -97,7 +97,7 @@ def correlations(
 _KINDS = (
     ((IMAGE,), "image places", "residuals", "px", "[ties] window_px"),
     ((SURFACE, STEREO), "terrain model", "heights", "m", "[terrain] counts, or vertical_sigma_m larger"),
-    ((RANGE,), "laser ranges", "residuals", "s", "[[mola]] drift_sigma_m"),
+    ((RANGE,), "laser ranges", "residuals", "s", "[[shots]] drift_sigma_m"),
 )
 
 

@@ -356,8 +356,8 @@ _TERMS = {
     (EffectKind.SLOPE, "stereo"): "[[altimetry]] shift_sigma_m larger",
     (EffectKind.HEIGHT, "stereo"): "[[altimetry]] shift_sigma_m, its third number, larger",
     (EffectKind.TILT, "stereo"): "[[altimetry]] drift_sigma_m",
-    (EffectKind.SLOPE, "profile"): "[[mola]] shift_sigma_m, or [[altimetry]] shift_sigma_m, larger",
+    (EffectKind.SLOPE, "profile"): "[[shots]] shift_sigma_m, or [[altimetry]] shift_sigma_m, larger",
     (EffectKind.HEIGHT, "profile"): '[[shared]] kind = "range bias", or [[altimetry]] shift_sigma_m',
-    (EffectKind.DRIFT, "profile"): "[[mola]] drift_sigma_m, or [[altimetry]] drift_sigma_m",
-    (EffectKind.BEAM, "profile"): '[[shared]] kind = "altimeter boresight", or [[mola]] beam_sigma_mrad',
+    (EffectKind.DRIFT, "profile"): "[[shots]] drift_sigma_m, or [[altimetry]] drift_sigma_m",
+    (EffectKind.BEAM, "profile"): '[[shared]] kind = "altimeter boresight", or [[shots]] beam_sigma_mrad',
 }

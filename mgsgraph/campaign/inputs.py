@@ -123,10 +123,10 @@ def _named(wanted: CaseInput, folder: Path) -> Iterator[str]:
     if wanted.ground_control is not None:
         yield wanted.ground_control.file
     yield from (group.file for group in wanted.laser_groups)
-    yield from (profile.pedr for profile in wanted.mola)
+    yield from (profile.file for profile in wanted.shots)
     yield from (cloud.file for cloud in wanted.altimetry)
-    leap_seconds = [*(entry.leap_seconds for entry in wanted.mola), *(entry.leap_seconds for entry in wanted.altimetry)]
-    yield from (name for name in leap_seconds if name is not None)
+    for stated in ([one.leap_seconds for one in wanted.shots], [one.leap_seconds for one in wanted.altimetry]):
+        yield from (name for name in stated if name is not None)
     for terrain in wanted.terrain_models:
         for several in (terrain.radius, terrain.tracks):
             yield from (several,) if isinstance(several, str) else several

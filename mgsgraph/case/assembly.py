@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.case.laser import AltimetryInput, LaserInput, MolaInput
+from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import (
-    MOLA_FOOTPRINT,
     AltimeterShots,
     AltimetryCloud,
     LaserProfile,
     footprint_covariances,
+    require_lengths,
 )
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -78,6 +78,7 @@ class Parts:
 
     def add_profile(self, profile: LaserProfile, wanted: LaserInput) -> None:
         """Shots of a laser profile: constrained points, with rays where they are measured and ranges."""
+        self._require_on_body(profile.footprints, profile.source)
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         covariances = profile.covariances
         if wanted.ground_sigma_m is not None:
@@ -93,20 +94,28 @@ class Parts:
                 for name in names
             ]
             shot, image = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+            for k in sorted(set(image.tolist())):
+                mine = shot[image == k]
+                ground = profile.footprints[mine]
+                self._require_ranges(k, profile.times[mine], ground, profile.ranges[mine], profile.source)
             own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
             self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
 
-    def add_mola(self, shots: AltimeterShots, wanted: MolaInput, pointed: frozenset[str]) -> AltimeterShots:
-        """Shots of a MOLA profile that fall in an image: constrained points, with a range from the simultaneous image
+    def add_shots(self, shots: AltimeterShots, wanted: ShotsInput, pointed: frozenset[str]) -> AltimeterShots:
+        """Shots of a profile that fall in an image: constrained points, with a range from the simultaneous image
         and, if asked for, back-projected image coordinates. Returns the shots taken: all but the check points. Images
         in `pointed` have an altimeter's boresight already.
         """
+        self._require_on_body(shots.footprints, shots.source)
+        wanted = wanted.settled(shots.altimeter, shots.source)
+        assert wanted.range_sigma_m is not None
+        assert wanted.ground_sigma_m is not None
         seen = footprints_in_images(self.images, shots)
         usable = shots.ground & np.isfinite(shots.ranges)
         if wanted.image:
             owner: int | None = self._image(wanted.image, shots.source)
         else:
-            owner = seen.simultaneous_image(seen.simultaneous & usable, "name it: image = ... in [[mola]]")
+            owner = seen.simultaneous_image(seen.simultaneous & usable, "name it: image = ... in [[shots]]")
         usable &= seen.shots_with(owner)
         if not np.any(usable):
             where = f"image {self.images[owner].name}" if owner is not None else "any image"
@@ -119,6 +128,8 @@ class Parts:
         if wanted.check_every is not None:
             usable[np.flatnonzero(usable)[wanted.check_every - 1 :: wanted.check_every]] = False
         taken = shots.chosen(usable)
+        if owner is not None:
+            self._require_ranges(owner, taken.times, taken.footprints, taken.ranges, taken.source)
         name = Path(shots.source).stem
         profile = taken.profile(
             wanted.range_sigma_m, wanted.ground_sigma_m, name=name, height_sigma=wanted.height_sigma_m,
@@ -132,7 +143,7 @@ class Parts:
             self._ranges.append((mine, np.full(n, owner), profile.times, profile.ranges, profile.range_sigmas))
         if wanted.shift_sigma_m is not None:
             self._shifts.append((name, wanted.shift_sigma_m, np.arange(first, first + n)))
-            self.footprints[name] = MOLA_FOOTPRINT
+            self.footprints[name] = taken.altimeter.spot(taken.ranges)
         if wanted.drift_sigma_m is not None:
             if wanted.shift_sigma_m is None:
                 raise InputError(taken.source, "drift_sigma_m without shift_sigma_m", "both: the shift drifts")
@@ -142,8 +153,22 @@ class Parts:
             self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)
         return taken
 
+    def _require_on_body(self, footprints: Array, source: str) -> None:
+        """Raise InputError where footprints are not at the radius of the images' body, by their unit."""
+        radii = np.linalg.norm(footprints, axis=1)
+        require_lengths(radii, np.full(radii.size, self.images[0].body.equatorial), "radii", source)
+
+    def _require_ranges(self, image: int, times: Array, footprints: Array, ranges: Array, source: str) -> None:
+        """Raise InputError where ranges are not the distances from an image's trajectory, by their unit."""
+        taken = self.images[image]
+        lines = taken.timing.lines(times - taken.trajectory.epoch)
+        within = (lines >= 0.0) & (lines <= taken.lines)
+        if np.any(within):
+            distances = np.linalg.norm(footprints[within] - taken.pose(lines[within]).position, axis=1)
+            require_lengths(ranges[within], distances, "ranges", source)
+
     def _add_beam(
-        self, name: str, taken: AltimeterShots, wanted: MolaInput, owner: int | None, pointed: frozenset[str]
+        self, name: str, taken: AltimeterShots, wanted: ShotsInput, owner: int | None, pointed: frozenset[str]
     ) -> None:
         """What a profile's beam points elsewhere in common, as an unknown; profiles along one image have one beam."""
         sigma = wanted.beam_sigma_mrad

@@ -11,15 +11,15 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.images import read_image
 from mgsgraph.case.numbers import Positive, Sigma
-from mgsgraph.case.reading import read_shots
 from mgsgraph.case.schema import ImageInput, OrientationInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.decoding import read_table, validated
+from mgsgraph.io.decoding import read_toml, validated
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.planning.candidates import (
@@ -175,7 +175,7 @@ def read_candidates(
 
 def decode_candidates(path: Path) -> CandidatesInput:
     """A candidates file's tables, validated; InputError with the path of what is wrong."""
-    return validated(read_table(path, "candidates file"), CandidatesInput, path, "see docs/plan.md")
+    return validated(read_toml(path, "candidates file"), CandidatesInput, path, "see docs/plan.md")
 
 
 def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInput, path: Path, k: int) -> Candidate:

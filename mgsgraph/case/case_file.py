@@ -5,13 +5,14 @@ from pathlib import Path
 
 import msgspec
 
+from mgsgraph.case.laser import of_today
 from mgsgraph.case.schema import CaseInput, ImageInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.io.decoding import read_table, validated
+from mgsgraph.io.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.io.files import read_text
 from mgsgraph.io.image_kinds import ImageKind, image_kind, image_name
 
-_FILES: tuple[ImageKind, ...] = ("isd", "label", "cube")
+_FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")
 
 
 def decode(path: Path) -> CaseInput:
@@ -23,7 +24,9 @@ def decode(path: Path) -> CaseInput:
         With the place of what is wrong: an unknown key, a value out of range; an image given in two ways or none, a
         list without files, files that are no images, or one name for two.
     """
-    wanted = validated(read_table(path, "case file"), CaseInput, path, "see the case files in scripts/cases, and docs")
+    toml = read_toml(path, CASE_FILE)
+    toml = toml._replace(tables=of_today(toml.tables))
+    wanted = validated(toml, CaseInput, path, "all keys: mgsgraph help case")
     images = list[ImageInput]()
     for k, entry in enumerate(wanted.images):
         where = f"{path}, images[{k}]"
@@ -38,11 +41,11 @@ def decode(path: Path) -> CaseInput:
 
 
 def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> ImageInput:
-    """An image whose file stands under the key of its kind (`isd`, `label`, `cube`), with a name."""
+    """An image whose file stands under the key of its kind (`isd`, `state`, `label`, `cube`), with a name."""
     given = [key for key in ("image", *_FILES) if getattr(entry, key) is not None]
     if len(given) != 1:
         found = f"both {given[0]} and {given[1]}" if given else "no file of the image"
-        raise InputError(where, found, "one of image, list, isd, label and cube")
+        raise InputError(where, found, "one of image, list, isd, state, label and cube")
     if entry.image is not None:
         kernels = entry.kernels or (spice.kernels if spice else ())
         kind = image_kind(folder / entry.image, bool(entry.kernels), bool(kernels))
@@ -54,7 +57,7 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
 
 
 def _file(entry: ImageInput) -> str:
-    return next(getattr(entry, key) for key in _FILES if getattr(entry, key) is not None)
+    return next(str(getattr(entry, key)) for key in _FILES if getattr(entry, key) is not None)
 
 
 def _listed(entry: ImageInput, folder: Path, where: str) -> Iterator[ImageInput]:

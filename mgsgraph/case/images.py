@@ -9,6 +9,7 @@ from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SpiceI
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.polynomial_trajectory import PolynomialFit
+from mgsgraph.geometry.twins import require_distinct
 from mgsgraph.io.aberration import Aberration
 from mgsgraph.io.image_label import instrument_of
 from mgsgraph.io.isd import read_isd
@@ -39,7 +40,9 @@ def read_images(
             found[j] = read_image(entry, wanted.spice, path.parent, f"{path}, images[{j}]")
         found[j], fit = orientation.nominal_of(found[j])
         fits.append(fit)
-    return tuple(found[j] for j in range(len(wanted.images))), tuple(fit for fit in fits if fit is not None)
+    images = tuple(found[j] for j in range(len(wanted.images)))
+    require_distinct(images, f"{path}, images")
+    return images, tuple(fit for fit in fits if fit is not None)
 
 
 def _require_of_strip(
@@ -75,15 +78,15 @@ def _together(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, P
 
 
 def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
-    from mgsgraph.io.hrsc import read_hrsc_strip
+    from mgsgraph.io.labelled_image import read_strip
 
     folder, first = path.parent, entries[0]
-    images = read_hrsc_strip(
+    images = read_strip(
         [folder / entry.label for entry in entries if entry.label is not None],
         _required_kernels(first, spice, folder, f"{path}, image {first.name}"),
         [entry.name for entry in entries],
         constants=first.constants,
-        attitude_bias=first.attitude_bias_s or 0.0,
+        attitude_bias=first.attitude_bias_s,
         position_bias=first.position_bias_s,
         interval=spice.sampling_s if spice else 0.1,
         line_times=[_line_times(entry, folder) for entry in entries],
@@ -115,6 +118,10 @@ def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where:
         return read_isis_cube(folder / entry.cube, entry.name, stated)
     if entry.isd is not None:
         return read_isd(folder / entry.isd, entry.name, stated)
+    if entry.state is not None:
+        from mgsgraph.io.model_state import read_model_state
+
+        return read_model_state(folder / entry.state, entry.name)
     from mgsgraph.io.labelled_image import read_labelled_image  # SPICE takes its time to load: those who need it wait
 
     assert entry.label is not None

@@ -1,10 +1,13 @@
 """What a case file may say of laser shots: tables and keys, units in their names."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
 
 from mgsgraph.case.numbers import Positive, Sigma
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimeters import Altimeter
 
 
 class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -22,20 +25,22 @@ class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Use the ranges."""
 
 
-class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """One laser profile of MOLA."""
+class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A laser profile of an altimeter. Files of earlier versions call it [[mola]], and its file pedr."""
 
-    pedr: str
-    """PEDR binary file, PEDR2TAB table, or CSV of the Orbital Data Explorer."""
+    file: str
+    """Shots as their archive has them: MOLA PEDR (binary, PEDR2TAB table, CSV of the Orbital Data Explorer), LOLA RDR
+    (binary or CSV), MLA RDR (CSV), a PDS3 label of a table of shots, or a selection of `mgsgraph shots`."""
     image: str | None = None
     """Image taken along with it, whose orientation carries the ranges; found by time when absent."""
-    range_sigma_m: Sigma = 10.0
-    """Sigma of the ranges."""
+    range_sigma_m: Sigma | None = None
+    """Sigma of the ranges; that of the altimeter when absent: MOLA 10, LOLA 1, LALT 5, MLA 1."""
     pulse_share: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.1
     """What ranges and footprints err more, as a share of the echo's standard deviation, which a binary PEDR has; 0:
     none."""
-    ground_sigma_m: Sigma = 10.0
-    """Sigma of each footprint in each direction."""
+    ground_sigma_m: Sigma | None = None
+    """Sigma of each footprint in each direction; that of the altimeter when absent: MOLA 10, LOLA 20, LALT 50; of MLA
+    none is published."""
     height_sigma_m: Sigma | None = None
     """Sigma of each footprint's height, where it is another one than `ground_sigma_m`."""
     shift_sigma_m: Sigma | None = None
@@ -61,14 +66,36 @@ class MolaInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     leap_seconds: str | None = None
     """Leap seconds kernel, for tables with UTC alone."""
 
+    def settled(self, altimeter: Altimeter, source: str) -> "ShotsInput":
+        """The same with the altimeter's sigmas where none are stated; InputError names `source` where it has none."""
+        stated = {key: getattr(self, key) for key in ("range_sigma_m", "ground_sigma_m")}
+        usual = {"range_sigma_m": altimeter.range_sigma, "ground_sigma_m": altimeter.ground_sigma}
+        sigmas = {key: usual[key] if value is None else value for key, value in stated.items()}
+        for key in [key for key, value in sigmas.items() if np.isnan(value)][:1]:
+            raise InputError(source, f"no {key}, and none published for {altimeter.name}", f"{key} in [[shots]]")
+        return msgspec.structs.replace(self, **sigmas)
+
+
+def of_today(table: dict[str, Any]) -> dict[str, Any]:
+    """The tables of a case file with those of [[mola]], as earlier versions call them, among [[shots]]."""
+    old = table.get("mola")
+    if not isinstance(old, list):
+        return table
+    renamed = [
+        {("file" if key == "pedr" else key): value for key, value in one.items()} if isinstance(one, dict) else one
+        for one in old
+    ]
+    others = {key: value for key, value in table.items() if key != "mola"}
+    return others | {"shots": [*renamed, *table.get("shots", ())]}
+
 
 class AltimetryInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Laser altimetry as control for the relief that the images show: ground returns in profiles, without an image."""
 
     file: str
-    """LOLA RDR (binary, or CSV of the Orbital Data Explorer), PEDR (binary or text), or a CSV whose header names
-    columns and units: longitude_deg, latitude_deg (planetocentric) with radius_m, radius_km or height_m; or x_m, y_m,
-    z_m; optional id, profile or orbit, time_s or utc."""
+    """Shots as in [[shots]], or a CSV whose header names columns and units: longitude_deg, latitude_deg
+    (planetocentric) with radius_m, radius_km or height_m; or x_m, y_m, z_m; optional id, profile or orbit, time_s or
+    utc."""
     sigma_m: tuple[Sigma, Sigma] = (10.0, 1.0)
     """Sigma of each shot, horizontal in each direction and vertical, without what its profile has in common."""
     shift_sigma_m: tuple[Sigma, Sigma, Sigma] = (100.0, 100.0, 10.0)
@@ -76,7 +103,8 @@ class AltimetryInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     drift_sigma_m: Sigma | None = None
     """Sigma of each profile's drift: the height at its ends, linear along the track; absent: none."""
     footprint_m: Positive | None = None
-    """Diameter of the laser's spot on the ground; when absent 168 for MOLA and 5 for LOLA."""
+    """Diameter of the laser's spot on the ground; when absent 168 for MOLA, 5 for LOLA, 40 for LALT, and for MLA
+    what its ranges say."""
     margin_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 500.0
     """Shots are taken that lie in an image or so many pixels beside it."""
     version: str | None = None

@@ -14,12 +14,13 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.groups import merged, window_beside, with_sigmas
 from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
-from mgsgraph.case.laser import AltimetryInput, MolaInput
+from mgsgraph.case.laser import AltimetryInput, ShotsInput
 from mgsgraph.case.schema import CaseInput, ImageInput, TerrainInput, TiesInput
 from mgsgraph.case.strips import members, strips_of
 from mgsgraph.case.terrain import as_grid, read_terrain_model
@@ -59,7 +60,7 @@ class Case:
     ties: TiePoints | None = None
     """Tie points of all control networks, those of the same id made one, a sigma for every measure."""
     profiles: tuple[AltimeterShots, ...] = ()
-    """Shots of each MOLA profile that take part."""
+    """Shots of each profile that take part."""
     pictures: tuple[Path | None, ...] = ()
     """File of each image's pixels, where the case names one."""
     fits: tuple[PolynomialFit, ...] = ()
@@ -236,7 +237,7 @@ def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> TiePoints | Non
 
 
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
-    """Shots of ISIS lidar files, of other altimetry, and of MOLA profiles; those of the latter are returned."""
+    """Shots of ISIS lidar files, of other altimetry, and of profiles; those of the latter are returned."""
     if wanted.laser is True:
         raise InputError(f"{path}, laser", "true", "false, or a table (or several) with the shots' file")
     for group in wanted.laser_groups:
@@ -245,18 +246,18 @@ def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterSh
         parts.add_altimetry(read_altimetry(altimetry, path.parent, parts.images[0].body), altimetry)
     stated = [one for one in wanted.shared if one.kind == "altimeter boresight"]
     pointed = frozenset(name for one in stated for name in one.images or [image.name for image in wanted.images])
-    return tuple(parts.add_mola(read_mola(entry, path.parent), entry, pointed) for entry in wanted.mola)
+    return tuple(parts.add_shots(read_profile(entry, path.parent), entry, pointed) for entry in wanted.shots)
 
 
-def read_mola(entry: MolaInput, folder: Path) -> AltimeterShots:
+def read_profile(entry: ShotsInput, folder: Path) -> AltimeterShots:
     """Shots of a profile as a case states it."""
     leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
-    return read_shots(folder / entry.pedr, entry.clock_bias_s, entry.version, leap_seconds)
+    return read_shots(folder / entry.file, entry.clock_bias_s, entry.version, leap_seconds)
 
 
 def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> AltimetryCloud:
     """Ground returns of all profiles of a file as a case states it, in the images or not."""
-    from mgsgraph.io.altimetry_cloud import read_altimetry_cloud
+    from mgsgraph.altimetry.cloud import read_altimetry_cloud
 
     path = folder / entry.file
     leap_seconds = folder / entry.leap_seconds if entry.leap_seconds else None
@@ -267,18 +268,6 @@ def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> Alti
         found, expected = "shots of an unknown altimeter", "the diameter of its spots on the ground"
         raise InputError(str(path), found, expected, "give footprint_m in [[altimetry]]")
     return cloud
-
-
-def read_shots(
-    path: Path, clock_bias: float = 0.0, version: str | None = None, leap_seconds: Path | None = None
-) -> AltimeterShots:
-    """Shots of MOLA: PEDR binary by its ending (.b), else a table; see `io.pedr` and `io.pedr_text`."""
-    from mgsgraph.io.pedr import read_pedr
-    from mgsgraph.io.pedr_text import read_pedr_text
-
-    if path.suffix.lower() == ".b":
-        return read_pedr(path, clock_bias, version)
-    return read_pedr_text(path, clock_bias, version, leap_seconds)
 
 
 def _read_terrain(

@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.images import read_images
-from mgsgraph.case.reading import picture_of, read_mola, terrain_shots
+from mgsgraph.case.reading import picture_of, read_profile, terrain_shots
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.case.strips import members
 from mgsgraph.case.terrain import as_grid, read_terrain_model
@@ -154,7 +154,7 @@ def _heights(
         places *= (radii / np.linalg.norm(places, axis=1))[:, None]
     else:
         shots = [read_lidar(path.parent / group.file).footprints for group in wanted.laser_groups]
-        shots += [(one := read_mola(entry, path.parent)).footprints[one.ground] for entry in wanted.mola]
+        shots += [(one := read_profile(entry, path.parent)).footprints[one.ground] for entry in wanted.shots]
         places = _seen(images, np.concatenate([np.zeros((0, 3)), *shots]))
     places = places[np.all(np.isfinite(places), axis=1)]
     return geodetic(places, images[0].body)[:, 2] if places.size else np.zeros(0)

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from mgsgraph.adjustment.settings import Angles, Form, Line, Loss, Method, SolverSettings
-from mgsgraph.case.laser import AltimetryInput, LaserInput, MolaInput
+from mgsgraph.case.laser import AltimetryInput, LaserInput, ShotsInput
 from mgsgraph.case.numbers import Positive, Sigma
 from mgsgraph.case.strips import StripInput
 from mgsgraph.errors import InputError, errors_from
@@ -78,6 +78,8 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Several images: an ISIS list, one file in every line, relative to the list; what stands beside is for each."""
     isd: str | None = None
     """CSM image support data, JSON, of ALE or ISIS."""
+    state: str | None = None
+    """Line-scanner model state of usgscsm (*.adjusted_state.json of Ames Stereo Pipeline)."""
     cube: str | None = None
     """ISIS cube that spiceinit has been run on, or its label with the cube's tables beside it as JSON; no kernels."""
     label: str | None = None
@@ -96,7 +98,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     position_bias_s: float = 0.0
     """Position of time t is the SPK's of t + this."""
     line_times: Annotated[str, msgspec.Meta(min_length=1)] | None = None
-    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (io.hrsc_lines)."""
+    """HRSC without its line prefixes: a text file with the times of its lines, or "mean" (io.cameras.hrsc_lines)."""
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None
@@ -134,7 +136,7 @@ class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     radius: str | tuple[str, ...] = ()
     """MEGDR grid of radii (.img, .lbl) or GeoTIFF in any map projection; several: tiles of one grid."""
     tracks: str | tuple[str, ...] = ()
-    """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[mola]]."""
+    """Instead of a grid, MOLA tracks, to be triangulated: PEDR files or tables, as in [[shots]]."""
     topography: str | None = None
     """MEGDR grid of topography with the same posts: radius minus topography is the areoid."""
     areoid: str | None = None
@@ -277,8 +279,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Ground control points."""
     laser: LaserInput | tuple[LaserInput, ...] | bool = False
     """Laser shots: one table, [laser], or several, [[laser]], each a group with its own sigmas; false: none."""
-    mola: tuple[MolaInput, ...] = ()
-    """Laser profiles of MOLA."""
+    shots: tuple[ShotsInput, ...] = ()
+    """Laser profiles of an altimeter."""
     altimetry: tuple[AltimetryInput, ...] = ()
     """Laser altimetry that lies on the relief."""
     terrain: TerrainInput | tuple[TerrainInput, ...] = ()
@@ -323,7 +325,7 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     @property
     def measured(self) -> bool:
         """Whether it names points measured in images; else tie points are still to be found."""
-        back_projected = any(profile.image_rows != "none" for profile in self.mola)
+        back_projected = any(profile.image_rows != "none" for profile in self.shots)
         return bool(self.tie_groups or self.ground_control or self.laser_groups or back_projected)
 
     @property

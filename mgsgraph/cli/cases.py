@@ -38,11 +38,15 @@ if TYPE_CHECKING:
 @click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
 @TIES
 def check(case: Path, no_laser: bool, ties: Path | None) -> None:
-    """Read and validate CASE and everything that it names; print what is there and where it is weak. Solves nothing."""
-    from mgsgraph.case.reading import read_case
-    from mgsgraph.reports.inventory import inventory
+    """Read and validate CASE and everything that it names; print what is there and where it is weak. Solves nothing.
 
-    click.echo(inventory(read_case(case, not no_laser, ties)))
+    Of a CASE without measures, the images and which of them overlap.
+    """
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.reports.inventory import images_inventory, inventory
+
+    said = images_inventory(case) if ties is None else None
+    click.echo(said or inventory(read_case(case, not no_laser, ties)))
 
 
 @click.command()

@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.case.laser import MolaInput
-from mgsgraph.case.reading import read_mola, read_shots
+from mgsgraph.case.laser import ShotsInput
+from mgsgraph.case.reading import read_profile
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.dem.gridding import HeightGrid
 from mgsgraph.dem.map import bilinear
@@ -98,29 +99,31 @@ class HeightChecks:
 def check_profiles(
     posterior: Posterior, case: CaseInput, path: Path, more: Sequence[Path] = ()
 ) -> tuple[CheckProfile, ...]:
-    """Shots of a case's [[mola]] profiles, and of more PEDR files or tables, that took no part in the adjustment; shots
-    are known by their names.
+    """Shots of a case's [[shots]] profiles, and of more files of shots, that took no part in the adjustment; shots are
+    known by their names.
 
     `path` is the case's file; the sigmas of further files are the largest that the case states for a profile.
     InputError where a file can't be read.
     """
     used = set(posterior.network.points.ids)
-    entries = [(entry, read_mola(entry, path.parent)) for entry in case.mola]
-    shifts = [entry.shift_sigma_m for entry in case.mola if entry.shift_sigma_m is not None]
-    common = MolaInput(
-        pedr="", ground_sigma_m=max((entry.ground_sigma_m for entry in case.mola), default=10.0),
-        height_sigma_m=max((_height_sigma(entry) for entry in case.mola), default=10.0),
+    profiles = [read_profile(entry, path.parent) for entry in case.shots]
+    stated = [entry.settled(shots.altimeter, shots.source) for entry, shots in zip(case.shots, profiles, strict=True)]
+    entries = list(zip(stated, profiles, strict=True))
+    shifts = [entry.shift_sigma_m for entry in stated if entry.shift_sigma_m is not None]
+    common = ShotsInput(
+        file="", ground_sigma_m=max((entry.ground_sigma_m or 0.0 for entry in stated), default=10.0),
+        height_sigma_m=max((_height_sigma(entry) for entry in stated), default=10.0),
         shift_sigma_m=max(shifts, default=None),
     )  # fmt: skip
     entries += [(common, read_shots(file)) for file in more]
-    for file, (_, shots) in zip(more, entries[len(case.mola) :], strict=True):
+    for file, (_, shots) in zip(more, entries[len(stated) :], strict=True):
         if not np.any(shots.ground):
             raise InputError(str(file), f"{shots.times.size} shots, none from the ground", "ground returns")
     found = (_unused(posterior, entry, shots, used) for entry, shots in entries)
     return tuple(one for one in found if one.shots.times.size)
 
 
-def _unused(posterior: Posterior, entry: MolaInput, shots: AltimeterShots, used: Collection[str]) -> CheckProfile:
+def _unused(posterior: Posterior, entry: ShotsInput, shots: AltimeterShots, used: Collection[str]) -> CheckProfile:
     name = Path(shots.source).stem
     taken = np.array([f"{name}:{one}" in used for one in shots.ids], dtype=bool)
     left = shots.chosen(shots.ground & ~taken)
@@ -135,6 +138,7 @@ def _unused(posterior: Posterior, entry: MolaInput, shots: AltimeterShots, used:
                 ways = np.concatenate([ways, _motion(network, shared, shots.chosen(taken), left)], axis=1)
         values = np.concatenate([linearised.values[variable] for variable in variables])
         covariance = linearised.joint.of(variables)
+    assert entry.ground_sigma_m is not None
     return CheckProfile(name, left, entry.ground_sigma_m, _height_sigma(entry), ways, values, covariance, adjusted)
 
 
@@ -161,8 +165,8 @@ def _motion(network: Network, shared: SharedUnknown, used: AltimeterShots, left:
     return found
 
 
-def _height_sigma(entry: MolaInput) -> float:
-    return entry.height_sigma_m or entry.ground_sigma_m
+def _height_sigma(entry: ShotsInput) -> float:
+    return entry.height_sigma_m or entry.ground_sigma_m or 0.0
 
 
 def checked(model: HeightGrid, profiles: Sequence[CheckProfile]) -> HeightChecks:

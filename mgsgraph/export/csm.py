@@ -31,8 +31,9 @@ from mgsgraph.units import ISIS_OFFSET, MM
 
 _AROUND = 100.0
 """m, by which the ground may be higher or lower than the points on it."""
-SUPPORT_DATA, STATE = ".isd", ".adjusted_state.json"
-"""How the files of an image end; the state's is the one that ASP's bundle_adjust and jitter_solve give."""
+SUPPORT_DATA, STATE = ".json", ".adjusted_state.json"
+"""How the files of an image end. usgscsm's plugin opens support data as the image's file with its ending replaced by
+.json (src/UsgsAstroPlugin.cpp, loadImageSupportData); the state's ending is that of ASP's bundle_adjust."""
 _TIMING_TOLERANCE = 1e-2
 """Lines by which usgscsm may misread a line_scan_rate of several segments."""
 
@@ -40,7 +41,7 @@ _TIMING_TOLERANCE = 1e-2
 def write_csm(
     solution: Solution, folder: Path, originals: Mapping[str, Path] | None = None, support: bool = True
 ) -> list[Path]:
-    """Write ``<image>.isd`` and ``<image>.adjusted_state.json`` of every image into an existing folder.
+    """Write ``<image>.json`` and ``<image>.adjusted_state.json`` of every image into an existing folder.
 
     Parameters
     ----------

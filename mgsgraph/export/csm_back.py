@@ -25,6 +25,7 @@ _PRECISION = 1e-7
 _STEPS = 15
 _ORDER = 8
 _FEWEST_NODES = 25
+_STATES = "_state.json"
 
 
 def csm_differences(folder: Path, wanted: "Reprojection") -> Numbers:
@@ -37,25 +38,29 @@ def csm_differences(folder: Path, wanted: "Reprojection") -> Numbers:
         If a file is missing, damaged, or holds what usgscsm would not take.
     """
     of_states = state_differences(folder, wanted)
-    return np.maximum(of_states, isd_differences(folder, wanted)) if any(folder.glob("*.isd")) else of_states
+    return np.maximum(of_states, isd_differences(folder, wanted)) if _support_data(folder) else of_states
 
 
 def isd_differences(folder: Path, wanted: "Reprojection") -> Numbers:
-    """Distances (k,) in pixels by the support data ``*.isd`` in a folder; infinite where a projection fails."""
-    return _differences(folder, "*.isd", "image_identifier", wanted)
+    """Distances (k,) in pixels by the support data ``*.json`` in a folder; infinite where a projection fails."""
+    return _differences(folder, _support_data(folder), "image_identifier", wanted)
 
 
 def state_differences(folder: Path, wanted: "Reprojection") -> Numbers:
     """Distances (k,) in pixels by the model states ``*_state.json`` in a folder; infinite where a projection fails."""
-    return _differences(folder, "*_state.json", "m_imageIdentifier", wanted)
+    return _differences(folder, list(folder.glob(f"*{_STATES}")), "m_imageIdentifier", wanted)
 
 
-def _differences(folder: Path, pattern: str, identifier: str, wanted: "Reprojection") -> Numbers:
-    files = {content.get(identifier): (path, content) for path in folder.glob(pattern) for content in [_read(path)]}
+def _support_data(folder: Path) -> list[Path]:
+    return [path for path in folder.glob("*.json") if not path.name.endswith(_STATES)]
+
+
+def _differences(folder: Path, paths: list[Path], identifier: str, wanted: "Reprojection") -> Numbers:
+    files = {content.get(identifier): (path, content) for path in paths for content in [_read(path)]}
     names, result = np.array(wanted.image), np.full(len(wanted.image), np.inf)
     for name in dict.fromkeys(wanted.image):
         if name not in files:
-            raise InputError(f"{folder}, {pattern}", f"no file of image {name}", "one per image")
+            raise InputError(f"{folder}, {identifier}", f"no file of image {name}", "one per image")
         path, content = files[name]
         mine = np.flatnonzero(names == name)
         try:

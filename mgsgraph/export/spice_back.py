@@ -19,6 +19,8 @@ from mgsgraph.export.round_trip import Reprojection, images_of
 Numbers = np.ndarray[Any, np.dtype[np.float64]]
 
 _META_KERNEL = "adjusted.tm"
+_NUDGE = 1e-5
+"""mm."""
 _STEPS = 30
 _REST = 1e-5
 """lines, at which the secant method ends: attitudes are looked up to 3e-6 of LROC-NAC's, as exact as a time is."""
@@ -187,15 +189,64 @@ def _off_line(camera: _Camera, points: Numbers, lines: Numbers) -> tuple[Numbers
 
 
 def _distorted(camera: _Camera, ideal: Numbers) -> Numbers:
-    """Measured focal-plane places (2, k) of ideal ones, mm, by repeating the kernel's formula of the opposite."""
-    place = ideal.copy()
+    """Measured focal-plane places (2, k) of ideal ones, mm, by Newton's method on the kernel's formula of the opposite,
+    with slopes by differences.
+    """
+    forms = {
+        "NONE": _none, "LROC_NAC": _lroc, "RADIAL": _radial, "KAGUYA_TC": _kaguya_tc, "KAGUYA_MI": _kaguya_mi,
+        "MOC_WIDE": _moc_wide, "THEMIS_IR": _themis,
+    }  # fmt: skip
+    if camera.distortion not in forms:
+        raise InputError("instrument kernel, DISTORTION", repr(camera.distortion), ", ".join(forms))
+    ideally, place = forms[camera.distortion], ideal.copy()
     for _ in range(_STEPS):
-        if camera.distortion == "LROC_NAC":
-            place[1] = ideal[1] * (1.0 + camera.coefficients[0] * place[1] ** 2)
-        elif camera.distortion == "RADIAL":
-            square = (place**2).sum(axis=0)
-            k0, k1, k2 = camera.coefficients
-            place = ideal / (1.0 - k0 - square * (k1 + square * k2))
-        elif camera.distortion != "NONE":
-            raise InputError("instrument kernel, DISTORTION", repr(camera.distortion), "NONE, LROC_NAC or RADIAL")
+        here = ideally(place, camera.coefficients)
+        (a, c), (b, d) = (
+            (ideally(place + _NUDGE * axis[:, None], camera.coefficients) - here) / _NUDGE for axis in np.eye(2)
+        )
+        x, y = ideal - here
+        place = place + np.array([d * x - b * y, a * y - c * x]) / (a * d - b * c)
     return place
+
+
+def _none(place: Numbers, _: list[float]) -> Numbers:
+    return place
+
+
+def _lroc(place: Numbers, k: list[float]) -> Numbers:
+    x, y = place
+    return np.array([x, y / (1.0 + k[0] * y**2)])
+
+
+def _radial(place: Numbers, k: list[float]) -> Numbers:
+    square = (place**2).sum(axis=0)
+    return np.asarray(place * (1.0 - k[0] - square * (k[1] + square * k[2])))
+
+
+def _kaguya_tc(place: Numbers, k: list[float]) -> Numbers:
+    return place + _cubics(np.hypot(*place), k)
+
+
+def _kaguya_mi(place: Numbers, k: list[float]) -> Numbers:
+    return place + _cubics(place[1], k)
+
+
+def _cubics(of: Numbers, k: list[float]) -> Numbers:
+    powers = of ** np.arange(4.0)[:, None]
+    return np.array([k[:4] @ powers, k[4:] @ powers])
+
+
+def _moc_wide(place: Numbers, k: list[float]) -> Numbers:
+    *odd, scale, focal_length = k
+    x, y = place[0], place[1] / scale
+    tangent = np.hypot(x, y) / focal_length
+    angle = np.arctan(tangent)
+    ideal = sum(c * angle ** (2 * n + 1) for n, c in enumerate(odd))
+    stretch = np.divide(np.tan(ideal), tangent, out=np.full_like(tangent, odd[0]), where=tangent > 0.0)
+    return np.array([x, y]) * stretch
+
+
+def _themis(place: Numbers, k: list[float]) -> Numbers:
+    magnified, a1, a2 = k
+    y = place[1] if a2 == 0.0 else (np.sqrt((1.0 + a1) ** 2 + 4.0 * a2 * place[1]) - 1.0 - a1) / (2.0 * a2)
+    return np.array([place[0] / magnified, y if a2 else y / (1.0 + a1)])

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.distortion import Distortion, NoDistortion
+from mgsgraph.export.spice_optics import optics_comment, stated_optics
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.optics import state_optics
 from mgsgraph.output.folders import PROGRAM
 from mgsgraph.units import KM, MM
 
@@ -26,8 +25,6 @@ NAMES = ("adjusted.tsc", "adjusted.tf", "adjusted.ti", "adjusted.tpc", "body.bc"
 META_KERNEL = "adjusted.tm"
 
 _LONGEST_TEXT = 80
-_OPTICS = {"lrolrocnac": "LROC_NAC", "radial": "RADIAL"}
-"""Models of distortion that the kernel describes, by usgscsm's names."""
 """Characters of a string in a text kernel."""
 _SECONDS = 1_000_000_000
 """Of the clock's only partition: 31 years; ticks stay whole numbers in float64."""
@@ -199,9 +196,7 @@ def instruments_text(body: Body, carriers: Sequence[Carrier], named: bool) -> st
 Camera constants, one set for each image. Millimetres, pixels; the first pixel of image and detector has its centre at
 (0.5, 0.5). A ray in camera axes (X, Y, Z) meets the focal plane at x = f X / Z, y = f Y / Z (ideal).
 
-DISTORTION  NONE       the measured place (xm, ym) is the ideal one
-            LROC_NAC   x = xm, y = ym / (1 + k ym^2), OD_K = k
-            RADIAL     (x, y) = (xm, ym) (1 - k0 - k1 r^2 - k2 r^4), r^2 = xm^2 + ym^2, OD_K = k0 k1 k2
+{optics_comment()}
 
 detector line   = DETECTOR_CENTRE(1) + ITRANSL(1) + ITRANSL(2) xm + ITRANSL(3) ym, which is DETECTOR_FIRST(1)
 detector sample = DETECTOR_CENTRE(2) + ITRANSS(1) + ITRANSS(2) xm + ITRANSS(3) ym
@@ -226,7 +221,7 @@ attitude of 1.15 s before) are in them already and must not be applied again.
 
 def _instrument(body: Body, one: Carrier) -> str:
     image, interior = one.image, one.image.interior
-    model, coefficients = _distortion(interior.distortion, image.name)
+    model, coefficients = stated_optics(interior.distortion, image.name)
     to_pixel = interior.to_pixel.copy()
     to_pixel[:, 1:] *= MM
     timing, epoch = image.timing, image.trajectory.epoch
@@ -273,17 +268,6 @@ def _field_of_view(one: Carrier) -> dict[str, str]:
         "BORESIGHT": _numbers([*ends[1] / MM, interior.focal_length / MM]),
         "FOV_BOUNDARY": _numbers([v for x, y in corners for v in (x / MM, y / MM, interior.focal_length / MM)]),
     }
-
-
-def _distortion(distortion: Distortion, name: str) -> tuple[str, list[float]]:
-    """Model and coefficients, in powers of mm."""
-    if isinstance(distortion, NoDistortion):
-        return "NONE", [0.0]
-    model, coefficients = state_optics(distortion, f"image {name}")
-    if model not in _OPTICS:
-        found = f"the model {type(distortion).__name__}"
-        raise InputError(f"image {name}, distortion", found, "none, radial, or that of LROC NAC", "export csm instead")
-    return _OPTICS[model], coefficients
 
 
 def _text(text: str, where: str) -> str:

@@ -68,7 +68,7 @@ def case_text(needs: Sequence[ImageNeeds], grid: Grid | None, folder: Path) -> s
     focal_length = camera_focal_length(folder)
     parts += [_image(image, focal_length) for image in needs]
     parts += [
-        f'[[mola]]\npedr = "{image.pedr_path}"\nimage = "{image.product.name}"\n{_PROFILE}'
+        f'[[shots]]\nfile = "{image.pedr_path}"\nimage = "{image.product.name}"\n{_PROFILE}'
         for image in needs
         if image.pedr
     ]

@@ -217,11 +217,11 @@ def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
     import numpy as np
 
     from mgsgraph.geometry.body import planetocentric
-    from mgsgraph.io.moc import read_moc
+    from mgsgraph.io.labelled_image import read_labelled_image
     from mgsgraph.units import DEG
 
     label, kernels = folder / image.image_path, [folder / META_KERNEL]
-    taken = read_moc(label, kernels, constants="ik", focal_length=camera_focal_length(folder))
+    taken = read_labelled_image(label, kernels, constants="ik", focal_length=camera_focal_length(folder))
     lines, samples = np.array([0.0, 0.0, 0.5, 1.0, 1.0]), np.array([0.0, 1.0, 0.5, 0.0, 1.0])
     points, _ = taken.image_to_ground(lines * taken.lines, samples * taken.samples)
     seen = planetocentric(points[np.all(np.isfinite(points), axis=1)]) / DEG

@@ -6,13 +6,13 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from datetime import UTC, datetime
 from pathlib import Path
 
+from mgsgraph.altimetry.pedr import FRAME
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.download import Remote
 from mgsgraph.fetch.lock import Lock, LockedFile
 from mgsgraph.fetch.needs import WantedFile
 from mgsgraph.io.files import sha256_of
 from mgsgraph.io.image_label import read_label
-from mgsgraph.io.pedr import FRAME
 
 Progress = Callable[[int, int], None]
 """Called with the bytes that have come and all bytes that are known to come."""

@@ -1,10 +1,12 @@
 """Laser altimetry: shots with their ranges, footprints and, where there are any, measures in images."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimeters import MOLA, Altimeter
 from mgsgraph.geometry.records import (
     Array,
     Index,
@@ -17,12 +19,36 @@ from mgsgraph.geometry.records import (
     require_unique,
 )
 
-MOLA_FOOTPRINT = 168.0
-"""m, diameter of MOLA's spots: 0.42 mrad seen from 400 km (Smith et al. 2001, Neumann et al. 2003)."""
 _HALF_LIGHT = 0.5 * 299_792_458.0
 """m/s, by which a range is longer for an echo that comes a second later."""
+_FAR_OFF = 3.0
+"""Times by which lengths may be longer or shorter than expected, before their unit is doubted."""
+_SAME_TIME, _SAME_PLACE = 1e-5, 1e-2
+"""s and m, to which shots of two files are alike that are the same one."""
+_FIRST_MINUTE = 10**11
+"""Numbers of crossings from which on they are a year to a minute."""
 SPOT_WIDTHS = 4.0
 """Standard deviations of the Gaussian energy in a laser spot's diameter."""
+
+
+def require_lengths(found: Array, expected: Array, what: str, source: str) -> None:
+    """Raise InputError where lengths (n,) in m are not those expected (n,) in m, nor near: by their median ratio, which
+    says whether metres and kilometres were exchanged.
+    """
+    ratio = float(np.median(found / expected))
+    if 1.0 / _FAR_OFF < ratio < _FAR_OFF:
+        return
+    units = {1000.0: "metres stand where the format has kilometres", 0.001: "kilometres stand where it has metres"}
+    near = [words for factor, words in units.items() if abs(ratio / factor - 1.0) < 0.5]
+    raise InputError(
+        source, f"{what} of {np.median(found) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
+        f"about {np.median(expected) / 1e3:,.6g} km", f"{near[0]}: mend the unit" if near else "check file and images",
+    )  # fmt: skip
+
+
+def _minute(number: int) -> str:
+    digits = f"{number:012d}"
+    return f"{digits[:4]}-{digits[4:6]}-{digits[6:8]}T{digits[8:10]}:{digits[10:]}"
 
 
 def footprint_covariances(footprints: Array, horizontal: float, vertical: float | Array) -> Array:
@@ -91,11 +117,12 @@ class AltimeterShots:
     source: str
     """File they come from, for messages."""
     orbits: Index
-    """(n,) orbit, as the archive counts it; 0 where the source doesn't say."""
+    """(n,) orbit, as the archive counts it, or year to minute (YYYYMMDDhhmm, UTC) in which a crossing began where it
+    counts none; 0 where the source says neither."""
     frames: Index
-    """(n,) number of the frame (or line) in its file, from 1."""
+    """(n,) number of the frame (or line) in its file, from 1; of LOLA's tables second of the mission and shot in it."""
     shots: Index
-    """(n,) number of the shot in its frame, from 1."""
+    """(n,) number of the shot in its frame, from 1; LOLA's spot."""
     times: Array
     """(n,) s TDB past J2000."""
     footprints: Array
@@ -119,6 +146,8 @@ class AltimeterShots:
     pulses: Array
     """(n,) s, standard deviation of the optical echo, which slopes and roughness in the spot make broad; NaN where
     unknown."""
+    altimeter: Altimeter = MOLA
+    """The instrument."""
 
     def __post_init__(self) -> None:
         n = np.size(self.times)
@@ -153,6 +182,11 @@ class AltimeterShots:
         table = np.column_stack([self.orbits, self.frames, self.shots]).tolist()
         return tuple(f"{orbit}:{frame}:{shot}" for orbit, frame, shot in table)
 
+    def profile_names(self) -> tuple[str, ...]:
+        """(n) of each shot, what its profile is called: the orbit's number, or the minute in which a crossing began."""
+        names = {orbit: _minute(orbit) if orbit >= _FIRST_MINUTE else str(orbit) for orbit in set(self.orbits.tolist())}
+        return tuple(names[orbit] for orbit in self.orbits.tolist())
+
     @property
     def spacing(self) -> float:
         """m, median distance between footprints that follow each other within 0.15 s in one orbit; NaN without any."""
@@ -164,7 +198,7 @@ class AltimeterShots:
 
     def chosen(self, which: Mask | Index) -> "AltimeterShots":
         """The shots of a mask (n,) or of indices, in their order."""
-        names = [one.name for one in fields(self) if one.name != "source"]
+        names = [one.name for one in fields(self) if one.name not in ("source", "altimeter")]
         return replace(self, **{name: getattr(self, name)[which] for name in names})
 
     def moved(self, footprints: Array, spacecraft: Array) -> "AltimeterShots":
@@ -232,7 +266,31 @@ class AltimeterShots:
 
     def __repr__(self) -> str:
         orbits = np.unique(self.orbits).size
-        return f"AltimeterShots({self.times.size} shots, {int(self.ground.sum())} on the ground, {orbits} orbits)"
+        count = f"{self.times.size} shots, {int(self.ground.sum())} on the ground, {orbits} orbits"
+        return f"AltimeterShots({self.altimeter.name}: {count})"
+
+
+def joined_shots(parts: Sequence[AltimeterShots]) -> AltimeterShots:
+    """Shots of several files of one altimeter, in the order of time; those that several files have are there once.
+
+    Where files number other shots alike (lines of tables), frames are numbered anew.
+    """
+    names = {one.altimeter.name: one.source for one in parts}
+    if len(names) > 1:
+        found = " and ".join(f"{source} ({name})" for name, source in names.items())
+        raise InputError(found, "shots of several altimeters", "files of one", "select them one after the other")
+    values = {
+        one.name: np.concatenate([getattr(part, one.name) for part in parts])
+        for one in fields(AltimeterShots) if one.name not in ("source", "altimeter")
+    }  # fmt: skip
+    places = np.round(values["footprints"] / _SAME_PLACE).astype(np.int64)
+    keys = np.column_stack([np.round(values["times"] / _SAME_TIME).astype(np.int64), places])
+    _, first = np.unique(keys, axis=0, return_index=True)
+    values = {name: value[first] for name, value in values.items()}
+    numbers = np.column_stack([values[name] for name in ("orbits", "frames", "shots")])
+    if len(np.unique(numbers, axis=0)) < len(numbers):
+        values["frames"] = np.arange(1, len(numbers) + 1)
+    return AltimeterShots(source=parts[0].source, altimeter=parts[0].altimeter, **values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -274,8 +274,11 @@ def _polar(place: Array) -> tuple[Array, Array]:
 def _polynomials(x: Four, y: Four, of: Array) -> tuple[Array, Array]:
     """Values (n, 2) of two polynomials of (n,), and their slopes (n, 2)."""
     both = np.array([x, y]).T
-    slopes = np.polynomial.polynomial.polyder(both)
-    return np.polynomial.polynomial.polyval(of, both).T, np.polynomial.polynomial.polyval(of, slopes).T
+    values, slopes = (
+        np.asarray(np.polynomial.polynomial.polyval(of, powers).T, dtype=np.float64)
+        for powers in (both, np.polynomial.polynomial.polyder(both))
+    )
+    return values, slopes
 
 
 def _inverted(distort: Callable[[Array], Bent], place: Array) -> Bent:

@@ -6,15 +6,18 @@ import tomllib
 import typing
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import msgspec
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.files import read_text
+from mgsgraph.io.toml_lines import line_of
 
 FORMAT = 1
 """Of case files, settings of projects and candidates."""
+CASE_FILE = "case file"
+"""What errors call one."""
 Number = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]
 """Magnitudes beyond are no measurements."""
 Positive = Annotated[float, msgspec.Meta(gt=0.0, le=1e300)]
@@ -35,42 +38,75 @@ _ALIKE = 0.6
 """Likeness (difflib) from which on a known key may be meant by an unknown one."""
 
 
-def read_table(path: Path, what: str) -> dict[str, Any]:
-    """The tables of a TOML file that begins with `format`; `what` it is, in words of errors."""
+class Toml(NamedTuple):
+    """A TOML file that has been read."""
+
+    path: Path
+    """Where it is."""
+    text: str
+    """What it says."""
+    tables: dict[str, Any]
+    """The same as mappings and lists."""
+
+
+def read_toml(path: Path, what: str) -> Toml:
+    """A TOML file that begins with `format`; `what` it is, in words of errors."""
     try:
-        table = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
+        text = read_text(path)
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, InputError) as error:
+        _refuse_other_kinds(path, what)
+        if isinstance(error, InputError):
+            raise
         raise InputError(str(path), f"malformed TOML ({error})", remedy="mend that line") from None
     version = table.get("format")
     if version != FORMAT:
         found = "no key 'format'" if version is None else f"format {version!r}"
         raise InputError(str(path), found, f"format = {FORMAT}", f"write it at the head of the {what}")
-    return table
+    return Toml(path, text, table)
+
+
+def _refuse_other_kinds(path: Path, what: str) -> None:
+    """Raise InputError for data, or a folder of them, in the place of a case file, and say how to come by one."""
+    from mgsgraph.io.kinds import Kind, kind_of
+
+    kind = "a folder" if path.is_dir() else kind_of(path)
+    if what == CASE_FILE and kind not in (None, Kind.CASE):
+        raise InputError(str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {path}")
 
 
 def validated(
-    table: dict[str, Any], kind: type[_Record], source: Path | str, remedy: str = "", strict: bool = False
+    given: Toml | dict[str, Any], kind: type[_Record], source: Path | str, remedy: str = "", strict: bool = False
 ) -> _Record:
-    """Tables as a record of a kind; InputError with the place of what is wrong, what was found and expected there.
+    """Tables as a record of a kind; InputError with the place (of TOML with its line) of what is wrong, what was found
+    and expected there.
 
     Unless `strict`, numbers may be in quotation marks.
     """
+    table, text = (given.tables, given.text) if isinstance(given, Toml) else (given, "")
     try:
         found = msgspec.convert(table, kind, strict=strict)
     except msgspec.ValidationError as error:
-        raise _refusal(str(error), table, kind, str(source), remedy) from None
+        raise _refusal(str(error), table, kind, str(source), remedy, text) from None
     _refuse_nan(table, str(source))
     return found
 
 
-def _refusal(message: str, table: dict[str, Any], kind: type[msgspec.Struct], source: str, remedy: str) -> InputError:
+def _refusal(
+    message: str, table: dict[str, Any], kind: type[msgspec.Struct], source: str, remedy: str, text: str
+) -> InputError:
     """The InputError for what msgspec says: what is wrong, and " - at `$.images[0].name`"."""
     said, _, place = message.partition(" - at `$")
     place = place.rstrip("`").removeprefix(".")
     steps = _STEP.findall(place)
     value, owner = _value_at(table, steps)
+    key = _KEY.fullmatch(said)
+    if text:
+        wanted = [name or int(index) for name, index in steps if name or index.isdecimal()]
+        line = line_of(text, [*wanted, key[2]] if key else wanted)
+        source += f", line {line}" if line else ""
     where = f"{source}, {place}{owner}" if place else source
-    if key := _KEY.fullmatch(said):
+    if key:
         if key[1] == "missing required":
             return InputError(where, f"no key {key[2]!r}", remedy=remedy)
         known = [field.encode_name for one in _kinds_at(kind, steps) if _is_record(one) for field in _fields(one)]

@@ -48,14 +48,16 @@ def read_text(path: Path, expected: str = "a text file") -> str:
         raise InputError(str(path), f"byte {error.start} is not UTF-8 text", expected) from None
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object; InputError with line and column when it is malformed, truncated, or holds NaN."""
+def read_json(path: Path, heading: str = "") -> dict[str, Any]:
+    """A JSON object; InputError with line and column when it is malformed, truncated, or holds NaN. A heading may stand
+    before it.
+    """
 
     def refuse(constant: str) -> float:
         raise InputError(str(path), f"the value {constant}", "finite numbers")
 
     try:
-        value = json.loads(read_text(path), parse_constant=refuse)
+        value = json.loads(read_text(path).removeprefix(heading), parse_constant=refuse)
     except json.JSONDecodeError as error:
         where = f"{path}, line {error.lineno}, column {error.colno}"
         raise InputError(where, f"malformed or truncated JSON ({error.msg})", remedy="write the file anew") from None

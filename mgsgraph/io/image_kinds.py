@@ -7,9 +7,11 @@ from mgsgraph.errors import InputError
 from mgsgraph.io.cameras.label import label_of
 from mgsgraph.io.files import read_json
 from mgsgraph.io.image_label import read_label
+from mgsgraph.io.isd_layout import MODEL
 from mgsgraph.io.isis_cube import has_tables, is_cube_json, serial_number
+from mgsgraph.io.model_state import is_model_state, read_state_json
 
-ImageKind = Literal["isd", "label", "cube"]
+ImageKind = Literal["isd", "state", "label", "cube"]
 
 _HEAD = 512
 
@@ -20,7 +22,7 @@ def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = Fal
     Parameters
     ----------
     path : Path
-        Image support data (JSON), ISIS cube or its label, tables of a cube as JSON, or PDS3 label.
+        Image support data (JSON), model state, ISIS cube or its label, tables of a cube as JSON, or PDS3 label.
     kernels_of_its_own : bool
         Whether kernels are named for this very image, which go before the tables of its cube.
     kernels : bool
@@ -32,11 +34,16 @@ def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = Fal
         Missing file, or none of these.
     """
     head = _head(path)
+    if head.startswith(MODEL.encode()):
+        return "state"
     if head.startswith(b"{"):
+        if is_model_state(read_json(path)):
+            return "state"
         return "cube" if is_cube_json(read_json(path)) else "isd"
     if not head.lower().startswith((b"pds_version_id", b"object = isiscube", b"object=isiscube", b"ccsd")):
         raise InputError(
-            str(path), "no image, label or support data", "an ISIS cube, a PDS3 label, or JSON of ALE or ISIS",
+            str(path), "no image, label or support data",
+            "an ISIS cube, a PDS3 label, JSON of ALE or ISIS, or a model state of usgscsm",
         )  # fmt: skip
     root = read_label(path)
     if "PDS_VERSION_ID" in root:
@@ -51,7 +58,7 @@ def image_name(path: Path, kind: ImageKind) -> str:
         return serial_number(path)
     if kind == "label":
         return label_of(path, read_label(path)).serial
-    stated = read_json(path).get("image_identifier")
+    stated = read_state_json(path).get("m_imageIdentifier" if kind == "state" else "image_identifier")
     return stated if isinstance(stated, str) and stated else path.stem
 
 

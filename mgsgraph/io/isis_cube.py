@@ -13,11 +13,11 @@ import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import Ellipsoid, may_be
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.io.aberration import Aberration, Observer, geometric
 from mgsgraph.io.cameras.camera import LineScanLabel
-from mgsgraph.io.cameras.keywords import NaifKeywords, keywords_of, number
+from mgsgraph.io.cameras.keywords import NaifKeywords, number
 from mgsgraph.io.cameras.label import is_map_projected, label_of
 from mgsgraph.io.cube_tables import CubeTable, attitude_table, position_table, tables_of_json, tables_of_label
 from mgsgraph.io.files import read_json
@@ -73,7 +73,7 @@ def read_isis_cube(
             raise InputError(str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
     label = label_of(label_path, root)
     with errors_from(str(path)):
-        keywords = _keywords(root, content, str(json_path or label_path), label)
+        keywords = _keywords(content, str(json_path or label_path), label)
         stated = Aberration("NONE") if apparent else aberration or _stated_aberration(keywords, label)
         return _image(label, keywords, tables, stated, name)
 
@@ -81,16 +81,16 @@ def read_isis_cube(
 def _image(
     label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeTable], stated: Aberration, name: str | None
 ) -> PushbroomImage:
-    start, period = label.camera.line_times(keywords, label, _start(label, keywords, tables))
-    start += label.first_line * period
-    epoch = start + 0.5 * label.lines * period
+    stop = tables["InstrumentPosition"].stop
+    times = label.camera.line_times(keywords, label, _start(label, keywords, tables), stop)
+    epoch = 0.5 * (times.start + times.stop)
     interior, body = label.camera.interior(keywords, label), _body(keywords, label)
     return PushbroomImage(
         name=name or label.serial,
         lines=label.lines,
         samples=label.samples,
         interior=interior,
-        timing=LineTiming(np.zeros(1), np.array([start - epoch]), np.array([period])),
+        timing=times.timing(epoch),
         trajectory=_trajectory(tables, epoch, stated, body),
         body=body,
     )
@@ -138,13 +138,12 @@ def serial_number(path: Path) -> str:
     return label_of(label_path, read_label(label_path)).serial
 
 
-def _keywords(root: Block, content: dict[str, Any] | None, source: str, label: LineScanLabel) -> NaifKeywords:
+def _keywords(content: dict[str, Any] | None, source: str, label: LineScanLabel) -> NaifKeywords:
     """Those of the cube; the addendum's, as the camera's record has them, for cubes of before there were any."""
     if content is not None:
         return NaifKeywords(source, content.get("naif_keywords", {}))
-    for block in root.blocks:
-        if block.name == "naifkeywords":
-            return keywords_of(block)
+    if label.keywords is not None:
+        return label.keywords
     if not label.camera.constants or label.target != label.camera.constants_target:
         raise InputError(source, "no NaifKeywords", "the camera's and the body's constants", "run spiceinit again")
     return NaifKeywords(source, label.camera.constants)
@@ -159,7 +158,7 @@ def _start(label: LineScanLabel, keywords: NaifKeywords, tables: dict[str, CubeT
         return keywords.time(key)
     position = tables["InstrumentPosition"]
     duration, covered = label.lines * label.period, position.stop - position.start
-    if label.first_line == 0.0 and abs(covered - duration) > _TIME_SLACK:
+    if label.period > 0.0 and label.first_line == 0.0 and abs(covered - duration) > _TIME_SLACK:
         raise InputError(
             position.where, f"{covered:.6f} s from first to last", f"the image's {duration:.6f} s",
             "the table is not of this image, or of a part: run spiceinit again",

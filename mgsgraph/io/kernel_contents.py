@@ -15,6 +15,8 @@ from mgsgraph.geometry.records import Array
 _BYTE_ORDERS: dict[bytes, Literal["little", "big"]] = {b"LTL-IEEE": "little", b"BIG-IEEE": "big"}
 _RECORD = 1024
 """bytes of a record of SPICE's binary kernels."""
+_CK_CLASS, _DEEPEST = 3, 5
+"""SPICE's class of frames that a CK orients, and how many of them one on another are followed."""
 _SHOWN = 4
 """Covered intervals that a message lists."""
 
@@ -156,6 +158,8 @@ def covered_interval(cover: Cover, start: float, stop: float) -> tuple[float, fl
         if first <= start and stop <= last:
             return first, last
     asked = f"nothing for all of {_span(start, stop)}"
+    if gap := _first_gap(cover.intervals, start, stop):
+        asked += f": missing is {_span(*gap)}"
     if cover.intervals:
         nearest = sorted(cover.intervals, key=lambda one: max(one[0] - start, stop - one[1]))[:_SHOWN]
         more = f" and {len(cover.intervals) - _SHOWN} more" if len(cover.intervals) > _SHOWN else ""
@@ -167,6 +171,18 @@ def covered_interval(cover: Cover, start: float, stop: float) -> tuple[float, fl
     raise InputError(cover.what, asked, expected, f"load the {cover.kind} of this time")
 
 
+def _first_gap(intervals: list[tuple[float, float]], start: float, stop: float) -> tuple[float, float] | None:
+    """The first stretch between two times that is not covered; None where that is all of it, or none."""
+    last = start
+    for begin, end in intervals:
+        if begin > last:
+            break
+        last = max(last, end)
+    following = min((begin for begin, _ in intervals if begin > last), default=stop)
+    gap = last, min(following, stop)
+    return gap if start < stop and gap != (start, stop) else None
+
+
 def _span(start: float, stop: float) -> str:
     """An interval in ET and, where a leapseconds kernel is loaded, in UTC."""
     span = f"ET {start:.3f} .. {stop:.3f} s"
@@ -176,21 +192,43 @@ def _span(start: float, stop: float) -> str:
         return span
 
 
-def ck_records(frame_id: int, spacecraft: int, start: float, stop: float) -> Array:
-    """Times (n,) in s TDB past J2000 of the records of type 3 segments between start and stop."""
-    times: list[float] = []
-    ticks = [spiceypy.sce2c(spacecraft, time) for time in (start, stop)]
+def ck_frames(frame_id: int) -> list[int]:
+    """The frame, and those that the loaded CK have it relative to, each a CK's own, down to one that is not."""
+    frames = [frame_id]
+    while len(frames) < _DEEPEST:
+        below = {spiceypy.frinfo(one)[1:] for one in _references(frames[-1])}
+        turned = sorted(class_id for kind, class_id in below if kind == _CK_CLASS and class_id not in frames)
+        if not turned:
+            break
+        frames.append(turned[0])
+    return frames
+
+
+def _references(frame_id: int) -> set[int]:
+    """Frames that segments of a CK frame are relative to."""
+    return {int(codes[1]) for _, _, codes in _segments() if codes[0] == frame_id}
+
+
+def _segments() -> Iterator[tuple[int, Array, tuple[int, ...]]]:
+    """Handle, summary and integers (frame, reference, type ...) of each segment of the loaded CK."""
     for file in _files("CK"):
         handle = spiceypy.dafopr(file)
         try:
             spiceypy.dafbfs(handle)
             while spiceypy.daffna():
                 summary = spiceypy.dafgs(5)
-                _, (frame, _, kind, *_) = spiceypy.dafus(summary, 2, 6)
-                if frame == frame_id and kind == 3:
-                    times += _type_3_records(handle, summary, *ticks)
+                yield handle, summary, tuple(int(one) for one in spiceypy.dafus(summary, 2, 6)[1])
         finally:
             spiceypy.dafcls(handle)
+
+
+def ck_records(frame_id: int, spacecraft: int, start: float, stop: float) -> Array:
+    """Times (n,) in s TDB past J2000 of the records of type 3 segments between start and stop."""
+    times: list[float] = []
+    ticks = [spiceypy.sce2c(spacecraft, time) for time in (start, stop)]
+    for handle, summary, (frame, _, kind, *_) in _segments():
+        if frame == frame_id and kind == 3:
+            times += _type_3_records(handle, summary, *ticks)
     return np.unique([spiceypy.sct2e(spacecraft, tick) for tick in times])
 
 

@@ -18,7 +18,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
-from mgsgraph.io.kernel_contents import ck_cover, ck_records, covered_interval, members, spk_cover
+from mgsgraph.io.kernel_contents import ck_cover, ck_frames, ck_records, covered_interval, members, spk_cover
 from mgsgraph.io.kernel_contents import spice_words as spice_words  # for other readers that ask SPICE
 from mgsgraph.units import KM
 
@@ -131,9 +131,8 @@ def _restore(before: _Pool) -> None:
 # --- constants
 
 
-def pool_numbers(name: str, count: int) -> Array:
+def pool_numbers(name: str, count: int, remedy: str = "load the kernel that defines it") -> Array:
     """Numbers (count,) of a pool variable; InputError when it is missing, a text, or of another length."""
-    remedy = "load the kernel that defines it"
     try:
         size, kind = spiceypy.dtpool(name)
     except NotFoundError:
@@ -148,6 +147,12 @@ def clock_time(spacecraft: int, count: str) -> float:
     remedy = f"load the SCLK kernel of {spacecraft} and a leapseconds kernel"
     with spice_words(f"spacecraft clock count {count}", remedy):
         return float(spiceypy.scs2e(spacecraft, count))
+
+
+def utc_time(text: str, where: str) -> float:
+    """Time in s TDB past J2000 of one in UTC, by the leap seconds that are loaded; `where` names it in errors."""
+    with spice_words(where, "write 2008-02-08T12:08:53.843; load a leapseconds kernel"):
+        return float(spiceypy.str2et(text.strip().removesuffix("Z")))
 
 
 def times_of_utc(texts: Sequence[str], kernels: Sequence[Path], where: str) -> Array:
@@ -216,9 +221,9 @@ def sample_trajectory(
     spacecraft : int
         NAIF id (MGS -94), also that of its clock.
     body : str or int
-        Whose fixed frame, IAU as in the PCK, the camera moves in.
+        In whose fixed frame, the one that the kernels associate with it, the camera moves.
     frame_id : int
-        CK class id of the spacecraft's structure (MGS -94000).
+        CK class id of the spacecraft's structure (MGS -94000), or of a camera whose CK is relative to that (LROC).
     camera_constant : (3, 3)
         structure to camera frame.
     start, stop : float
@@ -244,11 +249,14 @@ def sample_trajectory(
         raise InputError("trajectory", f"{start} .. {stop} s every {interval} s", "start < stop, a positive interval")
     code = body_code(body)
     place = covered_interval(spk_cover(spacecraft), start + position_bias, stop + position_bias)
-    attitude = covered_interval(ck_cover(frame_id), start + attitude_bias, stop + attitude_bias)
-    first = max(start - margin, place[0] - position_bias, attitude[0] - attitude_bias)
-    last = min(stop + margin, place[1] - position_bias, attitude[1] - attitude_bias)
+    frames = ck_frames(frame_id)
+    turned = [covered_interval(ck_cover(one), start + attitude_bias, stop + attitude_bias) for one in frames]
+    first = max(start - margin, place[0] - position_bias, *(begin - attitude_bias for begin, _ in turned))
+    last = min(stop + margin, place[1] - position_bias, *(end - attitude_bias for _, end in turned))
     times, middle = _nodes(start, stop, first, last, interval)
-    records = ck_records(frame_id, spacecraft, first + attitude_bias, last + attitude_bias) - attitude_bias
+    records = np.unique(np.concatenate([
+        ck_records(one, spacecraft, first + attitude_bias, last + attitude_bias) for one in frames
+    ])) - attitude_bias
     apart = np.abs(times[np.clip(np.searchsorted(times, records) - np.array([[1], [0]]), 0, times.size - 1)] - records)
     camera_times = np.union1d(times, records[apart.min(axis=0) > _NEAR])
     return Trajectory(
@@ -290,7 +298,14 @@ def _attitude(
     return AttitudeTable(times - epoch, rotation.continuous(rotation.from_matrix(matrices)), constant)
 
 
+def body_frame(body: int) -> str:
+    """Name of the fixed frame that the kernels associate with a body, as ISIS takes it."""
+    with spice_words(f"the frame of {body}", "load a frames kernel that has one"):
+        return str(spiceypy.cidfrm(body)[1])
+
+
 def _body_rotation(body: int, times: Array, epoch: float) -> AttitudeTable:
-    with spice_words(f"rotation of {body}", "load the PCK"):
-        matrices = np.stack([spiceypy.tipbod("J2000", body, time) for time in times])
+    frame = body_frame(body)
+    with spice_words(f"rotation of {body} by {frame}", "load the PCK (for MOON_ME: text, binary, and its frames)"):
+        matrices = np.stack([spiceypy.pxform("J2000", frame, time) for time in times])
     return AttitudeTable(times - epoch, rotation.continuous(rotation.from_matrix(matrices)), np.eye(3))

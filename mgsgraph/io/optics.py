@@ -59,7 +59,7 @@ _MODELS = {
     "cahvor": _Model(
         CahvorDistortion, 5, (0, -2, -4, 1, 1), lambda c, _: CahvorDistortion(RadialDistortion(*c[:3]), *c[3:])
     ),
-    "radtan": _Model(RadtanDistortion, 7, (0,) * 5, lambda c, focal: RadtanDistortion(*c, focal)),
+    "radtan": _Model(RadtanDistortion, 7, (0,) * 5, lambda c, f: RadtanDistortion(c[0], c[1], c[2], c[3], c[4], f)),
     "kplo_shadowcam": _Model(ShadowCamDistortion, 8, (-2,), lambda c, _: ShadowCamDistortion(*c)),
 }
 NUMBERS = {name: model.number for name, model in _MODELS.items()}

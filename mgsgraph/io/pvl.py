@@ -97,13 +97,19 @@ class Block:
         return entry is not None and not (isinstance(entry.value, str) and entry.value.lower() == "null")
 
     def text(self, key: str) -> str:
-        """A word or string that is not empty; ISIS's Null counts as missing."""
+        """A word or string that is not empty, or the only item of a list; ISIS's Null counts as missing."""
+        items = self.words(key)
+        if len(items) != 1 or not items[0]:
+            found = "a list" if len(items) > 1 else "an empty text"
+            raise InputError(self.where(key), found, "one word or string")
+        return items[0]
+
+    def words(self, key: str) -> tuple[str, ...]:
+        """The items of a list; one of a word or string."""
         if key not in self:
             raise InputError(self.where(), f"no {key}", f"{key} = ... in this {self.name}")
         value = self.entries[key.lower()].value
-        if not isinstance(value, str) or not value:
-            raise InputError(self.where(key), "an empty text" if not value else "a list", "one word or string")
-        return value
+        return (value,) if isinstance(value, str) else value
 
     def number(self, key: str, units: Mapping[str, float] | None = None) -> float:
         """A finite number times the factor of its unit, which must be one of `units` ("" for none), or any without."""

@@ -3,8 +3,9 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import msgspec
 import numpy as np
@@ -58,13 +59,13 @@ def truths(values: np.ndarray) -> list[str]:
     return picked(("false", "true"), values.astype(np.int64))
 
 
-def write_csv(path: Path, text: Mapping[str, Sequence[str]], numbers: Mapping[str, Array]) -> None:
-    """Write a CSV file, columns of text first; numbers read back bit for bit, NaN is an empty field.
+def write_csv(out: Path | TextIO, text: Mapping[str, Sequence[str]], numbers: Mapping[str, Array]) -> None:
+    """Write a CSV file, or to a stream, columns of text first; numbers read back bit for bit, NaN is an empty field.
 
     msgspec's JSON gives the shortest digits that do so, in a tenth of the csv module's time.
     """
     names, table = list(text.values()), list(numbers.values())
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with out.open("w", encoding="utf-8", newline="") if isinstance(out, Path) else nullcontext(out) as file:
         file.write(",".join([*text, *numbers]) + "\n")
         for first in range(0, len(names[0]), _CHUNK):
             some = slice(first, first + _CHUNK)

@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -200,8 +200,8 @@ class Table:
 
     # --- files
 
-    def write_csv(self, path: Path) -> None:
-        """Write a CSV file; numbers read back bit for bit, what is not known is an empty field."""
+    def write_csv(self, out: Path | TextIO) -> None:
+        """Write a CSV file, or to a stream; numbers read back bit for bit, what is not known is an empty field."""
         words: dict[str, Sequence[str]] = {}
         numbers: dict[str, Array] = {}
         for one in (part for column in self.columns if column.files for part in column.split):
@@ -212,7 +212,7 @@ class Table:
                 numbers[name] = values
             else:
                 words[name] = truths(values) if values.dtype.kind == "b" else whole(values)
-        csv_json.write_csv(path, words, numbers)
+        csv_json.write_csv(out, words, numbers)
 
     def records(self) -> list[dict[str, Any]]:
         """One mapping for each row, for JSON; units in the keys, None for what is not known."""

@@ -6,17 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.case_file import decode, plain_image
 from mgsgraph.case.images import read_image, read_images
-from mgsgraph.case.laser import MolaInput
-from mgsgraph.case.reading import picture_of, read_case, read_shots
+from mgsgraph.case.laser import ShotsInput
+from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index, Mask
+from mgsgraph.geometry.twins import require_distinct
 from mgsgraph.incremental.state import ImagesByName
 from mgsgraph.io.control.table import read_tie_points
+from mgsgraph.io.image_kinds import image_kind, image_name
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.observations import observed
@@ -117,6 +120,8 @@ def read_addition(
     single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
     new += [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)])]
     _require_new(_names(new), there, where)
+    if new:
+        require_distinct([*(store.image(name).image for name in there), *(one.known.image for one in new)], where)
     known = [*there, *_names(new)]
     _require_known(tie_points, known)
     mapping = ImagesByName(store, [one.known for one in new])
@@ -192,7 +197,7 @@ def _files(entry: ImageInput, path: Path) -> tuple[Path, ...]:
 def _of_case(path: Path) -> tuple[list[NewImage], Network | None]:
     """All that a case names; of one without ties and laser, the images alone."""
     wanted = decode(path)
-    if not wanted.measured and not wanted.mola:
+    if not wanted.measured and not wanted.shots:
         return images_alone(path)[0], None
     new, network, _ = images_of_case(path)
     return new, network
@@ -200,7 +205,7 @@ def _of_case(path: Path) -> tuple[list[NewImage], Network | None]:
 
 def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:
     """From a file of any kind that a case file takes, a label with the project's kernels."""
-    stated = ImageInput(name=wanted.name or wanted.path.stem, image=str(wanted.path.absolute()))
+    stated = ImageInput(name=wanted.name, image=str(wanted.path.absolute()))
     entry = plain_image(stated, settings.spice, Path(), where)
     image = read_image(entry, settings.spice, Path(), f"{where}, {wanted.path}")
     orientation = settings.orientation
@@ -210,14 +215,14 @@ def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> New
 
 
 def _named(images: Sequence[ImageArgument], ties: Sequence[TiePoints], known: Sequence[str]) -> list[ImageArgument]:
-    """Each image with a name: given, or the only one that ties use and nobody has, or that of its file."""
+    """Each image with a name: given, or the only one that ties use and nobody has, or what its file calls it."""
     taken = {*known, *(wanted.name for wanted in images if wanted.name)}
     used = {name for one in ties for name in one.measure_image} - taken
     nameless = [wanted for wanted in images if not wanted.name]
     if len(nameless) == 1 and len(used) == 1:
         nameless = [ImageArgument(nameless[0].path, used.pop())]
     else:
-        nameless = [ImageArgument(wanted.path, wanted.path.stem) for wanted in nameless]
+        nameless = [ImageArgument(one.path, image_name(one.path, image_kind(one.path))) for one in nameless]
     return [wanted for wanted in images if wanted.name] + nameless
 
 
@@ -255,7 +260,7 @@ def _profile(
     pictures = images or [store.image(name).image for name in store.image_names()]
     seen = footprints_in_images(tuple(pictures), shots)
     usable = shots.ground & np.isfinite(shots.ranges)
-    remedy = "use [[mola]] of a case file"
+    remedy = "use [[shots]] of a case file"
     owner = seen.simultaneous_image(seen.inside & seen.simultaneous & usable, remedy)
     if owner is None:
         found = "no shot that was taken along with one of the images and falls in it"
@@ -263,7 +268,7 @@ def _profile(
     taken = shots.chosen(seen.shots_with(owner) & usable)
     return taken.profile(
         sigmas.shot_range_sigma_m, sigmas.shot_ground_sigma_m, pictures[owner].name, path.stem,
-        sigmas.shot_height_sigma_m, pulse_share=MolaInput(path.name).pulse_share,
+        sigmas.shot_height_sigma_m, pulse_share=ShotsInput(path.name).pulse_share,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.case.numbers import Sigma
 from mgsgraph.case.schema import CaseInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError
-from mgsgraph.io.decoding import read_table, validated
+from mgsgraph.io.decoding import read_toml, validated
 
 
 class MeasuresInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -52,10 +52,10 @@ def read_settings(path: Path) -> tuple[str, ProjectSettings]:
     """Name ("" where it has none) and settings of a TOML file: a case file's [orientation], [spice], [solver], and
     [measures]; InputError with the place of what is wrong.
     """
-    table = read_table(path, "settings")
-    if "images" in table:
+    toml = read_toml(path, "settings")
+    if "images" in toml.tables:
         raise InputError(str(path), "a case with images", "settings alone", "give it as --case, which takes them too")
-    read = validated(table, _File, path, "see docs/incremental.md")
+    read = validated(toml, _File, path, "see docs/incremental.md")
     read.orientation.prior(f"{path}, orientation")  # complains where its sigmas make no sense
     spice = _absolute(read.spice, path.parent)
     return read.name, ProjectSettings(read.orientation, spice, read.measures, read.solver)
@@ -68,9 +68,9 @@ def settings_of_case(path: Path) -> ProjectSettings:
     measures = MeasuresInput(
         next((group.sigma_px for group in case.tie_groups), usual.tie_sigma_px),
         next((group.image_sigma_px for group in case.laser_groups), usual.shot_image_sigma_px),
-        next((profile.range_sigma_m for profile in case.mola), usual.shot_range_sigma_m),
-        next((profile.ground_sigma_m for profile in case.mola), usual.shot_ground_sigma_m),
-        next((profile.height_sigma_m for profile in case.mola), usual.shot_height_sigma_m),
+        next((one for profile in case.shots if (one := profile.range_sigma_m) is not None), usual.shot_range_sigma_m),
+        next((one for profile in case.shots if (one := profile.ground_sigma_m) is not None), usual.shot_ground_sigma_m),
+        next((profile.height_sigma_m for profile in case.shots), usual.shot_height_sigma_m),
     )
     return ProjectSettings(case.orientation, _absolute(case.spice, path.parent), measures, case.solver)
 

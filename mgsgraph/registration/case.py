@@ -85,7 +85,7 @@ def register_case(case: Case, solution: Solution | None = None) -> CaseRegistrat
     Parameters
     ----------
     case : Case
-        With at least one profile of MOLA.
+        With at least one profile of [[shots]].
     solution : Solution, optional
         Adjustment of the same case; with it everything is there a second time, after the adjustment.
 
@@ -96,7 +96,7 @@ def register_case(case: Case, solution: Solution | None = None) -> CaseRegistrat
     """
     if not case.profiles:
         raise InputError(
-            str(case.path), "no profile of MOLA to be registered", "at least one [[mola]]",
+            str(case.path), "no laser profile to be registered", "at least one [[shots]]",
             "`mgsgraph adjust` shows how shots of an ISIS lidar file fit",
         )
     images = case.network.images

@@ -176,11 +176,17 @@ def footprints_in_images(
         near = _visible(image, ground, correction)
         if near.size:
             places[j, near], _ = image.ground_to_image(ground[near], correction)
-            linear[j, near] = five_steps(image, ground[near], correction)
+            with np.errstate(all="ignore"):  # far beside the detector the distortion has no bounds: NaN is right there
+                linear[j, near] = five_steps(image, ground[near], correction)
         inside[j] = _within(image, places[j])
-        first, last = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
-        simultaneous[j] = (shots.times >= first) & (shots.times <= last)
+        simultaneous[j] = seconds_from_image(image, shots.times) == 0.0
     return Registration(tuple(images), shots, places, linear, inside, simultaneous)
+
+
+def seconds_from_image(image: PushbroomImage, times: Array) -> Array:
+    """S (n,) by which times (s TDB past J2000) lie after an image's last line, negative before its first; 0 within."""
+    first, last = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
+    return np.asarray(np.minimum(times - first, 0.0) + np.maximum(times - last, 0.0))
 
 
 def points_in_images(

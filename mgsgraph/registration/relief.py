@@ -204,7 +204,7 @@ def _require_profiles(case: Case) -> None:
     if not profile_names(case.network) and not case.terrain:
         raise InputError(
             str(case.path), "neither a laser profile nor a terrain model whose shift is unknown",
-            "[[mola]] entries with shift_sigma_m, [[altimetry]], or [terrain]",
+            "[[shots]] entries with shift_sigma_m, [[altimetry]], or [terrain]",
             "state what is known of the profile's horizontal error, such as shift_sigma_m = 100.0",
         )  # fmt: skip
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.distortion import MODELS, Distortion
+from mgsgraph.geometry.fixed_trajectory import FixedTrajectory
 from mgsgraph.geometry.image import ExteriorOrientation
 from mgsgraph.geometry.packed_surface import PackedSurface, packed
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory
@@ -39,7 +40,7 @@ _KINDS: dict[Any, dict[str, Any]] = {
     protocol: {kind.__name__: kind for kind in kinds}
     for protocol, kinds in (
         (Distortion, MODELS),
-        (ExteriorOrientation, (Trajectory, PolynomialTrajectory)),
+        (ExteriorOrientation, (Trajectory, FixedTrajectory, PolynomialTrajectory)),
     )
 }
 """Records that may stand where a protocol is declared; the record says which it is."""

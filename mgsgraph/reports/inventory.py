@@ -6,9 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.adjust import Prediction, predict
-from mgsgraph.case.reading import Case
+from mgsgraph.case.case_file import decode
+from mgsgraph.case.images import read_images
+from mgsgraph.case.reading import Case, picture_of
+from mgsgraph.case.strips import members as members_of_strips
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.footprint import footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -26,7 +30,7 @@ from mgsgraph.reports.readings import reading_statements
 from mgsgraph.reports.strips import bare_nodes, strips_inventory
 from mgsgraph.ties import PointKind
 from mgsgraph.units import DEG, KM, MRAD
-from mgsgraph.wording import root_mean_square, some, some_of
+from mgsgraph.wording import many, root_mean_square, some, some_of
 
 _FEW_POINTS = 6
 """Fewer points than this in an image leave its orientation to the prior."""
@@ -70,6 +74,28 @@ def inventory(case: Case) -> str:
         "Weak spots\n" + "\n".join(f"  - {line}" for line in weak or ["none seen"]),
     ]
     return "\n\n".join(parts)
+
+
+def images_inventory(path: Path) -> str | None:
+    """The images of a case without measures, and which of them overlap; None of a case that has measures."""
+    wanted = decode(path)
+    if wanted.measured:
+        return None
+    names = [image.name for image in wanted.images]
+    images, _ = read_images(wanted, wanted.orientations, members_of_strips(wanted.strips, names, str(path)), path)
+    found = overlaps([footprint(image) for image in images])
+    pairs = [
+        f"  {images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"
+        for (i, j), area, share in zip(found.pairs.tolist(), found.areas.tolist(), found.shares.tolist(), strict=True)
+    ]
+    bare = [entry.name for entry in wanted.images if picture_of(entry, path.parent) is None]
+    what = f"mgsgraph match {path} --out MATCHES" if pairs else "an image that overlaps, as well (mgsgraph new)"
+    what = f'pixels = "FILE" in [[images]] for {some(bare, len(bare))}, then {what}' if bare and pairs else what
+    return "\n".join([
+        f"{wanted.name}: {many(len(images), 'image')}, no measures in them\n", "Images",
+        *(line for image in images for line in _image(image)), "", "Overlaps", *(pairs or ["  none"]), "",
+        f"To be adjusted it needs tie points, ground control, or laser shots measured in images; next: {what}",
+    ])
 
 
 def _with_priors(network: Network) -> Network:
@@ -129,22 +155,24 @@ def _shared(network: Network) -> str:
 def _images(network: Network) -> str:
     lines = ["Images"]
     for j, image in enumerate(network.images):
-        middle, spacing = _ground_spacing(image)
-        longitude, latitude, _ = planetocentric(middle)
-        held = ", held" if network.held[j] else ""
-        corners = _corners(image)
-        lines.append(
-            f"  {image.name}: {image.lines} lines x {image.samples} samples{held}; "
-            f"line {spacing[0]:.2f} m, sample {spacing[1]:.2f} m on the ground"
-        )
-        lines.append(
-            f"    centre {longitude / DEG % 360.0:.4f} E {latitude / DEG:+.4f} N; "
-            f"longitude {corners[0, 0]:.4f} .. {corners[1, 0]:.4f}, "
-            f"latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg"
-        )
+        lines += _image(image, ", held" if network.held[j] else "")
         lines.append(f"    {_orientation(network, j)}")
     lines += [f"  {sentence}" for sentence in reading_statements(network)]
     return "\n".join(lines)
+
+
+def _image(image: PushbroomImage, held: str = "") -> list[str]:
+    """Its size, and where it lies."""
+    middle, spacing = _ground_spacing(image)
+    longitude, latitude, _ = planetocentric(middle)
+    corners = _corners(image)
+    return [
+        f"  {image.name}: {image.lines} lines x {image.samples} samples{held}; "
+        f"line {spacing[0]:.2f} m, sample {spacing[1]:.2f} m on the ground",
+        f"    centre {longitude / DEG % 360.0:.4f} E {latitude / DEG:+.4f} N; "
+        f"longitude {corners[0, 0]:.4f} .. {corners[1, 0]:.4f}, "
+        f"latitude {corners[0, 1]:+.4f} .. {corners[1, 1]:+.4f} deg",
+    ]
 
 
 def _orientation(network: Network, j: int) -> str:

@@ -107,7 +107,7 @@ def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     drawn |= {"drift_sigma_m": world.drift} if world.drift and "shift_sigma_m" in sigmas else {}
     for image in simulated.images:
         name = image.settings.name
-        lines += _table("[[mola]]", pedr=folder + pedr_file(image), image=name, **drawn, **sigmas)
+        lines += _table("[[shots]]", file=folder + pedr_file(image), image=name, **drawn, **sigmas)
     return lines
 
 

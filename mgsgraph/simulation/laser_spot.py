@@ -4,7 +4,8 @@ the ranges there, which widens the pulse.
 
 import numpy as np
 
-from mgsgraph.geometry.altimetry import MOLA_FOOTPRINT, SPOT_WIDTHS
+from mgsgraph.geometry.altimeters import MOLA
+from mgsgraph.geometry.altimetry import SPOT_WIDTHS
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.ground import SiteTerrain
@@ -28,7 +29,7 @@ def ranges_over_spots(terrain: SiteTerrain, origins: Array, beams: Array) -> tup
     """
     met = np.linalg.norm(terrain.intersect(origins, beams) - origins, axis=1)
     beside = east_north(-beams)  # any two directions across the beam
-    offsets = _nodes() * (MOLA_FOOTPRINT / SPOT_WIDTHS)
+    offsets = _nodes() * (MOLA.footprint / SPOT_WIDTHS)
     rays = met[:, None, None] * beams[:, None] + np.einsum("kc,ncj->nkj", offsets, beside)
     starts = np.broadcast_to(origins[:, None], rays.shape).reshape(-1, 3)
     points = terrain.intersect(starts, rays.reshape(-1, 3))

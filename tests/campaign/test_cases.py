@@ -148,7 +148,7 @@ def test_no_path_of_the_schema_is_forgotten() -> None:
                 texts.add(f"{struct.__name__}.{name}")
 
     gather(CaseInput)
-    no_paths = {"CaseInput.name", "CaseInput.considered", "ImageInput.name", "MolaInput.image", "MolaInput.version",
+    no_paths = {"CaseInput.name", "CaseInput.considered", "ImageInput.name", "ShotsInput.image", "ShotsInput.version",
                 "AltimetryInput.version", "TerrainInput.version", "NodesInput.times_utc", "StripInput.name",
                 "StripInput.images",
                 "ImageInput.image", "ImageInput.list"}  # decoded as isd, cube or label  # fmt: skip

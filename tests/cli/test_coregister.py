@@ -404,7 +404,7 @@ def bad_case(tmp_path: Path, text: str) -> Path:
     ("change", "said"),
     [
         (lambda text: text.replace("shift_sigma_m = 100.0", ""), "neither a laser profile nor a terrain model"),
-        (lambda text: text[: text.index("[[mola]]")], "neither a laser profile"),
+        (lambda text: text[: text.index("[[shots]]")], "neither a laser profile"),
     ],
 )
 def test_a_case_without_unknown_shifts_is_refused(change: Any, said: str, tmp_path: Path) -> None:

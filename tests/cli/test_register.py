@@ -43,8 +43,8 @@ def test_bad_input_writes_nothing(mola_case: Path, tmp_path: Path) -> None:
     refused(run("register", tmp_path / "none.toml", "--out", out), "no such file", tmp_path, ["case"])
     refused(run("register", mola_case, "--solution", tmp_path, "--out", out), "solution.npz", tmp_path, ["case"])
     text = mola_case.read_text(encoding="utf-8")
-    mola_case.write_text(text[: text.index("[[mola]]")], encoding="utf-8")
-    refused(run("register", mola_case, "--out", out), "no profile of MOLA", tmp_path, ["case"])
+    mola_case.write_text(text[: text.index("[[shots]]")], encoding="utf-8")
+    refused(run("register", mola_case, "--out", out), "no laser profile", tmp_path, ["case"])
     assert not out.exists()
 
 

@@ -173,7 +173,7 @@ def test_every_fifth_shot_is_kept_out() -> None:
     ranges = len(whole.network.ranges.point) - len(some.network.ranges.point)
     assert ranges == sum(one.times.size // 5 for one in whole.profiles) > 40
     every.write_text(path.read_text(encoding="utf-8").replace("check_every = 5", "check_every = 1"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"mola\[0\]\.check_every"):
+    with pytest.raises(InputError, match=r"shots\[0\]\.check_every"):
         decode(every)
 
 

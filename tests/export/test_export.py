@@ -145,7 +145,7 @@ def test_a_full_disk_is_said_of_the_folder_that_was_asked_for(
 
 
 def test_what_to_beware_of_is_said() -> None:
-    fine = Exported(Target.CSM, Path("out"), ("a.isd",), 8, 0.001)
+    fine = Exported(Target.CSM, Path("out"), ("a.json",), 8, 0.001)
     assert fine.statement.endswith("where the solution has them.")
     assert "farther off" in fine._replace(largest=0.02).statement
     assert "NOT converge" in fine._replace(converged=False).statement

@@ -1,7 +1,7 @@
 """Support data and model states say what the solution says, by usgscsm's steps and by our reader; faults are seen."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.export import csm_back
-from mgsgraph.export.csm import write_csm
+from mgsgraph.export.csm import STATE, write_csm
 from mgsgraph.export.csm_back import csm_differences, ground_to_image, isd_differences, state_differences
 from mgsgraph.export.csm_tables import refined_tables
 from mgsgraph.export.round_trip import Reprojection, reprojection
@@ -31,6 +31,7 @@ from mgsgraph.geometry.polynomial_trajectory import fit_polynomials
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.isd import read_isd
+from mgsgraph.io.model_state import read_model_state
 from mgsgraph.simulation.isis_files import json_text, support_data
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
@@ -90,6 +91,10 @@ def export(request: pytest.FixtureRequest) -> Written:
     found = request.getfixturevalue(request.param)
     assert isinstance(found, Written)
     return found
+
+
+def support_data_in(folder: Path) -> Iterator[Path]:
+    return (path for path in sorted(folder.glob("*.json")) if not path.name.endswith(STATE))
 
 
 def state_of(export: Written, image: int = 0) -> dict[str, Any]:
@@ -196,7 +201,7 @@ def test_orientation_images_and_changing_line_rates_come_back(tmp_path: Path) ->
     assert solution.correction(0).nodes is not None
     assert solution.network.images[0].timing.first_lines.size == 3
     write_csm(solution, tmp_path, support=False)
-    assert not list(tmp_path.glob("*.isd"))
+    assert [path.name for path in tmp_path.glob("*.json") if not path.name.endswith(STATE)] == []
     assert csm_differences(tmp_path, reprojection(solution)).max() < 2e-3
 
 
@@ -282,7 +287,7 @@ def focal_length_in_metres(isd: dict[str, Any], state: dict[str, Any]) -> None:
 def test_faults_are_seen(
     export: Written, tmp_path: Path, fault: Callable[[dict[str, Any], dict[str, Any]], None]
 ) -> None:
-    for isd_path in export.folder.glob("*.isd"):
+    for isd_path in support_data_in(export.folder):
         state_path = isd_path.with_suffix(".adjusted_state.json")
         isd, state = json.loads(isd_path.read_text()), json.loads(state_path.read_text().split("\n", 1)[1])
         fault(isd, state)
@@ -311,7 +316,7 @@ def test_a_missing_or_damaged_file_is_named(tables: Written, tmp_path: Path) -> 
 
 def test_our_reader_gets_the_adjusted_geometry(export: Written) -> None:
     for j, image in enumerate(export.solution.network.images):
-        path = export.folder / f"{image.name.replace('/', '_')}.isd"
+        path = export.folder / f"{image.name.replace('/', '_')}.json"
         assert json.loads(path.read_text())["image_identifier"] == image.name
         back, adjusted_one = read_isd(path, image.name), export.solution.image(j)
         lines = np.linspace(0.0, float(image.lines), 101)
@@ -322,6 +327,16 @@ def test_our_reader_gets_the_adjusted_geometry(export: Written) -> None:
         mine, theirs = adjusted_one.pose(lines, export.solution.correction(j)), back.pose(lines)
         assert theirs.velocity == pytest.approx(mine.velocity, rel=1e-6, abs=1e-6)
         assert back.trajectory.spin == pytest.approx(image.trajectory.spin, abs=1e-10)
+
+
+def test_a_state_is_read_as_the_adjusted_image(export: Written) -> None:
+    for j, image in enumerate(export.solution.network.images):
+        back = read_model_state(export.folder / f"{image.name.replace('/', '_')}{STATE}", image.name)
+        places = np.stack(np.meshgrid(np.linspace(0.0, image.lines, 5), np.linspace(0.0, image.samples, 5)), axis=-1)
+        lines, samples = places.reshape(-1, 2).T
+        ground, _ = export.solution.image(j).image_to_ground(lines, samples, 0.0, export.solution.correction(j))
+        seen, _ = back.ground_to_image(ground, start=lines)
+        assert np.abs(seen - np.column_stack([lines, samples])).max() < 1e-3
 
 
 def test_states_have_every_key_in_the_type_that_is_asked_for(tables: Written) -> None:
@@ -340,7 +355,7 @@ def test_states_have_every_key_in_the_type_that_is_asked_for(tables: Written) ->
 
 def test_angular_velocities_are_those_of_the_attitudes_about_inertial_axes(export: Written) -> None:
     """As SPICE and ALE have them: C(t + dt) = C(t) Exp(-w dt)."""
-    isd = json.loads(next(export.folder.glob("*.isd")).read_text())
+    isd = json.loads(next(support_data_in(export.folder)).read_text())
     for table in (isd["body_rotation"], isd["instrument_pointing"]):
         matrices, times = rotation.to_matrix(np.array(table["quaternions"])), np.array(table["ephemeris_times"])
         turned = rotation.logarithm(np.swapaxes(matrices[:-1], 1, 2) @ matrices[1:]) / np.diff(times)[:, None]
@@ -360,11 +375,11 @@ def test_a_body_that_wobbles_comes_back(tables: Written, tmp_path: Path) -> None
     images = tuple(wobbling(image) for image in tables.solution.network.images)
     export = written(replace(tables.solution, network=replace(tables.solution.network, images=images)), tmp_path)
     assert len(export.wanted.image) > 20
-    isd = json.loads(next(tmp_path.glob("*.isd")).read_text())
+    isd = json.loads(next(support_data_in(tmp_path)).read_text())
     assert len(isd["body_rotation"]["ephemeris_times"]) > 2
     assert csm_differences(tmp_path, export.wanted).max() < 1e-3
     for j, image in enumerate(images):
-        back = read_isd(tmp_path / f"{image.name.replace('/', '_')}.isd", image.name).trajectory
+        back = read_isd(tmp_path / f"{image.name.replace('/', '_')}.json", image.name).trajectory
         times, _ = image.timing.at(np.linspace(0.0, float(image.lines), 501))
         assert isinstance(back, Trajectory)
         assert isinstance(image.trajectory, Trajectory)
@@ -438,8 +453,8 @@ def test_apparent_positions_are_called_geometric_afterwards(tables: Written, tmp
     image = tables.solution.network.images[0]
     said = support_data(image)
     said["naif_keywords"] = {"INS-1_LIGHTTIME_CORRECTION": "LT+S", "INS-1_FOCAL_LENGTH": 1.0, "INS-1_OD_K": [0.0]}
-    (tmp_path / "original.json").write_text(json_text(said))
-    path = write_csm(tables.solution, tmp_path, {image.name: tmp_path / "original.json"})[0]
+    (tmp_path / "original.isd").write_text(json_text(said))
+    path = write_csm(tables.solution, tmp_path, {image.name: tmp_path / "original.isd"})[0]
     focal_length = pytest.approx(image.interior.focal_length * 1e3)
     assert json.loads(path.read_text())["naif_keywords"] == {
         "INS-1_LIGHTTIME_CORRECTION": "NONE", "INS-1_FOCAL_LENGTH": focal_length, "INS-1_OD_K": [0.0],
@@ -450,8 +465,8 @@ def test_apparent_positions_are_called_geometric_afterwards(tables: Written, tmp
 def test_polynomials_take_the_bodys_rotation_from_support_data(polynomials: Written, tmp_path: Path) -> None:
     """Without them the inertial axes are the body's own in the image's middle."""
     image, nominal = polynomials.solution.network.images[0], pair().images[0]
-    (tmp_path / "original.json").write_text(json_text(support_data(nominal)))
-    path = write_csm(polynomials.solution, tmp_path, {image.name: tmp_path / "original.json"})[0]
+    (tmp_path / "original.isd").write_text(json_text(support_data(nominal)))
+    path = write_csm(polynomials.solution, tmp_path, {image.name: tmp_path / "original.isd"})[0]
     apart = []
     for file in (path, polynomials.folder / path.name):
         back = read_isd(file, image.name).trajectory
@@ -544,7 +559,7 @@ def test_reference_heights_are_those_of_the_points(tmp_path: Path) -> None:
     solution = adjust_network(network(pair()), SolverSettings(), "pair")
     write_csm(solution, tmp_path)
     heights = geodetic(solution.places, solution.network.images[0].body)[:, 2]
-    for path in tmp_path.glob("*.isd"):
+    for path in support_data_in(tmp_path):
         said = json.loads(path.read_text())["reference_height"]
         assert said["minheight"] <= heights.min() - 100.0 < said["minheight"] + 1.0
         assert said["maxheight"] >= heights.max() + 100.0 > said["maxheight"] - 1.0

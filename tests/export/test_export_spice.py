@@ -22,6 +22,7 @@ from mgsgraph.export.round_trip import Reprojection, reprojection
 from mgsgraph.export.spice import MissionClock, NaifIds, SpiceNaming, write_spice
 from mgsgraph.export.spice_back import spice_differences
 from mgsgraph.export.spice_nodes import TOLERANCE, AdjustedNodes, adjusted_nodes
+from mgsgraph.geometry import distortion as optics
 from mgsgraph.geometry.distortion import Distortion, LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -110,7 +111,16 @@ def test_the_real_pair_comes_back(shared_data: Path, tmp_path: Path) -> None:
     assert round_trip(adjust(read_case(LRO)), tmp_path) < TOLERANCE
 
 
-@pytest.mark.parametrize("distortion", [LrocNacDistortion(18.1), RadialDistortion(1e-3, -4.0, 200.0)])
+BENT = [
+    LrocNacDistortion(18.1), RadialDistortion(1e-3, -4.0, 200.0),
+    optics.KaguyaDistortion((-9.6e-7, 9.8e-4, 8.6e-3, -3.7), (-1.4e-6, 1.4e-5, 2.7e-3, -6.2)),
+    optics.KaguyaMiDistortion((-9.6e-7, 9.8e-4, 8.6e-3, -3.7), (-1.4e-6, 1.4e-5, 2.7e-3, 0.0)),
+    optics.MocWideAngleDistortion((0.9993258, 0.4655529, -0.1548756, 1.827967, -3.057435, 2.226331), 1.0005, 0.2),
+    optics.ThemisIrDistortion(1.001, 1e-3, 0.2), optics.ThemisIrDistortion(1.001, 1e-3, 0.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("distortion", BENT, ids=lambda one: type(one).__name__)
 def test_bent_optics_come_back(solution: Solution, tmp_path: Path, distortion: Distortion) -> None:
     bent = with_images(solution, lambda image: replace(image, interior=replace(image.interior, distortion=distortion)))
     assert np.abs(reprojection(bent).places - reprojection(solution).places).max() > 1e-3

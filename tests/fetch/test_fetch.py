@@ -24,7 +24,7 @@ from mgsgraph.fetch.folder import Fetched, fetch_images, survey
 from mgsgraph.fetch.lock import Lock, verify
 from mgsgraph.io.files import claimed
 from mgsgraph.io.kernels import times_of_utc
-from mgsgraph.io.moc import read_moc
+from mgsgraph.io.labelled_image import read_labelled_image
 
 QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
 ONE, OTHER, LATE = "M04/02852", "m0402856", "R10-00002"
@@ -92,7 +92,7 @@ def test_another_image_shares_what_it_can(archive: Flaky, tmp_path: Path) -> Non
     assert set(both.brought) == {"images/m0402856.imq"}
     case = decode(both.case)
     assert [image.name for image in case.images] == ["M04-02852", "M04-02856"]
-    assert [(profile.pedr, profile.image) for profile in case.mola] == [
+    assert [(profile.file, profile.image) for profile in case.shots] == [
         ("pedr/ap12058l.b", "M04-02852"), ("pedr/ap12058l.b", "M04-02856"),
     ]  # fmt: skip
     assert len(both.commands()) == 4
@@ -107,7 +107,7 @@ def test_an_image_after_the_last_range(archive: Flaky, tmp_path: Path) -> None:
     assert fetched.images[0].kernels == ("spk/mgs_ext12.bsp", "ck/mgs_sc_ext12.bc")
     assert "R10/00002: no laser profile, MOLA's ranging ended on 2001-06-30" in fetched.notes
     case = decode(fetched.case)
-    assert not case.mola
+    assert not case.shots
     assert case.terrain == ()
     assert not [name for name in files(tmp_path / "d") if name.startswith(("pedr", "megdr"))]
 
@@ -119,7 +119,7 @@ def test_profiles_of_no_such_day(archive: Flaky, tmp_path: Path, listed: bool) -
         archive.stays["pedr/ap12xxx/"] = status(404)
     fetched = fetch(archive, tmp_path / "d", terrain="none")
     assert any("ap12046l.b ends at 1999-08-24T04:23:08 before it" in note for note in fetched.notes)
-    assert not decode(fetched.case).mola
+    assert not decode(fetched.case).shots
     del archive.files["pedr/ap12xxx/ap12046l.b"]
     fetched = fetch(archive, tmp_path / "e", terrain="none")
     assert any("has no file of its day" in note for note in fetched.notes)
@@ -390,11 +390,11 @@ def test_real_kernels_give_the_geometry_that_isis_has(archive: Flaky, shared_dat
     image = case.images[0]
     assert case.spice is not None
     kernels = [folder / name for name in case.spice.kernels]
-    taken = read_moc(
+    taken = read_labelled_image(
         folder / str(image.label), kernels, constants=image.constants, focal_length=image.focal_length_m
     )
     assert taken.trajectory.epoch == pytest.approx(mgs.START, abs=1.0)
-    by_isis = read_moc(folder / str(image.label), mgs.kernels(shared_data), constants="iak")
+    by_isis = read_labelled_image(folder / str(image.label), mgs.kernels(shared_data), constants="iak")
     lines, samples = np.array([0.0, 3.0, 6.0]), np.array([0.0, 128.0, 256.0])
     one, _ = taken.image_to_ground(lines, samples)
     other, _ = by_isis.image_to_ground(lines, samples)

@@ -15,7 +15,7 @@ from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.polynomial_trajectory import PolynomialTrajectory, fit_attitude, fit_polynomials
 from mgsgraph.geometry.trajectory import AttitudeTable
-from mgsgraph.io.moc import read_moc
+from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.simulation.pair import simulate_pair
 
 ARCSEC = np.pi / 180.0 / 3600.0
@@ -88,7 +88,7 @@ def test_the_misfit_in_pixels_is_that_on_the_ground() -> None:
 def test_the_real_image(shared_data: Path) -> None:
     """M04/02852: a second order follows the CK's records every 4 s to about an arc second, a fifth of a pixel."""
     folder = shared_data / "mgs_moc_m0402852"
-    image = read_moc(folder / "m0402852_isis.lbl", kernels(shared_data))
+    image = read_labelled_image(folder / "m0402852_isis.lbl", kernels(shared_data))
     exchanged, fit = fit_polynomials(image)
     assert (fit.order, fit.samples) == (2, 31)
     assert fit.between.position_max.max() < 0.01

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mgsgraph.altimetry.pedr_text import read_pedr_text
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
@@ -14,7 +15,6 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.track_terrain import LONGEST_EDGE, track_terrain
 from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.pedr_text import read_pedr_text
 from mgsgraph.units import DEG, KM
 
 RADIUS = 3390e3

@@ -17,12 +17,13 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.io.aberration import Aberration
-from mgsgraph.io.hrsc import DETECTOR_IDS, read_hrsc, read_hrsc_strip
-from mgsgraph.io.hrsc_label import DETECTORS
+from mgsgraph.io.cameras.hrsc import DETECTORS, HRSC_HEAD
 from mgsgraph.io.isd import read_isd
 from mgsgraph.io.kernels import loaded, pool_numbers
+from mgsgraph.io.labelled_image import read_labelled_image, read_strip
 
 MM, DEG = 1e-3, np.pi / 180.0
+DETECTOR_IDS = {name: HRSC_HEAD - 1 - k for k, name in enumerate(DETECTORS)}
 PUBLISHED = {
     "S2": (174.80, -59.9927, 0.00011, 2588.7635, -18.94), "RED": (174.61, -49.7678, -0.00004, 2585.3891, -15.9),
     "P2": (174.74, -39.5483, -0.00034, 2589.3140, -12.75), "BLUE": (175.01, -10.2417, 0.00019, 2602.0075, -3.34),
@@ -48,7 +49,7 @@ def label(shared_data: Path) -> Path:
 
 @pytest.fixture
 def image(label: Path, shared_data: Path, tmp_path: Path) -> PushbroomImage:
-    return read_hrsc(label, kernels(shared_data), interval=0.1, line_times=times_file(tmp_path))
+    return read_labelled_image(label, kernels(shared_data), interval=0.1, line_times=times_file(tmp_path))
 
 
 @pytest.fixture
@@ -63,7 +64,7 @@ def labels(label: Path, tmp_path: Path) -> list[Path]:
 
 @pytest.fixture
 def strip(labels: Sequence[Path], shared_data: Path, tmp_path: Path) -> dict[str, PushbroomImage]:
-    images = read_hrsc_strip(labels, kernels(shared_data), DETECTORS, line_times=[times_file(tmp_path)] * 9)
+    images = read_strip(labels, kernels(shared_data), DETECTORS, line_times=[times_file(tmp_path)] * 9)
     return {image.name: image for image in images}
 
 
@@ -108,7 +109,7 @@ def test_between_the_nodes(
     """Inertial positions to 1e-6 m with nodes at 0.1 s. Body-fixed ones scatter by 2e-5 m in SPICE itself, which turns
     Mars by the 1e6 degrees since J2000, in one float64 of degrees; attitude by 3e-11 rad, as the clock's ticks do.
     """
-    image = read_hrsc(label, kernels(shared_data), interval=interval, line_times=times_file(tmp_path))
+    image = read_labelled_image(label, kernels(shared_data), interval=interval, line_times=times_file(tmp_path))
     trajectory = sampled(image)
     edges = image.timing.at(np.array([0.0, LINES]))[0] + trajectory.epoch
     times = np.random.default_rng(7).uniform(edges[0], edges[1], 300)
@@ -178,7 +179,8 @@ def test_by_the_instrument_kernel_it_is_near(
     """Its middle is within a pixel of the kernel's own boresight, 1 pixel across and 9 along of the addendum's."""
     path = labels[DETECTORS.index(name)]
     times = times_file(tmp_path)
-    other = read_hrsc(path, kernels(shared_data, ["MEX_HRSC_V03.TI"]), line_times=times, constants="ik").interior
+    without = kernels(shared_data, ["MEX_HRSC_V03.TI"])
+    other = read_labelled_image(path, without, line_times=times, constants="ik").interior
     with loaded(kernels(shared_data)):
         boresight = pool_numbers(f"INS{DETECTOR_IDS[name]}_BORESIGHT", 3) * MM  # type: ignore[index]
     place, _ = other.focal_plane(np.array([648.0]))
@@ -231,7 +233,7 @@ def test_all_lines_are_on_one_trajectory(
 ) -> None:
     """A strip's images share the record, and see what they see when they are read alone."""
     assert len({id(image.trajectory) for image in strip.values()}) == 1
-    alone = read_hrsc(labels[0], kernels(shared_data), line_times=times_file(tmp_path))
+    alone = read_labelled_image(labels[0], kernels(shared_data), line_times=times_file(tmp_path))
     places = np.array([0.0, 7000.3, LINES]), np.array([3.0, 600.0, 1288.0])
     ours, theirs = (image.image_to_ground(*places)[0] for image in (strip["S2"], alone))
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-4)
@@ -243,7 +245,7 @@ def test_a_strip_spans_lines_taken_at_other_times(labels: list[Path], shared_dat
     labels[1].write_text(text)
     (tmp_path / "late").mkdir()
     late = times_file(tmp_path / "late", [(time + 3.0, period, line) for time, period, line in CHANGES])
-    one, other = read_hrsc_strip(labels[:2], kernels(shared_data), line_times=[times_file(tmp_path), late])
+    one, other = read_strip(labels[:2], kernels(shared_data), line_times=[times_file(tmp_path), late])
     assert one.trajectory is other.trajectory
     np.testing.assert_allclose(other.timing.start_times - one.timing.start_times, 3.0, rtol=0, atol=1e-7)
     first, last = one.timing.at(np.zeros(1))[0][0], other.timing.at(np.array([LINES]))[0][0]
@@ -299,7 +301,7 @@ def test_support_data_of_the_same_image(image: PushbroomImage, tmp_path: Path) -
 def refused(label: Path, given: list[Path], folder: Path, **more: object) -> str:
     """What is said of an image that is refused, in one line that names its label."""
     with pytest.raises(InputError) as caught:
-        read_hrsc(label, given, line_times=times_file(folder), **more)  # type: ignore[arg-type]
+        read_labelled_image(label, given, line_times=times_file(folder), **more)  # type: ignore[arg-type]
     assert str(label) in str(caught.value)
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -329,8 +331,8 @@ def test_the_addendum_must_come_after_the_instrument_kernel(label: Path, shared_
 
 def test_settings_are_heard(label: Path, shared_data: Path, tmp_path: Path) -> None:
     times, given = times_file(tmp_path), kernels(shared_data)
-    image = read_hrsc(label, given, "IR/5270", 0.1749, line_times=times, attitude_bias=0.1, position_bias=0.2)
-    plain = read_hrsc(label, given, line_times=times)
+    image = read_labelled_image(label, given, "IR/5270", 0.1749, line_times=times, attitude_bias=0.1, position_bias=0.2)
+    plain = read_labelled_image(label, given, line_times=times)
     assert (image.name, plain.name) == ("IR/5270", "H5270_0000_IR2.IMG")
     assert image.interior.focal_length == 0.1749
     moved = image.pose(np.array([7000.0])).position - plain.pose(np.array([7000.0])).position
@@ -339,12 +341,12 @@ def test_settings_are_heard(label: Path, shared_data: Path, tmp_path: Path) -> N
 
 def test_strips_that_do_not_belong_together(labels: list[Path], shared_data: Path) -> None:
     with pytest.raises(InputError, match="1 names and 0 line times for 9 labels"):
-        read_hrsc_strip(labels, kernels(shared_data), ["one"])
+        read_strip(labels, kernels(shared_data), ["one"])
     with pytest.raises(InputError, match="no label"):
-        read_hrsc_strip([], [])
+        read_strip([], [])
     labels[3].write_text(labels[3].read_text().replace("= MARS\n", "= PHOBOS\n"))
     with pytest.raises(InputError, match=r"BLUE\.lbl: an image of PHOBOS; expected one of MARS"):
-        read_hrsc_strip(labels, kernels(shared_data))
+        read_strip(labels, kernels(shared_data))
 
 
 # --- in a case
@@ -372,9 +374,9 @@ def test_a_case_says_what_is_wrong_with_a_label(label: Path, shared_data: Path, 
     with pytest.raises(InputError, match="a label without the times of its lines"):
         read_image(entry(shared_data, label), None, tmp_path, "here")
     other = tmp_path / "ctx.lbl"
-    other.write_text(label.read_text().replace("= HRSC\n", "= CTX\n"))
-    with pytest.raises(InputError, match=r"ctx\.lbl: the instrument 'CTX'; expected MOC-NA or HRSC"):
+    other.write_text(label.read_text().replace("= HRSC\n", "= OMEGA\n"))
+    with pytest.raises(InputError, match=r"ctx\.lbl: the camera 'OMEGA'; expected one of those known by PDS3 labels"):
         read_image(entry(shared_data, other), None, tmp_path, "here")
     moc = shared_data / "mgs_moc_m0402852" / "m0402852_isis.lbl"
-    with pytest.raises(InputError, match="line times for MOC-NA; expected none"):
+    with pytest.raises(InputError, match="line times for MGS MOC-NA; expected none"):
         read_image(entry(shared_data, moc, line_times="mean"), None, tmp_path, "here")

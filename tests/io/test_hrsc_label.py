@@ -1,5 +1,6 @@
 """HRSC labels of both kinds, and the times of lines out of prefixes, tables and text; faults said in one line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,11 @@ from hypothesis import strategies as st
 from mex import CHANGES, CUBE, FOLDER, LABEL, LINES, START, cube_bytes, image_bytes, times_file
 
 from mgsgraph.errors import InputError
-from mgsgraph.io.hrsc_label import HrscLabel, read_hrsc_label
-from mgsgraph.io.hrsc_lines import LineTimes, LineTimesSource, read_line_times
+from mgsgraph.io.cameras.camera import LineScanLabel
+from mgsgraph.io.cameras.hrsc import HRSC
+from mgsgraph.io.cameras.keywords import NaifKeywords
+from mgsgraph.io.cameras.label import read_line_scan_label
+from mgsgraph.io.cameras.line_times import LineTimes, LineTimesLocation, LineTimesSource
 
 STOP = START + 19 * 0.0128
 STOP_OF_H5270 = CHANGES[2][0] + (LINES - CHANGES[2][2]) * CHANGES[2][1]
@@ -37,8 +41,16 @@ def cube(folder: Path, *changes: tuple[str, str]) -> Path:
     return path
 
 
+ADDENDUM = NaifKeywords("the addendum", {
+    "INS-41218_ITRANSL": (0.0, 0.0, 142.86), "INS-41218_ITRANSS": (0.0, -142.86, 0.0), "INS-41218_FOCAL_LENGTH": 174.8,
+    "INS-41218_BORESIGHT_LINE": 0.0, "INS-41218_BORESIGHT_SAMPLE": 2592.0,
+})  # fmt: skip
+
+
 def times_of(path: Path, source: LineTimesSource = None, stop: float = STOP_OF_H5270) -> LineTimes:
-    return read_line_times(read_hrsc_label(path), START, stop, source)
+    label = read_line_scan_label(path)
+    label.camera.interior(ADDENDUM, label)
+    return label.camera.line_times(ADDENDUM, replace(label, times=source or label.times), START, stop)
 
 
 def refused(path: Path, source: LineTimesSource = None, stop: float = STOP_OF_H5270) -> str:
@@ -54,41 +66,44 @@ def refused(path: Path, source: LineTimesSource = None, stop: float = STOP_OF_H5
 
 
 def test_pds_label(tmp_path: Path) -> None:
-    got = read_hrsc_label(written(tmp_path))
-    assert (got.detector, got.product, got.target) == ("IR", "H5270_0000_IR2.IMG", "MARS")
-    assert (got.lines, got.samples, got.macropixel) == (20, 222, 4)
-    assert got.times is not None
+    got = read_line_scan_label(written(tmp_path))
+    assert (got.camera.instrument, got.product, got.target) == (-41218, "H5270_0000_IR2.IMG", "MARS")
+    assert (got.lines, got.samples, got.sample_summing) == (20, 222, 4)
+    assert isinstance(got.times, LineTimesLocation)
     assert (got.times.kind, got.times.offset, got.times.count, got.times.stride) == ("prefixes", 2048, 20, 512)
 
 
 @pytest.mark.parametrize("name", ["S2", "RED", "P2", "BLUE", "NADIR", "GREEN", "P1", "IR", "S1"])
 def test_each_line_is_known(tmp_path: Path, name: str) -> None:
-    assert read_hrsc_label(written(tmp_path, ("MEX_HRSC_IR", f"MEX_HRSC_{name}"))).detector == name
+    camera = read_line_scan_label(written(tmp_path, ("MEX_HRSC_IR", f"MEX_HRSC_{name}"))).camera
+    assert camera.name == f"MEX HRSC {name}"
+    assert camera in HRSC
 
 
 def test_real_labels_of_both_kinds_say_the_same(shared_data: Path) -> None:
     """They were cut off their images, so the times of the lines are not there."""
-    pds, isis = (read_hrsc_label(shared_data / FOLDER / f"h5270_0000_ir2_{kind}.lbl") for kind in ("pds3", "isis3"))
+    paths = [shared_data / FOLDER / f"h5270_0000_ir2_{kind}.lbl" for kind in ("pds3", "isis3")]
+    pds, isis = map(read_line_scan_label, paths)
     for label in (pds, isis):
-        assert (label.detector, label.product, label.macropixel) == ("IR", "H5270_0000_IR2.IMG", 4)
+        assert (label.camera.name, label.product, label.sample_summing) == ("MEX HRSC IR", "H5270_0000_IR2.IMG", 4)
         assert (label.lines, label.samples, label.times) == (15088, 1288, None)
-        assert label.start_time.rstrip("Z") == "2008-02-08T12:08:53.843"
-        assert label.stop_time.rstrip("Z") == "2008-02-08T12:12:10.561"
+        assert label.start.rstrip("Z") == "2008-02-08T12:08:53.843"
+        assert label.stop.rstrip("Z") == "2008-02-08T12:12:10.561"
 
 
 def test_a_label_without_macropixels_has_single_ones(tmp_path: Path) -> None:
-    assert read_hrsc_label(written(tmp_path, ("MACROPIXEL_SIZE              = 4\n", ""))).macropixel == 1
+    assert read_line_scan_label(written(tmp_path, ("MACROPIXEL_SIZE              = 4\n", ""))).sample_summing == 1
 
 
 FAULTS: dict[str, tuple[str, str, str]] = {
-    "unknown line": ("MEX_HRSC_IR", "MEX_HRSC_UV", "the line 'MEX_HRSC_UV'; expected MEX_HRSC_ and one of S2, RED, P2"),
-    "super resolution": ("MEX_HRSC_IR", "MEX_HRSC_SRC", "is a frame camera"),
-    "the head alone": ("MEX_HRSC_IR", "MEX_HRSC_HEAD", "the line 'MEX_HRSC_HEAD'"),
-    "no line": ("DETECTOR_ID                  = MEX_HRSC_IR\n", "", "no DETECTOR_ID"),
-    "another instrument": ("= HRSC\n", "= OMEGA\n", "the instrument 'OMEGA'; expected HRSC"),
+    "unknown line": ("MEX_HRSC_IR", "MEX_HRSC_UV", "known by PDS3 labels: MEX HRSC MEX_HRSC_S2, MEX HRSC MEX_HRSC_RED"),
+    "super resolution": ("MEX_HRSC_IR", "MEX_HRSC_SRC", "the camera 'HRSC'"),
+    "the head alone": ("MEX_HRSC_IR", "MEX_HRSC_HEAD", "the camera 'HRSC'"),
+    "no line": ("DETECTOR_ID                  = MEX_HRSC_IR\n", "", "the camera 'HRSC'"),
+    "another instrument": ("= HRSC\n", "= OMEGA\n", "the camera 'OMEGA'"),
     "a map": ("PROCESSING_LEVEL_ID          = 2", "PROCESSING_LEVEL_ID          = 3", "a map (level 3)"),
     "macropixels of 3": ("MACROPIXEL_SIZE              = 4", "MACROPIXEL_SIZE = 3", "macropixels of 3; expected"),
-    "off the line": ("LINE_SAMPLES       = 222", "LINE_SAMPLES = 1297", "1297 samples of 4 pixels, 5188 in all"),
+    "off the line": ("LINE_SAMPLES       = 222", "LINE_SAMPLES = 1297", "pixels from 1 on end at 5188"),
     "no lines": ("LINES              = 20", "LINES = 0", "0; expected a whole number above zero"),
     "no stop": ("STOP_TIME                    = 2008-02-08T12:08:54.084Z\n", "", "no STOP_TIME"),
     "no image": ("Object = IMAGE\n", "Object = CUBE\n", "no IMAGE"),
@@ -106,14 +121,14 @@ def test_a_faulty_label_is_refused_in_one_line(tmp_path: Path, fault: str) -> No
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("MEX_HRSC_IR", "MEX_HRSC_ND", "the line 'MEX_HRSC_ND'"),
-        ("= HRSC", "= THEMIS_IR", "the instrument 'THEMIS_IR'"),
+        ("MEX_HRSC_IR", "MEX_HRSC_ND", "the camera 'HRSC'"),
+        ("= HRSC", "= THEMIS_IR", "no SpacecraftClockCount"),
         ("Summing        = 4", "Summing = 8", "1288 samples of 8 pixels"),
         ("  Group = Archive", "  Group = Mapping\n  End_Group\n  Group = Archive", "a map-projected cube"),
         (
             "  Group = Archive",
             "  Group = AlphaCube\n AlphaSamples = 1288\n AlphaLines = 20000\n  End_Group\n  Group = Archive",
-            "15088 x 1288 pixels cut out of 20000 x 1288",
+            "15088 of 20000 lines",
         ),
         ("Name = ExposureTime", "Name = Exposures", "expected EphemerisTime, ExposureTime (Double)"),
         ("ByteOrder = Lsb", "ByteOrder = Msb", "ByteOrder = Lsb"),
@@ -256,17 +271,17 @@ def test_a_mean_needs_two_lines_and_a_sensible_span(tmp_path: Path) -> None:
     assert "one line; expected at least" in refused(single, "mean", STOP)
     assert "a line rate of 10353.6 ms per line" in refused(written(tmp_path), "mean")
     said = refused(written(tmp_path), "mean", START - 1.0)
-    assert "STOP_TIME 2008-02-08T12:08:54.084Z; expected a time after" in said
+    assert "STOP_TIME -1.000 s after START_TIME; expected a time after" in said
 
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:
     assert "no such file" in refused(cube(tmp_path), tmp_path / "lost.csv")
     with pytest.raises(InputError, match="no such file"):
-        read_hrsc_label(tmp_path / "gone.img")
+        read_line_scan_label(tmp_path / "gone.img")
 
 
 def test_a_label_says_where_it_was_read(tmp_path: Path) -> None:
-    got: HrscLabel = read_hrsc_label(cube(tmp_path))
+    got: LineScanLabel = read_line_scan_label(cube(tmp_path))
     assert got.path == tmp_path / "h5270.cub"
-    assert got.times is not None
+    assert isinstance(got.times, LineTimesLocation)
     assert got.times.kind == "table"

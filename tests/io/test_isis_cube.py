@@ -13,7 +13,7 @@ from mgsgraph.geometry.rotation import exponential
 from mgsgraph.io.aberration import Aberration, geometric
 from mgsgraph.io.isis_cube import read_isis_cube
 from mgsgraph.io.kernels import clock_time, loaded
-from mgsgraph.io.moc import read_moc
+from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.units import KM
 
 
@@ -130,7 +130,8 @@ def test_the_first_line_is_when_the_clock_says(cube: Path, shared_data: Path) ->
 def test_camera_constants_are_those_of_the_kernels(cube: Path, shared_data: Path) -> None:
     """Line of observation of a detector pixel: image of the cube, summed 2, against one by kernels, summed 8."""
     by_tables = read_isis_cube(cube).interior
-    by_kernels = read_moc(shared_data / "mgs_moc_m0402852" / "m0402852_isis.lbl", kernels(shared_data)).interior
+    label = shared_data / "mgs_moc_m0402852" / "m0402852_isis.lbl"
+    by_kernels = read_labelled_image(label, kernels(shared_data)).interior
     pixels = np.linspace(0.0, 2048.0, 9)
     for got, want in zip(by_tables.focal_plane(pixels / 2), by_kernels.focal_plane(pixels / 8), strict=True):
         scale = 4.0 if np.abs(want).max() < 1e-3 else 1.0  # slopes are per sample

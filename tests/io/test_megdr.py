@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mgsgraph.altimetry.pedr_text import read_pedr_text
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.terrain import areoid_grid, areoid_heights
 from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.pedr_text import read_pedr_text
 from mgsgraph.io.terrain_file import read_terrain
 
 DEG = np.pi / 180.0

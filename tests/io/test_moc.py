@@ -11,7 +11,7 @@ from mgs import LABEL, START, STOP, image_bytes, kernels
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.io.kernels import clock_time, loaded
-from mgsgraph.io.moc import read_moc
+from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.io.moc_label import read_moc_label
 from mgsgraph.io.pictures import read_moc_pixels
 
@@ -182,7 +182,7 @@ def test_no_file_and_a_folder(tmp_path: Path) -> None:
 
 
 def test_line_times_of_the_published_image(isis_label: Path, shared_data: Path) -> None:
-    image = read_moc(isis_label, kernels(shared_data))
+    image = read_labelled_image(isis_label, kernels(shared_data))
     assert (image.name, image.lines, image.samples) == ("M04/02852", 1536, 256)
     times, periods = image.timing.at(np.array([0.0, 0.5, 1536.0]))
     epoch = image.trajectory.epoch
@@ -206,7 +206,7 @@ def test_ground_points_are_those_of_spice(isis_label: Path, shared_data: Path, t
     """Every formula of ISIS's detector against `sincpt`: summing 4 across and 8 along, edit mode included."""
     changes = [("CrosstrackSumming     = 8", "CrosstrackSumming     = 4"),
                ("FirstLineSample       = 1", f"FirstLineSample       = {edit}")]  # fmt: skip
-    image = read_moc(changed_cube(isis_label, tmp_path, *changes), kernels(shared_data))
+    image = read_labelled_image(changed_cube(isis_label, tmp_path, *changes), kernels(shared_data))
     lines, samples = np.array([1.0, 700.0, 1536.0]), np.array([1.0, 77.0, 256.0])  # as ISIS counts
     got, _ = image.image_to_ground(lines - 0.5, samples - 0.5)
     with loaded(kernels(shared_data)):
@@ -219,54 +219,50 @@ def test_ground_points_are_those_of_spice(isis_label: Path, shared_data: Path, t
 
 def test_the_image_shows_the_south_pole_that_its_rationale_names(isis_label: Path, shared_data: Path) -> None:
     """RationaleDesc = "South Pole 3 degree ring"."""
-    image = read_moc(isis_label, kernels(shared_data))
+    image = read_labelled_image(isis_label, kernels(shared_data))
     ground, _ = image.image_to_ground(np.array([768.0]), np.array([128.0]))
     assert np.degrees(planetocentric(ground)[0, 1]) == pytest.approx(-87.0, abs=0.1)
 
 
 def test_constants_of_the_instrument_kernel(isis_label: Path, shared_data: Path) -> None:
     """The kernel's field of view is 2 x 0.0038015622659 wide at distance 1, of 2047 pixels between outer centres."""
-    image = read_moc(isis_label, kernels(shared_data), constants="ik", name="mine")
+    image = read_labelled_image(isis_label, kernels(shared_data), constants="ik", name="mine")
     place, slope = image.interior.focal_plane(np.array([0.0, 256.0]))
     assert image.name == "mine"
     np.testing.assert_allclose(place[:, 1] / image.interior.focal_length, [-3.8034286e-3, 3.8034286e-3], rtol=1e-6)
     np.testing.assert_allclose(slope[:, 1], 8 * 13e-6, rtol=1e-12)
-    widened = read_moc(isis_label, kernels(shared_data)).interior.focal_plane(np.array([256.0]))[0]
+    widened = read_labelled_image(isis_label, kernels(shared_data)).interior.focal_plane(np.array([256.0]))[0]
     assert widened[0, 1] / place[1, 1] == pytest.approx(3500.0 / 3466.916, rel=1e-6)
 
 
 @pytest.mark.parametrize("order", [("moc20.ti", "mocAddendum004.ti"), ("mocAddendum004.ti", "moc20.ti")])
 def test_focal_length_in_either_unit(isis_label: Path, shared_data: Path, order: tuple[str, str]) -> None:
-    assert read_moc(isis_label, kernels(shared_data, order)).interior.focal_length == pytest.approx(3.5, rel=1e-15)
-    assert read_moc(isis_label, kernels(shared_data, order), focal_length=3.437).interior.focal_length == 3.437
+    given = kernels(shared_data, order)
+    assert read_labelled_image(isis_label, given).interior.focal_length == pytest.approx(3.5, rel=1e-15)
+    assert read_labelled_image(isis_label, given, focal_length=3.437).interior.focal_length == 3.437
 
 
 def test_biases_reach_the_trajectory(isis_label: Path, shared_data: Path) -> None:
     """1.15 s of attitude tag at 8.7e-4 rad/s turn the camera by a milliradian; the position does not care."""
-    plain, unbiased = (read_moc(isis_label, kernels(shared_data), attitude_bias=bias) for bias in (-1.15, 0.0))
+    given = kernels(shared_data)
+    plain, unbiased = (read_labelled_image(isis_label, given, attitude_bias=bias) for bias in (-1.15, 0.0))
     line = np.array([700.0])
     product = plain.pose(line).matrix[0] @ unbiased.pose(line).matrix[0].T
     assert np.arccos(0.5 * (np.trace(product) - 1.0)) == pytest.approx(1.0e-3, rel=0.02)
     np.testing.assert_array_equal(plain.pose(line).position, unbiased.pose(line).position)
 
 
-def test_a_wide_angle_image_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, ('INSTRUMENT_ID = "MOC-NA"', 'INSTRUMENT_ID = "MOC-WA"\nFILTER_NAME = RED'))
-    with pytest.raises(InputError, match="an image of MOC-WA-RED; expected MOC-NA"):
-        read_moc(path, [])
-
-
 def test_an_image_that_no_kernel_covers(shared_data: Path) -> None:
     path = shared_data / "mgs_moc_pair" / "M0100115.img"
     with pytest.raises(InputError) as caught:
-        read_moc(path, kernels(shared_data))
+        read_labelled_image(path, kernels(shared_data))
     assert str(caught.value).startswith(f"{path}: positions of -94: nothing for all of 1999-05-06T15:33:58.126")
 
 
 def test_a_start_time_that_contradicts_the_clock(isis_label: Path, shared_data: Path, tmp_path: Path) -> None:
     label = changed_cube(isis_label, tmp_path, ("= 1999-08-24T14:12:13.64", "= 1999-08-24T14:12:11.64"))
-    with pytest.raises(InputError, match=r"which is 1\.995 s after START_TIME"):
-        read_moc(label, kernels(shared_data))
+    with pytest.raises(InputError, match=r"which is 1\.995 s after the label"):
+        read_labelled_image(label, kernels(shared_data))
 
 
 @pytest.mark.parametrize(
@@ -278,7 +274,7 @@ def test_missing_camera_constants(
 ) -> None:
     fewer = [path for path in kernels(shared_data) if not path.name.startswith(without)]
     with pytest.raises(InputError) as caught:
-        read_moc(isis_label, fewer, constants=constants)  # type: ignore[arg-type]
+        read_labelled_image(isis_label, fewer, constants=constants)  # type: ignore[arg-type]
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(isis_label))
 

@@ -148,7 +148,7 @@ def test_what_is_refused(project: Path, case_file: Path, tmp_path: Path) -> None
     moon = json.loads(isd.read_text(encoding="utf-8"))
     moon["radii"] |= {"semimajor": 1737.4, "semiminor": 1737.4}
     (tmp_path / "moon.isd").write_text(json.dumps(moon), encoding="utf-8")
-    refused(project, "image moon: a body of 1737.4 km", "add", project, tmp_path / "moon.isd")
+    refused(project, "image moon: a body of 1737.4 km", "add", project, f"moon={tmp_path / 'moon.isd'}")
     shots = json.loads((folder / "lidar.json").read_text(encoding="utf-8"))
     shots["points"][0]["range"] += 0.5
     (tmp_path / "shots.json").write_text(json.dumps(shots), encoding="utf-8")

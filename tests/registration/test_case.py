@@ -112,7 +112,7 @@ def test_a_pitch_of_the_second_image_is_seen_whole(case: Case, solution: Solutio
 
 
 def test_a_case_without_profiles_is_refused(case: Case) -> None:
-    with pytest.raises(InputError, match=r"\[\[mola\]\]"):
+    with pytest.raises(InputError, match=r"\[\[shots\]\]"):
         register_case(replace(case, profiles=()))
 
 

@@ -12,11 +12,11 @@ from archive_server import serving
 from simulated_archive import ROOTS, write_archive
 from sites import plain_site
 
+from mgsgraph.altimetry.pedr import FRAME, HEADER_RECORDS, read_pedr
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.moc import read_moc
-from mgsgraph.io.pedr import FRAME, HEADER_RECORDS, read_pedr
 from mgsgraph.io.pvl import Document, flat_label, whole_label
 from mgsgraph.simulation.site import SimulatedSite
 from mgsgraph.simulation.terrain import GRID_VERTICAL
@@ -90,7 +90,7 @@ def test_cumulative_indexes_hold_all_volumes_before(archive: Path) -> None:
 
 def test_image_and_kernels_make_the_simulated_image(site: SimulatedSite, archive: Path) -> None:
     """By NAIF's constants with the focal length that gives ISIS's scale."""
-    image = read_moc(
+    image = read_labelled_image(
         archive / IMAGE, [archive / kernel for kernel in KERNELS], "E02-00665", focal_length=3.466916, constants="ik"
     )
     nominal = site.images[0].nominal

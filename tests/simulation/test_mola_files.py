@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mgsgraph.altimetry.pedr import read_pedr
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.io.moc_label import read_moc_label
-from mgsgraph.io.pedr import read_pedr
 from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.simulation.mgs_files import MocImageLabel, write_moc_image
 from mgsgraph.simulation.mola_files import PedrFrames, write_pedr

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from sites import PLAIN, plain_site
 
+from mgsgraph.altimetry.pedr import read_pedr
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import areoid_grid
 from mgsgraph.io.control.network_file import read_control_network
+from mgsgraph.io.labelled_image import read_labelled_image
 from mgsgraph.io.megdr import read_megdr
-from mgsgraph.io.moc import read_moc
 from mgsgraph.io.moc_label import read_moc_label
-from mgsgraph.io.pedr import read_pedr
 from mgsgraph.io.pictures import read_moc_pixels
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.mgs_files import shot_names
@@ -54,7 +54,7 @@ def image_file(image: SimulatedImage, folder: Path) -> Path:
 
 def test_kernels_and_labels_give_the_nominal_images(written: Written) -> None:
     for image in written.site.images:
-        found = read_moc(image_file(image, written.folder), [written.folder / "mgs.tm"])
+        found = read_labelled_image(image_file(image, written.folder), [written.folder / "mgs.tm"])
         nominal = image.nominal
         assert found.name == nominal.name.replace("-", "/")
         assert (found.lines, found.samples) == (nominal.lines, nominal.samples)

@@ -13,7 +13,8 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import Distortion
-from mgsgraph.io.cameras.keywords import Keywords, number
+from mgsgraph.io.cameras.keywords import Keywords, NaifKeywords, number
+from mgsgraph.io.cameras.line_times import LineTimes, LineTimesPlace, uniform
 from mgsgraph.io.pvl import Block
 from mgsgraph.units import ISIS_OFFSET, MM
 
@@ -29,8 +30,10 @@ class LabelKeys:
     """Values (in capitals, without blanks) of some keywords, by which the camera is known."""
     start: str
     """Spacecraft clock count, or UTC, of the first line's top edge."""
+    utc: str
+    """UTC of the same, rounded; the clock count is held against it."""
     period: str
-    """Time from line to line, ms where the label states no unit."""
+    """Time from line to line, ms where the label states no unit; empty where labels have none."""
     product: str
     """Product id; the file's name where a label has none."""
     target: str
@@ -48,6 +51,8 @@ class LabelKeys:
     """The number by which that keyword calls the detector's first pixel."""
     serial_end: str = ""
     """The serial number's last part, where no keyword of the label has it."""
+    stop: str = ""
+    """UTC of the last line, for cameras whose line times are held against it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +75,10 @@ class LineScanLabel:
     """Number of samples."""
     start: str
     """Spacecraft clock count, or UTC where the camera's labels have no exact one, of the first line's top edge."""
+    utc: str
+    """UTC of the same, rounded; empty where the label has none."""
     period: float
-    """s from one image line to the next, as the label has it."""
+    """s from one image line to the next, as the label has it; 0 where it doesn't."""
     sample_summing: float
     """Detector pixels per image sample."""
     first_sample: float
@@ -80,15 +87,29 @@ class LineScanLabel:
     """Lines that were cut off before the image's first one (ISIS crop)."""
     line_offset: float = 0.0
     """Detector lines by which the place of the exposure is off the detector's origin (time delay integration)."""
+    late: float = 0.0
+    """s by which the first line's top edge is later than `start` says, as ISIS has it."""
+    detector: int = 0
+    """NAIF id of the part of the detector that has constants of its own; 0 for the camera's."""
+    band: int = 1
+    """Filter, from 1 on, of cameras whose geometry hangs on it."""
+    stop: str = ""
+    """UTC of the last line; empty where nothing hangs on it."""
+    times: LineTimesPlace = None
+    """Where the times of single lines are, for cameras that change their line period."""
+    keywords: NaifKeywords | None = None
+    """Constants that spiceinit left in the label of a cube."""
 
 
 Interior = Callable[[Keywords, LineScanLabel], InteriorOrientation]
-LineTimes = Callable[[Keywords, LineScanLabel, float], tuple[float, float]]
+LineTimesOf = Callable[[Keywords, LineScanLabel, float, float], LineTimes]
 
 
-def times_of_label(keywords: Keywords, label: LineScanLabel, start: float) -> tuple[float, float]:
-    """Time in s TDB past J2000 of the first line's top edge, and s per line: those of the label as they are."""
-    return start, label.period
+def times_of_label(keywords: Keywords, label: LineScanLabel, start: float, stop: float) -> LineTimes:
+    """Line times of the label as they are; `start` and `stop` in s TDB past J2000 are those of its first and last line
+    (NaN where nothing says when that is).
+    """
+    return uniform(start + label.late, label.period, label.lines, label.first_line)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +126,8 @@ class Camera:
     """NAIF id by which kernels call its constants and its frame."""
     structure: int
     """Class id of the frame that the CK orients."""
+    addendum: str
+    """ISIS's kernel of its constants."""
     isis: LabelKeys
     """Labels of ISIS cubes."""
     pds3: LabelKeys | None
@@ -112,9 +135,13 @@ class Camera:
     interior: Interior
     """Interior orientation of an image."""
     source: str
-    """Where formulas and constants come from."""
-    line_times: LineTimes = times_of_label
-    """Line times, where the label's are not the true ones; of keywords, label and the time of its `start`."""
+    """Where formulas come from."""
+    line_times: LineTimesOf = times_of_label
+    """Line times, where the label's are not the true ones."""
+    instrument_kernel: Interior | None = None
+    """Interior orientation by NAIF's instrument kernel alone; None where only the addendum's is known."""
+    frame: int = 0
+    """NAIF id of the camera's frame; the instrument's when 0."""
     start_is_utc: bool = False
     """Whether `LabelKeys.start` is UTC, not a clock count."""
     clock: int = 0
@@ -158,6 +185,10 @@ class LabelBlock:
         """A word or string; InputError where there is none."""
         return self.holder(key).text(key)
 
+    def words(self, key: str) -> tuple[str, ...]:
+        """The items of a list; InputError where there is none."""
+        return self.holder(key).words(key)
+
     def number(self, key: str, units: Mapping[str, float] | None = None) -> float:
         """A finite number, in the unit of the label times its factor; InputError where there is none."""
         return self.holder(key).number(key, units)
@@ -179,7 +210,7 @@ def interior_by_addendum(
     label: LineScanLabel,
     distortion: Distortion,
     centre: tuple[float, float] | None = None,
-    detector: int | None = None,
+    focal_length: float | None = None,
 ) -> InteriorOrientation:
     """Interior orientation by ISIS's keywords ITRANSL, ITRANSS, FOCAL_LENGTH, BORESIGHT_LINE and BORESIGHT_SAMPLE.
 
@@ -193,16 +224,16 @@ def interior_by_addendum(
         Of the optics.
     centre : (float, float), optional
         ISIS's detector line and sample of the principal point, where its camera model has them by itself.
-    detector : int, optional
-        NAIF id of the detector's ITRANS keywords; the instrument's when absent.
+    focal_length : float, optional
+        m, where ISIS's camera model has it by itself.
     """
     code = label.camera.instrument
-    axes = [keywords.numbers(f"INS{code if detector is None else detector}_ITRANS{axis}", 3) for axis in "LS"]
+    axes = [keywords.numbers(f"INS{label.detector or code}_ITRANS{axis}", 3) for axis in "LS"]
     to_pixel = np.stack(axes)
     to_pixel[:, 1:] /= MM
     line, sample = centre or (number(keywords, f"INS{code}_BORESIGHT_{axis}") for axis in ("LINE", "SAMPLE"))
     return InteriorOrientation(
-        focal_length=number(keywords, f"INS{code}_FOCAL_LENGTH") * MM,
+        focal_length=number(keywords, f"INS{code}_FOCAL_LENGTH") * MM if focal_length is None else focal_length,
         to_pixel=to_pixel,
         # a line detector has no half pixel along track: ISIS takes the line's own place, not its edge
         centre=np.array([line - label.line_offset, sample - ISIS_OFFSET]),

@@ -50,16 +50,18 @@ CTX = Camera(
     instrument=MRO_CTX,
     structure=-74000,
     isis=LabelKeys(
-        identity={"InstrumentId": "CTX"}, start="SpacecraftClockCount", period="LineExposureDuration",
+        identity={"InstrumentId": "CTX"}, start="SpacecraftClockCount", utc="StartTime", period="LineExposureDuration",
         product="ProductId", target="TargetName", serial=("InstrumentId", "SpacecraftClockCount"),
         sample_summing="SpatialSumming", first_sample="SampleFirstPixel",
     ),
     pds3=LabelKeys(
-        identity={"INSTRUMENT_ID": "CTX"}, start="SPACECRAFT_CLOCK_START_COUNT", period="LINE_EXPOSURE_DURATION",
-        product="PRODUCT_ID", target="TARGET_NAME", serial=("INSTRUMENT_ID", "SPACECRAFT_CLOCK_START_COUNT"),
+        identity={"INSTRUMENT_ID": "CTX"}, start="SPACECRAFT_CLOCK_START_COUNT", utc="START_TIME",
+        period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID", target="TARGET_NAME",
+        serial=("INSTRUMENT_ID", "SPACECRAFT_CLOCK_START_COUNT"),
         sample_summing="SAMPLING_FACTOR", first_sample="SAMPLE_FIRST_PIXEL",
     ),
     interior=_interior,
-    source="ISIS CTXCamera, mroctxAddendum005.ti",
+    addendum="mroctxAddendum005.ti",
+    source="ISIS CTXCamera",
     label_facts=_without_masked,
 )  # fmt: skip

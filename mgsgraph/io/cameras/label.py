@@ -5,6 +5,7 @@ from pathlib import Path
 
 from mgsgraph.errors import InputError
 from mgsgraph.io.cameras.camera import Camera, LabelBlock, LabelKeys, LineScanLabel
+from mgsgraph.io.cameras.keywords import keywords_of
 from mgsgraph.io.cameras.table import CAMERAS
 from mgsgraph.io.image_label import read_label
 from mgsgraph.io.pvl import Block
@@ -41,8 +42,8 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
     summing = block.number(keys.sample_summing) if keys.sample_summing else 1.0
     first = block.number(keys.first_sample) - keys.first_pixel if keys.first_sample else 0.0
     periods = block.number(keys.line_summing) if keys.line_summing else 1.0
-    period = block.number(keys.period, _PERIOD_UNITS) * periods
-    if period <= 0.0:
+    period = block.number(keys.period, _PERIOD_UNITS) * periods if keys.period else 0.0
+    if keys.period and period <= 0.0:
         raise InputError(block.where(keys.period), f"{period} s", "a positive line period")
     said = LineScanLabel(
         path=path,
@@ -53,10 +54,13 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
         lines=lines,
         samples=samples,
         start=block.text(keys.start),
+        utc=block.text(keys.utc) if keys.utc in block else "",
         period=period,
         sample_summing=summing,
         first_sample=first + first_sample * summing,
         first_line=first_line,
+        stop=block.text(keys.stop) if keys.stop else "",
+        keywords=next((keywords_of(one) for one in root.blocks if one.name == "naifkeywords"), None),
     )
     return camera.label_facts(block, said) if camera.label_facts else said
 
@@ -73,10 +77,18 @@ def _recognised(path: Path, block: LabelBlock) -> tuple[Camera, LabelKeys]:
         keys = camera.keys(block.kind)
         if keys is not None and all(_word(block, key) == wanted for key, wanted in keys.identity.items()):
             return camera, keys
-    known = ", ".join(camera.name for camera in CAMERAS if camera.keys(block.kind) is not None)
     kind = "ISIS cubes" if block.kind == "isis" else "PDS3 labels"
-    found, expected = f"the camera {instrument_name(block.root)!r}", f"one of those known by {kind}: {known}"
+    found, expected = f"the camera {instrument_name(block.root)!r}", f"one of those known by {kind}: {_known(block)}"
     raise InputError(str(path), found, expected, "give its image support data (ALE's isd_generate) instead")
+
+
+def _known(block: LabelBlock) -> str:
+    """Missions and instruments of all cameras; of those that share the label's instrument, what else tells them."""
+    all_keys = [(camera.mission, keys.identity) for camera in CAMERAS if (keys := camera.keys(block.kind)) is not None]
+    near = [one for one in all_keys if all(_word(block, key) == one[1][key] for key in list(one[1])[:1])]
+    return ", ".join(dict.fromkeys(" ".join([mission, *values.values()]) for mission, values in near)) or ", ".join(
+        dict.fromkeys(f"{mission} {next(iter(values.values()))}" for mission, values in all_keys)
+    )
 
 
 def _word(block: LabelBlock, key: str) -> str:
@@ -103,9 +115,9 @@ def _extent(block: LabelBlock) -> tuple[int, int, float, float]:
     alpha = next((one for one in cube.blocks if one.name == "alphacube"), None)
     if alpha is None:
         return lines, samples, 0.0, 0.0
-    if any(one.name == "mapping" for one in cube.blocks):
+    if is_map_projected(block.root):
         return alpha.count("AlphaLines"), alpha.count("AlphaSamples"), 0.0, 0.0
-    return lines, samples, *(_cut(alpha, axis, count) for axis, count in (("Line", lines), ("Sample", samples)))
+    return lines, samples, _cut(alpha, "Line", lines), _cut(alpha, "Sample", samples)
 
 
 def _cut(alpha: Block, axis: str, count: int) -> float:
@@ -126,8 +138,21 @@ def _cut(alpha: Block, axis: str, count: int) -> float:
 
 
 def is_map_projected(root: Block) -> bool:
-    """Whether a cube's pixels are those of a map, not of the camera."""
-    return "PDS_VERSION_ID" not in root and any(one.name == "mapping" for one in root.inner("IsisCube").blocks)
+    """Whether a cube's pixels are those of a map, not of the camera. A part of a camera's image may have the group of a
+    map beside it (from caminfo or camrange), to which its own size has no relation.
+    """
+    if "PDS_VERSION_ID" in root:
+        return False
+    cube = root.inner("IsisCube")
+    mapped = any(one.name == "mapping" for one in cube.blocks)
+    alpha = next((one for one in cube.blocks if one.name == "alphacube"), None)
+    if not mapped or alpha is None or "AlphaEndingLine" not in alpha:
+        return mapped
+    size = cube.inner("Core").inner("Dimensions")
+    return any(
+        alpha.number(f"AlphaEnding{axis}") - alpha.number(f"AlphaStarting{axis}") != size.count(f"{axis}s")
+        for axis in ("Line", "Sample")
+    )
 
 
 def with_samples(label: LineScanLabel, samples: int, before: int = 0) -> LineScanLabel:

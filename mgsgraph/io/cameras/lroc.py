@@ -8,6 +8,7 @@ from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.distortion import LrocNacDistortion
 from mgsgraph.io.cameras.camera import Camera, LabelKeys, LineScanLabel, interior_by_addendum, require_summing
 from mgsgraph.io.cameras.keywords import Keywords, number
+from mgsgraph.io.cameras.line_times import LineTimes, uniform
 from mgsgraph.units import MM
 
 _PIXELS, _HIGHEST_SUMMING = 5064, 2
@@ -19,15 +20,15 @@ def _interior(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
     return interior_by_addendum(keywords, label, LrocNacDistortion(k / MM**2))
 
 
-def corrected_line_times(keywords: Keywords, label: LineScanLabel, start: float) -> tuple[float, float]:
-    """Time of the first line's edge and s per line: 1,024 lines after the preroll's clock count, each 0.45 % longer."""
+def corrected_line_times(keywords: Keywords, label: LineScanLabel, start: float, stop: float) -> LineTimes:
+    """From 1,024 lines after the preroll's clock count on, each 0.45 % longer than the label says."""
     code = label.camera.instrument
     offset, preroll, addend, factor = (
         number(keywords, f"INS{code}_{name}")
         for name in ("CONSTANT_TIME_OFFSET", "ADDITIONAL_PREROLL", "ADDITIVE_LINE_ERROR", "MULTIPLI_LINE_ERROR")
     )
     period = label.period * (1.0 + factor) + addend
-    return start + preroll * period + offset, period
+    return uniform(start + preroll * period + offset, period, label.lines, label.first_line)
 
 
 def _camera(name: str, instrument: int, identity: str, side: str) -> Camera:
@@ -38,17 +39,19 @@ def _camera(name: str, instrument: int, identity: str, side: str) -> Camera:
         instrument=instrument,
         structure=instrument,  # each has a CK of its own, relative to the bus
         isis=LabelKeys(
-            identity={"InstrumentId": identity}, start="SpacecraftClockPrerollCount", period="LineExposureDuration",
-            product="ProductId", target="TargetName", serial=("SpacecraftClockStartCount", "InstrumentId"),
+            identity={"InstrumentId": identity}, start="SpacecraftClockPrerollCount", utc="PrerollTime",
+            period="LineExposureDuration", product="ProductId", target="TargetName",
+            serial=("SpacecraftClockStartCount", "InstrumentId"),
             sample_summing="SpatialSumming", first_sample="SampleFirstPixel",
         ),
         pds3=LabelKeys(
             identity={"INSTRUMENT_ID": "LROC", "FRAME_ID": side}, start="LRO:SPACECRAFT_CLOCK_PREROLL_COUNT",
-            period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID", target="TARGET_NAME",
+            utc="LRO:PREROLL_TIME", period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID", target="TARGET_NAME",
             serial=("SPACECRAFT_CLOCK_START_COUNT",), serial_end=identity, sample_summing="CROSSTRACK_SUMMING",
         ),
         interior=_interior,
-        source="ISIS LroNarrowAngleCamera, lro_instrumentAddendum_v04.ti",
+        addendum="lro_instrumentAddendum_v04.ti",
+        source="ISIS LroNarrowAngleCamera",
         line_times=corrected_line_times,
         aberration="NONE",
     )  # fmt: skip

@@ -1,9 +1,13 @@
 """Mars Orbiter Camera of Mars Global Surveyor: narrow angle, and the wide angles behind their red and blue filters.
 
 Formulas: ISIS MocNarrowAngleCamera, MocWideAngleCamera, MocWideAngleDistortionMap, MocLabels. Constants: the addendum
-mocAddendum004.ti; those of the wide angles' place behind the lens stand in ISIS's camera models (and in the addendum
-under BORESIGHT_SAMPLE and ALONGTRACK_OFFSET, which cubes don't hold).
+mocAddendum004.ti, which keeps the nominal focal length of the narrow angle and widens the pitch instead (one pixel is
+then 3.750 microradians), or, for the narrow angle, NAIF's instrument kernel moc20.ti (3.714). Those of the wide angles'
+place behind the lens stand in ISIS's camera models (and in the addendum under BORESIGHT_SAMPLE and ALONGTRACK_OFFSET,
+which cubes don't hold).
 """
+
+import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.camera import InteriorOrientation
@@ -17,7 +21,7 @@ from mgsgraph.io.cameras.camera import (
     require_summing,
 )
 from mgsgraph.io.cameras.keywords import Keywords, number
-from mgsgraph.units import MM
+from mgsgraph.units import ISIS_OFFSET, MM
 
 Six = tuple[float, float, float, float, float, float]
 ATTITUDE_BIAS = -1.15
@@ -29,13 +33,35 @@ _VARIABLE_SUMMING = (13, 27)
 """Summings of the wide angles that change along the detector (ISIS mocxtrack.h)."""
 _MARS = (3396.19, 3396.19, 3376.2)
 """km, IAU 2000, as in the PCK that spiceinit takes."""
+_METRES_BELOW, _METRES_BELOW_WIDE = 100.0, 1.0
+"""INS-94031_FOCAL_LENGTH is 3.5 (m) in the instrument kernel and 3500 (mm) in the addendum, and the later one wins; of
+the wide angles not the unit alone is another."""
 _PITCH = 0.0131240578522949
 """mm, the narrow angle's."""
 
 
 def _narrow(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
     require_summing(label, _NARROW_SUMMING, _NARROW_PIXELS)
-    return interior_by_addendum(keywords, label, NoDistortion(), (0.0, 1024.5))
+    return interior_by_addendum(keywords, label, NoDistortion(), (0.0, 1024.5), _focal_length(keywords))
+
+
+def _narrow_by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
+    """m, first pixel 0."""
+    require_summing(label, _NARROW_SUMMING, _NARROW_PIXELS)
+    per_metre = 1.0 / number(keywords, f"INS{_NARROW}_PIXEL_SIZE")
+    return InteriorOrientation(
+        focal_length=_focal_length(keywords),
+        to_pixel=np.array([[0.0, per_metre, 0.0], [0.0, 0.0, per_metre]]),
+        centre=np.array([0.0, float(keywords.numbers(f"INS{_NARROW}_CENTER", 2)[0]) + ISIS_OFFSET]),
+        first=np.array([0.0, label.first_sample]),
+        sample_summing=label.sample_summing,
+        distortion=NoDistortion(),
+    )
+
+
+def _focal_length(keywords: Keywords) -> float:
+    stated = number(keywords, f"INS{_NARROW}_FOCAL_LENGTH")
+    return stated if stated < _METRES_BELOW else stated * MM
 
 
 def _wide(centre: float, offset: float, coefficients: Six, scale: float) -> Interior:
@@ -46,7 +72,11 @@ def _wide(centre: float, offset: float, coefficients: Six, scale: float) -> Inte
             found = f"summing {label.sample_summing:g}, which changes along the detector"
             raise InputError(str(label.path), found, "one that is the same for all samples: 1 to 127 but 13 and 27")
         require_summing(label, _WIDE_SUMMING, _WIDE_PIXELS)
-        focal_length = number(keywords, f"INS{label.camera.instrument}_FOCAL_LENGTH") * MM
+        name = f"INS{label.camera.instrument}_FOCAL_LENGTH"
+        if (stated := number(keywords, name)) < _METRES_BELOW_WIDE:
+            found, remedy = f"{stated:g} m, the instrument kernel's", "name the addendum after the instrument kernel"
+            raise InputError(f"kernels, {name}", found, "the addendum's, such as 11.2 mm", remedy)
+        focal_length = stated * MM
         distortion = MocWideAngleDistortion(coefficients, scale, focal_length)
         return interior_by_addendum(keywords, label, distortion, (-offset, centre))
 
@@ -64,19 +94,22 @@ def _camera(
         instrument=instrument,
         structure=-94000,
         isis=LabelKeys(
-            identity=identity, start="SpacecraftClockCount", period="LineExposureDuration", product="ProductId",
+            identity=identity, start="SpacecraftClockCount", utc="StartTime",
+            period="LineExposureDuration", product="ProductId",
             target="TargetName", serial=("SpacecraftClockCount", "InstrumentId", "FilterName"),
             line_summing="DowntrackSumming", sample_summing="CrosstrackSumming", first_sample="FirstLineSample",
             first_pixel=1,
         ),
         pds3=LabelKeys(
             identity={pds[key]: value for key, value in identity.items()}, start="SPACECRAFT_CLOCK_START_COUNT",
-            period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID", target="TARGET_NAME",
+            utc="START_TIME", period="LINE_EXPOSURE_DURATION", product="PRODUCT_ID", target="TARGET_NAME",
             serial=("SPACECRAFT_CLOCK_START_COUNT", "INSTRUMENT_ID", "FILTER_NAME"),
             line_summing="DOWNTRACK_SUMMING", sample_summing="CROSSTRACK_SUMMING", first_sample="EDIT_MODE_ID",
         ),
         interior=interior,
-        source="ISIS MocNarrowAngleCamera, MocWideAngleCamera, mocAddendum004.ti",
+        instrument_kernel=_narrow_by_instrument_kernel if instrument == _NARROW else None,
+        addendum="mocAddendum004.ti",
+        source="ISIS MocNarrowAngleCamera, MocWideAngleCamera",
         attitude_bias=ATTITUDE_BIAS,
         constants_target="MARS",
         constants={"BODY499_RADII": _MARS} | {f"INS{instrument}_{key}": value for key, value in constants.items()},

@@ -56,8 +56,8 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 
 
 @dataclass(slots=True, eq=False)
-class _Row:
-    """A row of the table."""
+class Row:
+    """A row of a table."""
 
     where: str
     """File, line and point."""
@@ -94,7 +94,7 @@ class _Row:
 class _Point:
     """A point while its rows are read."""
 
-    row: _Row
+    row: Row
     """Where each of its columns is first filled in, as one row."""
     measures: list[ControlMeasure] = field(default_factory=list)
     lines: dict[str, int] = field(default_factory=dict)
@@ -125,7 +125,7 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
         fixed point without place, a constrained one without sigmas or covariance; a place half the body's radius from
         its centre, or twice it.
     """
-    rows = _rows(path)
+    rows = csv_rows(path)
     line, fields = next(rows, (1, []))
     if not fields:
         raise InputError(str(path), "an empty table", "a header: id,image,isis_line,isis_sample,...")
@@ -152,7 +152,7 @@ def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints
     return read_control_network(path)
 
 
-def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number and fields of every line but blank ones and comments; a quoted field ends in its line."""
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
@@ -163,7 +163,7 @@ def _rows(path: Path) -> Iterator[tuple[int, list[str]]]:
             raise InputError(f"{path}, line {number}", f"no row of a CSV file ({error})", "RFC 4180") from None
 
 
-def _row(path: Path, line: int, fields: list[str], names: Sequence[str]) -> _Row:
+def _row(path: Path, line: int, fields: list[str], names: Sequence[str]) -> Row:
     where = f"{path}, line {line}"
     if len(fields) != len(names):
         remedy = "write decimal points, not commas" if len(fields) > len(names) else ""
@@ -173,11 +173,11 @@ def _row(path: Path, line: int, fields: list[str], names: Sequence[str]) -> _Row
     values = {name: text for name, raw in zip(names, fields, strict=True) if (text := raw.strip())}
     if "id" not in values:
         raise InputError(where, "no id", "one in every row")
-    return _Row(f"{where}, point {values['id'][:60]}", line, values)
+    return Row(f"{where}, point {values['id'][:60]}", line, values)
 
 
-def _add_row(points: dict[str, _Point], row: _Row, names: Sequence[str]) -> None:
-    point = points.setdefault(row.values["id"], _Point(_Row(row.where, row.line, {})))
+def _add_row(points: dict[str, _Point], row: Row, names: Sequence[str]) -> None:
+    point = points.setdefault(row.values["id"], _Point(Row(row.where, row.line, {})))
     for name in OF_POINT:
         if name in row.values and point.row.values.setdefault(name, row.values[name]) != row.values[name]:
             found = f"{row.values[name][:60]!r}, and {point.row.values[name][:60]!r} in an earlier row"
@@ -190,7 +190,7 @@ def _add_row(points: dict[str, _Point], row: _Row, names: Sequence[str]) -> None
             raise InputError(f"{row.where}, {name}", "a measure without image", "the image it was measured in")
 
 
-def _add_measure(point: _Point, row: _Row, place: tuple[str, str]) -> None:
+def _add_measure(point: _Point, row: Row, place: tuple[str, str]) -> None:
     image = row.values["image"]
     if image in point.lines:
         found = f"a second measure in image {image}, the first in line {point.lines[image]}"
@@ -248,9 +248,9 @@ def _point(
     )
 
 
-def _place(row: _Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
+def _place(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
     """(3,) m, body-fixed; near the ellipsoid, where there is one."""
-    place = _cartesian(row, columns, ellipsoid)
+    place = cartesian(row, columns, ellipsoid)
     radius = float(np.linalg.norm(place))
     if ellipsoid is not None and not ellipsoid.polar / _NEAR < radius < ellipsoid.equatorial * _NEAR:
         found, expected = f"{radius:.6g} m from the body's centre", f"about {ellipsoid.equatorial:.6g} m"
@@ -258,7 +258,7 @@ def _place(row: _Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Ar
     return place
 
 
-def _cartesian(row: _Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
+def cartesian(row: Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -> Array:
     """(3,) m, body-fixed."""
     values = np.array([row.number(column) for column in columns])
     if tuple(columns) == CARTESIAN:
@@ -275,7 +275,7 @@ def _cartesian(row: _Row, columns: Sequence[str], ellipsoid: Ellipsoid | None) -
     return from_geodetic(turned, ellipsoid)
 
 
-def _covariance(row: _Row, columns: Sequence[str], place: Array, used: bool) -> tuple[float, ...]:
+def _covariance(row: Row, columns: Sequence[str], place: Array, used: bool) -> tuple[float, ...]:
     """(6,) m^2, body-fixed: xx, xy, xz, yy, yz, zz; variances may be zero, as ISIS has them, where none is `used`."""
     if tuple(columns) == MATRIX:
         return tuple((row.positive if used and axes in ("xx", "yy", "zz") else row.number)(f"covariance_{axes}_m2")

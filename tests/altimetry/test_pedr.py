@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mgsgraph.altimetry.pedr import FRAME, read_pedr
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
-from mgsgraph.io.pedr import FRAME, read_pedr
 
 LABEL = (
     "CCSD3ZF0000100000001NJPL3IF0PDSX00000001\r\nPDS_VERSION_ID = PDS3\r\nRECORD_TYPE = FIXED_LENGTH\r\n"

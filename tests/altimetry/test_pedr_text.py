@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mgsgraph.altimetry.pedr_text import read_pedr_text
 from mgsgraph.errors import InputError
-from mgsgraph.io.pedr_text import read_pedr_text
 
 HEADS = (
     "long_East lat_North topography MOLArange  planet_rad c A", "  SC_long   SC_lat     SC_radius",

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mgsgraph.altimetry.cloud import read_altimetry_cloud
+from mgsgraph.altimetry.pedr import FRAME
+from mgsgraph.altimetry.time_scales import tdb_of_tt
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimeters import LOLA, MOLA
 from mgsgraph.geometry.altimetry import AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic, planetocentric
-from mgsgraph.io.altimetry_cloud import LOLA_FOOTPRINT, MOLA_FOOTPRINT, read_altimetry_cloud
 from mgsgraph.io.isd import read_isd
-from mgsgraph.io.pedr import FRAME
 from mgsgraph.registration.footprints import points_in_images
 from mgsgraph.units import DEG
 
@@ -59,11 +61,11 @@ def test_lola_over_hadley(hadley: AltimetryCloud) -> None:
     assert len(hadley.ids) == 52363
     assert len({name[:10] for name in hadley.profiles}) == 41
     assert len(hadley.profiles) == 45
-    assert hadley.footprint == LOLA_FOOTPRINT
-    assert hadley.ids[0] == "6886213:15:1"
+    assert hadley.footprint == LOLA.footprint == 5.0
+    assert hadley.ids[0] == "200909060750:688621315:1"
     longitude, latitude, radius = planetocentric(hadley.points[0])
     np.testing.assert_allclose([longitude / DEG, latitude / DEG, radius], [2.6301089, 25.7683364, 1735473.796], 1e-12)
-    assert hadley.times[0] == 305495504.957358301
+    assert hadley.times[0] == pytest.approx(305495504.957358301 - 1.4574e-3, abs=1e-6)  # TT, not TDB
     for k in range(len(hadley.profiles)):
         its = hadley.times[hadley.profile == k]
         assert np.all(np.diff(its) >= 0.0)
@@ -89,7 +91,7 @@ def test_shots_that_missed_the_ground_stay_out(tmp_path: Path) -> None:
     flagged = LOLA_ROW.replace("   0,1, 15", "  64,2, 15").replace("1735.473796", "-1.000000")
     cloud = read_altimetry_cloud(written(tmp_path, LOLA_HEADER, LOLA_ROW, flagged), MOON)
 
-    assert cloud.ids == ("6886213:15:1",)
+    assert cloud.ids == ("200909060750:688621315:1",)
     assert cloud.profiles == ("2009-09-06T07:50",)
 
 
@@ -134,9 +136,9 @@ def test_records_of_lola(tmp_path: Path, packed: bool) -> None:
     """Spots without a radius or with a flag in the lowest byte are no ground; higher bytes are quality alone."""
     cloud = read_altimetry_cloud(product(tmp_path, gzip.compress(ORBIT) if packed else ORBIT), MOON)
 
-    assert cloud.ids == ("1:1", "1:2", "1:3", "1:4", "1:5", "2:1", "2:4", "2:5")
-    assert cloud.profiles == ("LOLARDR_092490702",)
-    np.testing.assert_array_equal(cloud.times, [305495504.25] * 5 + [305495504.5] * 3)
+    assert [one.partition(":")[2] for one in cloud.ids] == ["1:1", "1:2", "1:3", "1:4", "1:5", "2:1", "2:4", "2:5"]
+    assert cloud.profiles == ("2009-09-06T07:50",)
+    np.testing.assert_array_equal(cloud.times, tdb_of_tt(np.array([305495504.25] * 5 + [305495504.5] * 3)))
     places = planetocentric(cloud.points[[0, 1, 6]])
     expected = [[2.5, -25.0, 1735000.125], [2.5001, -25.0, 1735001.125], [-2.8, 25.3, 1734500.5]]
     np.testing.assert_allclose(places / [DEG, DEG, 1.0], expected, rtol=1e-12)
@@ -171,7 +173,7 @@ def test_mola_of_the_orbital_data_explorer(shared_data: Path) -> None:
     assert len(cloud.ids) == 8840
     assert len(cloud.profiles) == 52
     assert cloud.profiles[0] == "10372"
-    assert cloud.footprint == MOLA_FOOTPRINT
+    assert cloud.footprint == MOLA.footprint == 168.0
 
 
 def test_frames_of_mola(tmp_path: Path) -> None:
@@ -287,13 +289,13 @@ DELTET/DELTA_AT = ( 32, @1999-JAN-1, 33, @2006-JAN-1, 34, @2009-JAN-1 )
         ([HEAD, "-181,-45.0,3390000.0"], "line 2, longitude: -181 degrees"),
         ([HEAD, SHOT, "0,90.5,3390000.0"], "line 3, latitude: 90.5 degrees; expected -90 .. 90"),
         ([HEAD, SHOT, SHOT, "0,0,-1"], "line 4, radius: -1 m"),
-        ([HEAD, "12.5,-45.0,1737400.0"], "1737.4 km; expected that of the images' body, 3396.2 km"),
-        ([HEAD, "12.5,-45.0,3390.0"], "3.4 km; expected that of the images' body"),
+        ([HEAD, "12.5,-45.0,1737400.0"], "1737.4 km; expected that of the body, 3396.2 km"),
+        ([HEAD, "12.5,-45.0,3390.0"], "3.4 km; expected that of the body"),
         ([HEAD.replace("_m", ""), "12.5,-45.0,2106.5"], "radius: a median of 2106.5; expected the body's radius"),
         ([f"{HEAD},id", f"{SHOT},a", f"{SHOT},b", f"{SHOT},a"], "'a' twice"),
         ([f"{HEAD},id", f"{SHOT},"], "line 2, id: nothing"),
         ([f"{HEAD},radius_m", f"{SHOT},3390000.0"], "twice"),
-        ([LOLA_HEADER, LOLA_ROW], "1735.5 km; expected that of the images' body"),
+        ([LOLA_HEADER, LOLA_ROW], "1735.5 km; expected that of the body"),
         ([LOLA_HEADER, LOLA_ROW.replace(" 0,1", "64,1")], "1 shots, none of which reached the ground"),
         ([LOLA_HEADER, LOLA_ROW.replace("1735.473796", "5693.8")], "Pt_Radius: a median of 5693.8"),
     ],

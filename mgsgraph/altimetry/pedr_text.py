@@ -5,7 +5,6 @@ PEDR2TAB table fields may abut, so its lines are cut at the widths of the progra
 with wider shot, packet and orbit numbers). A frame number stands for the line in the file, which names the shot.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.altimetry.csv_table import plain_name
+from mgsgraph.altimetry.pedr import IAU2000_VERSION, in_iau2000, pedr_version
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.io.files import read_text
-from mgsgraph.io.pedr import IAU2000_VERSION, in_iau2000, pedr_version
 from mgsgraph.units import DEG
 
 _COLUMNS = {
@@ -32,6 +32,8 @@ _COLUMNS = {
     "offndr": "off_nadir", "areoidrad": "areoid", "rcorr": "range_correction",
 }
 """What a column's name means, in lower case letters and digits only; other columns are not needed."""
+PEDR_RADII = frozenset({"planetrad", "planetradius", "planetaryradius"})
+"""Columns by which a PEDR text is known."""
 _NEEDED = {
     "longitude": "long_East", "latitude": "lat_North", "radius": "planet_rad (heights above the areoid don't tell it)",
 }
@@ -133,11 +135,6 @@ class _ShotTable:
             found, expected = f"{values[k]:g}", f"{least:g} .. {largest:g}"
             raise InputError(f"{self.path}, line {self.lines[k]}, {name}", found, expected)
         return values
-
-
-def plain_name(name: str) -> str:
-    """The letters and digits of a column's name, in lower case."""
-    return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def _number(text: str) -> float:
@@ -242,9 +239,8 @@ def _from_utc(table: _ShotTable, leap_seconds: Path | None) -> Array:
             f"{table.path}, header", "times in UTC alone", "a column EphemerisTime, or a leap seconds kernel",
             "give the kernel (naif0012.tls), or ask ODE for a file with the ephemeris time",
         )
-    import spiceypy  # half a second, which files with ephemeris times need not wait for
+    from mgsgraph.io.kernels import (
+        times_of_utc,  # SPICE: half a second, which files with ephemeris times need not wait for
+    )
 
-    from mgsgraph.io.kernels import loaded, spice_words
-
-    with loaded([leap_seconds]), spice_words(f"{table.path}, UTC", "UTC is written as in 1999-04-08T09:50:04.631"):
-        return np.asarray(spiceypy.str2et(table.columns["utc"].tolist()), dtype=np.float64)
+    return times_of_utc(table.columns["utc"].tolist(), [leap_seconds], f"{table.path}, UTC")

@@ -1,0 +1,165 @@
+"""Any laser altimetry as control, to an AltimetryCloud: what `shots` reads of altimeters' archives, and plain CSV.
+
+A plain CSV names its columns, with their units, in its first line: longitude_deg and latitude_deg (east,
+planetocentric) with radius_m, radius_km or height_m (above the body's ellipsoid), or x_m, y_m, z_m (body-fixed); it may
+have id, profile or orbit, and time_s (TDB past J2000) or utc. All but PEDR files may be packed by gzip.
+
+A profile is what the file calls so: for MOLA an orbit. In files that don't say it, shots that follow one another
+without a pause of half an hour are one profile: an orbit takes two hours or so, so that each crossing of a stereo area
+is one.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mgsgraph.altimetry.csv_table import CsvTable
+from mgsgraph.altimetry.places import by_pauses, positions, require_radii, unit_of_radii
+from mgsgraph.altimetry.shots import is_archive_table, read_shots, unpacked
+from mgsgraph.altimetry.tables import table_of
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
+from mgsgraph.geometry.body import Ellipsoid, geodetic
+from mgsgraph.geometry.records import Array
+from mgsgraph.io.files import read_bytes
+from mgsgraph.units import KM
+
+_EXPECTED = (
+    "longitude_deg, latitude_deg and radius_m, radius_km or height_m; or x_m, y_m, z_m; or those of LOLA RDR "
+    "(Pt_Longitude, Pt_Latitude, Pt_Radius) or of PEDR (long_East, lat_North, planet_rad)"
+)
+
+
+def read_altimetry_cloud(
+    path: Path, body: Ellipsoid | None = None, version: str | None = None, leap_seconds: Path | None = None
+) -> AltimetryCloud:
+    """Read the ground returns of an altimeter.
+
+    Parameters
+    ----------
+    path : Path
+        File of any of the formats above.
+    body : Ellipsoid, optional
+        Body on which the shots lie; a plain CSV with heights, or with a radius without unit, needs it.
+    version : str, optional
+        Version letter of a PEDR product, where the file's name doesn't say it.
+    leap_seconds : Path, optional
+        SPICE leap seconds kernel, needed where a file has times in UTC alone.
+
+    Raises
+    ------
+    InputError
+        With file and line or record: a column that is missing, a value that is no number or out of range, a radius
+        whose unit can't be known, radii of another body, an id twice; a file that is empty, cut short, of an unknown
+        format, or without ground returns.
+    """
+    content, _ = unpacked(read_bytes(path), path)
+    table = table_of(content, path) if content.strip() and b"\0" not in content else None
+    if table is None or is_archive_table(table) or table.names[0].startswith("pdsversionid"):
+        cloud = _cloud_of(read_shots(path, version=version, leap_seconds=leap_seconds))
+    else:
+        cloud = _plain_table(table, body, leap_seconds)
+    if body is not None:
+        require_radii(np.linalg.norm(cloud.points, axis=1), body, cloud.source)
+    return cloud
+
+
+def _in_profiles(
+    path: Path, ids: Sequence[str], points: Array, times: Array, keys: ArrayLike, footprint: float
+) -> AltimetryCloud:
+    """The cloud of shots in any order; the keys (n,), texts or numbers, of their profiles become the names."""
+    names, profile = np.unique(keys, return_inverse=True)
+    order = np.lexsort([times, profile])
+    ordered = tuple(ids[k] for k in order.tolist())
+    profiles = tuple(str(name) for name in names.tolist())
+    return AltimetryCloud(str(path), ordered, points[order], times[order], profiles, profile[order], footprint)
+
+
+def _product(path: Path) -> str:
+    """The name of a file up to its first dot."""
+    return path.name.partition(".")[0]
+
+
+def _cloud_of(shots: AltimeterShots) -> AltimetryCloud:
+    """Ground returns of an altimeter."""
+    path = Path(shots.source)
+    if not np.any(shots.ground):
+        raise InputError(str(path), f"{shots.times.size} shots, none of which reached the ground", "ground returns")
+    shots = shots.chosen(shots.ground)
+    if not np.any(shots.orbits):
+        shots = replace(shots, orbits=by_pauses(shots.times)[0] + 1)
+    spot = shots.altimeter.spot(shots.ranges)
+    return _in_profiles(path, shots.ids, shots.footprints, shots.times, shots.profile_names(), spot)
+
+
+# --- plain CSV
+
+
+def _plain_table(table: CsvTable, body: Ellipsoid | None, leap_seconds: Path | None) -> AltimetryCloud:
+    """A plain CSV; an id is the number of the line where there is no column of ids."""
+    names = set(table.names)
+    heights = [name for name in ("radiusm", "radiuskm", "heightm", "radius") if name in names]
+    cartesian = {"xm", "ym", "zm"} <= names
+    if not (cartesian or ({"longitudedeg", "latitudedeg"} <= names and heights)):
+        raise InputError(f"{table.path}, header", f"the columns {', '.join(table.written)[:80]}", _EXPECTED)
+    columns = ("xm", "ym", "zm") if cartesian else ("longitudedeg", "latitudedeg", heights[0])
+    numbers = table.read(*columns, "times")
+    values = np.column_stack([numbers[name] for name in columns])
+    if cartesian:
+        points = values
+    else:
+        where = f"{table.path}, {table.written[table.names.index(heights[0])]}"
+        points = _planetocentric_points(values, heights[0], body, table.where, where)
+    times = numbers["times"] if "times" in numbers else _utc_times(table, leap_seconds)
+    named = [name for name in ("profile", "orbit") if name in names]
+    keys = table.texts(named[0]) if named else _profiles(table, times)
+    ids = table.texts("id") if "id" in names else [str(number) for number in table.line_numbers()]
+    return _in_profiles(table.path, ids, points, times, keys, float("nan"))
+
+
+def _utc_times(table: CsvTable, leap_seconds: Path | None) -> Array:
+    """Times (n,) in s TDB past J2000 of a column of UTC; NaN where there is none."""
+    if "utc" not in table.names:
+        return np.full(len(table), np.nan)
+    if leap_seconds is None:
+        raise InputError(
+            f"{table.path}, header", "times in UTC alone", "a column of s past J2000, or a leap seconds kernel",
+            "give the kernel: leap_seconds = \"naif0012.tls\"",
+        )
+    from mgsgraph.io.kernels import times_of_utc  # SPICE takes half a second, which other files need not wait for
+
+    return times_of_utc(table.texts("utc"), [leap_seconds], f"{table.path}, utc")
+
+
+def _profiles(table: CsvTable, times: Array) -> ArrayLike:
+    """Keys (n,) of profiles between pauses: the minute in which the first shot was fired, or numbers from 1."""
+    if np.isnan(times[0]):
+        return np.full(len(table), _product(table.path))
+    numbers, first = by_pauses(times)
+    if "utc" not in table.names:
+        return numbers + 1
+    texts = table.texts("utc")
+    return np.array([texts[k][:16] for k in first.tolist()])[numbers]
+
+
+def _planetocentric_points(
+    values: Array, kind: str, body: Ellipsoid | None, where_row: Callable[[int], str], where: str
+) -> Array:
+    """(n, 3) m, body-fixed, of longitudes and latitudes in degrees and radii or heights in the unit of a column's name.
+
+    `where_row` names the k-th row and `where` the column of radii or heights in errors.
+    """
+    angles, heights = values[:, :2], values[:, 2]
+    if kind != "heightm":
+        unit = {"radiusm": 1.0, "radiuskm": KM}.get(kind) or unit_of_radii(heights, body, where)
+        return positions(angles, heights * unit, where_row)
+    if body is None:
+        raise InputError(where, "heights above an unknown body", "radius_m or radius_km, or the body")
+    points = positions(angles, body.equatorial + heights, where_row)
+    for _ in range(4):  # the vertical is within half a degree of the radius: each step leaves 1e-4 of the error
+        lift = heights - geodetic(points, body)[:, 2]
+        points = points * (1.0 + lift / np.linalg.norm(points, axis=1))[:, None]
+    return points

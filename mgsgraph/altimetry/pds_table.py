@@ -1,0 +1,187 @@
+"""Laser shots in a PDS3 table with its label beside it: columns by the label's own names, bytes and units.
+
+For products whose layout no source that could be read gives in full: Kaguya's LALT_LGT_TS and LALT_RD (JAXA, data set
+SLN-L-LALT-4-TOPO-LGT-TS) and MESSENGER's binary MLARDR. What a column means is taken from its name, and its unit from
+its UNIT; where either leaves a doubt the file is refused with the columns that the label has. A label of LOLA RDR leads
+to its records, whose layout is known.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mgsgraph.altimetry.csv_table import plain_name
+from mgsgraph.altimetry.lola import lola_shots
+from mgsgraph.altimetry.places import crossings, positions, require_radii
+from mgsgraph.altimetry.time_scales import tdb_of_utc
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimeters import ALTIMETERS, ANY, Altimeter
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.geometry.records import Array
+from mgsgraph.io.files import number_of, read_bytes
+from mgsgraph.io.pvl import Block, Document, whole_label
+from mgsgraph.units import DEG, KM
+
+_GROUND = r"(foot(print)?|spot|pt|point|topo(graphic)?|ground|surface|geoc(entric)?|east|planetocentric)*"
+_MEANINGS = {
+    "longitude": rf"{_GROUND}lon(g(itude)?)?(east)?",
+    "latitude": rf"{_GROUND}lat(itude)?",
+    "radius": rf"{_GROUND}(planetary|planet)?radius",
+    "height": r"(topo(graphy|graphic)?)(height|elevation)?|height|elevation",
+    "utc": r"utc(time)?|(shot|observation|transmit)time(utc)?|time",
+    "tdb": r"(ephemeris|et|tdb)(time|seconds)?",
+    "range": r"range(oneway)?|onewayrange|1wayrange",
+}
+"""Plain names of columns by what they mean; the first two, one of the next two, and a time are needed."""
+_UNITS = {
+    "deg": DEG, "degree": DEG, "degrees": DEG, "rad": 1.0, "radian": 1.0, "radians": 1.0,
+    "mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "m": 1.0, "meter": 1.0, "meters": 1.0,
+    "metre": 1.0, "metres": 1.0, "km": KM, "kilometer": KM, "kilometers": KM, "kilometre": KM, "s": 1.0, "sec": 1.0,
+    "second": 1.0, "seconds": 1.0,
+}  # fmt: skip
+_TYPES = {
+    "lsb_integer": "<i", "lsb_unsigned_integer": "<u", "pc_integer": "<i", "pc_unsigned_integer": "<u", "pc_real": "<f",
+    "msb_integer": ">i", "msb_unsigned_integer": ">u", "integer": ">i", "unsigned_integer": ">u", "ieee_real": ">f",
+    "real": ">f",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column, by its label."""
+
+    block: Block
+    name: str
+    """Plain."""
+    start: int
+    """Of its first byte in a row, from 0."""
+    size: int
+    """bytes."""
+
+
+def is_label(content: bytes) -> bool:
+    """Whether a text file is a PDS3 label."""
+    return content.lstrip()[:14].upper() == b"PDS_VERSION_ID"
+
+
+def read_labelled_shots(path: Path, clock_bias: float = 0.0) -> AltimeterShots:
+    """Shots of the table that a detached label names.
+
+    InputError where the label has no table, a file that it names is not there, or its columns leave open what they are.
+    """
+    root = whole_label(Document(str(path), read_bytes(path).decode("latin-1").replace("\r\n", "\n")))
+    table = next((block for block in root.blocks if block.name.endswith("table")), None)
+    if table is None:
+        raise InputError(str(path), "a label without a TABLE", "the label of a table of laser shots")
+    pointer = next((key for key in root.entries if key.startswith("^") and key.endswith("table")), "")
+    data = _beside(path, root, pointer)
+    if "LOLA-3-RDR" in str(root.entries["data_set_id"].value if "DATA_SET_ID" in root else "").upper():
+        return lola_shots(read_bytes(data), path, clock_bias)
+    return _Rows(path, root, table, read_bytes(data)).shots(clock_bias)
+
+
+def _beside(path: Path, block: Block, key: str) -> Path:
+    """The file that a pointer names, in the label's folder, whatever the case of its letters."""
+    if not key:
+        raise InputError(str(path), "no pointer such as ^TABLE", "the label of a table in a file of its own")
+    value = block.entries[key].value
+    name = (value if isinstance(value, str) else value[0]).lower()
+    found = [one for one in path.parent.iterdir() if one.name.lower() == name]
+    if not found:
+        raise InputError(block.where(key), f"{name}, which is not beside the label", "the file", "fetch it, too")
+    return found[0]
+
+
+class _Rows:
+    """Rows of a table by its label."""
+
+    def __init__(self, path: Path, root: Block, table: Block, content: bytes) -> None:
+        self.path, self._binary = path, table.text("INTERCHANGE_FORMAT").upper() == "BINARY"
+        blocks = list(table.blocks)
+        if "^STRUCTURE" in table:
+            structure = _beside(path, table, "^structure")
+            blocks += whole_label(Document(str(structure), structure.read_text("latin-1").replace("\r\n", "\n"))).blocks
+        self._columns = [
+            Column(one, plain_name(one.text("NAME")), one.count("START_BYTE") - 1, one.count("BYTES"))
+            for one in blocks if one.name == "column"
+        ]  # fmt: skip
+        size = table.count("ROW_BYTES")
+        self._rows = np.frombuffer(content[: len(content) // size * size], f"{'V' if self._binary else 'S'}{size}")
+        if not self._rows.size or len(content) % size:
+            raise InputError(str(path), f"{len(content)} bytes", f"whole rows of {size} bytes, as the label says")
+        instrument = str(root.entries["instrument_id"].value) if "INSTRUMENT_ID" in root else ""
+        self._altimeter: Altimeter = ALTIMETERS.get(instrument.upper(), ANY)
+
+    def shots(self, clock_bias: float) -> AltimeterShots:
+        """All rows."""
+        found = {meaning: self._column(meaning) for meaning in _MEANINGS}
+        radius, height = found["radius"], found["height"]
+        if found["longitude"] is None or found["latitude"] is None or (radius is None and height is None):
+            raise self._unknown("longitude, latitude, and radius or topography")
+        body = self._altimeter.body
+        if radius is None and body is None:
+            raise InputError(str(self.path), "heights of an unknown altimeter", "INSTRUMENT_ID = LALT, or radii")
+        above = body.equatorial if body and radius is None else 0.0
+        radii = above + self._values(radius or height)
+        degrees = np.column_stack([self._values(found["longitude"]), self._values(found["latitude"])]) / DEG
+        require_radii(radii, body, str(self.path))
+        times, n = self._times(found["tdb"], found["utc"]), self._rows.size
+        nothing, numbers = np.full(n, np.nan), np.arange(1, n + 1)
+        ranges = self._values(found["range"]) if found["range"] is not None else nothing
+        return AltimeterShots(
+            source=str(self.path), orbits=crossings(times), frames=numbers, shots=np.ones(n, dtype=np.int64),
+            times=times + clock_bias, footprints=positions(degrees, radii, lambda k: f"{self.path}, row {k + 1}"),
+            areoid_radii=nothing, ranges=np.where(ranges > 0.0, ranges, np.nan), range_corrections=nothing,
+            spacecraft=np.full((n, 3), np.nan), off_nadir=nothing, ground=np.ones(n, dtype=bool),
+            channels=np.zeros(n, dtype=np.int64), clocks=nothing, pulses=nothing, altimeter=self._altimeter,
+        )  # fmt: skip
+
+    def _unknown(self, expected: str) -> InputError:
+        names = ", ".join(one.block.text("NAME") for one in self._columns)
+        return InputError(
+            str(self.path), f"the columns {names}"[:200], expected,
+            "write a CSV with longitude_deg, latitude_deg, radius_m, time_s and range_m",
+        )
+
+    def _column(self, meaning: str) -> Column | None:
+        fits = [one for one in self._columns if re.fullmatch(_MEANINGS[meaning], one.name)]
+        if len(fits) > 1:
+            raise self._unknown(f"one column for the {meaning}")
+        return fits[0] if fits else None
+
+    def _texts(self, column: Column) -> list[str]:
+        part = slice(column.start, column.start + column.size)
+        return [row[part].decode("latin-1").strip(' "') for row in self._rows.tolist()]
+
+    def _values(self, column: Column | None) -> Array:
+        """Of a column, in m, rad or s."""
+        assert column is not None
+        block = column.block
+        if self._binary:
+            kind = block.text("DATA_TYPE").lower()
+            if kind not in _TYPES:
+                raise InputError(block.where("DATA_TYPE"), kind, ", ".join(_TYPES))
+            whole = self._rows.view(np.uint8).reshape(self._rows.size, -1)
+            part = np.ascontiguousarray(whole[:, column.start : column.start + column.size])
+            numbers = part.view(f"{_TYPES[kind]}{column.size}")[:, 0].astype(np.float64)
+        else:
+            places = [f"{self.path}, row {k + 1}, {column.name}" for k in range(self._rows.size)]
+            numbers = np.array([number_of(*one) for one in zip(self._texts(column), places, strict=True)])
+        if "SCALING_FACTOR" in block:
+            numbers = numbers * block.number("SCALING_FACTOR")
+        if "OFFSET" in block:
+            numbers = numbers + block.number("OFFSET")
+        unit = block.text("UNIT").lower() if "UNIT" in block else ""
+        if unit not in _UNITS:
+            found = f"the unit {unit!r} of {block.text('NAME')}" if unit else f"no UNIT of {block.text('NAME')}"
+            raise InputError(block.where("UNIT"), found, "degrees, radians, mm, m, km or seconds")
+        return numbers * _UNITS[unit]
+
+    def _times(self, tdb: Column | None, utc: Column | None) -> Array:
+        if tdb is not None:
+            return self._values(tdb)
+        if utc is None:
+            raise self._unknown("a column UTC or EPHEMERIS_TIME")
+        return tdb_of_utc([text.replace("/", "-").replace(" ", "T") for text in self._texts(utc)], str(self.path))

@@ -1,0 +1,71 @@
+"""What all files of laser shots have: places in degrees and some unit of length, and crossings between pauses."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mgsgraph.altimetry.time_scales import utc_of_tdb
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.units import DEG, KM
+
+_PAUSE = 1800.0
+"""s without a shot, after which another profile begins: an orbit takes two hours or so."""
+_TOLERANCE = 0.1
+"""Part of the body's radius by which a file's median radius may differ from it."""
+
+
+def unit_of_radii(radii: Array, body: Ellipsoid | None, where: str) -> float:
+    """M of the unit in which radii (n,) of a column without unit are those of the body."""
+    if body is None:
+        raise InputError(where, "a radius without unit", "radius_m or radius_km")
+    median = float(np.median(radii))
+    for unit in (1.0, KM):
+        if abs(median * unit / body.equatorial - 1.0) <= _TOLERANCE:
+            return unit
+    raise InputError(
+        where, f"a median of {median:g}", f"the body's radius, {body.equatorial / KM:.1f} km, in m or km",
+        "name the column radius_m or radius_km, and give shots on this body",
+    )
+
+
+def positions(angles: Array, radii: Array, where: Callable[[int], str]) -> Array:
+    """(n, 3) m, body-fixed, of longitudes and planetocentric latitudes (n, 2) in degrees and radii (n,) in m.
+
+    `where` names the line or record of the k-th shot in errors.
+    """
+    for name, values, least, largest in (
+        ("longitude", angles[:, 0], -180.0, 360.0), ("latitude", angles[:, 1], -90.0, 90.0),
+    ):
+        for k in np.flatnonzero((values < least) | (values > largest))[:1]:
+            raise InputError(f"{where(int(k))}, {name}", f"{values[k]:g} degrees", f"{least:g} .. {largest:g}")
+    for k in np.flatnonzero(radii <= 0.0)[:1]:
+        raise InputError(f"{where(int(k))}, radius", f"{radii[k]:g} m", "a positive number")
+    return from_planetocentric(np.column_stack([angles * DEG, radii]))
+
+
+def by_pauses(times: Array) -> tuple[Index, Index]:
+    """Number (n,) from 0 of each shot's profile, and the first shot (p,) of each: a pause lies between two profiles."""
+    order = np.argsort(times, kind="stable")
+    begins = np.diff(times[order], prepend=-np.inf) > _PAUSE
+    numbers = np.empty(times.size, dtype=np.int64)
+    numbers[order] = np.cumsum(begins) - 1
+    return numbers, order[begins]
+
+
+def crossings(times: Array) -> Index:
+    """Number (n,) of each shot's crossing between pauses: year to minute (UTC) in which it began."""
+    numbers, first = by_pauses(times)
+    minutes = [int(f"{utc_of_tdb(times[k]):%Y%m%d%H%M}") for k in first.tolist()]
+    return np.array(minutes, dtype=np.int64)[numbers]
+
+
+def require_radii(radii: Array, body: Ellipsoid | None, where: str) -> None:
+    """Raise InputError where the median of radii (n,) in m is not that of a body, which a wrong unit would make."""
+    if body is not None and abs(float(np.median(radii)) / body.equatorial - 1.0) > _TOLERANCE:
+        raise InputError(
+            where, f"a median radius of {np.median(radii) / KM:.1f} km",
+            f"that of the body, {body.equatorial / KM:.1f} km, to 10 per cent",
+            "give shots on this body, or check the unit of their radii",
+        )

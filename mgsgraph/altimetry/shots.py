@@ -1,0 +1,87 @@
+"""Laser shots of any altimeter's archive, known by their content: MOLA PEDR, LOLA RDR, MLA, LALT, our own selections.
+
+What is read: MOLA PEDR binary and as text (`pedr`, `pedr_text`), LOLA RDR binary (`lola`) and as CSV, MLA RDR as CSV of
+the Orbital Data Explorer and a selection of `mgsgraph shots` (`shot_tables`), any PDS3 table by its label
+(`pds_table`). All but PEDR files may be packed by gzip.
+"""
+
+import gzip
+import zlib
+from pathlib import Path
+
+from mgsgraph.altimetry.csv_table import CsvTable
+from mgsgraph.altimetry.lola import is_lola_rdr, lola_shots
+from mgsgraph.altimetry.pds_table import is_label, read_labelled_shots
+from mgsgraph.altimetry.pedr import FRAME, read_pedr
+from mgsgraph.altimetry.pedr_text import PEDR_RADII, read_pedr_text
+from mgsgraph.altimetry.tables import is_selection, layout_of, read_selection, shots_of_table, table_of
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.altimetry import AltimeterShots
+from mgsgraph.io.files import read_bytes
+
+
+def read_shots(
+    path: Path, clock_bias: float = 0.0, version: str | None = None, leap_seconds: Path | None = None
+) -> AltimeterShots:
+    """Shots of an altimeter, ground or not, in the file's order.
+
+    Parameters
+    ----------
+    path : Path
+        File of any of the formats above; of a table with a label, the label.
+    clock_bias : float
+        s, added to the times of the shots (the footprints stay where the archive has them).
+    version : str, optional
+        Version letter of a PEDR product, where the file's name doesn't say it.
+    leap_seconds : Path, optional
+        SPICE leap seconds kernel, for PEDR tables with UTC alone.
+
+    Raises
+    ------
+    InputError
+        With file and line or record: a file that is missing, empty, cut short or of an unknown format; a column that is
+        missing; a value that is no number or can't be; radii in no unit in which they are the body's.
+    """
+    content, packed = unpacked(read_bytes(path), path)
+    if not content.strip():
+        raise InputError(str(path), "an empty file", "laser shots")
+    if b"\0" in content:
+        if is_lola_rdr(content):
+            return lola_shots(content, path, clock_bias)
+        if path.suffix.lower() != ".b" and len(content) % FRAME.itemsize:
+            raise InputError(
+                str(path), f"{len(content)} bytes of an unknown format",
+                f"LOLA RDR (records of 256 bytes), PEDR (frames of {FRAME.itemsize} bytes) or text",
+            )
+        _require_unpacked(packed, path)
+        return read_pedr(path, clock_bias, version)
+    if is_label(content):
+        return read_labelled_shots(path, clock_bias)
+    table = table_of(content, path)
+    layout = layout_of(table)
+    if layout is not None:
+        return shots_of_table(table, layout, clock_bias)
+    if is_selection(table):
+        return read_selection(table, clock_bias)
+    _require_unpacked(packed, path)
+    return read_pedr_text(path, clock_bias, version, leap_seconds)
+
+
+def is_archive_table(table: CsvTable) -> bool:
+    """Whether a text is one of an altimeter's archive, or a selection of it, not just a cloud of points."""
+    return layout_of(table) is not None or bool(PEDR_RADII & set(table.names)) or "altimeter" in table.names
+
+
+def unpacked(content: bytes, path: Path) -> tuple[bytes, bool]:
+    """The content of a file that may be packed by gzip, and whether it was."""
+    if not content.startswith(b"\x1f\x8b"):
+        return content, False
+    try:
+        return gzip.decompress(content), True
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(str(path), f"can't be unpacked ({error})", "a whole gzip file", "fetch it anew") from None
+
+
+def _require_unpacked(packed: bool, path: Path) -> None:
+    if packed:
+        raise InputError(str(path), "a packed PEDR file", "one that is not packed", "unpack it with gunzip")

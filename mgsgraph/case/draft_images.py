@@ -1,0 +1,178 @@
+"""Which images some files are of, each once, by what file it is best read, and what networks call it."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.case.case_file import plain_image
+from mgsgraph.case.images import read_image
+from mgsgraph.case.schema import ImageInput, SpiceInput
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import target_name
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.twins import twins
+from mgsgraph.io.cameras.label import read_line_scan_label
+from mgsgraph.io.image_kinds import image_kind, image_name
+from mgsgraph.io.kinds import IMAGES, Kind
+from mgsgraph.units import KM
+
+_ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind.MAPPED_CUBE, Kind.PDS3,
+          Kind.CUBE_LABEL)  # fmt: skip
+"""By which an image is read, if there are several: what holds its geometry before what needs kernels."""
+_ALONE = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
+"""Kinds that know no serial number; a label whose name begins as theirs has it."""
+_CLOCK = re.compile(r"(?<!\d)(\d{6,})(?:[:.](\d+))?")
+_UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:[\d.]+")
+
+
+class DraftImage(NamedTuple):
+    """An image that was read."""
+
+    path: Path
+    """Its file."""
+    kind: Kind
+    """What that is."""
+    name: str
+    """What to call it."""
+    others: frozenset[str]
+    """What else networks may call it: product, file."""
+    image: PushbroomImage
+    """Its geometry."""
+    by_kernels: bool
+    """Whether it needs those of [spice]."""
+    note: str = ""
+    """What is to be said of the name."""
+
+
+class DraftImages(NamedTuple):
+    """Images, and what was left out."""
+
+    images: tuple[DraftImage, ...]
+    """In the order of their times."""
+    left_out: tuple[str, ...]
+    """Files and why, a line each."""
+
+
+def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftImages:
+    """The images among files of some kinds, with kernels that any of them may need."""
+    spice = SpiceInput(kernels=tuple(map(str, kernels))) if kernels else None
+    files = sorted((path for path, kind in kinds.items() if kind in IMAGES), key=lambda path: (
+        _ORDER.index(kinds[path]), len(path.name), path.name.lower()
+    ))  # fmt: skip
+    labels = [path for path in files if kinds[path] not in _ALONE]
+    found, left_out = list[DraftImage](), dict[Path, str]()
+    for path in files:
+        try:
+            made = _read(path, kinds[path], labels, spice)
+        except InputError as error:
+            left_out[path] = str(error)
+            continue
+        if (known := _twin(made, found)) is None:
+            found.append(made)
+            continue
+        kept, other = found[known], made
+        if made.image.lines * made.image.samples > kept.image.lines * kept.image.samples:  # a cube cut to a stub
+            found[known], kept, other = made, made, kept
+        left_out[other.path] = f"the same image as {kept.path.name}"
+    found, others = _on_one_body(found)
+    left_out |= others
+    taken = tuple(sorted(found, key=lambda one: _start(one.image)))
+    stems = [one.path.stem for one in taken]
+    said = [
+        f"{path.name}: {without_place(reason, path)}" for path, reason in left_out.items()
+        if not any(path.stem.startswith(stem) for stem in stems)  # labels beside what was taken
+    ]
+    return DraftImages(taken, tuple(said))
+
+
+def _on_one_body(found: Sequence[DraftImage]) -> tuple[list[DraftImage], dict[Path, str]]:
+    """Images on the ellipsoid that most of them have, and why the others on the same body are left out."""
+    counts = Counter(one.image.body for one in found)
+    kept, left_out = list[DraftImage](), dict[Path, str]()
+    for one in found:
+        alike = [body for body in counts if target_name(body) == target_name(one.image.body)]
+        usual = max(alike, key=counts.__getitem__)
+        if one.image.body == usual:
+            kept.append(one)
+            continue
+        radii = [f"{body.equatorial / KM:.3f} and {body.polar / KM:.3f} km" for body in (one.image.body, usual)]
+        left_out[one.path] = f"an ellipsoid of {radii[0]}; that of the others has {radii[1]}"
+    return kept, left_out
+
+
+def without_place(reason: str, path: Path) -> str:
+    """What is wrong with a file, without the file's place before it."""
+    for place in (path, path.absolute(), path.name):
+        reason = reason.removeprefix(f"{place}: ").removeprefix(f"{place}, ")
+    return reason
+
+
+def _read(path: Path, kind: Kind, labels: Sequence[Path], spice: SpiceInput | None) -> DraftImage:
+    entry = plain_image(ImageInput(image=str(path.absolute())), spice, Path(), path.name)
+    image = read_image(entry, spice, Path(), path.name)
+    names = [entry.name]
+    if kind in _ALONE:
+        beside = [label for label in labels if label.stem.startswith(path.stem) and label.parent == path.parent]
+        names = [*_serials(beside), *names]
+    others = frozenset({*names, path.stem, *_products([path, *(labels if kind in _ALONE else [])], path.stem)})
+    return DraftImage(path, kind, names[0], others, image, entry.label is not None)
+
+
+def _serials(labels: Sequence[Path]) -> Iterator[str]:
+    for label in labels:
+        try:
+            yield image_name(label, "label" if image_kind(label, True) == "label" else "cube")
+        except InputError:
+            continue
+
+
+def _products(labels: Sequence[Path], stem: str) -> Iterator[str]:
+    for label in labels:
+        if label.stem.startswith(stem):
+            try:
+                yield read_line_scan_label(label).product
+            except InputError:
+                continue
+
+
+def _twin(made: DraftImage, found: Sequence[DraftImage]) -> int | None:
+    """The image that a new one is again, by its geometry or its name."""
+    images = [*(one.image for one in found), made.image]
+    same = [one for one, other in twins(images) if other == len(found)]
+    return next(iter(same), next((k for k, one in enumerate(found) if one.name == made.name), None))
+
+
+def _start(image: PushbroomImage) -> float:
+    """S TDB past J2000."""
+    return float(image.trajectory.epoch + image.timing.at(np.zeros(1))[0][0])
+
+
+def named_as(images: Sequence[DraftImage], names: Sequence[str]) -> tuple[tuple[DraftImage, ...], tuple[str, ...]]:
+    """Images called as networks call them, and names of networks for which there is no image.
+
+    By the serial number, the product or the file; what is left on both sides, if it is as many and the names hold clock
+    counts or times, in the order of these, which is said in a note.
+    """
+    known, made = set(names), list(images)
+    for k, one in enumerate(images):
+        if one.name not in known and (same := sorted(one.others & known)):
+            made[k] = one._replace(name=same[0])
+    bare = [k for k, one in enumerate(made) if one.name not in known]
+    left = [name for name in names if name not in {one.name for one in made}]
+    if bare and len(bare) == len(left) and all(_when(name) for name in left):
+        for k, name in zip(bare, sorted(left, key=_when), strict=True):  # images are in the order of their times
+            note = f"taken for {made[k].path.name} by the order of times: is it? The file calls it {made[k].name}"
+            made[k] = made[k]._replace(name=name, note=note)
+        left = []
+    return tuple(made), tuple(left)
+
+
+def _when(name: str) -> tuple[float, float] | tuple[str] | None:
+    if found := _UTC.search(name):
+        return (found[0],)
+    clock = _CLOCK.search(name)
+    return (float(clock[1]), float(clock[2] or 0)) if clock else None

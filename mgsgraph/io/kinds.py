@@ -1,0 +1,172 @@
+"""What a file is, by what is in it: images, their support data, networks, shots, kernels, terrain models, case files.
+
+A name is looked at only where the content can't tell: MEGDR's grids have no header.
+"""
+
+import csv
+import gzip
+import json
+import re
+import zlib
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+
+from mgsgraph.altimetry.lola import RECORD, is_lola_rdr
+from mgsgraph.altimetry.pedr import FRAME
+from mgsgraph.altimetry.shots import is_archive_table
+from mgsgraph.altimetry.tables import table_of
+from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
+
+_HEAD = 1 << 16
+"""bytes that are looked at, of what is no JSON."""
+_MEGDR = re.compile(r"meg([acrt])\d\d[ns]\d{3}[c-h]\w\.img", re.IGNORECASE)
+_GCP = re.compile(r"\s*\S+(\s+[-+.\deE]+){6}(\s+\S+(\s+[-+.\deE]+){4})+\s*")
+_GEO_KEYS = 34735
+"""TIFF tag of a raster that lies on a map (OGC GeoTIFF)."""
+
+
+class Kind(StrEnum):
+    """Kinds of files, in the words of messages."""
+
+    CUBE = "an ISIS cube"
+    MAPPED_CUBE = "a map-projected ISIS cube"
+    CUBE_LABEL = "the label of an ISIS cube, without its data"
+    CUBE_TABLES = "tables of an ISIS cube (JSON)"
+    PDS3 = "a PDS3 image or its label"
+    SUPPORT_DATA = "image support data"
+    MODEL_STATE = "a model state of usgscsm"
+    NETWORK = "a control network"
+    TIE_TABLE = "a table of tie points"
+    GROUND_CONTROL = "ground control points"
+    LIDAR = "laser shots of ISIS"
+    SHOTS = "laser shots"
+    ALTIMETRY = "laser altimetry"
+    RADII = "a terrain model of radii"
+    TOPOGRAPHY = "a terrain model of heights above the areoid"
+    AREOID = "a grid of the areoid"
+    COUNTS = "a grid of numbers of shots"
+    RASTER = "a georeferenced raster"
+    PICTURE = "a picture"
+    KERNEL = "a SPICE kernel"
+    META_KERNEL = "a SPICE meta-kernel"
+    TRANSFER = "a SPICE kernel in transfer format"
+    CASE = "a TOML file with a format"
+
+
+_MEGDR_KINDS = {"r": Kind.RADII, "t": Kind.TOPOGRAPHY, "a": Kind.AREOID, "c": Kind.COUNTS}
+IMAGES = (Kind.CUBE, Kind.MAPPED_CUBE, Kind.CUBE_LABEL, Kind.CUBE_TABLES, Kind.PDS3, Kind.SUPPORT_DATA,
+          Kind.MODEL_STATE)  # fmt: skip
+"""Kinds that say an image's geometry, or a part of it."""
+
+
+def kind_of(path: Path) -> Kind | None:
+    """What a file is; None for what is not known here, and for what can't be read."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+        if head.startswith(b"\x1f\x8b"):
+            with gzip.open(path) as unpacked:
+                head = unpacked.read(_HEAD)
+        return next((kind for kind in _told(head, path) if kind is not None), None)
+    except (OSError, EOFError, zlib.error):
+        return None
+
+
+def _told(head: bytes, path: Path) -> Iterator[Kind | None]:
+    yield _MEGDR_KINDS[found[1].lower()] if (found := _MEGDR.fullmatch(path.name)) else None
+    yield _tiff(head)
+    yield _kernel(head)
+    text = head.split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n").lstrip("\ufeffï»¿ \n\t")
+    yield _label(text, path, path.stat().st_size)
+    yield Kind.MODEL_STATE if text.startswith("USGS_ASTRO_") else None
+    yield _json(path) if text.startswith("{") else None
+    if b"\0" in head:
+        yield _shots(path)
+        return
+    yield Kind.CASE if re.search(r"^format\s*=\s*\d+\s*(#.*)?$", text, re.MULTILINE) else None
+    yield from _rows(text, path)
+
+
+def _tiff(head: bytes) -> Kind | None:
+    """By the first directory's tags, as far as it lies at the head; a raster that is written in order has it there."""
+    orders = {b"II": "little", b"MM": "big"}
+    if head[:2] not in orders or head[2:4].strip(b"\0") not in (b"*", b"+"):
+        return Kind.PICTURE if head.startswith((b"\x89PNG", b"\xff\xd8\xff")) else None
+    big, order = head[2:4].strip(b"\0") == b"+", head[:2]
+    tag = _GEO_KEYS.to_bytes(2, "little" if order == b"II" else "big")
+    return Kind.RASTER if big or tag in head or len(head) == _HEAD else Kind.PICTURE
+
+
+def _kernel(head: bytes) -> Kind | None:
+    if head.startswith((b"DAFETF", b"DASETF", b"'DAFETF")):
+        return Kind.TRANSFER
+    if head.startswith((b"DAF/", b"NAIF/DAF", b"DAS/", b"NAIF/DAS")):
+        return Kind.KERNEL
+    if head.startswith(b"KPL/MK") or (not head.startswith(b"KPL/") and b"KERNELS_TO_LOAD" in head):
+        return Kind.META_KERNEL
+    text = head.startswith(b"KPL/") or re.search(rb"^\s*\\begin(data|text)\s*$", head, re.MULTILINE)
+    return Kind.KERNEL if text else None
+
+
+def _label(text: str, path: Path, size: int) -> Kind | None:
+    begin = re.match(r"object\s*=\s*(\w+)", text, re.IGNORECASE)
+    if begin is None:
+        if not text[:20].upper().startswith("PDS_VERSION_ID"):
+            return None
+        of_table = re.search(r"^\s*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
+        return Kind.SHOTS if of_table and not re.search(r"^\s*\^IMAGE\s*=", text, re.MULTILINE) else Kind.PDS3
+    if begin[1].lower() in ("controlnetwork", "protobuffer"):
+        return Kind.NETWORK
+    if begin[1].lower() != "isiscube":
+        return None
+    start = re.search(r"^\s*StartByte\s*=\s*(\d+)", text, re.MULTILINE | re.IGNORECASE)
+    if re.search(r"^\s*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
+        return Kind.CUBE_LABEL
+    mapped = re.search(r"^\s*Group\s*=\s*Mapping", text, re.MULTILINE | re.IGNORECASE)
+    taken = re.search(r"^\s*Group\s*=\s*Instrument", text, re.MULTILINE | re.IGNORECASE)
+    if mapped and not taken:
+        return Kind.RASTER
+    return Kind.MAPPED_CUBE if mapped else Kind.CUBE
+
+
+def _json(path: Path) -> Kind | None:
+    try:
+        content = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        return None
+    if "points" in content and isinstance(content["points"], list):
+        return Kind.LIDAR
+    if "m_modelName" in content:
+        return Kind.MODEL_STATE
+    if "name_model" in content or "sensor_position" in content:
+        return Kind.SUPPORT_DATA
+    tables = {"instrument_pointing", "InstrumentPointing"}
+    return Kind.CUBE_TABLES if tables & set(content) else None
+
+
+def _shots(path: Path) -> Kind | None:
+    """Binary records, which have no header: sizes, and what stands at places of the first ones."""
+    size = path.stat().st_size
+    if path.suffix.lower() == ".b" and size % FRAME.itemsize == 0:
+        return Kind.SHOTS
+    if size % RECORD.itemsize == 0 and is_lola_rdr(path.read_bytes()):
+        return Kind.SHOTS
+    return None
+
+
+def _rows(text: str, path: Path) -> Iterator[Kind | None]:
+    """By the header of a table, or the first row of one that has none."""
+    lines = [line for line in text.splitlines()[:100] if line.strip() and not line.lstrip().startswith("#")]
+    first = lines[0] if lines else ""
+    try:
+        names = [name.strip().lower() for name in next(csv.reader([first], strict=True), [])]
+    except csv.Error:
+        return
+    if {"id"} <= set(names) and {"image", "product", "serial_number"} & set(names):
+        yield Kind.TIE_TABLE
+    if first and is_archive_table(table_of("\n".join(lines).encode(), path)):
+        yield Kind.SHOTS
+    placed = set(CARTESIAN) <= set(names) or {*PLANETOCENTRIC[:2]} <= set(names)
+    yield Kind.ALTIMETRY if placed and GEODETIC[1] not in names else None
+    yield Kind.GROUND_CONTROL if _GCP.fullmatch(first) else None

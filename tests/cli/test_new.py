@@ -1,0 +1,90 @@
+"""`mgsgraph new`: the case that it writes is one that `check` accepts, or it says why there can be none."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from commands import refused, run
+
+import mgsgraph
+from mgsgraph.case.case_file import decode
+from mgsgraph.case.draft import draft_case
+from mgsgraph.errors import InputError
+
+
+def test_a_case_of_a_folder(case_file: Path, tmp_path: Path) -> None:
+    (case_file.parent / "notes.bin").write_bytes(b"\0\1\2")
+    out = tmp_path / "made" / "case.toml"
+    done = run("new", case_file.parent, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "notes.bin" in done.stdout
+    assert done.stdout.splitlines()[-1] == f"Next: mgsgraph check {out}"
+    wanted, before = decode(out), mgsgraph.read_case(case_file).network
+    after = mgsgraph.read_case(out).network
+    assert [image.name for image in wanted.images] == ["SIM/A", "SIM/B"]
+    assert (len(after.points), after.ranges.point.size) == (len(before.points), before.ranges.point.size)
+    assert run("check", out).returncode == 0
+    refused(run("new", case_file.parent, "--out", out), "there already")
+    assert run("new", case_file.parent, "--out", out, "--replace").returncode == 0
+
+
+def test_images_whose_names_nobody_knows_are_taken_by_their_times(case_file: Path, tmp_path: Path) -> None:
+    """A network with clock counts, the later image with the larger one."""
+    names = {"SIM/A": "MGS/700000000:0/MOC", "SIM/B": "MGS/600000000:0/MOC"}
+    starts = {image.name: image.trajectory.epoch for image in mgsgraph.read_case(case_file).network.images}
+    text = case_file.with_name("network.pvl").read_text(encoding="utf-8")
+    for old, new in names.items():
+        text = text.replace(old, new)
+    case_file.with_name("network.pvl").write_text(text, encoding="utf-8")
+    for isd in case_file.parent.glob("*.isd"):
+        isd.write_text(re.sub(r'"image_identifier": *"[^"]*",?', "", isd.read_text(encoding="utf-8")), encoding="utf-8")
+    case_file.with_name("lidar.json").unlink()
+    made = draft_case([case_file.parent], tmp_path / "case.toml")
+    found = {image["image"]: image["name"] for image in tomllib.loads(made.text)["images"]}
+    first = min(starts, key=lambda name: starts[name])
+    by_file = {next(iter(re.findall("image_([AB])", file))): name for file, name in found.items()}
+    assert by_file[first[-1]] == "MGS/600000000:0/MOC"
+    assert set(by_file.values()) == set(names.values())
+    assert made.text.count("is it?") == 2
+
+
+def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> None:
+    files, out = sorted(case_file.parent.glob("*.isd")), tmp_path / "case.toml"
+    done = run("new", *files, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert f"Next: mgsgraph check {out}" in done.stdout
+    checked = run("check", out)
+    assert checked.returncode == 0, checked.stderr
+    assert "overlap by" in checked.stdout
+    assert f"mgsgraph match {out}" in checked.stdout
+
+
+def test_what_does_not_go_with_the_rest_is_left_out_with_the_reason(case_file: Path, tmp_path: Path) -> None:
+    network = case_file.with_name("network.pvl")
+    other = tmp_path / "other.pvl"
+    other.write_text(network.read_text(encoding="utf-8").replace("SIM/B", "NOT/HERE"), encoding="utf-8")
+    made = draft_case([case_file.parent, other], tmp_path / "case.toml")
+    assert "NOT/HERE" in "\n".join(made.said)
+    assert re.search(r"^# Left out: other.pvl: ", made.text, re.MULTILINE)
+    assert [entry.network for entry in decode(tmp_path / "case.toml").tie_groups] == ["case/network.pvl"]
+
+
+def test_one_image_in_two_files_is_taken_once(case_file: Path, tmp_path: Path) -> None:
+    isd = case_file.with_name("image_A.isd")
+    (tmp_path / "copy.json").write_bytes(isd.read_bytes())
+    draft_case([case_file.parent, tmp_path / "copy.json"], tmp_path / "case.toml")
+    assert len(decode(tmp_path / "case.toml").images) == 2
+    twice = tmp_path / "twice.toml"
+    text = (tmp_path / "case.toml").read_text(encoding="utf-8")
+    twice.write_text(text + '\n[[images]]\nname = "again"\nimage = "copy.json"\n', encoding="utf-8")
+    with pytest.raises(InputError, match="one image"):
+        mgsgraph.read_case(twice)
+
+
+def test_nothing_to_make_a_case_of(case_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "case.toml"
+    refused(run("new", case_file.with_name("network.pvl"), "--out", out), "no image: it holds a control network")
+    refused(run("new", case_file, "--out", out), "a TOML file with a format")
+    refused(run("new", tmp_path / "none", "--out", out), "no such file")
+    assert not out.exists()

@@ -1,0 +1,86 @@
+"""What files are, by their content: all that a simulation writes, all real data, and what is nothing of it."""
+
+import gzip
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mgsgraph.io.kinds import Kind, kind_of
+
+REAL = {
+    "lro_nac_lola/lidarObservationImage1.isd": Kind.SUPPORT_DATA,
+    "lro_nac_lola/lidarObservationImage1.pvl": Kind.CUBE_LABEL,
+    "lro_nac_lola/lidarObservationImage1OriginalLabel.pvl": Kind.PDS3,
+    "lro_nac_lola/network.pvl": Kind.NETWORK,
+    "lro_nac_lola/lidarData.json": Kind.LIDAR,
+    "lro_nac_lola/lidarPoints.csv": Kind.SHOTS,
+    "lro_nac_hadley/observationPair.net": Kind.NETWORK,
+    "lro_nac_hadley/RDR_hadley_LOLA.csv.gz": Kind.SHOTS,
+    "mgs_moc_wa_three/cube1.isd": Kind.CUBE_TABLES,
+    "mgs_moc_pair/E0201461.tiny.cub": Kind.MAPPED_CUBE,
+    "mgs_moc_pair/tie_points.csv": Kind.TIE_TABLE,
+    "mgs_moc_pair/M0100115.imq": Kind.PDS3,
+    "mro_ctx_b10/B10_013341_1010_XN_79S172W.cub": Kind.CUBE,
+    "usgscsm_states/csm-104001001427B900.r100.adjusted_state.json": Kind.MODEL_STATE,
+    "mola_megdr/megr90n000cb.img": Kind.RADII,
+    "mola_megdr/megt90n000cb.img": Kind.TOPOGRAPHY,
+    "mola_pedr_ode/curiosity_topography.csv": Kind.SHOTS,
+    "kaguya_tc/SEL_M_V01.TSC": Kind.KERNEL,
+    "kaguya_tc/kaguyaTcAddendum006.ti": Kind.KERNEL,
+    "lro_nac_m103595705/moon_assoc_me.tf": Kind.KERNEL,
+    "mgs_moc_m0402852/m0402852.ale_0.bsp": Kind.KERNEL,
+    "mgs_moc_m0402852/m0402852.ale_0.xsp": Kind.TRANSFER,
+    "README.md": None,
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_files(shared_data: Path, name: str) -> None:
+    assert kind_of(shared_data / name) == REAL[name]
+
+
+@pytest.mark.parametrize("name", ["lro_nac_lola/network.pvl", "lro_nac_lola/lidarData.json", "kaguya_tc/SEL_TC_V01.TI"])
+def test_a_file_is_known_by_another_name(shared_data: Path, tmp_path: Path, name: str) -> None:
+    shutil.copy(shared_data / name, tmp_path / "something.dat")
+    assert kind_of(tmp_path / "something.dat") == REAL.get(name, Kind.KERNEL)
+
+
+TEXTS = {
+    "id,image,line,sample\n1,A,2,3\n": Kind.TIE_TABLE,
+    "longitude_deg,latitude_deg,radius_m\n1,2,3\n": Kind.ALTIMETRY,
+    "x_m, y_m, z_m\n1,2,3\n": Kind.ALTIMETRY,
+    "G1 4.0 87.0 10.0 1 1 1 SIM/A 100 200 1 1\n": Kind.GROUND_CONTROL,
+    "# made by hand\nformat = 1\nname = 'a case'\n": Kind.CASE,
+    "KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ('a')\n": Kind.META_KERNEL,
+    "words and words\n": None,
+    "": None,
+    '{"a": 1}': None,
+    "{broken": None,
+}
+
+
+@pytest.mark.parametrize("text", TEXTS, ids=repr)
+def test_texts(tmp_path: Path, text: str) -> None:
+    for path, content in ((tmp_path / "a", text.encode()), (tmp_path / "b", gzip.compress(text.encode()))):
+        path.write_bytes(content)
+    assert kind_of(tmp_path / "a") == TEXTS[text]
+    if not text.startswith("{"):
+        assert kind_of(tmp_path / "b") == TEXTS[text]
+
+
+def test_what_can_t_be_read_is_nothing(tmp_path: Path) -> None:
+    (tmp_path / "cut.gz").write_bytes(gzip.compress(b"x" * 1000)[:20])
+    assert kind_of(tmp_path / "cut.gz") is None
+    assert kind_of(tmp_path / "none") is None
+    (tmp_path / "noise").write_bytes(np.random.default_rng(1).bytes(5000))
+    assert kind_of(tmp_path / "noise") is None
+
+
+def test_what_a_simulation_writes(case_file: Path) -> None:
+    kinds = {path.name: kind_of(path) for path in case_file.parent.iterdir()}
+    assert kinds["case.toml"] is Kind.CASE
+    assert kinds["network.pvl"] is Kind.NETWORK
+    assert kinds["lidar.json"] is Kind.LIDAR
+    assert kinds["image_A.isd"] is Kind.SUPPORT_DATA
