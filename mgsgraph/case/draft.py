@@ -14,6 +14,7 @@ from mgsgraph.case.reading import read_altimetry, read_case
 from mgsgraph.case.schema import TerrainInput
 from mgsgraph.case.terrain import read_terrain_model
 from mgsgraph.errors import InputError, require
+from mgsgraph.fetch.grids import SIGMAS, Terrain
 from mgsgraph.geometry.altimeters import MOLA
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array
@@ -26,6 +27,8 @@ from mgsgraph.wording import many, some
 
 _SAME_SHOT = 1e-3
 """s between the times of one shot in two files."""
+_MEGDR_STEPS: dict[str, Terrain] = {"c": "4", "e": "16", "h": "128"}
+"""Pixels per degree of MEGDR's grids, by the letter in their names."""
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 """Endings in the order of loading: leap seconds, clock, body, frames, instrument, attitude, positions."""
 _HEAD = """\
@@ -129,13 +132,16 @@ def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], list[Path]]:
                 raise InputError(str(path), found, "an image, a network, shots, kernels or terrain", "leave it out")
             elif path.suffix.lower() not in (".md", ".txt", ".toml", ".html"):
                 unknown.append(path)
+    stems = {path.with_suffix("") for path in kinds}  # pixels beside their label
+    unknown = [path for path in unknown if path.with_suffix("") not in stems]
     return kinds, unknown
 
 
 def _no_image(where: str, kinds: dict[Path, Kind], left_out: Sequence[str]) -> InputError:
-    if left_out:
-        more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
-        return InputError(where, f"no image that can be read: {left_out[0]}{more}")
+    if left_out:  # labels come last: where there are kernels, it is they that say what is missing
+        file, _, reason = left_out[-1].partition(": ")
+        tried = [line.partition(": ")[0] for line in left_out]
+        return InputError(where, f"no image that can be read ({some(tried, len(tried))}); {file}: {reason}")
     counts = {kind: list(kinds.values()).count(kind) for kind in kinds.values()}
     holds = ", ".join(f"{kind.value}{f' ({count})' if count > 1 else ''}" for kind, count in counts.items())
     return InputError(
@@ -201,6 +207,7 @@ def _images(images: Sequence[DraftImage], out: Path) -> str:
         text += "\n[[images]]\n"
         text += _said(f"name = {_quoted(one.name)}", one.note) if one.note else f"name = {_quoted(one.name)}\n"
         text += _said(f"image = {_place(one.path, out)}", f"{one.kind}, {one.image.lines} x {one.image.samples}")
+        text += f"pixels = {_place(one.pixels, out)}\n" if one.pixels is not None else ""
     return text
 
 
@@ -310,7 +317,8 @@ def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -
             text += "# reference_radius_m = 3396190.0      # above which its heights are, where they are no radii\n"
         elif heights and heights[0].name[4:].lower() == path.name[4:].lower():
             text += _said(f"topography = {_place(heights[0], out)}", "radius minus topography is the areoid")
-        text += _said("vertical_sigma_m = 10.0", "of its heights")
+        grid = SIGMAS.get(_MEGDR_STEPS.get(path.name[10:11].lower(), "none")) if kinds[path] is Kind.RADII else None
+        text += _said(f"vertical_sigma_m = {grid or 10.0}", "of its heights" + (" between its posts" if grid else ""))
         text += _said("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
         entry = TerrainInput(radius=str(path.absolute()))
 
@@ -327,12 +335,13 @@ def _accepted(head: str, parts: list[_Part], out: Path) -> tuple[list[_Part], li
         error = _refusal(head + "".join(part.text for part in parts), out)
         if not error:
             break
+        named = [part for part in parts if part.path.name in error]
         culprit = next((
-            part for part in reversed(parts)
+            part for part in [*named, *reversed(parts)]
             if not _refusal(head + "".join(one.text for one in parts if one is not part), out, least=True)
-        ), parts[-1])  # fmt: skip
+        ), next(iter(named), parts[-1]))  # fmt: skip
         parts = [part for part in parts if part is not culprit]
-        failed.append(f"{culprit.path.name}: {error}")
+        failed.append(f"{culprit.path.name}: {without_place(error, culprit.path)}")
     return parts, failed
 
 

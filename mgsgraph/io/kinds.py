@@ -21,6 +21,7 @@ from mgsgraph.io.control.table_columns import CARTESIAN, GEODETIC, PLANETOCENTRI
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""
 _MEGDR = re.compile(r"meg([acrt])\d\d[ns]\d{3}[c-h]\w\.img", re.IGNORECASE)
+_MEG = re.compile(r"meg([acrt])", re.IGNORECASE)
 _GCP = re.compile(r"\s*\S+(\s+[-+.\deE]+){6}(\s+\S+(\s+[-+.\deE]+){4})+\s*")
 _GEO_KEYS = 34735
 """TIFF tag of a raster that lies on a map (OGC GeoTIFF)."""
@@ -114,6 +115,10 @@ def _label(text: str, path: Path, size: int) -> Kind | None:
     if begin is None:
         if not text[:20].upper().startswith("PDS_VERSION_ID"):
             return None
+        if re.search(r"^\s*OBJECT\s*=\s*IMAGE_MAP_PROJECTION", text, re.MULTILINE):
+            pointer = re.search(r"^\s*\^IMAGE\s*=\s*\(?\s*\"?([^\",\s]+)", text, re.MULTILINE)
+            letter = _MEG.match(pointer[1] if pointer else path.name) or _MEG.match(path.name)
+            return _MEGDR_KINDS[letter[1].lower()] if letter else Kind.RASTER
         of_table = re.search(r"^\s*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
         return Kind.SHOTS if of_table and not re.search(r"^\s*\^IMAGE\s*=", text, re.MULTILINE) else Kind.PDS3
     if begin[1].lower() in ("controlnetwork", "protobuffer"):

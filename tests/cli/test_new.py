@@ -10,7 +10,10 @@ from commands import refused, run
 import mgsgraph
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.draft import draft_case
+from mgsgraph.case.draft_images import DraftImage, named_as
 from mgsgraph.errors import InputError
+from mgsgraph.io.kinds import Kind
+from mgsgraph.simulation.pair import simulate_pair
 
 
 def test_a_case_of_a_folder(case_file: Path, tmp_path: Path) -> None:
@@ -47,6 +50,17 @@ def test_images_whose_names_nobody_knows_are_taken_by_their_times(case_file: Pat
     assert by_file[first[-1]] == "MGS/600000000:0/MOC"
     assert set(by_file.values()) == set(names.values())
     assert made.text.count("is it?") == 2
+
+
+def test_products_are_known_however_they_are_written() -> None:
+    images = tuple(
+        DraftImage(Path(f"{k}.img"), Kind.PDS3, f"MGS/66852320{k}:87/MOC", frozenset({f"E02/0066{k}"}), image, True)
+        for k, image in enumerate(simulate_pair().images)
+    )
+    named, missing = named_as(images, ["e0200661", "E02-00660", "M01-00115"])
+    assert [one.name for one in named] == ["E02-00660", "e0200661"]
+    assert missing == ("M01-00115",)
+    assert not any(one.note for one in named)
 
 
 def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> None:
