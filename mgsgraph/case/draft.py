@@ -2,6 +2,8 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +23,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.io.asp.gcp import read_ground_control
 from mgsgraph.io.control.table import read_tie_points
 from mgsgraph.io.files import beside, write_file
-from mgsgraph.io.kinds import Kind, kind_of
+from mgsgraph.io.kinds import Kind, kind_of, listed_files
 from mgsgraph.io.lidar import read_lidar
 from mgsgraph.wording import many, some
 
@@ -123,11 +125,13 @@ def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], list[Path]]:
         inside = [one]
         if one.is_dir():
             inside = sorted(path for path in one.iterdir() if path.is_file() and not path.name.startswith("."))
+        elif kind_of(one) is Kind.LIST:
+            inside = listed_files(one)
         for path in inside:
             kind = kind_of(path)
-            if kind is not None and kind is not Kind.CASE:
+            if kind is not None and kind not in (Kind.CASE, Kind.LIST):
                 kinds[path] = kind
-            elif not one.is_dir():
+            elif path is one:
                 found = str(kind) if kind else "of no kind known here"
                 raise InputError(str(path), found, "an image, a network, shots, kernels or terrain", "leave it out")
             elif path.suffix.lower() not in (".md", ".txt", ".toml", ".html"):
@@ -223,7 +227,9 @@ def _parts(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> 
             except InputError as error:
                 refused.append(f"{path.name}: {without_place(str(error), path)}")
                 continue
-            parts.append(_Part(path, "\n" + text.format(*("[[", "]]") if several else ("[", "]")), measured))
+            head, _, rest = text.partition("\n")
+            head = f"[{head}]" if several and not head.startswith("[[") else head
+            parts.append(_Part(path, f"\n{head}\n{rest}", measured))
     return parts, refused
 
 
@@ -237,25 +243,28 @@ def _of(kinds: dict[Path, Kind], *wanted: Kind) -> list[Path]:
 def _ties(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.NETWORK, Kind.TIE_TABLE):
         sigma = _said("sigma_px = 1.0", "of line and sample, where the network doesn't say")
-        text = f"{{0}}ties{{1}}\nnetwork = {_place(path, out)}\n{sigma}"
-        yield path, text, lambda path=path: read_tie_points(path, images[0].image.body), True
+        text = f"[ties]\nnetwork = {_place(path, out)}\n{sigma}"
+        yield path, text, partial(read_tie_points, path, images[0].image.body), True
 
 
 def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.GROUND_CONTROL)[:1]:
         text = f"[ground_control]\nfile = {_place(path, out)}\n"
-        yield path, text, lambda path=path: read_ground_control(path, images[0].image.body), True
+        yield path, text, partial(read_ground_control, path, images[0].image.body), True
 
 
 def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     for path in _of(kinds, Kind.LIDAR):
-        text = f"{{0}}laser{{1}}\nfile = {_place(path, out)}\n" + _said("image_sigma_px = 30.0", "of the shots' pixels")
-        yield path, text, lambda path=path: read_lidar(path), True
+        text = f"[laser]\nfile = {_place(path, out)}\n" + _said("image_sigma_px = 30.0", "of the shots' pixels")
+        yield path, text, partial(read_lidar, path), True
 
 
 def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     """A profile taken along with an image has ranges from its trajectory, MOLA's a shift; others are altimetry."""
-    known = [read_lidar(path).times for path in _of(kinds, Kind.LIDAR)]
+    known = list[Array]()
+    for path in _of(kinds, Kind.LIDAR):
+        with suppress(InputError):  # said where its table is made
+            known.append(read_lidar(path).times)
     for path in _of(kinds, Kind.SHOTS):
         try:
             shots = read_shots(path)
@@ -311,7 +320,7 @@ def _of_relief(path: Path, images: Sequence[DraftImage], out: Path) -> _Made:
 def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
     pictures = [one.image for one in images]
     for path in _of(kinds, Kind.RADII, Kind.RASTER):
-        text = f"{{0}}terrain{{1}}\nradius = {_place(path, out)}\n"
+        text = f"[terrain]\nradius = {_place(path, out)}\n"
         heights = _of(kinds, Kind.TOPOGRAPHY)
         if kinds[path] is Kind.RASTER:
             text += "# reference_radius_m = 3396190.0      # above which its heights are, where they are no radii\n"
@@ -321,11 +330,7 @@ def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -
         text += _said(f"vertical_sigma_m = {grid or 10.0}", "of its heights" + (" between its posts" if grid else ""))
         text += _said("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
         entry = TerrainInput(radius=str(path.absolute()))
-
-        def read(entry: TerrainInput = entry) -> object:
-            return read_terrain_model(entry, out, pictures, read_shots)
-
-        yield path, text, read, False
+        yield path, text, partial(read_terrain_model, entry, out, pictures, read_shots), False
 
 
 def _accepted(head: str, parts: list[_Part], out: Path) -> tuple[list[_Part], list[str]]:

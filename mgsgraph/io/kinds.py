@@ -52,6 +52,7 @@ class Kind(StrEnum):
     KERNEL = "a SPICE kernel"
     META_KERNEL = "a SPICE meta-kernel"
     TRANSFER = "a SPICE kernel in transfer format"
+    LIST = "an ISIS list of files"
     CASE = "a TOML file with a format"
 
 
@@ -86,7 +87,19 @@ def _told(head: bytes, path: Path) -> Iterator[Kind | None]:
         yield _shots(path)
         return
     yield Kind.CASE if re.search(r"^format\s*=\s*\d+\s*(#.*)?$", text, re.MULTILINE) else None
+    yield Kind.LIST if listed_files(path, text) else None
     yield from _rows(text, path)
+
+
+def listed_files(path: Path, text: str | None = None) -> list[Path]:
+    """Files that a text names, one in every line, relative to its folder; none where one of them is not there."""
+    lines = (path.read_text(encoding="latin-1") if text is None else text).splitlines()
+    names = [name for line in lines if (name := line.split("#", 1)[0].strip())]
+    try:
+        files = [path.parent / name for name in names]
+        return files if all(file.is_file() for file in files) else []
+    except OSError:  # a line that is too long for a name
+        return []
 
 
 def _tiff(head: bytes) -> Kind | None:

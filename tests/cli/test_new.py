@@ -74,6 +74,14 @@ def test_images_alone_make_a_case_for_match(case_file: Path, tmp_path: Path) -> 
     assert f"mgsgraph match {out}" in checked.stdout
 
 
+def test_an_isis_list_stands_for_its_files(case_file: Path, tmp_path: Path) -> None:
+    case_file.with_name("cubes.lis").write_text("image_B.isd\n\nimage_A.isd\n", encoding="utf-8")
+    draft_case([case_file.with_name("cubes.lis"), case_file.with_name("network.pvl")], tmp_path / "case.toml")
+    wanted = decode(tmp_path / "case.toml")
+    assert {image.name for image in wanted.images} == {"SIM/A", "SIM/B"}
+    assert wanted.measured
+
+
 def test_what_does_not_go_with_the_rest_is_left_out_with_the_reason(case_file: Path, tmp_path: Path) -> None:
     network = case_file.with_name("network.pvl")
     other = tmp_path / "other.pvl"
