@@ -1,12 +1,21 @@
 """Tie points and ground control points as a control network holds them, image places already in our pixels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index, require_covariances, require_unique
+from mgsgraph.geometry.records import (
+    Array,
+    Index,
+    Mask,
+    assign,
+    frozen,
+    frozen_index,
+    require_covariances,
+    require_unique,
+)
 
 
 class PointKind(IntEnum):
@@ -81,6 +90,30 @@ class TiePoints:
                     "remove the worse one",
                 )
             seen.add((point, image))
+
+    def chosen(self, which: Index) -> "TiePoints":
+        """Some of the points, by their numbers, with their measures in the order in which they were."""
+        new = np.full(len(self.ids), -1, dtype=np.int64)
+        new[which] = np.arange(which.size)
+        left = self.with_measures(new[self.measure_point] >= 0)
+        return replace(
+            left,
+            ids=tuple(self.ids[i] for i in which.tolist()),
+            kinds=self.kinds[which],
+            places=self.places[which],
+            covariances=self.covariances[which],
+            measure_point=new[left.measure_point],
+        )
+
+    def with_measures(self, which: Mask) -> "TiePoints":
+        """All of the points, with some of their measures (k,)."""
+        return replace(
+            self,
+            measure_point=self.measure_point[which],
+            measure_image=tuple(self.measure_image[k] for k in np.flatnonzero(which).tolist()),
+            measures=self.measures[which],
+            measure_sigmas=self.measure_sigmas[which],
+        )
 
     def __repr__(self) -> str:
         kinds = np.bincount(self.kinds, minlength=len(PointKind))

@@ -8,13 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import mgsgraph
 from mgsgraph.campaign.inputs import checksums
 from mgsgraph.case.groups import merged
 from mgsgraph.errors import InputError
+from mgsgraph.io.control.network_file import read_network
+from mgsgraph.io.control.pvl_writing import write_pvl_network
+from mgsgraph.io.control.record import ControlPoint, PointType
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.connectivity import islands
+from mgsgraph.reports.inventory import inventory
 from mgsgraph.ties import PointKind, TiePoints
 from mgsgraph.units import MRAD
 
@@ -141,7 +146,7 @@ WRONG: dict[str, tuple[tuple[Edit, ...], str]] = {
     "missing ISD": ((swap("image_A.isd", "image_C.isd"),), r"image_C.isd: no such file"),
     "missing network": ((swap("network.pvl", "net.pvl"),), r"net.pvl: no such file"),
     "folder for a file": ((swap("network.pvl", "."),), r"a folder"),
-    "unknown image in the network": ((swap('name = "SIM/B"', 'name = "SIM/C"'),), r"the image 'SIM/B'.*SIM/A"),
+    "unknown image in the network": ((swap('name = "SIM/B"', 'name = "SIM/C"'),), r"measured in SIM/B, .*SIM/A, SIM/C"),
     "image twice": ((swap('name = "SIM/B"', 'name = "SIM/A"'),), r"images: the name 'SIM/A' for .*A.isd and.*B.isd"),
     "short trend": ((swap("trend = [1.0, 0.1, 0.01]", "trend = [1.0, 0.1]"),), r"orientation, trend: 2 factors.* 3, "),
     "no observations": ((lambda text: re.sub(r"\[(ties|laser)\][^\[]*", "", text),), r"at least one of them"),
@@ -284,10 +289,63 @@ def test_a_measure_in_two_networks(case_file: Path) -> None:
 def test_errors_in_one_of_two_networks_name_it(case_file: Path) -> None:
     path = split_network(case_file, lambda i, _: (i < 5, i >= 5))
     other = path.with_name("b.pvl")
-    other.write_text(other.read_text(encoding="utf-8").replace("SIM/B", "SIM/X", 1), encoding="utf-8")
-    with pytest.raises(InputError, match=r"b\.pvl, point .*: the image 'SIM/X'.*SIM/A") as caught:
+    text = other.read_text(encoding="utf-8")
+    other.write_text(re.sub(r"Line( *)= [0-9.]+", "Line = 1e6", text, count=1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"b\.pvl, point .*, image SIM/.: line 1e\+06") as caught:
         mgsgraph.read_case(path)
     assert "a.pvl" not in str(caught.value)
+
+
+def test_measures_in_other_images_are_left_out_and_counted(case_file: Path) -> None:
+    """A third image sees every point, but the last, which it alone sees with SIM/A: that one goes altogether."""
+    whole = mgsgraph.read_case(case_file).network
+    path = case_file.with_name("network.pvl")
+    network = read_network(path)
+
+    def third(i: int, point: ControlPoint) -> ControlPoint:
+        seen = point.measures[:1] if i == len(network.points) - 1 else point.measures
+        return structs.replace(point, measures=(*seen, structs.replace(seen[0], serial_number="SIM/X")))
+
+    points = tuple(third(i, point) for i, point in enumerate(network.points))
+    write_pvl_network(structs.replace(network, points=points), path)
+    case = mgsgraph.read_case(case_file)
+
+    assert case.ties is not None
+    assert case.ties.ids == tuple(point.id for point in points[:-1])
+    assert case.network.rays.point.size == whole.rays.point.size - 2
+    (note,) = case.notes
+    assert re.findall(r"\d+ \w+", note.replace(str(path), "")) == ["20 measures", "1 image", "1 point", "1 more"]
+    assert "SIM/X" in note
+    assert note in inventory(case)
+    edited(case_file, lambda text: re.sub(r"\[laser\][^\[]*", "", text), swap('"SIM/B"', '"SIM/C"'))
+    with pytest.raises(InputError, match=r"network\.pvl: .*measured in SIM/B, .*; expected .*SIM/A, SIM/C"):
+        mgsgraph.read_case(case_file)
+
+
+def test_an_image_of_which_nothing_is_left_is_told_what_was_left_out(case_file: Path) -> None:
+    path = case_file.with_name("network.pvl")
+    network = read_network(path)
+    points = tuple(
+        structs.replace(
+            one, type=PointType.CONSTRAINED, apriori=(1.0, 2.0, 3.39e6), apriori_covariance=(1.0, 0, 0, 1.0, 0, 1.0),
+            measures=(one.measures[0], structs.replace(one.measures[1], serial_number="SIM/X")),
+        )
+        for one in network.points
+    )  # fmt: skip
+    write_pvl_network(structs.replace(network, points=points), path)
+    edited(case_file, lambda text: re.sub(r"\[laser\][^\[]*", "", text))
+    with pytest.raises(InputError, match=r"image SIM/B: no point .*20 measures in 1 image .*SIM/X"):
+        mgsgraph.read_case(case_file)
+
+
+def test_a_network_of_another_body_is_refused(case_file: Path) -> None:
+    path = case_file.with_name("network.pvl")
+    for target in ("Moon", "Phobos"):
+        write_pvl_network(structs.replace(read_network(path), target_name=target), path)
+        with pytest.raises(InputError, match=rf"network\.pvl, TargetName: the target body {target}; expected MARS"):
+            mgsgraph.read_case(case_file)
+    write_pvl_network(structs.replace(read_network(path), target_name="Mars"), path)
+    assert mgsgraph.read_case(case_file).networks == (path,)
 
 
 def test_two_groups_of_shots(case_file: Path) -> None:

@@ -76,7 +76,7 @@ def _adjusted(task: CaseTask) -> dict[str, Any]:
     require_replaceable(target)
     case = read_case(task.case, laser=task.overrides.laser)
     solution = adjust(dataclasses.replace(case, settings=task.overrides.over(case.settings)))
-    write_results(solution, target, task.overrides.figures, task.case)
+    write_results(solution, target, task.overrides.figures, task.case, case.networks)
     return {
         "status": "done" if solution.converged else "not converged",
         "message": solution.message,

@@ -12,6 +12,7 @@ from mgsgraph.geometry.common_errors import overlap_variances
 from mgsgraph.geometry.records import Array
 from mgsgraph.output.folders import MATCH
 from mgsgraph.ties import PointKind, TiePoints
+from mgsgraph.wording import many, some
 
 _SAME_PLACE = 1e-3
 """m, within which two a-priori places of one known point are the same."""
@@ -45,6 +46,35 @@ def window_beside(network: Path) -> float:
     except (OSError, ValueError, KeyError, TypeError):
         found = "no settings.half_window"
         raise InputError(str(record), found, "what mgsgraph match writes", "state window_px in [ties]") from None
+
+
+def in_images(points: TiePoints, images: Sequence[str]) -> tuple[TiePoints, str]:
+    """Points as these images measure them, and a sentence about what was left out; empty where nothing was.
+
+    Points go with measures in other images where no other measure is left, or a single one of a free point. Raises
+    InputError where nothing is left, which is so where images are called otherwise.
+    """
+    known = np.isin(points.measure_image, images)
+    if known.all():
+        return points, ""
+    strange = list(dict.fromkeys(np.array(points.measure_image)[~known].tolist()))
+    called = some(strange, len(strange))
+    before, after = (
+        np.bincount(points.measure_point[mine], minlength=len(points.ids)) for mine in (slice(None), known)
+    )
+    gone = (after < before) & (after < np.where(points.kinds == PointKind.FREE, 2, 1))
+    if gone.all():
+        found = f"points that are measured in {called}, and none that enough others see"
+        expected = f"points measured in the case's images ({some(images, len(images))})"
+        raise InputError(points.source, found, expected, "call images in the case as the network does")
+    left = points.with_measures(known).chosen(np.flatnonzero(~gone))
+    said = f"Left out of {points.source}: {many(int((~known).sum()), 'measure')} in "
+    said += f"{many(len(strange), 'image')} that the case doesn't hold ({called})"
+    if gone.any():
+        single = int(known.sum()) - len(left.measure_image)
+        said += f", and {many(int(gone.sum()), 'point')} of theirs that too few others see"
+        said += f" ({many(single, 'more measure')})" if single else ""
+    return left, f"{said}."
 
 
 def merged(groups: Sequence[TiePoints]) -> TiePoints:

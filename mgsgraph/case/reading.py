@@ -17,7 +17,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.assembly import Parts
 from mgsgraph.case.case_file import decode
-from mgsgraph.case.groups import merged, window_beside, with_sigmas
+from mgsgraph.case.groups import in_images, merged, window_beside, with_sigmas
 from mgsgraph.case.images import read_image as read_image
 from mgsgraph.case.images import read_images
 from mgsgraph.case.laser import AltimetryInput, ShotsInput
@@ -69,6 +69,10 @@ class Case:
     """Terrain models whose posts can lie on the surface that the images show."""
     footprints: Mapping[str, float] = field(default_factory=dict)
     """m, diameter of the laser's spots on the ground, of each profile with an unknown shift."""
+    networks: tuple[Path, ...] = ()
+    """Files of the tie points."""
+    notes: tuple[str, ...] = ()
+    """What of these files was left out, in sentences."""
 
     def __repr__(self) -> str:
         return f"Case({self.name!r}: {self.network!r})"
@@ -101,11 +105,14 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     images, fits = read_images(wanted, orientations, of_strips, path)
     priors = wanted.priors(str(path))
     parts = Parts(images)
-    tie_points = _read_ties(wanted, parts, folder)
+    names = [image.name for image in images]
+    tie_points, notes = _read_ties(wanted, parts, folder)
     if tie_points:
         parts.add_points(tie_points, PointClass.TIE, 1.0)
     if wanted.ground_control:
-        control = read_ground_control(folder / wanted.ground_control.file, images[0].body)
+        file = folder / wanted.ground_control.file
+        control, left_out = in_images(read_ground_control(file, images[0].body), names)
+        notes += [left_out] if left_out else []
         parts.add_points(control, PointClass.CONTROL, 1.0)
     profiles = _add_laser(parts, wanted, path) if laser else ()
     if not parts.ids:
@@ -118,9 +125,13 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     network = _with_shared(network, wanted, path, laser, parts.shared)
     network = _with_considered(network, wanted, path, laser)
     _require_same_heights(network, wanted, path)
-    _require_seeing_images(network)
+    _require_seeing_images(network, notes)
     pictures = tuple(picture_of(image, folder) for image in wanted.images)
-    return Case(wanted.name, path, network, settings, tie_points, profiles, pictures, fits, models, parts.footprints)
+    files = tuple(folder / entry.network for entry in wanted.tie_groups)
+    return Case(
+        wanted.name, path, network, settings, tie_points, profiles, pictures, fits, models, parts.footprints, files,
+        tuple(notes),
+    )  # fmt: skip
 
 
 def _with_strips(network: Network, wanted: CaseInput, of_strips: list[list[int]], path: Path) -> Network:
@@ -193,11 +204,11 @@ def _with_shared(
         return network
 
 
-def _require_seeing_images(network: Network) -> None:
+def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
     for j in np.flatnonzero(np.bincount(network.rays.image, minlength=len(network.images)) == 0)[:1]:
         raise InputError(
             f"image {network.images[j].name}",
-            "no point is measured in it",
+            " ".join(["no point is measured in it.", *notes]) if notes else "no point is measured in it",
             "at least one tie, laser or control point",
             "take it out of the case or give it measures",
         )
@@ -221,19 +232,24 @@ def picture_of(entry: ImageInput, folder: Path) -> Path | None:
     return folder / entry.label
 
 
-def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> TiePoints | None:
-    """Tie points of all control networks; each file is checked by itself, so that errors name it."""
+def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, list[str]]:
+    """Tie points of all control networks, and what was left out; each file is checked by itself, so that errors name
+    it.
+    """
     of_images = {
         image.name: image.measure_sigma_px for image in wanted.images if image.measure_sigma_px is not None
     }
-    groups = []
+    groups, notes = [], []
     for entry in wanted.tie_groups:
         path = folder / entry.network
         window = window_beside(path) if entry.window_px is None else entry.window_px
-        group = with_sigmas(read_tie_points(path, parts.images[0].body), entry.sigma_px, of_images, window)
+        points = read_tie_points(path, parts.images[0].body)
+        points, left_out = in_images(points, [image.name for image in parts.images])
+        group = with_sigmas(points, entry.sigma_px, of_images, window)
         parts.require_measures(group)
         groups.append(group)
-    return merged(groups) if groups else None
+        notes += [left_out] if left_out else []
+    return merged(groups) if groups else None, notes
 
 
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:

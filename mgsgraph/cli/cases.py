@@ -91,6 +91,7 @@ def adjust(
     if cluster is not None:
         parse_cluster(cluster)
     read = read_case(case, overrides.laser, ties)
+    print_sentences(read.notes)
     settings = overrides.over(read.settings)
     if relief:
         ctx.exit(0 if _coregistered(replace(read, settings=settings), out, overrides.figures) else 1)
@@ -100,7 +101,7 @@ def adjust(
         ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, verbose) else 1)
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         solution = adjust_network(read.network, settings, read.name, bar, workers)
-    write_results(solution, out, overrides.figures, case)
+    write_results(solution, out, overrides.figures, case, read.networks)
     print_solution(solution)
     click.echo(f"Results are in {out}")
     ctx.exit(0 if solution.converged else 1)
@@ -124,12 +125,13 @@ def _in_two_steps(
     require_terrain(read.network, str(read.path))
     with connection as workers, iteration_bar(verbose, settings.max_iterations) as bar:
         steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
-    write_results(steps.fitted, out, figures=False)  # what took longest is safe, whatever becomes of the rest
+    # what took longest is safe, whatever becomes of the rest
+    write_results(steps.fitted, out, figures=False, networks=read.networks)
     with _solution_kept(out), stage_bar(2) as stages:
         with stages.stage("figures of merit"):
             statistics = two_step_statistics(steps)
         with stages.stage("tables and figures"):
-            write_two_steps(statistics, out, figures=overrides.figures)
+            write_two_steps(statistics, out, figures=overrides.figures, networks=read.networks)
     click.echo(two_steps_page(statistics))
     click.echo(f"Results are in {out}")
     return steps.converged
@@ -386,7 +388,7 @@ def _coregistered(
     with counting_bars() as show:
         registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
         show("tables and figures" if figures else "tables", 0, 1)
-        write_coregistration(registration, out, figures, read.path)
+        write_coregistration(registration, out, figures, read.path, read.networks)
     return _print_registration(registration, out)
 
 

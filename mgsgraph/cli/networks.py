@@ -84,8 +84,14 @@ def _print_lost(lost: tuple[str, ...]) -> None:
 @click.option("--out", type=PATH, required=True, help="Folder for the files; made anew.")
 @click.option("--scaled", is_flag=True, help="Covariances times sigma0 squared, as jigsaw's; else for sigma0 = 1.")
 @click.option("--case", type=PATH, help="The case, for what its image support data say besides geometry (csm, asp).")
+@click.option(
+    "--network", "networks", type=PATH, multiple=True,
+    help="Network that the points were read from, where it isn't where it was (isis); may be repeated."
+)  # fmt: skip
 @click.option("--raster", is_flag=True, help="Sigmas of new points over the overlap as well, a GeoTIFF (gis).")
-def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | None, raster: bool) -> None:
+def export(
+    solution: Path, target: str, out: Path, scaled: bool, case: Path | None, networks: tuple[Path, ...], raster: bool
+) -> None:
     """Write SOLUTION (results, or a project) for another program, read the files back and say how far they are off.
 
     spice: SPK, CK, their frames, clock and camera, and a meta-kernel. csm: image support data and model states of
@@ -104,8 +110,8 @@ def export(solution: Path, target: str, out: Path, scaled: bool, case: Path | No
         if not support:
             raise InputError(str(case), "no image with support data (isd)", "some to take over", "leave --case out")
     results = results_of(solution)
-    done = export_solution(results.folder, target, out, ExportSettings(scaled, support, raster))
-    print_sentences(filter(None, (results.warning, done.statement)))
+    done = export_solution(results.folder, target, out, ExportSettings(scaled, support, networks, raster))
+    print_sentences(filter(None, (results.warning, done.statement, *done.notes)))
     click.echo(f"The files are in {out}")
 
 
@@ -177,6 +183,8 @@ def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> 
 
     network = reviewed_network(case) if ties is None else ties
     setting = case_setting(case) if network.suffix.lower() == ".csv" else None
-    ignored, total = write_kept(network, read_verdicts(verdicts), out, setting)
+    ignored, total = write_kept(
+        network, read_verdicts(verdicts), out, setting, lambda: tuple(case_setting(case).sizes)
+    )
     click.echo(f"- {ignored} of {total} points of {network} are ignored now.")
     click.echo(f"The network is {out}")

@@ -21,7 +21,7 @@ Numbers = np.ndarray[Any, np.dtype[np.float64]]
 _NETWORK = "network.net"
 _LABEL = 65536
 _POINT = {"id": 1, "x": 20, "y": 21, "z": 22, "measures": 25}
-_MEASURE = {"image": 1, "sample": 3, "line": 4, "sample residual": 5, "line residual": 6}
+_MEASURE = {"image": 1, "sample": 3, "line": 4, "sample residual": 5, "line residual": 6, "ignore": 10}
 _FIRST_CENTRE = 0.5
 """The first pixel's centre, (1, 1) in the file, is (0.5, 0.5) in the solution."""
 
@@ -55,7 +55,9 @@ def control_differences(folder: Path, wanted: MeasuredPlaces) -> ControlDifferen
 
 
 def _measures(path: Path) -> Iterator[tuple[tuple[str, str], tuple[float, ...]]]:
-    """By point and image: line, sample, their residuals, and the adjusted place of the point; infinite where unset."""
+    """By point and image: line, sample, their residuals, and the adjusted place of the point; infinite where unset.
+    Ignored measures are passed over.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -67,6 +69,8 @@ def _measures(path: Path) -> Iterator[tuple[tuple[str, str], tuple[float, ...]]]
             name = fields[_POINT["id"]][-1].decode()
             for message in fields.get(_POINT["measures"], []):
                 measure = _fields(message)
+                if any(measure.get(_MEASURE["ignore"], [b"\0"])[-1]):
+                    continue
                 numbers = [_MEASURE[key] for key in ("line", "sample", "line residual", "sample residual")]
                 yield (name, measure[_MEASURE["image"]][-1].decode()), (*_doubles(measure, numbers), *place)
     except (IndexError, KeyError, ValueError, struct.error) as error:

@@ -21,6 +21,7 @@ from mgsgraph.io.control.network_file import read_network
 from mgsgraph.io.control.pvl_writing import network_text
 from mgsgraph.io.control.record import ControlNetwork, ControlPoint
 from mgsgraph.io.control.table import read_table, table_text
+from mgsgraph.io.control.uniting import Duplicates, united
 from mgsgraph.io.files import fresh_file
 from mgsgraph.wording import many, some
 
@@ -67,18 +68,21 @@ def format_of(path: Path, named: str | None = None, option: str = "--from") -> F
 
 
 def read_networks(
-    paths: Paths, setting: ExchangeSetting | None = None, named: str | None = None
+    paths: Paths, setting: ExchangeSetting | None = None, named: str | None = None,
+    duplicates: Duplicates = Duplicates.REFUSE,
 ) -> tuple[ControlNetwork, tuple[str, ...]]:
     """Read one or more files as one network, in any format.
 
     Parameters
     ----------
     paths : path or paths
-        Match files are joined to points of many images; other files must not have points of the same id.
+        Match files are joined to points of many images; points of the same id in other files: `duplicates`.
     setting : ExchangeSetting, optional
         What they don't say of themselves.
     named : str, optional
         Format of all of them; by their endings when absent.
+    duplicates : Duplicates
+        What becomes of points that several files have.
 
     Returns
     -------
@@ -89,8 +93,8 @@ def read_networks(
     Raises
     ------
     InputError
-        As the readers do; and for a file twice, an id in two files, networks of two bodies, or a new name for an image
-        that is none.
+        As the readers do; and for a file twice, an id in two files that is to be refused, networks of two bodies, or a
+        new name for an image that is none.
     """
     setting = setting or ExchangeSetting()
     forms = [(path, format_of(path, named)) for path in _listed(paths)]
@@ -108,7 +112,8 @@ def read_networks(
     networks += [_read(path, form, setting) for path, form in forms if form not in _MATCHES]
     require_one_body(networks, setting)
     notes += _other_heads(networks)
-    return _renamed(_merged(networks), setting.renamed), tuple(notes)
+    merged = _merged(networks, duplicates, notes)
+    return _renamed(merged, setting.renamed), tuple(notes)
 
 
 def _listed(paths: Paths) -> list[Path]:
@@ -142,17 +147,12 @@ def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
     return read_table(path, setting.ellipsoid) if form == Format.CSV else read_network(path)
 
 
-def _merged(networks: Sequence[ControlNetwork]) -> ControlNetwork:
-    """All points, with the head of the first network that names its body."""
+def _merged(networks: Sequence[ControlNetwork], duplicates: Duplicates, notes: list[str]) -> ControlNetwork:
+    """All points, with the head of the first network that names its body; what is to be said goes to `notes`."""
     if len(networks) == 1:
         return networks[0]
-    files: dict[str, str] = {}
-    for network in networks:
-        for point in network.points:
-            if (first := files.setdefault(point.id, network.source)) != network.source:
-                where = f"{network.source}, point {point.id}"
-                raise InputError(where, f"an id that {first} has, too", "each id in one file", "rename one of the two")
-    points = tuple(point for network in networks for point in network.points)
+    points, said = united(networks, duplicates)
+    notes += said
     return structs.replace(leading(networks), points=points, source=", ".join(one.source for one in networks))
 
 

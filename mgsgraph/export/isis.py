@@ -9,6 +9,7 @@ its cubes.
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import rejected_points
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
+from mgsgraph.export.kept_content import ADJUSTED_BY, Kept, with_content
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.io.control.binary import write_binary_network
@@ -43,7 +45,18 @@ _TYPES = {
 _UPPER = np.triu_indices(3)
 
 
-def write_isis(solution: Solution, folder: Path, scaled: bool = False, target: str = "") -> list[Path]:
+class IsisFiles(NamedTuple):
+    """What was written, and what is to be said of it."""
+
+    paths: list[Path]
+    """Files."""
+    notes: tuple[str, ...] = ()
+    """What became of the source's content, in sentences."""
+
+
+def write_isis(
+    solution: Solution, folder: Path, scaled: bool = False, target: str = "", source: ControlNetwork | None = None
+) -> IsisFiles:
     """Write the control network, lidar data and jigsaw's tables into an existing folder.
 
     Parameters
@@ -57,21 +70,29 @@ def write_isis(solution: Solution, folder: Path, scaled: bool = False, target: s
         here. The network's description says which.
     target : str
         The body as ISIS calls it; by its radius when absent.
+    source : ControlNetwork, optional
+        That the points were read from: what it says besides is taken over (`with_content`).
 
     Returns
     -------
-    list of Path
+    paths : list of Path
         network.net and network.pvl, the same in both forms, with laser footprints that are measured in an image as
         constrained points; where there are ranges lidar.json; where such footprints are in both, to go with lidar.json
         (jigsaw's LIDARDATA) network_without_laser.net, or else they would count twice; then the tables of
         `write_bundle_out`.
+    notes : tuple of str
 
     Raises
     ------
     InputError
         No point with a measure; what a format can't hold, which is named; a file that can't be written.
     """
-    network = adjusted_network(solution, scaled=scaled, target=target)
+    images = frozenset(image.name for image in solution.network.images)
+
+    def complete(network: ControlNetwork) -> Kept:
+        return Kept(network) if source is None else with_content(network, source, images)
+
+    network, notes = complete(adjusted_network(solution, scaled=scaled, target=target))
     paths = [folder / NETWORK, folder / NETWORK_TEXT]
     write_binary_network(network, paths[0])
     write_pvl_network(network, paths[1])
@@ -80,10 +101,10 @@ def write_isis(solution: Solution, folder: Path, scaled: bool = False, target: s
         paths.append(folder / LIDAR)
         laser = solution.network.points.classes[solution.network.rays.point] == PointClass.LASER
         if np.any(laser) and not np.all(laser):
-            without = adjusted_network(solution, scaled=scaled, laser=False, target=target)
+            without, _ = complete(adjusted_network(solution, scaled=scaled, laser=False, target=target))
             write_binary_network(without, folder / WITHOUT_LASER)
             paths.append(folder / WITHOUT_LASER)
-    return [*paths, *write_bundle_out(solution, folder, scaled)]
+    return IsisFiles([*paths, *write_bundle_out(solution, folder, scaled)], notes)
 
 
 def adjusted_network(
@@ -190,7 +211,7 @@ def _description(solution: Solution, scaled: bool) -> str:
     version = solution.versions.get(PROGRAM, "of unknown version")
     size = f"sigma0 {solution.sigma0:.6g}"
     covariances = f"times sigma0^2 ({size}), as jigsaw gives them" if scaled else f"for sigma0 = 1 ({size} not applied)"
-    return _one_line(f"Adjusted by {PROGRAM} {version}: {solution.name}, {state}. Adjusted covariances {covariances}.")
+    return _one_line(f"{ADJUSTED_BY} {version}: {solution.name}, {state}. Adjusted covariances {covariances}.")
 
 
 def _one_line(text: str) -> str:

@@ -34,6 +34,8 @@ class ExportSettings:
     """Covariances and sigmas times sigma0^2 and sigma0, where a format has some."""
     support: Mapping[str, Path] | None = None
     """Image support data that images came from, by name: names, keywords and the Sun are taken over."""
+    networks: Sequence[Path] = ()
+    """Networks that the points were read from, in place of those that the solution remembers."""
     raster: bool = False
     """Sigmas of new points over the images' overlap, too, as a GeoTIFF."""
 
@@ -53,6 +55,8 @@ class Exported(NamedTuple):
     """Whether the solution is."""
     noted: bool = True
     """Whether the solution's record says so, too; it can't where it may not be written."""
+    notes: tuple[str, ...] = ()
+    """What the files keep of those that the solution was made from, and what not, in sentences."""
 
     @property
     def statement(self) -> str:
@@ -106,11 +110,11 @@ def export_solution(
     _require_same_target(out, target)
     solution = read_solution(path)
     with fresh_folder(out, EXPORT) as aside, _called_as_asked(aside, out):
-        written, compare = _WRITERS[target](solution, aside, settings)
+        written, compare, notes = _WRITERS[target](solution, aside, settings, path)
         differences = compare(solution, aside)
         names = tuple(sorted(file.relative_to(aside).as_posix() for file in written))
         largest = float(differences.max()) if differences.size else np.nan
-        done = Exported(target, out, names, differences.size, largest, solution.converged)
+        done = Exported(target, out, names, differences.size, largest, solution.converged, notes=notes)
         if lost := np.count_nonzero(~np.isfinite(differences)):
             raise InputError(
                 f"export to {target.value}", f"{lost} measures don't come back",
@@ -157,6 +161,7 @@ def _require_heeded(target: Target, settings: ExportSettings) -> None:
     for name, given, heeding in (
         ("scaled", settings.scaled, (Target.ISIS, Target.ASP)),
         ("raster", settings.raster, (Target.GIS,)),
+        ("network", bool(settings.networks), (Target.ISIS,)),
         ("case or support", settings.support is not None, (Target.CSM, Target.ASP)),
     ):
         if given and target not in heeding:
@@ -165,27 +170,29 @@ def _require_heeded(target: Target, settings: ExportSettings) -> None:
 
 
 _Compare = Callable[[Solution, Path], Array]
-_Written = tuple[Sequence[Path], _Compare]
+_Written = tuple[Sequence[Path], _Compare, tuple[str, ...]]
+"""Files, how to compare them, and what is to be said of them."""
 
 
-def _spice(solution: Solution, folder: Path, settings: ExportSettings) -> _Written:
+def _spice(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.spice import write_spice
     from mgsgraph.export.spice_back import spice_differences
 
-    return write_spice(solution, folder), lambda solution, folder: spice_differences(folder, reprojection(solution))
+    return write_spice(solution, folder), lambda solution, folder: spice_differences(folder, reprojection(solution)), ()
 
 
-def _csm(solution: Solution, folder: Path, settings: ExportSettings, support: bool = True) -> _Written:
+def _csm(solution: Solution, folder: Path, settings: ExportSettings, path: Path, support: bool = True) -> _Written:
     from mgsgraph.export.csm import write_csm
     from mgsgraph.export.csm_back import csm_differences
 
     written = write_csm(solution, folder, settings.support, support)
-    return written, lambda solution, folder: csm_differences(folder, reprojection(solution))
+    return written, lambda solution, folder: csm_differences(folder, reprojection(solution)), ()
 
 
-def _isis(solution: Solution, folder: Path, settings: ExportSettings) -> _Written:
+def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.export.control_back import control_differences
     from mgsgraph.export.isis import write_isis
+    from mgsgraph.export.kept_content import source_networks
     from mgsgraph.export.round_trip import measured_places
 
     def compare(solution: Solution, folder: Path) -> Array:
@@ -193,27 +200,29 @@ def _isis(solution: Solution, folder: Path, settings: ExportSettings) -> _Writte
         # that points are seen where they should be says nothing of the places that are written
         return np.where(found.points <= _SAME, np.fmax(found.measured, found.predicted), np.inf)
 
-    return write_isis(solution, folder, settings.scaled), compare
+    sources = source_networks(path, settings.networks, solution.network.images[0].body)
+    made = write_isis(solution, folder, settings.scaled, source=sources.network)
+    return made.paths, compare, (*made.notes, *sources.notes)
 
 
-def _asp(solution: Solution, folder: Path, settings: ExportSettings) -> _Written:
+def _asp(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     """Matches and control points, and the cameras that go with them."""
     from mgsgraph.export.asp import write_asp
 
-    cameras, compare = _csm(solution, folder, settings, support=False)
-    return [*cameras, *write_asp(solution, folder, scaled=settings.scaled)], compare
+    cameras, compare, _ = _csm(solution, folder, settings, path, support=False)
+    return [*cameras, *write_asp(solution, folder, scaled=settings.scaled)], compare, ()
 
 
-def _gis(solution: Solution, folder: Path, settings: ExportSettings) -> _Written:
+def _gis(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
     from mgsgraph.analysis.overlap_sigmas import sigma_grid
     from mgsgraph.analysis.posterior import Posterior
     from mgsgraph.export.gis import write_gis
 
     grid = sigma_grid(Posterior.of(solution)) if settings.raster else None
-    return write_gis(solution, folder, grid), lambda solution, folder: np.zeros(0)
+    return write_gis(solution, folder, grid), lambda solution, folder: np.zeros(0), ()
 
 
-_WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings], _Written]] = {
+_WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written]] = {
     Target.SPICE: _spice,
     Target.CSM: _csm,
     Target.ISIS: _isis,
@@ -225,7 +234,8 @@ _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings], _Written]] = {
 def _record(done: Exported, solution: Solution, settings: ExportSettings) -> dict[str, Any]:
     said = {"program": PROGRAM, "format": FORMAT, "name": solution.name, "converged": solution.converged}
     support = {name: str(path) for name, path in (settings.support or {}).items()}
-    return {**said, **_figures(done), "scaled": settings.scaled, "support": support, "files": list(done.files)}
+    return {**said, **_figures(done), "scaled": settings.scaled, "support": support, "notes": list(done.notes),
+            "files": list(done.files)}  # fmt: skip
 
 
 def _figures(done: Exported) -> dict[str, Any]:

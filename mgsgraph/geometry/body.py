@@ -43,6 +43,12 @@ def may_be(body: Ellipsoid, target: str) -> bool:
     return target.upper() not in _RADII or target_name(body) == target.upper()
 
 
+def is_another(body: Ellipsoid, target: str) -> bool:
+    """Whether a name is not that of this body; False where there is none, or the body's own name isn't known."""
+    own = target_name(body)
+    return own != "UNKNOWN" and target.upper() not in ("", own)
+
+
 def in_turn(angles: Array, middle: Array | float = 0.0) -> Array:
     """The same angles (rad, of any shape) in the turn about a middle: at most half a turn from it."""
     return np.asarray(np.mod(angles - middle + np.pi, 2.0 * np.pi) - np.pi + middle)

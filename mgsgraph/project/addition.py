@@ -10,7 +10,7 @@ from mgsgraph.altimetry.shots import read_shots
 from mgsgraph.case.case_file import decode, plain_image
 from mgsgraph.case.images import read_image, read_images
 from mgsgraph.case.laser import ShotsInput
-from mgsgraph.case.reading import picture_of, read_case
+from mgsgraph.case.reading import Case, picture_of, read_case
 from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LaserProfile
@@ -57,6 +57,8 @@ class Addition:
     """Files of the measures."""
     unconnected: tuple[str, ...] = ()
     """New images that share no point with another one."""
+    networks: tuple[Path, ...] = ()
+    """Files of tie points."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -108,12 +110,13 @@ def read_addition(
         An image that is there already, a measure in an unknown image, or a file that can't be used.
     """
     there = store.image_names()
-    networks, new = list[Network](), list[NewImage]()
+    networks, new, sources = list[Network](), list[NewImage](), list(ties)
     for wanted in images:
         if wanted.path.suffix.lower() in _CASES:
-            found, network = _of_case(wanted.path)
+            found, case = _of_case(wanted.path)
             new += found
-            networks += [] if network is None else [store.with_known_grids(network)]
+            networks += [] if case is None else [store.with_known_grids(case.network)]
+            sources += [] if case is None else case.networks
     every = ImagesByName(store, [one.known for one in new])
     body = next((every[name].image.body for name in every), None)  # of the first image that is known
     tie_points = [read_tie_points(path, body) for path in ties]
@@ -133,13 +136,13 @@ def read_addition(
         networks.append(on_terrain(measures, store))
     files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
     if not networks:
-        return Addition(tuple(new), None, files, tuple(_names(new)))
+        return Addition(tuple(new), None, files, tuple(_names(new)), tuple(sources))
     network = joined(networks)
     named = [image.name for image in network.images]
     pictures = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
     linked = _linked(network, store)
     unconnected = tuple(name for name in _names(new) if name not in linked)
-    return Addition(tuple(new), with_images(network, pictures), files, unconnected)
+    return Addition(tuple(new), with_images(network, pictures), files, unconnected, tuple(sources))
 
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:
@@ -159,13 +162,13 @@ def _names(new: Sequence[NewImage]) -> list[str]:
 # --- images
 
 
-def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Network, str]:
-    """Images and network of a case file, and what it is called; `ties` are taken in place of its own."""
+def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Case]:
+    """Images of a case file, and the case; `ties` are taken in place of its own."""
     case, wanted = read_case(path, ties=ties), decode(path)
     new = []
     for j, (entry, known) in enumerate(zip(wanted.images, known_images(case.network), strict=True)):
         new.append(NewImage(known, _files(entry, path), case.pictures[j] if case.pictures else None))
-    return new, case.network, case.name
+    return new, case
 
 
 def images_alone(path: Path) -> tuple[list[NewImage], str]:
@@ -194,13 +197,12 @@ def _files(entry: ImageInput, path: Path) -> tuple[Path, ...]:
     return (path, path.parent / file) if file else (path,)
 
 
-def _of_case(path: Path) -> tuple[list[NewImage], Network | None]:
+def _of_case(path: Path) -> tuple[list[NewImage], Case | None]:
     """All that a case names; of one without ties and laser, the images alone."""
     wanted = decode(path)
     if not wanted.measured and not wanted.shots:
         return images_alone(path)[0], None
-    new, network, _ = images_of_case(path)
-    return new, network
+    return images_of_case(path)
 
 
 def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:

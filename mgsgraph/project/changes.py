@@ -53,6 +53,7 @@ def add(project: Project, addition: Addition) -> Impact | None:
     else:
         impact = _incremental(project).add(network)
     _note_sources(project, addition.images)
+    project.add_networks(addition.networks)
     rays = 0 if network is None else network.rays.point.size
     ranges = 0 if network is None else network.ranges.point.size
     what = ", ".join(addition.names) or "measures"
@@ -120,7 +121,7 @@ def solve(project: Project, figures: bool = True, progress: Progress = lambda _:
         _incremental(project).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
     project.record("solve", f"{len(solution.network.images)} images", summary)
-    folder = project.keep_solution(solution, lambda to: write_results(solution, to, figures))
+    folder = project.keep_solution(solution, lambda to: write_results(solution, to, figures, networks=project.networks))
     return SolvedProject(solution, closing, folder)
 
 
@@ -182,13 +183,15 @@ def begin(folder: Path, name: str, case: Path | None, settings: Path | None, sta
         return NewProject("empty", False)
     with stages("reading the case"):
         network: Network | None = None
+        files: tuple[Path, ...] = ()
         if decode(case).measured:
-            images, network, called = images_of_case(case)
+            images, read = images_of_case(case)
+            network, called, files = read.network, read.name, read.networks
         else:
             images, called = images_alone(case)
         chosen = settings_of_case(case)
     with stages("writing the project"), Project.create(folder, name or called, chosen, case) as project:
-        words = _put(project, "init", str(case), images, network)
+        words = _put(project, "init", str(case), images, network, files)
     return NewProject(words, network is None)
 
 
@@ -222,15 +225,18 @@ def waiting_case(project: Project) -> Path:
 def take_ties(project: Project, network: Path) -> str:
     """Put tie points into a project that waits for them, with everything else that its case says by now; in words."""
     case = waiting_case(project)
-    images, measured, _ = images_of_case(case, network)
+    images, read = images_of_case(case, network)
     project.take_settings(settings_of_case(case))
-    return _put(project, "match", str(network), images, measured)
+    return _put(project, "match", str(network), images, read.network, read.networks)
 
 
-def _put(project: Project, verb: str, what: str, images: list[NewImage], network: Network | None) -> str:
+def _put(
+    project: Project, verb: str, what: str, images: list[NewImage], network: Network | None, files: Sequence[Path]
+) -> str:
     """Put images and measures in, and note it; what they are."""
     put_in(project.store, Addition(tuple(images), network))
     _note_sources(project, images)
+    project.add_networks(files)
     points, rays, ranges = (
         (0, 0, 0) if network is None else (len(network.points), network.rays.point.size, network.ranges.point.size)
     )

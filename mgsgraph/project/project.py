@@ -183,6 +183,17 @@ class Project:
         )
         return dict(rows.fetchall())
 
+    def add_networks(self, files: Iterable[Path]) -> None:
+        """Remember files of tie points."""
+        names = dict.fromkeys([*map(str, self.networks), *(str(file.resolve()) for file in files)])
+        self._connection.execute("INSERT OR REPLACE INTO meta VALUES ('networks', ?)", (json.dumps(list(names)),))
+
+    @property
+    def networks(self) -> tuple[Path, ...]:
+        """Files of tie points that it was given, where they were then."""
+        found = self._connection.execute("SELECT value FROM meta WHERE key = 'networks'").fetchone()
+        return () if found is None else tuple(map(Path, json.loads(found[0])))
+
     # --- history
 
     def record(self, verb: str, what: str, summary: Mapping[str, Any]) -> int:

@@ -52,7 +52,7 @@ def coregister(
     project.record("coregister", what, summary)
     progress("tables and figures" if figures else "tables", 0, 1)
     folder = project.keep_solution(
-        found.solution, write=lambda to: write_coregistration(found, to, figures, case.path)
+        found.solution, write=lambda to: write_coregistration(found, to, figures, case.path, project.networks)
     )
     return RegisteredProject(found, folder)
 

@@ -31,7 +31,8 @@ _STEREO = (
 )
 TABLES = (
     """CREATE TABLE meta ( -- what this file is
-    key TEXT PRIMARY KEY, -- format, name, created (UTC), version (of mgsgraph), settings (JSON), case (path)
+    key TEXT PRIMARY KEY, -- format, name, created (UTC), version (of mgsgraph), settings (JSON), case (path),
+    -- networks (JSON: paths of files of tie points)
     value TEXT NOT NULL
 ) WITHOUT ROWID""",
     """CREATE TABLE image (

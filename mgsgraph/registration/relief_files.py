@@ -2,7 +2,7 @@
 coregistration.json, one row per profile, one per shot, and the misfits of all shifts that were searched.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +31,9 @@ _WAYS = ("east", "north")
 
 
 def write_coregistration(
-    registration: ReliefRegistration, folder: str | Path, figures: bool = True, case: str | Path | None = None
-) -> list[str]:
+    registration: ReliefRegistration, folder: str | Path, figures: bool = True, case: str | Path | None = None,
+    networks: Sequence[Path] = (),
+) -> list[str]:  # fmt: skip
     """Write the adjusted solution as `write_results` does, and tables and figures of the registration beside it.
 
     Parameters
@@ -45,6 +46,8 @@ def write_coregistration(
         False leaves the figures out.
     case : path, optional
         Case file, for later commands.
+    networks : sequence of Path
+        Files of the tie points.
 
     Returns
     -------
@@ -57,14 +60,15 @@ def write_coregistration(
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        return write_coregistration_into(registration, aside, figures, case)
+        return write_coregistration_into(registration, aside, figures, case, networks)
 
 
 def write_coregistration_into(
-    registration: ReliefRegistration, folder: Path, figures: bool = True, case: str | Path | None = None
-) -> list[str]:
+    registration: ReliefRegistration, folder: Path, figures: bool = True, case: str | Path | None = None,
+    networks: Sequence[Path] = (),
+) -> list[str]:  # fmt: skip
     """The same into a folder that exists, file by file."""
-    names = write_into(registration.solution, folder, figures, case)
+    names = write_into(registration.solution, folder, figures, case, networks)
     write_json(folder / COREGISTRATION, coregistration_json(registration))
     profiles_table(registration).write_csv(folder / "profiles.csv")
     relief_shots_table(registration).write_csv(folder / "shots.csv")

@@ -64,6 +64,7 @@ def inventory(case: Case) -> str:
     parts = [
         f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
         f"measurements, {network.ranges.point.size} ranges",
+        *case.notes,
         _images(network),
         _points(network, prediction),
         _connections(connected),

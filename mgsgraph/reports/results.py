@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from mgsgraph.analysis.statistics import (
     solution_connectivity,
 )
 from mgsgraph.errors import InputError
+from mgsgraph.io.files import sha256_of
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.network.connectivity_words import connectivity_json
 from mgsgraph.network.records import PointClass
@@ -47,8 +49,9 @@ _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; tim
 
 
 def write_results(
-    solution: Solution, folder: str | Path, figures: bool = True, case: str | Path | None = None
-) -> list[str]:
+    solution: Solution, folder: str | Path, figures: bool = True, case: str | Path | None = None,
+    networks: Sequence[Path] = (),
+) -> list[str]:  # fmt: skip
     """Write tables, archive and figures to a folder that appears whole or not at all.
 
     Parameters
@@ -61,6 +64,8 @@ def write_results(
         False leaves the figures out.
     case : path, optional
         Case file that was adjusted, for later commands (`case_of`).
+    networks : sequence of Path
+        Files of its tie points, which an export to ISIS takes more from.
 
     Returns
     -------
@@ -73,15 +78,18 @@ def write_results(
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        return write_into(solution, aside, figures, case)
+        return write_into(solution, aside, figures, case, networks)
 
 
 def write_into(
-    solution: Solution, folder: Path, figures: bool = True, case: str | Path | None = None
-) -> list[str]:
+    solution: Solution, folder: Path, figures: bool = True, case: str | Path | None = None,
+    networks: Sequence[Path] = (),
+) -> list[str]:  # fmt: skip
     """Write tables, archive and figures into a folder that exists; returns the names of the files."""
     connected = solution_connectivity(solution)
-    known = {} if case is None else {"case": str(Path(case).resolve())}
+    known: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
+    files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
+    known |= {"networks": files} if files else {}
     write_json(folder / RECORD, solution_json(solution, connected) | known)
     points_table(solution).write_csv(folder / "points.csv")
     orientation_table(solution).write_csv(folder / "orientation.csv")

@@ -1,7 +1,7 @@
 """An adjustment in two steps as a page of text, tables and a figure."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,9 @@ _HARDLY = 0.05
 """Share by which a figure changes without being worth a factor."""
 
 
-def write_two_steps(statistics: TwoStepStatistics, folder: str | Path, figures: bool = True) -> None:
+def write_two_steps(
+    statistics: TwoStepStatistics, folder: str | Path, figures: bool = True, networks: Sequence[Path] = ()
+) -> None:
     """Write the results of step 2, as those of any adjustment, and what both steps did, to a folder.
 
     Beside the files of `reports.results` there are two_steps.txt, .json and .csv (figures of merit at all stages),
@@ -42,6 +44,8 @@ def write_two_steps(statistics: TwoStepStatistics, folder: str | Path, figures: 
         Absent, empty, or an earlier result, which is replaced.
     figures : bool
         False leaves the figures out.
+    networks : sequence of Path
+        Files of the tie points.
 
     Raises
     ------
@@ -49,7 +53,7 @@ def write_two_steps(statistics: TwoStepStatistics, folder: str | Path, figures: 
         If the folder holds anything else, or can't be written.
     """
     with fresh_folder(folder) as aside:
-        write_into(statistics.steps.fitted, aside, figures)
+        write_into(statistics.steps.fitted, aside, figures, networks=networks)
         write_statistics_into(statistics, aside, figures)
 
 

@@ -24,7 +24,7 @@ from mgsgraph.matching.chips import (
     stretched,
 )
 from mgsgraph.matching.scene import Pixels
-from mgsgraph.review.verdicts import Verdicts, chosen_points, network_digest, require_verdicts_of
+from mgsgraph.review.verdicts import Verdicts, network_digest, require_verdicts_of
 from mgsgraph.stages import Count, no_progress
 from mgsgraph.ties import TiePoints
 from mgsgraph.wording import listed, many, some
@@ -212,7 +212,7 @@ def review_matches(
     alike = likeness(pictures, ties, frames, wanted, progress)
 
     def some_of(which: Index) -> MatchReview:
-        rows, mine = np.flatnonzero(np.isin(ties.measure_point, which)), chosen_points(ties, which)
+        rows, mine = np.flatnonzero(np.isin(ties.measure_point, which)), ties.chosen(which)
         patches = _patches(pictures, frames.image[rows], mine.measures, frames.step[rows])
         return MatchReview(
             name, network_digest(ties), _choice(ties, which, bool(points), solution is not None), mine,

@@ -9,8 +9,8 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
@@ -18,14 +18,13 @@ import msgspec
 import numpy as np
 
 from mgsgraph.case.case_file import decode
+from mgsgraph.case.groups import in_images
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
-from mgsgraph.geometry.records import Index
 from mgsgraph.io.control.binary import write_binary_network
-from mgsgraph.io.control.network_file import read_network
 from mgsgraph.io.control.pvl_writing import write_pvl_network
 from mgsgraph.io.control.record import ControlNetwork
-from mgsgraph.io.control.table import read_table, table_text
+from mgsgraph.io.control.table import read_whole, table_text
 from mgsgraph.io.control.ties import tie_points
 from mgsgraph.io.files import read_text, write_file
 from mgsgraph.ties import TiePoints
@@ -165,7 +164,8 @@ def reviewed_network(case: Path) -> Path:
 
 
 def write_kept(
-    network: Path, verdicts: Verdicts, out: Path, setting: ExchangeSetting | None = None
+    network: Path, verdicts: Verdicts, out: Path, setting: ExchangeSetting | None = None,
+    images: Callable[[], Sequence[str]] = tuple,
 ) -> tuple[int, int]:  # fmt: skip
     """Write a network anew, Ignore = True at rejected points and all else as it was.
 
@@ -179,6 +179,8 @@ def write_kept(
         ``.net`` for ISIS's binary form, ``.csv`` for a table where the network is one, else PVL text.
     setting : ExchangeSetting, optional
         What a table doesn't say: the body's name, which ISIS's forms demand, and the ellipsoid of its heights.
+    images : callable
+        Those of the case, asked for where it may have left out measures in others.
 
     Returns
     -------
@@ -198,8 +200,11 @@ def write_kept(
         raise InputError(str(out), f"a table, of a network in another form ({network})", ".pvl or .net",
                          "a table can't hold all of it: `mgsgraph convert` says what it can't")  # fmt: skip
     setting = setting or ExchangeSetting()
-    record = read_table(network, setting.ellipsoid) if table[0] else read_network(network)
-    kept = ignore_rejected(record, tie_points(record), verdicts)
+    record = read_whole(network, setting.ellipsoid)
+    ties = tie_points(record)
+    if verdicts.network not in ("", network_digest(ties)) and (names := images()):
+        ties, _ = in_images(ties, names)
+    kept = ignore_rejected(record, ties, verdicts)
     if table == [True, False]:
         kept = with_head(kept, out, setting)
     _write(kept, out)
@@ -225,7 +230,7 @@ def apply_verdicts(ties: TiePoints, verdicts: Verdicts) -> TiePoints:
         If the verdicts are about another network, or reject all of this one.
     """
     rejected = _rejected(ties, verdicts)
-    return chosen_points(ties, np.array([i for i, name in enumerate(ties.ids) if name not in rejected], dtype=np.int64))
+    return ties.chosen(np.array([i for i, name in enumerate(ties.ids) if name not in rejected], dtype=np.int64))
 
 
 def ignore_rejected(network: ControlNetwork, ties: TiePoints, verdicts: Verdicts) -> ControlNetwork:
@@ -257,21 +262,3 @@ def _rejected(ties: TiePoints, verdicts: Verdicts) -> frozenset[str]:
     if verdicts.rejected.issuperset(ties.ids):
         raise InputError(verdicts.source, f"every point of {ties.source} rejected", "one at least that stays")
     return verdicts.rejected
-
-
-def chosen_points(ties: TiePoints, which: Index) -> TiePoints:
-    """Some of the points, by their numbers, with their measures in the order in which they were."""
-    new = np.full(len(ties.ids), -1, dtype=np.int64)
-    new[which] = np.arange(which.size)
-    rows = np.flatnonzero(new[ties.measure_point] >= 0)
-    return replace(
-        ties,
-        ids=tuple(ties.ids[i] for i in which.tolist()),
-        kinds=ties.kinds[which],
-        places=ties.places[which],
-        covariances=ties.covariances[which],
-        measure_point=new[ties.measure_point[rows]],
-        measure_image=tuple(ties.measure_image[k] for k in rows.tolist()),
-        measures=ties.measures[rows],
-        measure_sigmas=ties.measure_sigmas[rows],
-    )

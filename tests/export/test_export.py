@@ -134,7 +134,7 @@ def test_adjusted_points_of_a_network_are_compared(
 def test_a_full_disk_is_said_of_the_folder_that_was_asked_for(
     solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(solution: object, folder: Path, settings: object) -> None:
+    def full(solution: object, folder: Path, settings: object, path: Path) -> None:
         raise InputError(str(folder / "network.net"), "can't be written (No space left on device)")
 
     monkeypatch.setitem(exports._WRITERS, Target.ISIS, full)
@@ -158,7 +158,7 @@ def test_what_does_not_come_back_is_not_there(
     bad: float, solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lost = np.array([0.0, bad])
-    monkeypatch.setitem(exports._WRITERS, Target.CSM, lambda *_: ([], lambda solution, folder: lost))
+    monkeypatch.setitem(exports._WRITERS, Target.CSM, lambda *_: ([], lambda solution, folder: lost, ()))
     with pytest.raises(InputError, match="1 measures don't come back"):
         export_solution(solution, "csm", tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -134,7 +134,7 @@ def test_a_case_of_an_image_alone_is_added(ready: Path, case: Path, tmp_path: Pa
     text = case.read_text(encoding="utf-8")
     entries = text[text.index("[[images]]") :].split("[[")
     name = entries[1].split('"')[1]
-    tables = [table for table in entries[2:] if not table.startswith(("images", "mola"))]
+    tables = [table for table in entries[2:] if not table.startswith(("images", "shots"))]
     alone = case.with_name("alone.toml")
     renamed = entries[1].replace(f'"{name}"', '"third"')
     alone.write_text("".join([text[: text.index("[[images]]")], "[[", renamed, *tables]), encoding="utf-8")

@@ -307,6 +307,23 @@ def test_a_table_is_kept_with_what_only_the_case_says(tmp_path: Path, suffix: st
     assert found.points[0].apriori == pytest.approx((3396200.0, 0.0, 0.0))
 
 
+def test_verdicts_of_a_case_that_holds_some_of_the_images(tmp_path: Path) -> None:
+    from mgsgraph.case.groups import in_images
+    from mgsgraph.io.control.pvl_writing import write_pvl_network
+
+    seen = tuple(ControlMeasure(f"SIM/{name}", MeasureType.MANUAL, 1.0, 1.0) for name in "XY")
+    more = ControlPoint("E", PointType.FREE, seen)
+    network = ControlNetwork("net", "MARS", (*record().points, more))
+    reviewed, note = in_images(tie_points(network), ["SIM/A"])
+    assert note
+    write_pvl_network(network, tmp_path / "given.pvl")
+    verdicts = Verdicts("v", {"B": Verdict.REJECT}, network=network_digest(reviewed))
+
+    with pytest.raises(InputError, match="verdicts about network"):
+        write_kept(tmp_path / "given.pvl", verdicts, tmp_path / "kept.pvl")
+    assert write_kept(tmp_path / "given.pvl", verdicts, tmp_path / "kept.pvl", images=lambda: ["SIM/A"]) == (2, 5)
+
+
 # --- in a browser
 
 

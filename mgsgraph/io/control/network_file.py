@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import Ellipsoid, is_another, target_name
 from mgsgraph.io.control.binary import is_binary, parse_binary_network
 from mgsgraph.io.control.pvl import parse_pvl_network, where_in
 from mgsgraph.io.control.record import ControlNetwork, Where
@@ -34,13 +35,15 @@ def read_network(path: Path) -> ControlNetwork:
     return _read_with_places(path)[0]
 
 
-def read_control_network(path: Path) -> TiePoints:
+def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints:
     """Read what an adjustment takes from an ISIS control network; see `tie_points` for what that is.
 
     Parameters
     ----------
     path : Path
         PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, told apart by what is in the file.
+    body : Ellipsoid, optional
+        That of the images.
 
     Returns
     -------
@@ -51,9 +54,13 @@ def read_control_network(path: Path) -> TiePoints:
     ------
     InputError
         With the file, and line and point (text) or number and id of the point (binary): what `read_network` and
-        `tie_points` refuse.
+        `tie_points` refuse; a network of another body.
     """
-    return tie_points(*_read_with_places(path))
+    network, where = _read_with_places(path)
+    if body is not None and is_another(body, network.target_name):
+        found, expected = f"the target body {network.target_name}", f"{target_name(body)}, as the images'"
+        raise InputError(f"{path}, TargetName", found, expected, "name a network of this body")
+    return tie_points(network, where)
 
 
 def _read_with_places(path: Path) -> tuple[ControlNetwork, Where]:

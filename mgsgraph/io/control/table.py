@@ -17,7 +17,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.io.control.network_file import read_control_network
+from mgsgraph.io.control.network_file import read_control_network, read_network
 from mgsgraph.io.control.pvl import MEASURE_TYPES
 from mgsgraph.io.control.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.io.control.table_columns import (
@@ -141,15 +141,22 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
     return ControlNetwork("", "", made, source=str(path))
 
 
+def read_whole(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork:
+    """All of a table (by the ending .csv) or of an ISIS control network; see `read_table`, `read_network`."""
+    return read_table(path, ellipsoid) if path.suffix.lower() == ".csv" else read_network(path)
+
+
 def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints:
-    """Tie points of a table (by the ending .csv) or of an ISIS control network; see `read_table`, `tie_points`."""
+    """Tie points of a table (by the ending .csv) or of an ISIS control network, on this body; see `read_table`,
+    `read_control_network`.
+    """
     ending = path.suffix.lower()
     if ending == ".csv":
         return tie_points(read_table(path, ellipsoid))
     if ending in _OF_OTHERS:
         expected = "a control network (.pvl, .net) or a table (.csv)"
         raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {path.name} network.net")
-    return read_control_network(path)
+    return read_control_network(path, ellipsoid)
 
 
 def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
