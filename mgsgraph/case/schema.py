@@ -90,7 +90,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Its pixels, for `match` and figures: what GDAL reads, or MOC's formats; those that belong to its label when
     absent."""
     constants: Literal["iak", "ik"] = "iak"
-    """Camera constants of the ISIS addendum or of NAIF's instrument kernel."""
+    """Camera constants of the ISIS addendum, or of NAIF's instrument kernel alone (MOC-NA, HRSC, Kaguya TC)."""
     focal_length_m: Positive | None = None
     """Focal length; the kernels' when absent."""
     attitude_bias_s: float | None = None
@@ -102,7 +102,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     held: bool = False
     """Keep its orientation as it is."""
     aberration: Literal["NONE", "LT+S"] | None = None
-    """What its position table holds, where the support data don't say."""
+    """What its position table holds; what the file says, or its sensor is known for, when absent."""
     observer: Observer = "body"
     """Who observed whom when that table was made."""
     orientation: OrientationInput | None = None

@@ -66,7 +66,8 @@ def shots_asked(data_set: str, *box: str) -> str:
 def archive_files() -> dict[str, bytes]:
     """A CTX, a NAC and an HRSC image: volumes, kernels of their time and of others, answers of ODE."""
     box = {"Minimum_latitude": -79.5, "Maximum_latitude": -78.5, "Westernmost_longitude": 187.0}
-    nac_url = "https://pds.lroc.im-ldi.com/data/LRO-L-LROC-2-EDR-V1.0/LROLRC_0001/DATA/COM/2009211/NAC/M103595705LE.xml"
+    lroc = "https://pds.lroc.im-ldi.com/data/LRO-L-LROC-2-EDR-V1.0"
+    nac_url = f"{lroc}/LROLRC_0001/DATA/COM/2009211/NAC/M103595705LE.xml"
     found = {
         f"ode/{CTX.query.format(B10)}": said(
             B10, f"https://planetarydata.jpl.nasa.gov/img/data/mro/ctx/mrox_1232/data/{B10}.IMG",
@@ -87,7 +88,8 @@ def archive_files() -> dict[str, bytes]:
         f"ode/{SHOTS.format('MOLA')}": b"long_East,lat_North\n187.0,-79.0\n",
     }  # fmt: skip
     found |= kernels("mro_kernels/", "mro_2009_v14.tm", (
-        "lsk/naif0012.tls", "pck/pck00008.tpc", "sclk/mro_sclkscet_00082_65536.tsc", "fk/mro_v16.tf", "ik/mro_ctx_v11.ti",
+        "lsk/naif0012.tls", "pck/pck00008.tpc", "sclk/mro_sclkscet_00082_65536.tsc", "fk/mro_v16.tf",
+        "ik/mro_ctx_v11.ti",
         "spk/de421.bsp", "spk/mro_psp10.bsp", "spk/mro_psp11.bsp", "ck/mro_sc_psp_090519_090525.bc",
         "ck/mro_sc_psp_090526_090601.bc", "ck/mro_hga_psp_090526_090601.bc",
     ))  # fmt: skip
